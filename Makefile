@@ -48,7 +48,7 @@ $(error wrong input: $(REFUSED))
 endif
 endif
 
-.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench page mock replay check-session import train-field train-autoencoder train-direct train-marker-vae train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
+.PHONY: help accuracy speed simulate simulate-sensors markers press hard-cases refine collect resume home calibrate-latency force-depth campaign jog grip doctor setup-bench page mock replay check-session import train-field train-diffusion train-force translate compensate evaluate experiment bench-learning demo-learning demo-paper transfer calibrate-force demo-transfer demo-twin first-hour learning-tables learning-ablations learning-on-gpus live endurance faults bench-recorder test golden test-all check docs format reference setup clean
 
 # Above a target: `##@` starts a group of the list, `#:` gives the options of the target.
 help:
@@ -159,7 +159,7 @@ markers: $(VENV)/.markers  ## Make a marker archive of recorded sessions
 	@$(PY) -m tactile markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 
 #: ARCHIVE= OUT=runs/x [SPLIT=split.json] [PRESET=ours] [GPUS=4] [ARGS="--resume --set key=value"]
-train-field train-autoencoder train-direct train-marker-vae train-diffusion: $(VENV)/.learning  ## Train a translator
+train-field train-diffusion: $(VENV)/.learning  ## Train a translator
 	@$(LAUNCH) -m tactile $(subst train-,train ,$@) $(ARCHIVE) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 
 #: ARCHIVE= SOURCE=a TARGET=b MODEL=flow|runs/x OUT=x.markers.zarr [ARGS="--sheet x.png"]

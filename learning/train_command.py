@@ -48,7 +48,7 @@ def run_training(
 
     Args:
         out: Folder of the run.
-        kind: Kind of the model, one of `KINDS`.
+        kind: Kind of the model.
         settings: Settings of the training; `launch` selects device and precision.
         data: Words that identify the training data, joined to its fingerprint.
         train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to

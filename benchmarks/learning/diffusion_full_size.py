@@ -21,18 +21,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 
 from learning.config import read_settings, settings_to_dict
-from learning.data.images import SIDE, enlarge_images
-from learning.data.synthetic import before, pixel_grid, random_fields, sample_patterns
+from learning.data.images import SIDE, enlarge_images, inverse
+from learning.data.synthetic import pixel_grid, sample_patterns
 from learning.errors import LearningError
 from learning.training.run import METRICS, RunFolder, Session, described, generator
 from learning.training.run import accelerator as launched
 from learning.translation.diffusion.data import ImagePairs
-from learning.translation.diffusion.network import MarkerToMarker, fuse
+from learning.translation.diffusion.network import KIND, MarkerToMarker, fuse
 from learning.translation.diffusion.train import (
-    KIND,
     PRESETS,
     LossWeights,
     Pretrained,
@@ -42,6 +42,7 @@ from learning.translation.diffusion.train import (
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, vendor
 from recorder.command_line.options import numbers
+from recorder.markers import HEIGHT, WIDTH
 from recorder.progress import ItemProgress
 from recorder.store.durable import replace_file
 
@@ -56,6 +57,8 @@ RATE = 1e-3
 SAME = 4
 # Warm-up steps that are not timed.
 WARM = 5
+# Largest strain at the centre of a contact.
+MOST_OUTWARD = 0.35
 # Number of frames whose translation is timed.
 TRANSLATED = 64
 
@@ -217,12 +220,40 @@ def _full_size(device: torch.device) -> Pretrained:
     return random_pretrained(UNET, VAE, CLIP, WIDTHS, device)
 
 
+def _random_fields(
+    count: int, generator: np.random.Generator, device: torch.device
+) -> torch.Tensor:
+    """Return synthetic displacements (count, 2, 24, 32) [px of 640 x 480], without an archive.
+
+    Up to three contacts push the surface outwards and drag it along, each as a Gaussian. This is
+    not the deformation of a gel, but suffices to learn the appearance of deformed markers.
+    """
+    rows, columns = (np.arange(24) + 0.5) * 20, (np.arange(32) + 0.5) * 20
+    row, column = np.meshgrid(rows, columns, indexing="ij")
+    places = torch.from_numpy(np.stack([column, row]).astype(np.float32)).to(device)
+    field = torch.zeros((count, 2, 24, 32), device=device)
+    for contact in range(3):
+        there = (generator.random((count, 1)) < (1.0, 0.3, 0.1)[contact]).astype(float)
+        centre = generator.uniform(0.1, 0.9, (count, 2)) * (WIDTH, HEIGHT)
+        width = generator.uniform(40, 140, (count, 1))
+        outward = there * generator.uniform(0, MOST_OUTWARD, (count, 1)) * width
+        shear = there * generator.normal(0, 12, (count, 2))
+        values = np.concatenate([centre, width, outward, shear], axis=1).astype(np.float32)
+        value = torch.from_numpy(values).to(device)[:, :, None, None]
+        away = (places - value[:, :2]) / value[:, 2:3]
+        near = torch.exp(-0.5 * away.square().sum(dim=1, keepdim=True))
+        far = torch.exp(-0.125 * away.square().sum(dim=1, keepdim=True))
+        field = field + value[:, 3:4] * away * near + value[:, 4:] * far
+    return field
+
+
 def overfitted_pairs(count: int, side: int, device: torch.device) -> ImagePairs:
     """Return pairs of random patterns with equal motion, as images of a given side [px]."""
     chance = generator(0, "full-size-check")
     patterns = sample_patterns(2 * count, chance, device)
-    field = random_fields(count, chance, device)
-    moved = patterns.draw(before(torch.cat((field, field)), None, side))
+    field = _random_fields(count, chance, device)
+    both = torch.cat((field, field))
+    moved = patterns.draw(pixel_grid(side, device) + inverse(both, (side, side), None))
     still = patterns.draw(pixel_grid(side, device))
     images, references = ((each[:, 0] * 255).round().to(torch.uint8) for each in (moved, still))
     every = torch.arange(2 * count, device=device)

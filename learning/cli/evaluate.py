@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--features",
         default="marker-grid",
         metavar="NAME|PATH",
-        help="features for distances: marker-grid, the folder of a marker autoencoder, or "
+        help="features for distances: marker-grid, the folder of a marker VAE, or "
         "pt_inception-2015-12-05-6726825d.pth, for FID and KID (marker-grid)",
     )
     scoring.add_argument(

@@ -15,8 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from learning.data.images import SIDE, inverse
-from recorder.markers import HEIGHT, WIDTH, Lattice
+from recorder.markers import HEIGHT, WIDTH
 
 # Smallest and largest pitch [px of 640 x 480]: from the densest texture of the paper's simulation
 # (320 markers) to a uSkin's 4 x 4 discs.
@@ -32,8 +31,6 @@ SHAPES = 1.0, 1.5, 2.0, 3.0, 8.0
 CELLS = 32
 # Width of the ramp at a marker's edge [px of 640 x 480]: a pixel of the networks (2.5 x 1.875).
 EDGE_PX = 2.2
-# Largest strain at the centre of a synthetic contact.
-MOST_OUTWARD = 0.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,41 +132,6 @@ def sample_patterns(count: int, generator: np.random.Generator, device: torch.de
         shift,
     )
     return Patterns(*(torch.from_numpy(np.asarray(v, np.float32)).to(device) for v in values))
-
-
-def random_fields(count: int, generator: np.random.Generator, device: torch.device) -> Tensor:
-    """Return synthetic displacements (count, 2, 24, 32) [px of 640 x 480], without an archive.
-
-    Up to three contacts push the surface outwards and drag it along, each as a Gaussian. This is
-    not the deformation of a gel, but suffices to learn the appearance of deformed markers.
-    """
-    row, column = np.meshgrid((np.arange(24) + 0.5) * 20, (np.arange(32) + 0.5) * 20, indexing="ij")
-    places = torch.from_numpy(np.stack([column, row]).astype(np.float32)).to(device)
-    field = torch.zeros((count, 2, 24, 32), device=device)
-    for contact in range(3):
-        there = (generator.random((count, 1)) < (1.0, 0.3, 0.1)[contact]).astype(float)
-        centre = generator.uniform(0.1, 0.9, (count, 2)) * (WIDTH, HEIGHT)
-        width = generator.uniform(40, 140, (count, 1))
-        outward = there * generator.uniform(0, MOST_OUTWARD, (count, 1)) * width
-        shear = there * generator.normal(0, 12, (count, 2))
-        values = np.concatenate([centre, width, outward, shear], axis=1).astype(np.float32)
-        value = torch.from_numpy(values).to(device)[:, :, None, None]
-        away = (places - value[:, :2]) / value[:, 2:3]
-        near = torch.exp(-0.5 * away.square().sum(dim=1, keepdim=True))
-        far = torch.exp(-0.125 * away.square().sum(dim=1, keepdim=True))
-        field = field + value[:, 3:4] * away * near + value[:, 4:] * far
-    return field
-
-
-def before(field: Tensor, lattice: Lattice | None, side: int = SIDE) -> Tensor:
-    """Return the position before contact of the material at each pixel (n, 2, side, side).
-
-    Args:
-        field: Displacements (n, 2, h, w) [px of 640 x 480].
-        lattice: Lattice of the fields; None: centres of h x w cells that cover the image.
-        side: Side of the small image [its pixels].
-    """
-    return pixel_grid(side, field.device) + inverse(field.float(), (side, side), lattice)
 
 
 def pixel_grid(side: int, device: torch.device) -> Tensor:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from learning.data.images import unit
 from learning.errors import LearningError
 
 FEATURES = 2048
@@ -296,7 +297,6 @@ Floats = NDArray[np.float64]
 CELLS = 8
 # Name of the features that need no weights.
 GRID = f"marker-grid-{CELLS}x{CELLS}"
-AUTOENCODER = "marker-ae"
 _AT_ONCE = 64
 _HASHED = 12  # number of digits of a hash in names
 
@@ -381,7 +381,7 @@ def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
     """Load an extractor of features.
 
     Args:
-        name_or_path: `marker-grid`; the folder of a trained marker autoencoder; or the file
+        name_or_path: `marker-grid`; the folder of a trained marker VAE; or the file
             pt_inception-2015-12-05-6726825d.pth, for FID and KID.
         device: Device of networks.
 
@@ -392,13 +392,13 @@ def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
         return MarkerGrid()
     path = Path(name_or_path)
     if path.is_dir():
-        return _autoencoder(path, device)
+        return _marker_vae(path, device)
     if path.is_file():
         network = load_inception(path, device)
         return Network(f"inception@{_sha256(path)}, {RESIZED}", network)
     raise LearningError(
         f"--features: found {name_or_path!r}; allowed: marker-grid, the folder of a trained marker "
-        "autoencoder, or a file with the weights of Inception"
+        "VAE, or a file with the weights of Inception"
     )
 
 
@@ -414,19 +414,19 @@ def require_images(images: Images) -> None:
         )
 
 
-def _autoencoder(folder: Path, device: str) -> Network:
-    import torch
+def _marker_vae(folder: Path, device: str) -> Network:
+    """Return features (n, 4 * 64) of a marker VAE: the mean of its latent in 8 x 8 cells."""
+    from learning.translation.diffusion.vae import KIND, load_vae
 
-    from learning.translation.direct.train_autoencoder import load_autoencoder
-
-    model: Any = load_autoencoder(folder, device)
+    vae = load_vae(folder, device)
 
     def compute(images: Images) -> Floats:
         with torch.inference_mode():
-            found = model.features(torch.from_numpy(images).to(device))
-        return np.asarray(found.double().cpu().numpy(), np.float64)
+            latent = vae.latent(unit(torch.from_numpy(images).to(device)))
+            cells = functional.adaptive_avg_pool2d(latent, CELLS).flatten(1)
+        return np.asarray(cells.double().cpu().numpy(), np.float64)
 
-    return Network(f"{AUTOENCODER}@{_sha256(folder / 'model.safetensors')}", compute)
+    return Network(f"{KIND}@{_sha256(folder / 'model.safetensors')}", compute)
 
 
 def _sha256(path: Path) -> str:

@@ -70,7 +70,7 @@ class Places:
 
 @dataclass(frozen=True, slots=True)
 class Training:
-    """One training of a translator."""
+    """The training of a translator."""
 
     presets: Path
     """Folder of its presets."""
@@ -80,37 +80,33 @@ class Training:
     """Trains in a folder."""
 
 
-def trainings(translator: str) -> dict[str, Training]:
-    """Return the trainings of a translator in order, by their key in the settings."""
+def training_of(translator: str) -> Training | None:
+    """Return the training of a translator; None: it needs none."""
     if translator == "field":
-        return {"field": Training(field.PRESETS, field.FieldSettings, field.train_in)}
+        return Training(field.PRESETS, field.FieldSettings, field.train_in)
     if translator == "diffusion":
         # Needs libraries that the others do not.
         from learning.translation.diffusion import train as m2m
-        from learning.translation.diffusion import train_vae as vae
 
-        return {
-            "marker_vae": Training(vae.PRESETS, vae.MarkerVaeSettings, vae.train_in),
-            "diffusion": Training(m2m.PRESETS, m2m.TranslatorSettings, m2m.train_in),
-        }
-    return {}
+        return Training(m2m.PRESETS, m2m.TranslatorSettings, m2m.train_in)
+    return None
 
 
 def training_settings(
-    settings: ExperimentSettings, key: str, training: Training, *changed: str
+    settings: ExperimentSettings, translator: str, training: Training, *changed: str
 ) -> Any:
     """Return the settings of a translator's training.
 
     Args:
         settings: Names a preset and its overrides.
-        key: Key of the training in these settings.
-        training: The training.
+        translator: Name of the translator.
+        training: Its training.
         changed: Further overrides.
 
     Raises:
         LearningError: A preset or value is invalid.
     """
-    choice: ModelChoice = getattr(settings, key)
+    choice: ModelChoice = getattr(settings, translator)
     overrides = settings.overrides(*choice.set, *changed)
     return read_settings(training.kind, training.presets, choice.preset, overrides)
 
@@ -129,11 +125,9 @@ def train_translator(
         LearningError: The training was rejected.
         KeyboardInterrupt: It was interrupted; running the experiment again continues it.
     """
-    for key, training in trainings(name).items():
-        own = training_settings(settings, key, training, f"launch.device={device.type}")
-        begun = {"marker_vae": places.model("marker-vae")} if key == "diffusion" else {}
-        folder = places.model(key.replace("_", "-"))
-        training.train_in(folder, archive, split, own, resume=True, **begun)
+    if (training := training_of(name)) is not None:
+        own = training_settings(settings, name, training, f"launch.device={device.type}")
+        training.train_in(places.model(name), archive, split, own, resume=True)
 
 
 def open_translator(places: Places, name: str, device: torch.device) -> Model:
@@ -153,15 +147,16 @@ def check_translators(settings: ExperimentSettings) -> None:
         LearningError: A preset or value is invalid, or there are no weights to start from.
     """
     for name in settings.translators:
-        for key, training in trainings(name).items():
-            try:
-                own = training_settings(settings, key, training)
-                if name == "diffusion":
-                    from learning.translation.diffusion.weights import require_base_folder
+        if (training := training_of(name)) is None:
+            continue
+        try:
+            own = training_settings(settings, name, training)
+            if name == "diffusion":
+                from learning.translation.diffusion.weights import require_base_folder
 
-                    require_base_folder(own.weights.base)
-            except LearningError as error:
-                raise LearningError(f"{key}: {error}") from None
+                require_base_folder(own.weights.base)
+        except LearningError as error:
+            raise LearningError(f"{name}: {error}") from None
 
 
 # Fine-tuning on translated frames, of several models at once to keep a GPU busy.

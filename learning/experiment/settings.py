@@ -39,11 +39,9 @@ class ExperimentSettings:
     """Further overrides for fine-tuning that model on translated frames."""
     field: ModelChoice = ModelChoice("cpu_smoke")
     """Learned field translator, one model for all pairs."""
-    marker_vae: ModelChoice = ModelChoice("ours")
-    """Autoencoder from which the diffusion translator starts. Its published weights are named by
-    overrides: `weights.base=DIR`."""
     diffusion: ModelChoice = ModelChoice("ours")
-    """The paper's translator, one model for all pairs; weights as for the autoencoder."""
+    """The paper's translator, one model for all pairs. Its published weights are named by
+    overrides: `weights.base=DIR`."""
     compensation: tuple[Compensated, ...] = ("compensated",)
     """Kinds of labels to train on, in addition to the source's own."""
     validation: float = 0.1

@@ -12,7 +12,7 @@ import hashlib
 import logging
 import subprocess
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -131,8 +131,6 @@ Settings = TypeVar("Settings")
 logger = logging.getLogger(__name__)
 
 CONFIG, MODEL = "config.yaml", "model"
-# Kinds of models.
-KINDS = ("autoencoder", "field", "direct", "marker-vae", "diffusion", "force")
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +138,7 @@ class Config:
     """Settings and provenance of a model."""
 
     kind: str
-    """One of `KINDS`."""
+    """Kind of model: `field`, `diffusion`, `force`, or one of another package."""
     settings: Mapping[str, Any]
     """Plain values, as `settings_to_dict` gives them."""
     data: str
@@ -175,7 +173,7 @@ class ModelFolder:
     config: Config
 
     def settings(self, kind: type[Settings], key: str = "") -> Settings:
-        """Return its settings as a dataclass, or those under a key.
+        """Return those of its settings that a dataclass has, or those under a key.
 
         Raises:
             LearningError: They do not fit that class.
@@ -183,7 +181,9 @@ class ModelFolder:
         where = f"{self.path / CONFIG}.settings"
         if key:
             return READER.build(kind, self.config.settings.get(key), f"{where}.{key}")
-        return READER.build(kind, dict(self.config.settings), where)
+        names = {each.name for each in fields(kind)}  # type: ignore[arg-type]
+        own = {name: each for name, each in self.config.settings.items() if name in names}
+        return READER.build(kind, own, where)
 
     def weights(self) -> dict[str, Tensor]:
         """Read its weights.

@@ -39,7 +39,6 @@ from learning.config import differing_keys, settings_to_dict
 from learning.errors import LearningError
 from learning.training.checkpoint import (
     CONFIG,
-    KINDS,
     MODEL,
     Config,
     code_version,
@@ -86,7 +85,7 @@ class RunFolder:
 
         Args:
             path: Folder of the run.
-            kind: One of `KINDS`.
+            kind: Kind of the model.
             settings: Frozen dataclass with all settings of the training.
             data_fingerprint: Fingerprint of the training data, including the split.
             resume: Continue an existing run; without one, a new run begins.
@@ -99,8 +98,6 @@ class RunFolder:
                 data, or the folder holds something else.
         """
         folder = Path(path)
-        if kind not in KINDS:
-            raise LearningError(f"kind: found {kind!r}; allowed: {', '.join(KINDS)}")
         if keep < 1:
             raise LearningError(f"keep: found {keep}; allowed: 1 and more")
         config = Config(

@@ -1,8 +1,8 @@
 """Marker-to-marker translation: predict the frames another sensor would show for the same press.
 
-Four translators share one interface (`translator`): `flow` is classical and needs no training,
-`field`, `direct` and `diffusion` are trained. `loading` opens a translator, `archive` translates
-whole archives.
+Three translators share one interface (`translator`): `flow` is classical and needs no training,
+`field` and `diffusion` are trained; other packages offer more. `loading` opens a translator,
+`archive` translates whole archives.
 """
 
 from learning.translation.loading import load_translator

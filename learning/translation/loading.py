@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 # Packages of our trained translators, by kind; imported on demand, as one needs further libraries.
 TRAINED = {
     "field": "learning.translation.field",
-    "direct": "learning.translation.direct",
     "diffusion": "learning.translation.diffusion",
 }
 

@@ -130,25 +130,9 @@ LEARN = (
         "train the field translator on a group of sensors",
     ),
     Command(
-        "train direct",
-        "learning.translation.direct.command",
-        "train the direct translator on a group of sensors",
-    ),
-    Command(
-        "train autoencoder",
-        "learning.translation.direct.autoencoder_command",
-        "train the marker autoencoder, from which the direct translator starts",
-    ),
-    Command(
         "train diffusion",
         "learning.translation.diffusion.command",
         "train the paper's translator from SD-Turbo's weights",
-        extra="diffusion",
-    ),
-    Command(
-        "train marker-vae",
-        "learning.translation.diffusion.vae_command",
-        "train the autoencoder that the paper's translator needs",
         extra="diffusion",
     ),
     Command(

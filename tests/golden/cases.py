@@ -210,7 +210,7 @@ RIG_CASES = (
         "rig-live-refused",
         (
             f"tactile live --model {{out}}/none --session {GELSIGHT}",
-            f"tactile live --model {MODELS}/direct --session {GELSIGHT} --runtime torch",
+            f"tactile live --model {MODELS}/field --session {GELSIGHT} --runtime torch",
             f"tactile live --model {MODELS}/force --session {GELSIGHT} --runtime onnx",
             f"tactile live --model {MODELS}/force --session {GELSIGHT} --sensor gelsight",
             f"tactile live --model {MODELS}/force --session {GELSIGHT} --seconds 0",
@@ -741,12 +741,6 @@ LEARNING_CASES = (
         look=("x.markers.zarr", "x.png"),
     ),
     Case(
-        "learning-translate-direct",
-        (f"tactile translate {ARCHIVE} {TRANSLATED} --model {MODELS}/direct",),
-        look=("x.markers.zarr",),
-        timeout=300,
-    ),
-    Case(
         "learning-translate-field",
         (f"tactile translate {ARCHIVE} {TRANSLATED} --model {MODELS}/field",),
         look=("x.markers.zarr",),
@@ -774,7 +768,7 @@ LEARNING_CASES = (
         ),
         one_process=True,
         prepare=(
-            ("copy", f"{MODELS}/direct", "{out}/broken"),
+            ("copy", f"{MODELS}/field", "{out}/broken"),
             ("cut", "{out}/broken/model.safetensors", 1000),
         ),
     ),
@@ -787,7 +781,7 @@ LEARNING_CASES = (
             "--role train,validation,new_indenter --source r6 --out {out}/results/r18.npz",
             "tactile evaluate {out}/results --out {out}/report --title Golden",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor digit --split {SPLIT} --out {{out}}/a.npz",
-            f"tactile predict {MODELS}/direct {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/a.npz",
+            f"tactile predict {MODELS}/field {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/a.npz",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {{out}}/none.json --out {{out}}/a.npz",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} --method transferred "
             "--out {out}/a.npz",
@@ -805,10 +799,10 @@ LEARNING_CASES = (
             f"tactile evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
             f"--split {SPLIT} --role train,new_indenter --out {{out}}/report",
             f"tactile evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
-            f"--split {SPLIT} --role train --features {MODELS}/autoencoder --frames 4 "
+            f"--split {SPLIT} --role train --features {{out}}/marker-vae --frames 4 "
             "--out {out}/report2",
         ),
-        prepare=(("write", "{out}/results/.keep", ""),),
+        prepare=(("write", "{out}/results/.keep", ""), *_based("marker-vae")),
         look=("results/*.npz", "report", "report2"),
         slow=True,
     ),
@@ -837,17 +831,6 @@ LEARNING_CASES = (
         slow=True,
     ),
     _trained(
-        "train-autoencoder",
-        f"tactile train autoencoder {ARCHIVE} --split {SPLIT} --preset cpu_smoke --set steps=4 "
-        "--set warm_up=1 --set validate_every=4 --set most_images=20 --set validation_images=4",
-    ),
-    _trained(
-        "train-direct",
-        f"tactile train direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/autoencoder "
-        "--preset cpu_smoke --set steps=2 --set warm_up=1 --set validate_every=2 "
-        "--set validation_images=2 --sensors r6,r18 --set batch=2",
-    ),
-    _trained(
         "train-field",
         f"tactile train field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors r6,r18 "
         "--set field_stage.steps=2 --set map_stage.steps=2 --set field_stage.warm_up_steps=1 "
@@ -856,15 +839,11 @@ LEARNING_CASES = (
         "--set 'map.widths=[8, 8, 8, 8]' --set map.numbers=4 --set examples.patterns=4",
     ),
     _trained(
-        "train-marker-vae",
-        f"tactile train marker-vae {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base {FEW}",
-    ),
-    _trained(
         "train-diffusion",
         f"tactile train diffusion {ARCHIVE} --split {SPLIT} --sensors r6,r18 --base {{data}}/base "
-        f"{FEW} --set unet_rank=2 --set vae_rank=2 --set losses.adversarial=0 "
-        "--set losses.perceptual=0 --set accumulation=1 --marker-vae {out}/marker-vae",
-        prepare=_based("marker-vae"),
+        f"{FEW} --set unet_rank=2 --set losses.adversarial=0 "
+        "--set losses.perceptual=0 --set accumulation=1 --set marker_vae.steps=2 "
+        "--set marker_vae.batch=2 --set marker_vae.mixed_precision=no",
         slow=True,
     ),
     Case(
@@ -875,18 +854,12 @@ LEARNING_CASES = (
             f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --set input.side_px=big --out {{out}}/x",
             f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --set nonsense --out {{out}}/x",
             f"tactile train force {ARCHIVE} --sensor r6 --split {SPLIT} --preset huge --out {{out}}/x",
-            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --start-from {MODELS}/direct --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --start-from {MODELS}/field --out {{out}}/x",
             f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --compensation {SPLIT} --out {{out}}/x",
             f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --out {{out}}/force",
             f"tactile train force {GELSIGHT} --sensor r6 {FORCE} --out {{out}}/x",
             f"tactile train field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors digit --out {{out}}/x",
             f"tactile train field {ARCHIVE} --split {{out}}/none.json --out {{out}}/x",
-            f"tactile train direct {ARCHIVE} --split {SPLIT} --out {{out}}/x",
-            f"tactile train direct {ARCHIVE} --split {SPLIT} --autoencoder {MODELS}/force --out {{out}}/x",
-            f"tactile train direct {ARCHIVE} --split {SPLIT} --from {MODELS}/direct --preset small "
-            "--out {out}/x",
-            f"tactile train autoencoder {ARCHIVE} --out {{out}}/x",
-            f"tactile train marker-vae {ARCHIVE} --split {SPLIT} --out {{out}}/x",
             f"tactile train diffusion {ARCHIVE} --split {SPLIT} --base {{out}}/none --out {{out}}/x",
             "tactile train diffusion",
             "tactile import-weights {out}/none.pkl --base {data}/base --out {out}/x",

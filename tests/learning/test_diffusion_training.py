@@ -17,6 +17,7 @@ from support.tiny_diffusion import (
     striped_pairs,
     tiny_pretrained,
     tiny_settings,
+    tiny_vae_settings,
 )
 from support.training import session
 
@@ -27,24 +28,18 @@ from learning.errors import LearningError
 from learning.training.optim import Constant
 from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
 from learning.translation.diffusion import train as translator
-from learning.translation.diffusion import train_vae
 from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import build
 from learning.translation.diffusion.train import LossWeights, TranslatorSettings, evaluate, train
-from learning.translation.diffusion.train_vae import MarkerVaeSettings
+from learning.translation.diffusion.train_vae import train_vae
+from learning.translation.diffusion.vae import MarkerVae
 
 PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
 
 
-def _vae_settings(*overrides: str) -> MarkerVaeSettings:
-    few = ["steps=4", "batch=2", "launch={device: cpu, mixed_precision: no}", "log_every=1"]
-    rate = "optimiser.rate={kind: constant, rate: 0.01}"
-    return read_settings(MarkerVaeSettings, train_vae.PRESETS, "ours", [*few, rate, *overrides])
-
-
 def test_presets_are_what_paper_supplement_and_code_say() -> None:
-    assert preset_names(translator.PRESETS) == preset_names(train_vae.PRESETS) == PRESETS
+    assert preset_names(translator.PRESETS) == PRESETS
     reported = {
         name: read_settings(TranslatorSettings, translator.PRESETS, name) for name in PRESETS
     }
@@ -55,6 +50,11 @@ def test_presets_are_what_paper_supplement_and_code_say() -> None:
             batch,
             100_000,
             True,
+        )
+        assert reported[name].marker_vae.optimiser.rate == Constant(1e-4)
+        assert (reported[name].marker_vae.batch, reported[name].marker_vae.steps) == (
+            batch,
+            100_000,
         )
     code = reported["authors_code"]
     assert code.optimiser.rate == Constant(5e-5)
@@ -149,8 +149,8 @@ def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
 
 def test_a_translator_starts_from_the_trained_autoencoder_in_all_three_places() -> None:
     images = striped_pairs().images
-    few = _vae_settings("vae_rank=3", "steps=1")
-    adapter = train_vae.train_vae(images, tiny_pretrained().vae, few).adapter()
+    few = tiny_vae_settings("vae_rank=3", "marker_vae.steps=1")
+    adapter = train_vae(images, tiny_pretrained().vae, few).adapter()
     made = tiny_pretrained()
     state = build(made.unet, made.vae, tiny_settings(), vae_adapter=adapter).state_dict()
     assert any(float(each.abs().max()) > 0 for name, each in adapter.items() if "lora_B" in name)
@@ -162,14 +162,14 @@ def test_a_translator_starts_from_the_trained_autoencoder_in_all_three_places() 
 
 @pytest.mark.slow
 def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: Path) -> None:
-    settings = _vae_settings("accumulation=2", "steps=2")
+    settings = tiny_vae_settings("marker_vae.accumulation=2", "marker_vae.steps=2")
     images, states = striped_pairs().images, []
     for name, stops in (("whole", (2,)), ("halves", (1, 2))):
         for stop in stops:
             with RunFolder.open(tmp_path / name, "marker-vae", settings, "x", True) as run:
                 stopping = session(settings, run, 1 if stop == 1 else 0)
                 vae = tiny_pretrained().vae
-                network = train_vae.train_vae(images, vae, settings, images[:2], stopping)
+                network = train_vae(images, vae, settings, images[:2], stopping)
         states.append(network.state_dict())
     assert all(torch.equal(states[0][name], each) for name, each in states[1].items())
     fresh = dict(tiny_pretrained().vae.named_parameters())
@@ -179,7 +179,7 @@ def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: P
         if ".lora_" not in name
     }
     assert all(torch.equal(each, fresh[name]) for name, each in kept.items())
-    begun = train_vae.MarkerVae(tiny_pretrained().vae, settings).state_dict()
+    begun = MarkerVae(tiny_pretrained().vae, settings).state_dict()
     assert not [name for name, each in begun.items() if torch.equal(each, states[0][name])]
     line = json.loads((tmp_path / "whole" / METRICS).read_text().splitlines()[-1])
     assert "validation/loss" in line
@@ -188,8 +188,8 @@ def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: P
 def test_the_authors_decoder_is_given_scaled_latents() -> None:
     images = torch.rand(1, 1, SIDE, SIDE)
     plain, scaled = (
-        train_vae.MarkerVae(tiny_pretrained().vae, _vae_settings(f"decode_scaled={reported}"))
-        for reported in ("false", "true")
+        MarkerVae(tiny_pretrained().vae, tiny_vae_settings(), decode_scaled=scaled)
+        for scaled in (False, True)
     )
     given = []
     for network in (plain, scaled):

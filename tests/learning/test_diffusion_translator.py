@@ -7,23 +7,34 @@ import shutil
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from support.commands import run_module
 from support.made_up_archives import made_up_archive
-from support.tiny_diffusion import DEEP_VAE, tiny_pretrained, tiny_settings, write_base
+from support.tiny_diffusion import (
+    DEEP_VAE,
+    VAE_STAGE,
+    tiny_pretrained,
+    tiny_settings,
+    tiny_vae_settings,
+    write_base,
+)
 
+from learning.data.images import unit
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
+from learning.evaluation.distribution import load_extractor
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder
 from learning.translation import Translator, load_translator
-from learning.translation.diffusion import command, vae_command
+from learning.translation.diffusion import command
 from learning.translation.diffusion.data import read_image_pairs, read_role_images
-from learning.translation.diffusion.network import MarkerToMarker, build
-from learning.translation.diffusion.train import BASE, KIND
-from learning.translation.diffusion.translator import DiffusionTranslator, base_of
-from learning.translation.diffusion.weights import fingerprint
+from learning.translation.diffusion.network import KIND, MarkerToMarker, build
+from learning.translation.diffusion.translator import DiffusionTranslator
+from learning.translation.diffusion.vae import KIND as VAE
+from learning.translation.diffusion.vae import MarkerVae, load_vae
+from learning.translation.diffusion.weights import BASE, base_of, fingerprint
 from recorder import MarkerArchive
 
 
@@ -96,13 +107,15 @@ def test_published_weights_are_found_beside_a_model_and_others_are_refused(
 ) -> None:
     moved, base = tmp_path / "run", finished.parent / "sd-turbo"
     shutil.copytree(finished, moved)
-    found = read_model_folder(moved, KIND)
-    assert base_of(found, str(base)) == str(base)
+    assert base_of(read_model_folder(moved, KIND)) == str(base)
     (moved / "base").symlink_to(base)
-    assert base_of(found, "where it was once") == str(moved / "base")
+    config = moved / "config.yaml"
+    config.write_text(config.read_text().replace(str(base), "another"))
+    found = read_model_folder(moved, KIND)
+    assert base_of(found) == str(moved / "base")
     (moved / "base").unlink()
     with pytest.raises(LearningError, match="link the folder of SD-Turbo"):
-        base_of(found, "where it was once")
+        base_of(found)
     shutil.copytree(base, moved / "base")
     path = moved / "base" / "unet" / "config.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "sample_size": 5}))
@@ -135,24 +148,53 @@ def test_verbs_train_both_stages_and_resume(
     assert read_split(tmp_path / "split.json") == split
     base = write_base(tmp_path / "sd-turbo", DEEP_VAE)
     shared = ["--split", str(tmp_path / "split.json"), "--base", str(base)]
-    tiny = ["--set", "steps=2", "--set", "batch=1", "--set", "launch.device=cpu",
-            "--set", "optimiser.rate={kind: constant, rate: 0.001}"]  # fmt: skip
-    run = partial(run_module, vae_command)
-    vae = tmp_path / "vae"
-    assert run(*[str(archive.path), *shared, *tiny, "--out", str(vae)]) == 0
-    assert run(*[str(archive.path), *shared, *tiny, "--out", str(vae), "--resume"]) == 0
-    assert "is finished" in capsys.readouterr().out
+    none = ["losses.adversarial=0", "losses.perceptual=0"]
+    tiny = ["steps=2", "batch=1", "launch={device: cpu, mixed_precision: no}",
+            f"marker_vae={VAE_STAGE}"]  # fmt: skip
+    begin = [str(archive.path), *shared, *(f"--set={each}" for each in (*tiny, *none))]
     run = partial(run_module, command)
-    none = ["--set", "losses.adversarial=0", "--set", "losses.perceptual=0"]
-    begin = [str(archive.path), *shared, *tiny, *none]
     out = tmp_path / "m2m"
-    assert run(*[*begin, "--marker-vae", str(vae), "--out", str(out)]) == 0
-    assert run(*[*begin, "--from", str(out), "--out", str(tmp_path / "fine")]) == 0
+    assert run(*begin, "--out", str(out)) == 0
+    vae = load_vae(out / "marker-vae")
+    assert read_model_folder(out / "marker-vae").config.step == 4
+    state = read_model_folder(out).weights()
+    # The reference encoder is the marker VAE's, and stays as it is.
+    name = next(name for name in vae.adapter() if name.startswith("encoder."))
+    assert torch.equal(state[f"reference.{name}"], vae.adapter()[name])
+    assert run(*begin, "--out", str(out), "--resume") == 0
+    assert "is finished" in capsys.readouterr().out
+    given = ["--marker-vae", str(out / "marker-vae"), "--out", str(tmp_path / "given")]
+    assert run(*begin, *given) == 0
+    assert not (tmp_path / "given" / "marker-vae").exists()
+    again = read_model_folder(tmp_path / "given").weights()
+    assert all(torch.equal(again[name], each) for name, each in state.items())
+    assert run(*begin, "--from", str(out), "--out", str(tmp_path / "fine")) == 0
     masks, target, source = _masks(archive)
     assert load_translator(tmp_path / "fine").translate(masks, target, source).shape == masks.shape
     with pytest.raises(LearningError, match="a run is there"):
-        run(*[*begin, "--marker-vae", str(vae), "--out", str(out)])
+        run(*begin, "--out", str(out))
     with pytest.raises(LearningError, match="found both"):
-        run(*[*begin, "--marker-vae", str(vae), "--from", str(out), "--out", str(tmp_path / "x")])
+        run(*begin, *given[:2], "--from", str(out), "--out", str(tmp_path / "x"))
+    judged = [str(archive.path), *shared, *(f"--set={each}" for each in tiny)]
     with pytest.raises(LearningError, match="clip: found ''"):
-        run(*[str(archive.path), *shared, *tiny, "--out", str(tmp_path / "judged")])
+        run(*judged, "--set=marker_vae.steps=0", "--out", str(tmp_path / "judged"))
+
+
+def test_features_of_images_are_the_latents_of_the_marker_vae(tmp_path: Path) -> None:
+    base = str(write_base(tmp_path / "base", DEEP_VAE))
+    settings = tiny_vae_settings(f"weights.base={base}")
+    network = MarkerVae(tiny_pretrained(DEEP_VAE).vae, settings)
+    metadata = {BASE: fingerprint(base)}
+    with RunFolder.open(tmp_path / "vae", VAE, settings, "made up", metadata=metadata) as run:
+        run.finish(1, {"model": network})
+    images = torch.randint(0, 2, (70, 256, 256), dtype=torch.uint8) * 255
+    extractor = load_extractor(str(tmp_path / "vae"))
+    features = extractor.features(images.numpy())
+    assert extractor.name.startswith("marker-vae@sha256:")
+    assert features.shape == (70, 4 * 64)
+    with torch.no_grad():
+        latent = network.latent(unit(images[69:]))
+    cells = torch.nn.functional.avg_pool2d(latent, latent.shape[-1] // 8).flatten()
+    np.testing.assert_allclose(features[69], cells.double().numpy(), rtol=1e-4, atol=1e-6)
+    with pytest.raises(LearningError, match="--features: found 'nothing'"):
+        load_extractor("nothing")

@@ -25,8 +25,8 @@ from learning.translation.diffusion.network import (
     build,
     is_adapter,
 )
-from learning.translation.diffusion.train_vae import load_vae_adapter
 from learning.translation.diffusion.translator import load_network
+from learning.translation.diffusion.vae import load_vae_adapter
 from learning.translation.diffusion.weights import (
     PerceptualDistance,
     fingerprint,

@@ -10,36 +10,42 @@ from support.tiny_diffusion import striped_pairs, tiny_pretrained, write_base
 from learning.config import read_settings
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, accelerator
-from learning.translation.diffusion import train, train_vae
+from learning.translation.diffusion import train
+from learning.translation.diffusion.network import KIND
+from learning.translation.diffusion.train_vae import train_vae
 from learning.translation.diffusion.translator import load_network
-from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
+from learning.translation.diffusion.vae import KIND as VAE
+from learning.translation.diffusion.vae import load_vae_adapter
+from learning.translation.diffusion.weights import BASE, fingerprint, read_unet, read_vae
 
-FEW = ("whole=true", "steps=3", "batch=2", "launch={device: cpu, mixed_precision: no}")
+FEW = (
+    *("whole=true", "steps=3", "batch=2", "launch={device: cpu, mixed_precision: no}"),
+    *("marker_vae.steps=3", "marker_vae.batch=2", "marker_vae.mixed_precision=no"),
+)
 
 
 def test_all_weights_are_trained_and_stored(tmp_path: Path) -> None:
     base = str(write_base(tmp_path / "base"))
-    metadata = {train_vae.BASE: fingerprint(base)}
-    given = [*FEW, f"weights.base={base}", "optimiser.rate={kind: constant, rate: 0.01}"]
-    settings = read_settings(train_vae.MarkerVaeSettings, train_vae.PRESETS, "ours", given)
+    metadata = {BASE: fingerprint(base)}
+    rate = "optimiser.rate={kind: constant, rate: 0.01}"
+    given = [*FEW, f"weights.base={base}", rate, f"marker_vae.{rate}"]
+    given += ["losses={adversarial: 0, perceptual: 0, square: 1}"]
+    settings = read_settings(train.TranslatorSettings, train.PRESETS, "ours", given)
+    own = settings.of_marker_vae()
     pairs = striped_pairs()
-    with RunFolder.open(
-        tmp_path / "vae", train_vae.KIND, settings, "stripes", metadata=metadata
-    ) as run:
-        session = Session(accelerator(settings.launch), run)
-        vae = train_vae.train_vae(pairs.images, read_vae(base), settings, None, session)
+    with RunFolder.open(tmp_path / "vae", VAE, own, "stripes", metadata=metadata) as run:
+        session = Session(accelerator(own.launch), run)
+        vae = train_vae(pairs.images, read_vae(base), own, None, session)
     begun = tiny_pretrained().vae.state_dict()
     moved = {name for name, each in vae.vae.state_dict().items() if not each.equal(begun[name])}
     assert moved == begun.keys()
 
-    adapter = train_vae.load_vae_adapter(tmp_path / "vae", fingerprint(base))
+    adapter = load_vae_adapter(tmp_path / "vae", fingerprint(base))
     assert adapter.keys() == begun.keys()
-    given += ["losses={adversarial: 0, perceptual: 0, square: 1}"]
-    own = read_settings(train.TranslatorSettings, train.PRESETS, "ours", given)
     networks = train.Pretrained(read_unet(base), read_vae(base))
-    with RunFolder.open(tmp_path / "m2m", train.KIND, own, "stripes", metadata=metadata) as run:
-        session = Session(accelerator(own.launch), run)
-        network = train.train(pairs, networks, own, None, session, vae_adapter=adapter)
+    with RunFolder.open(tmp_path / "m2m", KIND, settings, "stripes", metadata=metadata) as run:
+        session = Session(accelerator(settings.launch), run)
+        network = train.train(pairs, networks, settings, None, session, vae_adapter=adapter)
     # The reference encoder is the trained autoencoder's, and stays as it is.
     frozen = network.reference.encoder.state_dict()
     assert all(each.equal(adapter[f"encoder.{name}"]) for name, each in frozen.items())

@@ -303,7 +303,8 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
         assert force_settings(settings("seed=2"), archive, CPU, tuning=tuning).seed == 2
     own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field]")
     assert [force_settings(own, archive, CPU, tuning=each).seed for each in (False, True)] == [2, 5]
-    (training,) = models.trainings("field").values()
+    training = models.training_of("field")
+    assert training is not None
     assert models.training_settings(own, "field", training).seed == 2
 
 

@@ -213,12 +213,12 @@ def folder(path: Path, kind: str) -> Path:
 def test_what_is_no_translator_is_refused(tmp_path):
     with pytest.raises(LearningError, match=r"found no config\.yaml"):
         load_translator(tmp_path)
-    with pytest.raises(LearningError, match="found kind 'force'; allowed: field, direct, diffu"):
+    with pytest.raises(LearningError, match="found kind 'force'; allowed: field, diffu"):
         load_translator(folder(tmp_path, "force"))
 
 
 def test_weights_tell_models_apart(tmp_path):
-    folder(tmp_path, "direct")
+    folder(tmp_path, "field")
     with pytest.raises(LearningError, match=r"found no model\.safetensors"):
         hash_of(tmp_path)
     (tmp_path / "model.safetensors").write_bytes(b"weights")

@@ -19,8 +19,7 @@ from learning.training.checkpoint import Config
 from learning.training.run import RunFolder
 from learning.translation import SensorView, Translator, for_pair, load_translator
 from learning.translation.diffusion.network import build
-from learning.translation.diffusion.train import BASE
-from learning.translation.diffusion.weights import fingerprint
+from learning.translation.diffusion.weights import BASE, fingerprint
 from learning.translation.field.network import FieldModel
 from learning.translation.loading import hash_of
 from recorder import MarkerArchive

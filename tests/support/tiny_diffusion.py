@@ -11,6 +11,7 @@ from benchmarks.learning.diffusion_full_size import random_pretrained
 from learning.config import read_settings
 from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.train import PRESETS, Pretrained, TranslatorSettings
+from learning.translation.diffusion.train_vae import MarkerVaeSettings
 
 # Size of images; their latents are 4 x 4.
 SIDE = 16
@@ -57,6 +58,10 @@ CLIP: dict[str, Any] = {
     "projection_dim": 6,
 }
 VGG = (2, 2, 3, 3, 3)
+# Stage of the marker VAE for a few steps.
+VAE_STAGE = (
+    "{steps: 4, batch: 2, mixed_precision: no, optimiser: {rate: {kind: constant, rate: 0.01}}}"
+)
 
 
 def tiny_pretrained(vae: dict[str, Any] = VAE) -> Pretrained:
@@ -75,6 +80,7 @@ def write_base(folder: Path, vae: dict[str, Any] = VAE) -> Path:
 def tiny_settings(preset: str = "ours", **weights: str) -> TranslatorSettings:
     """Return a preset for a few steps on a CPU, with tiny adapters."""
     few = ["steps=4", "batch=2", "launch={device: cpu, mixed_precision: no}", "log_every=1"]
+    few += [f"marker_vae={VAE_STAGE}"]
     given = [f"weights.{name}={value}" for name, value in weights.items()]
     return read_settings(
         TranslatorSettings,
@@ -82,6 +88,12 @@ def tiny_settings(preset: str = "ours", **weights: str) -> TranslatorSettings:
         preset,
         [*few, "unet_rank=2", "vae_rank=2", "optimiser.rate={kind: constant, rate: 0.01}", *given],
     )
+
+
+def tiny_vae_settings(*overrides: str, stage: str = VAE_STAGE) -> MarkerVaeSettings:
+    """Return settings of a marker VAE for a few steps on a CPU."""
+    few = [f"marker_vae={stage}", "launch.device=cpu", "log_every=1", *overrides]
+    return read_settings(TranslatorSettings, PRESETS, "ours", few).of_marker_vae()
 
 
 def striped_pairs(count: int = 4) -> ImagePairs:

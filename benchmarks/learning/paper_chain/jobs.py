@@ -29,11 +29,16 @@ from benchmarks.learning.paper_chain.sizes import ALONE, RECIPES, SEED, Size, wr
 from learning.compensation import StoredCompensation
 from learning.compensation.fit import find_compensation
 from learning.config import read_settings
-from learning.data.images import shrink, shrink_masks, unit, unpack_masks
+from learning.data.images import shrink, shrink_masks, unpack_masks
 from learning.data.presses import Presses, load_presses, read_frames
 from learning.data.splits import Role, Split, make_split
 from learning.errors import LearningError
-from learning.evaluation.distribution import frechet_distance, kernel_distance
+from learning.evaluation.distribution import (
+    Extractor,
+    frechet_distance,
+    kernel_distance,
+    load_extractor,
+)
 from learning.evaluation.translation import (
     NEAREST,
     REFERENCE,
@@ -54,10 +59,12 @@ from learning.metrics import r_squared, r_squared_of_sums
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
 from learning.translation.diffusion import train as m2m
-from learning.translation.diffusion import train_vae
 from learning.translation.diffusion.data import read_image_pairs, read_role_images
-from learning.translation.diffusion.network import posterior
-from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
+from learning.translation.diffusion.network import KIND as M2M
+from learning.translation.diffusion.train_vae import MarkerVaeSettings, train_vae
+from learning.translation.diffusion.vae import KIND as VAE
+from learning.translation.diffusion.vae import load_vae_adapter
+from learning.translation.diffusion.weights import BASE, fingerprint, read_unet, read_vae
 from learning.translation.field import train as field
 from learning.translation.field.data import gather_role
 from learning.translation.loading import load_translator
@@ -286,22 +293,24 @@ def vae(chain: Chain) -> None:
         ]
     )
 
-    def settings(steps: int) -> train_vae.MarkerVaeSettings:
-        given = [*_common(chain, steps), _rate(1e-3, steps)]
-        return read_settings(train_vae.MarkerVaeSettings, train_vae.PRESETS, "ours", given)
+    def settings(steps: int) -> MarkerVaeSettings:
+        stage = [f"steps={steps}", f"batch={chain.size.batch}", _rate(1e-3, steps)]
+        stage += [f"mixed_precision={chain.size.precision}"]
+        given = [*_common(chain, steps), *(f"marker_vae.{each}" for each in stage)]
+        return read_settings(m2m.TranslatorSettings, m2m.PRESETS, "ours", given).of_marker_vae()
 
     def train(steps: int, session: Session) -> None:
-        train_vae.train_vae(images, read_vae(chain.base), settings(steps), None, session)
+        train_vae(images, read_vae(chain.base), settings(steps), None, session)
 
     steps = fitting(chain, "vae", "vae", settings(PROBE).launch, train)
-    base = {train_vae.BASE: fingerprint(chain.base)}
-    with run_of(chain, "vae", train_vae.KIND, settings(steps), "frames", base) as (_, session):
+    base = {BASE: fingerprint(chain.base)}
+    with run_of(chain, "vae", VAE, settings(steps), "frames", base) as (_, session):
         train(steps, session)
 
 
 def m2m_patterns(chain: Chain) -> None:
     """Train the translator on all pairs of patterns, from the autoencoder."""
-    begun = train_vae.load_vae_adapter(chain.model("vae"), fingerprint(chain.base))
+    begun = load_vae_adapter(chain.model("vae"), fingerprint(chain.base))
     split = _patterns_split(chain)
     _translator(chain, "m2m-patterns", chain.patterns, split, 3e-4, vae_adapter=begun)
 
@@ -309,10 +318,10 @@ def m2m_patterns(chain: Chain) -> None:
 def m2m_sensors(chain: Chain) -> None:
     """Train that translator further on the location pairs of the sensors, or a new one on these."""
     if chain.size.patterns is None:
-        new = train_vae.load_vae_adapter(chain.model("vae"), fingerprint(chain.base))
+        new = load_vae_adapter(chain.model("vae"), fingerprint(chain.base))
         _translator(chain, "m2m", chain.archive, chain.split, 3e-4, vae_adapter=new)
         return
-    begun = read_model_folder(chain.model("m2m-patterns"), m2m.KIND).weights()
+    begun = read_model_folder(chain.model("m2m-patterns"), M2M).weights()
     _translator(chain, "m2m", chain.archive, chain.split, 2e-4, start_from=begun)
 
 
@@ -336,8 +345,8 @@ def _translator(
         m2m.train(pairs, networks, settings(steps), None, session, **begun)
 
     steps = fitting(chain, name, name, settings(PROBE).launch, train)
-    base = {train_vae.BASE: fingerprint(chain.base)}
-    with run_of(chain, name, m2m.KIND, settings(steps), archive.name, base) as (_, session):
+    base = {BASE: fingerprint(chain.base)}
+    with run_of(chain, name, M2M, settings(steps), archive.name, base) as (_, session):
         train(steps, session)
 
 
@@ -655,38 +664,24 @@ def _masks(packed: NDArray[np.uint8]) -> torch.Tensor:
 
 
 def _features(chain: Chain, packed: NDArray[np.uint8]) -> Floats:
-    """Return 256 features (n, 256): the mean of the latent in 8 x 8 cells."""
-    network = _encoder(chain)
-    found = []
-    for part in torch.from_numpy(packed).split(64):
-        images = unit(shrink_masks(unpack_masks(part.to(chain.device)))) * 2 - 1
-        with torch.no_grad():
-            latent = posterior(network, images.expand(-1, 3, -1, -1), 1.0).mean
-        found.append(torch.nn.functional.adaptive_avg_pool2d(latent, 8).flatten(1))
-    return torch.cat(found).double().cpu().numpy()
+    """Return 256 features (n, 256) of the chain's marker VAE."""
+    parts = torch.from_numpy(packed).split(64)
+    images = [shrink_masks(unpack_masks(part.to(chain.device))).cpu().numpy() for part in parts]
+    return _extractor(chain).features(np.concatenate(images))
 
 
-_encoders: dict[Path, Any] = {}
-
-
-def _encoder(chain: Chain) -> Any:
-    folder = chain.model("vae")
-    if folder not in _encoders:
-        network = read_vae(chain.base)
-        weights = train_vae.load_vae_adapter(folder, fingerprint(chain.base))
-        network.load_state_dict(weights)
-        _encoders[folder] = network.to(chain.device).eval()
-    return _encoders[folder]
+@cache
+def _extractor(chain: Chain) -> Extractor:
+    return load_extractor(str(chain.model("vae")), str(chain.device))
 
 
 def _distances(chain: Chain, true: Floats, found: Floats) -> dict[str, Any]:
     kernel, spread = kernel_distance(true, found, size=100, subsets=20, seed=SEED)
-    digest = read_model_folder(chain.model("vae")).hash()[:12]
     return {
         "frechet": round(frechet_distance(true, found), 4),
         "kernel": round(kernel, 5),
         "kernel_std": round(spread, 5),
-        "features": f"marker-vae@sha256:{digest}",
+        "features": _extractor(chain).name,
     }
 
 

@@ -5,7 +5,6 @@ supplies the published weights; diffusers, peft and transformers are imported on
 """
 
 from learning.translation.diffusion.network import MarkerToMarker
-from learning.translation.diffusion.train import KIND, TranslatorSettings
 from learning.translation.diffusion.translator import DiffusionTranslator, load
 
-__all__ = ["KIND", "DiffusionTranslator", "MarkerToMarker", "TranslatorSettings", "load"]
+__all__ = ["DiffusionTranslator", "MarkerToMarker", "load"]

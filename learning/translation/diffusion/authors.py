@@ -19,7 +19,6 @@ from learning.config import read_settings
 from learning.errors import LearningError
 from learning.training.checkpoint import load_weights, weights_hash
 from learning.training.run import RunFolder
-from learning.translation.diffusion import train, train_vae
 from learning.translation.diffusion.network import (
     UNET_ADAPTER,
     UNET_TARGETS,
@@ -30,9 +29,12 @@ from learning.translation.diffusion.network import (
     is_adapter,
     rank_of,
 )
-from learning.translation.diffusion.train import TranslatorSettings
-from learning.translation.diffusion.train_vae import BASE, MarkerVae, MarkerVaeSettings, Weights
+from learning.translation.diffusion.train import PRESETS, TranslatorSettings
+from learning.translation.diffusion.train_vae import MarkerVaeSettings
+from learning.translation.diffusion.vae import MarkerVae
 from learning.translation.diffusion.weights import (
+    BASE,
+    Weights,
     fingerprint,
     read_plain,
     read_unet,
@@ -47,8 +49,8 @@ _ADAPTER = re.compile(r"\.lora_([AB])\.[^.]+\.weight$")
 class AuthorsCheckpoint:
     """Content of one of the authors' files."""
 
-    kind: Literal["translator", "marker_vae"]
-    """Kind of checkpoint."""
+    kind: Literal["diffusion", "marker-vae"]
+    """Kind of model."""
     tensors: dict[str, torch.Tensor]
     """State of the translator or of the marker autoencoder, under the names used here."""
     vae_rank: int
@@ -71,7 +73,7 @@ def read_authors(path: Path) -> AuthorsCheckpoint:
     rank = _rank(path, content, "rank_vae", vae)
     if "state_dict_unet" not in content:
         tensors = {f"vae.{name}": each for name, each in vae.items()}
-        return AuthorsCheckpoint("marker_vae", tensors, rank)
+        return AuthorsCheckpoint("marker-vae", tensors, rank)
     _require_targets(path, content, "unet_lora_target_modules", UNET_TARGETS)
     _require_targets(path, content, "ref_encoder_lora_target_modules", VAE_TARGETS)
     unet = _adapter(path, content, "state_dict_unet", UNET_ADAPTER, also=("conv_in.",))
@@ -84,7 +86,7 @@ def read_authors(path: Path) -> AuthorsCheckpoint:
     tensors |= {
         f"reference.{name}": each for name, each in reference.items() if name.startswith("encoder.")
     }
-    return AuthorsCheckpoint("translator", tensors, rank, _rank(path, content, "rank_unet", unet))
+    return AuthorsCheckpoint("diffusion", tensors, rank, _rank(path, content, "rank_unet", unet))
 
 
 def _adapter(
@@ -143,25 +145,23 @@ def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise LearningError(f"{out}: is not empty; allowed: a new or empty folder")
     require_base_folder(base)
-    weights = Weights(base=base)
-    settings: TranslatorSettings | MarkerVaeSettings
+    preset = read_settings(TranslatorSettings, PRESETS, "authors_code")
+    preset = replace(preset, weights=Weights(base=base), vae_rank=found.vae_rank)
+    settings: MarkerVaeSettings
     network: MarkerToMarker | MarkerVae
-    if found.kind == "translator":
-        settings = read_settings(TranslatorSettings, train.PRESETS, "authors_code")
-        settings = replace(
-            settings, weights=weights, vae_rank=found.vae_rank, unet_rank=found.unet_rank
-        )
-        network = build(read_unet(base), read_vae(base), settings)
+    if found.kind == "diffusion":
+        settings = preset = replace(preset, unet_rank=found.unet_rank)
+        network = build(read_unet(base), read_vae(base), preset)
     else:
-        settings = read_settings(MarkerVaeSettings, train_vae.PRESETS, "authors_code")
-        settings = replace(settings, weights=weights, vae_rank=found.vae_rank)
+        settings = preset.of_marker_vae()
         network = MarkerVae(read_vae(base), settings)
     load_weights(network, found.tensors, str(path))
-    kind = train.KIND if found.kind == "translator" else train_vae.KIND
     metadata = {
         BASE: fingerprint(base),
         "imported_from": f"{path.name} sha256 {weights_hash(path)}",
     }
-    with RunFolder.open(out, kind, settings, "the authors' checkpoint", metadata=metadata) as run:
+    with RunFolder.open(
+        out, found.kind, settings, "the authors' checkpoint", metadata=metadata
+    ) as run:
         run.finish(0, {"model": network})
-    return kind, sum(tensor.numel() for tensor in found.tensors.values())
+    return found.kind, sum(tensor.numel() for tensor in found.tensors.values())

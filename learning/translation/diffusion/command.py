@@ -12,9 +12,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Trains one translator for all pairs of an archive's sensors, from published "
-        "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. After Ctrl-C, the same "
-        "command with --resume continues. Several GPUs: torchrun --nproc-per-node N -m tactile "
-        "train diffusion ..."
+        "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. First it trains the "
+        "marker VAE (settings marker_vae.*), in RUN/marker-vae. After Ctrl-C, the same command "
+        "with --resume continues. Several GPUs: torchrun --nproc-per-node N -m tactile ..."
     )
     add_inputs(parser)
     add_settings(
@@ -26,7 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vgg", metavar="FILE", help="VGG16 of torchvision (weights.vgg)")
     parser.add_argument("--lpips", metavar="FILE", help="LPIPS' heads for VGG (weights.lpips)")
     parser.add_argument(
-        "--marker-vae", type=Path, metavar="RUN", help="start from this trained autoencoder"
+        "--marker-vae",
+        type=Path,
+        metavar="RUN",
+        help="start from this marker VAE, such as marker-vae/ in the folder of another training",
     )
     parser.add_argument(
         "--from", dest="start_from", type=Path, metavar="RUN", help="start from this translator"

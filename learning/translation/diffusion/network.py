@@ -13,23 +13,67 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import torch
 from torch import nn
 
+from learning.config import require
 from learning.errors import LearningError
 from learning.training.checkpoint import load_weights
-from learning.translation.diffusion.conditioning import ReferenceTokens
-from learning.translation.diffusion.weights import vendor
+from learning.translation.diffusion.conditioning import Conditioning, ReferenceTokens
+from learning.translation.diffusion.weights import Weights, vendor
 
-if TYPE_CHECKING:
-    from learning.translation.diffusion.train import TranslatorSettings
-
+# Kind of a translator's folder.
+KIND = "diffusion"
 # Values of black and white for a network.
 Range = Literal["minus_one_one", "zero_one"]
+
+
+# Settings of the networks: a training's settings extend them, a run's folder is opened by them.
+
+
+@dataclass(frozen=True, kw_only=True)
+class VaeSettings:
+    """SD-Turbo's autoencoder with an adapter."""
+
+    weights: Weights = field(default_factory=Weights)
+    """Published weights that training starts from."""
+    pixel_range: Range = "minus_one_one"
+    """Values of black and white for the networks, which were all trained for -1 and 1."""
+    whole: bool = False
+    """True to train all weights, for networks without published ones, in place of adapters."""
+    vae_rank: int = 4
+    """Rank of the autoencoder's adapter; a translator has that of its marker VAE."""
+    gradient_checkpointing: bool = False
+    """True to recompute activations instead of storing them: less memory, more time."""
+    seed: int = 0
+    """Seed of everything random."""
+
+    def __post_init__(self) -> None:
+        require(self, "vae_rank", least=1, most=1024)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkSettings(VaeSettings):
+    """The translator's network."""
+
+    conditioning: Conditioning = "patch_tokens"
+    """Encoding of references for cross-attention."""
+    source_reference: bool = True
+    """True if the source's reference is also an input."""
+    unet_rank: int = 8
+    """Rank of the UNet's adapter."""
+    train_vae: bool = True
+    """True if the autoencoder's adapter is trained, as in the paper; in the authors' code no
+    optimiser updates it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(self, "unet_rank", least=1, most=1024)
+
 
 # Low-rank adapters (LoRA) on the frozen networks: adapted layers and trainable parameters.
 #
@@ -313,7 +357,7 @@ def posterior(half: Any, native: torch.Tensor, scaling: float) -> Posterior:
 def build(
     unet: Any,
     vae: Any,
-    settings: TranslatorSettings,
+    settings: NetworkSettings,
     *,
     vae_adapter: Mapping[str, torch.Tensor] | None = None,
 ) -> MarkerToMarker:

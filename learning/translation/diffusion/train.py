@@ -1,12 +1,12 @@
 r"""Training of the diffusion translator on location pairs, from settings to command.
 
-    tactile train diffusion sim.markers.zarr --split split.json --preset paper_main \
-        --base sd-turbo --clip clip-vit-base-patch32 --vgg vgg16-397923af.pth --lpips vgg.pth \
-        --marker-vae runs/marker-vae --out runs/m2m-sim
+    tactile train diffusion sim.markers.zarr --preset paper_main --out runs/m2m-sim \
+        --base sd-turbo --clip clip-vit-base-patch32 --vgg vgg16-397923af.pth --lpips vgg.pth
     tactile train diffusion real.markers.zarr ... --from runs/m2m-sim --out runs/m2m-real
 
-The paper trains on all pairs of simulated patterns, then on each group of real sensors. To use N
-devices, run the same commands as `torchrun --nproc-per-node N -m tactile ...`.
+The paper trains a marker VAE (`train_vae`), then the translator on all pairs of simulated patterns,
+then on each group of real sensors. To use N devices, run the same commands as
+`torchrun --nproc-per-node N -m tactile ...`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,29 +37,31 @@ from learning.training.optim import set_rate
 from learning.training.run import Session, accelerator
 from learning.training.run import batch as sampled
 from learning.training.run import generator as chance
-from learning.translation.diffusion.conditioning import Conditioning
-from learning.translation.diffusion.data import ImagePairs, read_image_pairs
+from learning.translation.diffusion.data import ImagePairs, read_image_pairs, read_role_images
 from learning.translation.diffusion.discriminator import (
     ClipFeatures,
     DiscriminatorHeads,
     augment,
     multilevel_sigmoid,
 )
-from learning.translation.diffusion.network import MarkerToMarker, Posterior, build
-from learning.translation.diffusion.train_vae import (
-    BASE,
-    TrainingSettings,
-    load_vae_adapter,
-    require_base,
-    vae_adapter_of,
+from learning.translation.diffusion.network import (
+    KIND,
+    MarkerToMarker,
+    NetworkSettings,
+    Posterior,
+    build,
 )
+from learning.translation.diffusion.train_vae import MarkerVaeSettings, Optimiser, marker_vae_of
+from learning.translation.diffusion.vae import load_vae_adapter, vae_adapter_of
 from learning.translation.diffusion.weights import (
+    BASE,
     PerceptualDistance,
     fingerprint,
     read_clip,
     read_perceptual,
     read_unet,
     read_vae,
+    require_base,
     require_base_folder,
 )
 from recorder import MarkerArchive
@@ -66,11 +69,9 @@ from recorder import MarkerArchive
 if TYPE_CHECKING:
     from accelerate import Accelerator
 
-# Kind of a translator's folder.
-KIND = "diffusion"
 # Presets `paper_main` and `paper_supplement` follow the paper's two documents, `authors_code` the
 # published scripts, and `ours` contains our own choices.
-PRESETS = Path(__file__).parent / "presets" / "translator"
+PRESETS = Path(__file__).parent / "presets"
 
 _AT_ONCE = 16  # images encoded or evaluated at once
 
@@ -95,30 +96,29 @@ class LossWeights:
             raise LearningError("losses: found no reconstruction; allowed: perceptual or square")
 
 
-@dataclass(frozen=True, slots=True)
-class TranslatorSettings(TrainingSettings):
-    """Training settings of the diffusion translator."""
+@dataclass(frozen=True, kw_only=True)
+class TranslatorSettings(MarkerVaeSettings, NetworkSettings):
+    """A diffusion translator and its training, with that of its marker VAE."""
 
+    optimiser: Optimiser
+    """Settings of each optimiser; the discriminator has its own."""
     losses: LossWeights = field(default_factory=LossWeights)
     """Weights of the losses."""
-    conditioning: Conditioning = "patch_tokens"
-    """Encoding of references for cross-attention."""
-    source_reference: bool = True
-    """True if the source's reference is also an input."""
-    unet_rank: int = 8
-    """Rank of the UNet's adapter."""
-    train_vae: bool = True
-    """True if the autoencoder's adapter is trained, as in the paper; in the authors' code no
-    optimiser updates it."""
     sample_latents: bool = True
     """True if training samples latents from the posterior; inference uses its mean."""
     two_pass: bool = False
     """True for separate passes and steps for reconstruction and adversary (authors' code); False
     for one pass and one step."""
+    steps: int = 100_000
+    """Steps of the optimiser."""
+    batch: int = 16
+    """Batch size on one device, before accumulation."""
+    accumulation: int = 1
+    """Number of batches accumulated per step."""
 
     def __post_init__(self) -> None:
-        TrainingSettings.__post_init__(self)
-        require(self, "unet_rank", least=1, most=1024)
+        super().__post_init__()
+        require(self, "steps", "batch", "accumulation", least=1)
         if self.two_pass and self.accumulation != 1:
             raise LearningError("accumulation: found more than 1; two_pass allows 1")
 
@@ -561,7 +561,7 @@ def train_in(
         split: Roles of its presses.
         settings: Settings of model and training.
         sensors: Sensors to learn from; None: all that the split does not hold out.
-        marker_vae: Folder of the marker VAE to start from; None: the published weights.
+        marker_vae: Folder of the marker VAE to start from; None: it is trained first.
         start_from: Folder of a translator to start from instead.
         pairing: Rule for pairing frames of a press.
         resume: True to continue a run that is in the folder.
@@ -573,6 +573,7 @@ def train_in(
     sensors = trained_on(archive, split, sensors)
     require_base_folder(settings.weights.base)
     base = fingerprint(settings.weights.base)
+    frames = " ".join(["archive", archive_fingerprint(archive), split.fingerprint, *sensors])
     vae_adapter, state, begun = None, None, ""
     if marker_vae is not None:
         vae_adapter = load_vae_adapter(marker_vae, base)
@@ -583,7 +584,27 @@ def train_in(
         state, begun = before.weights(), before.hash()
         vae_adapter = vae_adapter_of(state)
 
+    def read_images(session: Session) -> list[torch.Tensor]:
+        """Return the frames of training and validation, for the marker VAE."""
+        return [
+            read_role_images(
+                archive,
+                split,
+                role,
+                sensors=sensors,
+                device=session.device,
+                progress=session.reading,
+            )
+            for role in ("train", "validation")
+        ]
+
     def train_it(session: Session) -> None:
+        adapter = vae_adapter
+        if not begun and settings.marker_vae.steps:
+            adapter = marker_vae_of(settings, frames, partial(read_images, session), session)
+            if adapter is None:
+                return
+            session = replace(session, accelerator=accelerator(settings.launch))
         pretrained = read_pretrained(settings)
         pairs, validation = (
             read_image_pairs(
@@ -602,12 +623,18 @@ def train_in(
         if pairs is None:
             raise LearningError("split: found no press to train on; allowed: one or more")
         print(f"{len(pairs):,} pairs of {', '.join(sensors)}", file=sys.stderr)
-        adapters = {"vae_adapter": vae_adapter, "start_from": state}
         with session.stop:
-            train(pairs, pretrained, settings, validation, session, **adapters)
+            train(
+                pairs,
+                pretrained,
+                settings,
+                validation,
+                session,
+                vae_adapter=adapter,
+                start_from=state,
+            )
 
-    data = ["archive", archive_fingerprint(archive), split.fingerprint, *sensors]
-    data += [pairing, base, begun]
+    data = [frames, pairing, base, begun]
     run_training(
         out, KIND, settings, data, train_it, resume=resume, split=split, metadata={BASE: base}
     )

@@ -8,12 +8,17 @@ from pathlib import Path
 import torch
 
 from learning.data.images import enlarge_images, shrink_masks, unit
-from learning.errors import LearningError
 from learning.training.checkpoint import ModelFolder, load_weights, read_model_folder
-from learning.translation.diffusion.network import MarkerToMarker, build, fuse, rank_of
-from learning.translation.diffusion.train import KIND, TranslatorSettings
-from learning.translation.diffusion.train_vae import BASE, require_base, vae_adapter_of
-from learning.translation.diffusion.weights import fingerprint, read_unet, read_vae
+from learning.translation.diffusion.network import (
+    KIND,
+    MarkerToMarker,
+    NetworkSettings,
+    build,
+    fuse,
+    rank_of,
+)
+from learning.translation.diffusion.vae import vae_adapter_of
+from learning.translation.diffusion.weights import base_of, read_unet, read_vae
 from learning.translation.translator import require_masks, source_reference_of
 
 # Frames translated at once (the paper, Methods).
@@ -97,11 +102,7 @@ class DiffusionTranslator:
         return torch.autocast(device.type, dtype=self._precision, enabled=lower)
 
 
-# Run folders of the diffusion translator and of its autoencoder.
-#
-# A folder holds only adapters, tokens and the UNet's first layer. The published weights are read
-# from its `base/` (a folder or a link) or from the path used in training; `metadata.base` is their
-# required fingerprint.
+# A run's folder holds only adapters, tokens and the UNet's first layer, beside published weights.
 
 
 def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTranslator:
@@ -130,33 +131,12 @@ def load_network(found: ModelFolder) -> MarkerToMarker:
     Raises:
         LearningError: The published weights are missing or different, or the folder's do not fit.
     """
-    settings = found.settings(TranslatorSettings)
+    settings = found.settings(NetworkSettings)
     own = found.weights()
-    base = base_of(found, settings.weights.base)
+    base = base_of(found)
     settings = replace(settings, gradient_checkpointing=False)
     if not settings.whole:
         settings = replace(settings, vae_rank=rank_of(vae_adapter_of(own)))
     network = build(read_unet(base), read_vae(base), settings)
     load_weights(network, own, str(found.file()))
     return network
-
-
-def base_of(found: ModelFolder, message: str) -> str:
-    """Return the folder of the published weights that a run was trained from.
-
-    Args:
-        found: The run folder.
-        message: Their folder during training.
-
-    Raises:
-        LearningError: The weights are missing, or differ.
-    """
-    beside = found.path / BASE
-    folder = str(beside) if beside.exists() else message
-    if not (Path(folder) / "unet").is_dir():
-        raise LearningError(
-            f"{found.path}: found no published weights in {folder!r}; link the folder of SD-Turbo "
-            f"that it was trained from to {beside}"
-        )
-    require_base(found, fingerprint(folder))
-    return folder

@@ -7,6 +7,7 @@ import importlib
 import json
 import pickle
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,25 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.checkpoint import load_weights, read_weights
+from learning.training.checkpoint import ModelFolder, load_weights, read_weights
+
+# Name of the metadata with the fingerprint of the published weights, and of the folder for them.
+BASE = "base"
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """Paths of the published weights that training starts from."""
+
+    base: str = ""
+    """Folder of SD-Turbo in diffusers' layout."""
+    clip: str = ""
+    """Folder of CLIP ViT-B/32 in transformers' layout; read if `losses.adversarial` is not 0."""
+    vgg: str = ""
+    """File of torchvision's VGG16; read if `losses.perceptual` is not 0."""
+    lpips: str = ""
+    """File of LPIPS' linear heads for VGG; read with it."""
+
 
 # LPIPS: perceptual distance of two images by VGG16 (Zhang et al. 2018, version 0.1).
 #
@@ -245,6 +264,39 @@ def fingerprint(folder: str) -> str:
             file.seek(max(0, size - (1 << 20)))
             seen.update(file.read())
     return f"sha256:{seen.hexdigest()[:16]}"
+
+
+def require_base(found: ModelFolder, base: str) -> None:
+    """Reject published weights other than those the run was trained from.
+
+    Raises:
+        LearningError: The fingerprints differ.
+    """
+    expected = found.config.metadata.get(BASE)
+    if expected != base:
+        raise LearningError(
+            f"{found.path}: was trained from published weights {expected}, found {base}; "
+            "allowed: the same ones"
+        )
+
+
+def base_of(found: ModelFolder) -> str:
+    """Return the folder of the published weights that a run was trained from.
+
+    It is `base/` in the run's folder (a folder or a link), else the path used in training.
+
+    Raises:
+        LearningError: The weights are missing, or differ.
+    """
+    beside = found.path / BASE
+    folder = str(beside) if beside.exists() else found.settings(Weights, "weights").base
+    if not (Path(folder) / "unet").is_dir():
+        raise LearningError(
+            f"{found.path}: found no published weights in {folder!r}; link the folder of SD-Turbo "
+            f"that it was trained from to {beside}"
+        )
+    require_base(found, fingerprint(folder))
+    return folder
 
 
 def _diffusers_model(model: Any, folder: str, part: str) -> nn.Module:
