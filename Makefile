@@ -144,13 +144,13 @@ live: $(VENV)/.live  ## Show forces as the sensor is pressed
 press: $(VENV)/.sim  ## Simulate a press, write a table and a picture
 	@$(PY) -m tactile sim press $(if $(SHAPE),--shape $(SHAPE)) $(if $(DEPTHS),--depths $(DEPTHS)) $(if $(TIER),--tier $(TIER)) $(if $(OUT),--out $(OUT)) $(ARGS)
 
-#: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--smoke"]
+#: [INDENTERS=sphere,cone] [PATTERNS=Array1,Circle1] [OUT=path] [DEVICE=cuda:0] [ARGS="--scale smoke"]
 simulate: $(VENV)/.sim  ## Write a marker archive of the paper's 810 states under 12 patterns
-	@$(PY) -m tactile sim archive states $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(PATTERNS),--patterns $(PATTERNS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
+	@$(PY) -m tactile sim archive states$(if $(PATTERNS),:$(PATTERNS)) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
 #: [GROUP=homogeneous|material|heterogeneous] [SCALE=smoke|0.1|full] [INDENTERS=sphere,cone] [OUT=path] [DEVICE=cuda:0] [ARGS="--tier layer"]
 simulate-sensors: $(VENV)/.sim  ## Write an archive of real trajectories with forces on simulated sensors
-	@$(PY) -m tactile sim archive sensors --group $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
+	@$(PY) -m tactile sim archive $(or $(GROUP),homogeneous) --scale $(or $(SCALE),0.1) $(if $(INDENTERS),--indenters $(INDENTERS)) $(if $(OUT),--out $(OUT)) $(if $(DEVICE),--device $(DEVICE)) $(ARGS)
 
 ##@ Learn
 
@@ -188,7 +188,7 @@ first-hour: $(VENV)/.rig  ## Run all commands from wheel to live forces on a moc
 
 #: [OUT=runs/demo-learning]
 demo-learning: $(VENV)/.demo  ## Run three simulated sensors from press to report on two cores (10 minutes)
-	@$(PY) -m tactile sim archive sensors --sensors $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
+	@$(PY) -m tactile sim archive $(DEMO)/array-hard.yaml,$(DEMO)/circle.yaml,$(DEMO)/diamond-soft.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-learning)/demo.markers.zarr
 	@$(PY) -m tactile experiment $(or $(OUT),runs/demo-learning)/demo.markers.zarr --out $(or $(OUT),runs/demo-learning) --preset demo --pairs array-hard:circle,array-hard:diamond-soft
 
 #: [OUT=runs/demo-paper]
@@ -209,7 +209,7 @@ calibrate-force: $(VENV)/.learning  ## Set the scale of such a model by weights 
 
 #: [OUT=runs/demo-transfer]
 demo-transfer: $(VENV)/.demo  ## Newtons on a simulated sensor without a gauge (10 minutes, two cores)
-	@for name in gauge bare; do $(PY) -m tactile sim archive sensors --sensors $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-transfer)/$$name.markers.zarr || exit; done
+	@for name in gauge bare; do $(PY) -m tactile sim archive $(BARE)/$$name.yaml --tier layer --scale 0.025 --steps 4 --no-check --out $(or $(OUT),runs/demo-transfer)/$$name.markers.zarr || exit; done
 	@$(PY) -m tactile transfer --source $(or $(OUT),runs/demo-transfer)/gauge.markers.zarr:gauge --target $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare --out $(or $(OUT),runs/demo-transfer)
 	@rm -rf $(or $(OUT),runs/demo-transfer)/weighed
 	@$(PY) -m tactile calibrate-force $(or $(OUT),runs/demo-transfer)/model $$($(PY) $(BARE)/weigh.py $(or $(OUT),runs/demo-transfer)/bare.markers.zarr:bare 50,200,400) --out $(or $(OUT),runs/demo-transfer)/weighed

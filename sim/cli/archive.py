@@ -1,4 +1,4 @@
-"""`tactile sim archive`: create, resume and draw archives of simulated sensors."""
+"""`tactile sim archive`: make or continue an archive of simulated sensors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.command_line.options import add_device, add_seed, names, next_command, whole
-from sim.cli.options import metres
+from sim.cli.options import STEPS_MAX, metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from sim.result import ContactTier
     from sim.sensors import SimulatedSensor
 
-GROUPS = ("homogeneous", "material", "heterogeneous")
+STATES, GROUPS = "states", ("homogeneous", "material", "heterogeneous")
+STATES_HELP = "18 indenters x 9 places x 5 depths under 12 patterns, the paper's simulated data"
+ARCHIVE_SUFFIX = ".markers.zarr"
 # Indenters with --smoke, and elements over the thickness.
 SMOKE_SHAPES, SMOKE_CELLS = ("sphere", "prism"), 3
 SMOKE_SHARE, SMOKE_STEPS = 0.01, 3
@@ -35,71 +37,45 @@ RENDERERS = 8
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Makes archives of binary marker images with forces and displacement. Started "
-        "again with the same options, it continues where it stopped; so does `resume PATH`."
+        "Makes an archive of binary marker images with forces and displacement. Started again with "
+        "the same options, or with the archive alone, it continues where it stopped."
     )
-    kinds = parser.add_subparsers(dest="kind", required=True)
-    states = kinds.add_parser(
-        "states",
-        help="18 indenters x 9 places x 5 depths under 12 patterns: the paper's simulated data",
+    parser.add_argument(
+        "contents",
+        metavar="CONTENTS",
+        help=f"states: {STATES_HELP}, states:Array1,Circle1: under some of them; or the sensors "
+        f"that press and shear along the paper's trajectory: {', '.join(GROUPS)}, or rows of "
+        "sim/sensors and YAML files between commas; or an archive to continue",
     )
-    states.add_argument(
-        "--patterns", type=names, metavar="NAME,...", help="some of the gel's (all 12)"
-    )
-    states.add_argument("--smoke", action="store_true", help="2 indenters on a coarse mesh")
-    _add_plan_options(states, Path("data/states.markers.zarr"))
-    states.set_defaults(make=_states)
-    sensors = kinds.add_parser(
-        "sensors", help="press, shear and release of the paper's sensors, and force-depth presses"
-    )
-    sensors.add_argument("--group", choices=GROUPS, help="sensors of one of the paper's tests")
-    sensors.add_argument(
-        "--sensors",
-        type=names,
-        metavar="NAME,...",
-        help="in place of --group: rows of sim/sensors, YAML files",
-    )
-    sensors.add_argument(
-        "--twin",
-        type=Path,
-        metavar="PATH",
-        help="in place of both: sensors drawn from the uncertainty of a twin (tactile twin fit)",
-    )
-    sensors.add_argument(
-        "--draws",
-        type=whole(1, DRAWS_MOST),
-        default=20,
-        metavar="N",
-        help="number of sensors drawn from --twin (%(default)s)",
-    )
-    sensors.add_argument(
-        "--scale",
-        default="0.1",
-        metavar="SHARE",
-        help="fraction of the targets, smoke or full (%(default)s)",
-    )
-    sensors.add_argument("--steps", type=int, metavar="N", help="frames per phase (10; smoke: 3)")
-    _add_plan_options(sensors, None)
-    sensors.set_defaults(make=_sensors)
-    resume = kinds.add_parser("resume", help="continue an archive with its original plan")
-    resume.add_argument("path", type=Path)
-    _add_run_options(resume)
-    resume.set_defaults(make=_resume)
-    sheet = kinds.add_parser("sheet", help="draw every sensor and indenter of an archive")
-    sheet.add_argument("path", type=Path)
-    sheet.add_argument("--out", type=Path, default=Path("docs/images/simulated.png"))
-    sheet.set_defaults(make=_sheet)
-
-
-def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None:
     group = parser.add_argument_group("contents")
+    group.add_argument(
+        "--draws",
+        type=whole(0, DRAWS_MOST),
+        default=0,
+        metavar="N",
+        help="number of sensors drawn from the uncertainty of each twin (of tactile twin fit) in "
+        "its place (%(default)s)",
+    )
+    group.add_argument(
+        "--scale",
+        metavar="SHARE",
+        help="fraction of the targets, smoke (2 indenters, a coarse mesh) or full (0.1; states: "
+        "full)",
+    )
+    group.add_argument(
+        "--steps", type=whole(1, STEPS_MAX), metavar="N", help="frames per phase (10; smoke: 3)"
+    )
     group.add_argument("--indenters", type=names, metavar="NAME,...", help="some of the 18 (all)")
     group.add_argument(
         "--drawn", type=int, default=0, metavar="N", help="randomly drawn indenters besides (0)"
     )
     add_seed(group)
-    shown = out or "data/GROUP.markers.zarr"
-    group.add_argument("--out", type=Path, default=out, metavar="PATH", help=f"archive ({shown})")
+    group.add_argument(
+        "--out",
+        type=Path,
+        metavar="PATH",
+        help="archive (data/CONTENTS.markers.zarr; of several sensors: data/sensors.markers.zarr)",
+    )
     group = parser.add_argument_group("solver")
     group.add_argument(
         "--tier", choices=("layer", "fem"), help="layer: small strain, milliseconds (fem)"
@@ -115,10 +91,6 @@ def _add_plan_options(parser: argparse.ArgumentParser, out: Path | None) -> None
         metavar="ERROR",
         help='accepted error, "3 %%", "0.05 N" or "0.5 px", in place of --tier and --spacing',
     )
-    _add_run_options(parser)
-
-
-def _add_run_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("execution")
     add_device(group)
     group.add_argument(
@@ -129,71 +101,46 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         f"(at most {RENDERERS})",
     )
     group.add_argument(
-        "--scheduler", metavar="tcp://...", help="a Dask cluster whose workers share --out"
+        "--scheduler", metavar="tcp://...", help="a Dask cluster whose workers share --out (none)"
     )
     group.add_argument("--no-check", action="store_true", help="do not count markers at the end")
+    group.add_argument(
+        "--sheet", type=Path, metavar="PNG", help="draw every sensor and indenter at the end (no)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make, resume or draw an archive and return the exit code.
+    """Make or continue an archive and return the exit code.
 
     Raises:
         SceneError: An option is invalid; nothing has been written.
     """
-    return int(options.make(options))
+    from sim.dataset import DatasetPlan, found, gel
 
-
-def _states(options: argparse.Namespace) -> int:
-    from sim.dataset import DatasetPlan, gel
-
-    plan = DatasetPlan(
-        "states",
-        (gel(options.patterns),),
-        indenters=_indenters(options, smoke=options.smoke),
-        solving=_solving(options, smoke=options.smoke),
-        seed=options.seed,
-    )
-    return _make(options, options.out, plan)
-
-
-def _sensors(options: argparse.Namespace) -> int:
-    from sim.dataset import DatasetPlan
-
-    smoke, fraction = _share(options.scale)
-    chosen = _chosen_sensors(options)
-    out = options.out
-    if out is None:
-        out = Path(f"data/{options.group or 'sensors'}.markers.zarr")
-    steps = options.steps or (SMOKE_STEPS if smoke else 10)
-    plan = DatasetPlan(
-        "targets",
-        chosen,
-        indenters=_indenters(options, smoke=smoke),
-        solving=_solving(options, smoke=smoke),
-        seed=options.seed,
-        steps=steps,
-        fraction=fraction,
-    )
-    return _make(options, out, plan)
-
-
-def _resume(options: argparse.Namespace) -> int:
-    from sim.dataset import found
-
-    opened = found(options.path)
-    return _fill(options, opened)
-
-
-def _sheet(options: argparse.Namespace) -> int:
-    from recorder import SessionError
-    from sim.dataset.summary import draw_sheet
-
-    try:
-        draw_sheet(options.path, options.out)
-    except SessionError as error:
-        raise SceneError(str(error)) from error
-    print(options.out)
-    return 0
+    contents: str = options.contents
+    if contents.endswith(ARCHIVE_SUFFIX):
+        return _fill(options, found(Path(contents)))
+    kind, _, patterns = contents.partition(":")
+    is_states = kind == STATES
+    smoke, fraction = _share(options.scale or ("full" if is_states else "0.1"))
+    indenters, solving = _indenters(options, smoke=smoke), _solving(options, smoke=smoke)
+    if is_states:
+        chosen = tuple(patterns.split(",")) if patterns else None
+        plan = DatasetPlan(
+            "states", (gel(chosen),), indenters=indenters, solving=solving, seed=options.seed
+        )
+    else:
+        plan = DatasetPlan(
+            "targets",
+            _sensors(options),
+            indenters=indenters,
+            solving=solving,
+            seed=options.seed,
+            steps=options.steps or (SMOKE_STEPS if smoke else 10),
+            fraction=fraction,
+        )
+    name = kind if kind in (STATES, *GROUPS) else "sensors"
+    return _make(options, options.out or Path(f"data/{name}{ARCHIVE_SUFFIX}"), plan)
 
 
 def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
@@ -212,7 +159,7 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     from recorder import SessionError
 
     try:
-        return _filled(options, opened) or _summed(options, opened)
+        return _filled(options, opened) or _summed(options, opened) or _drawn(options, opened)
     except SessionError as error:
         raise SceneError(f"{error}; {_go_on(opened)}") from error
 
@@ -273,8 +220,18 @@ def _summed(options: argparse.Namespace, opened: OpenArchive) -> int:
     return 0
 
 
+def _drawn(options: argparse.Namespace, opened: OpenArchive) -> int:
+    """Draw the sheet of a complete archive, if one is wanted, and return the exit code."""
+    from sim.dataset.summary import draw_sheet
+
+    if options.sheet is not None:
+        draw_sheet(opened.path, options.sheet)
+        print(options.sheet)
+    return 0
+
+
 def _go_on(opened: OpenArchive) -> str:
-    return f"to continue: {next_command('sim', 'archive', 'resume', opened.path)}"
+    return f"to continue: {next_command('sim', 'archive', opened.path)}"
 
 
 def _maker(
@@ -374,40 +331,39 @@ def _share(text: str) -> tuple[bool, float]:
     return False, fraction
 
 
-def _chosen_sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
+def _sensors(options: argparse.Namespace) -> tuple[SimulatedSensor, ...]:
     from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor, sensor_of
 
-    if options.twin is not None:
-        if options.group is not None or options.sensors is not None:
-            raise SceneError("--twin: found beside --group or --sensors; allowed: one of them")
-        return _drawn_sensors(options.twin, options.draws, options.seed, options.tier)
-    if (options.group is None) == (options.sensors is None):
-        raise SceneError(
-            f"--group: {options.group!r}, --sensors: {options.sensors!r}; allowed: one of both"
-        )
-    if options.group is not None:
-        of_group = dict(zip(GROUPS, (HOMOGENEOUS, MATERIAL, HETEROGENEOUS), strict=True))
-        return tuple(sensor(name) for name in of_group[options.group])
-    return tuple(map(sensor_of, options.sensors))
+    of_group = dict(zip(GROUPS, (HOMOGENEOUS, MATERIAL, HETEROGENEOUS), strict=True))
+    if options.contents in of_group:
+        sensors = [sensor(name) for name in of_group[options.contents]]
+    else:
+        sensors = [sensor_of(name) for name in names(options.contents)]
+    if not options.draws:
+        return tuple(sensors)
+    return tuple(
+        drawn
+        for twin in sensors
+        for drawn in _drawn_sensors(twin, options.draws, options.seed, options.tier)
+    )
 
 
 def _drawn_sensors(
-    path: Path, draws: int, seed: int, tier: str | None
+    twin: SimulatedSensor, draws: int, seed: int, tier: str | None
 ) -> tuple[SimulatedSensor, ...]:
     """Return sensors drawn from the uncertainty of a twin, named after it and numbered."""
     import numpy as np
 
-    from sim.sensors import read_sensor
     from sim.sensors.quantities import draw_sensor
 
-    twin = read_sensor(path)
     if twin.posterior is None:
         raise SceneError(
-            f"--twin: {path} has no posterior; allowed: a file that `tactile twin fit` wrote"
+            f"--draws: {twin.name} has no posterior; allowed: files that `tactile twin fit` wrote"
         )
     if tier == "layer" != twin.posterior.tier:
         raise SceneError(
-            f"--tier: {tier}; {path} was identified by tier {twin.posterior.tier}; allowed: that"
+            f"--tier: {tier}; {twin.name} was identified by tier {twin.posterior.tier}; allowed: "
+            "that"
         )
     random = np.random.default_rng(seed)
     return tuple(

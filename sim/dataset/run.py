@@ -86,7 +86,7 @@ def begin(path: Path, plan: DatasetPlan, device: str = "cpu") -> OpenArchive:
         opened = found(path)
         keys = differing(opened.plan.document(), plan.document())
         if keys:
-            resume = next_command("sim", "archive", "resume", path)
+            resume = next_command("sim", "archive", path)
             raise SceneError(
                 f"{path}: was begun with another plan, which differs in {', '.join(keys)}; "
                 f"allowed: the same options, another path, or `{resume}`"

@@ -545,10 +545,9 @@ SIM_CASES = (
     Case(
         "sim-archive-sensors",
         (
-            "tactile sim archive sensors --sensors gelsight,tacpalm,uskin --tier layer --scale smoke --steps 1 "
-            "--indenters sphere --processes 1 --out {out}/x.markers.zarr",
+            "tactile sim archive gelsight,tacpalm,uskin --tier layer --scale smoke --steps 1 "
+            "--indenters sphere --processes 1 --out {out}/x.markers.zarr --sheet {out}/x.png",
             "tactile session info {out}/x.markers.zarr",
-            "tactile sim archive sheet {out}/x.markers.zarr --out {out}/x.png",
         ),
         look=("x.markers.zarr", "x.png"),
         timeout=600,
@@ -557,7 +556,7 @@ SIM_CASES = (
     Case(
         "sim-archive-in-use",
         (
-            "tactile sim archive sensors --sensors array-i,{out}/mine.yaml --tier layer --scale 0.005 --steps 1 "
+            "tactile sim archive array-i,{out}/mine.yaml --tier layer --scale 0.005 --steps 1 "
             "--indenters cone --processes 2 --no-check --seed 3 --out {out}/x.markers.zarr",
         ),
         prepare=(
@@ -577,13 +576,13 @@ SIM_CASES = (
     Case(
         "sim-archive-states",
         (
-            "tactile sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
+            "tactile sim archive states:Array1,Circle1 --scale smoke --indenters sphere --tier layer "
             "--processes 1 --out {out}/x.markers.zarr",
-            "tactile sim archive states --smoke --indenters sphere --patterns Array1,Circle1 --tier layer "
+            "tactile sim archive states:Array1,Circle1 --scale smoke --indenters sphere --tier layer "
             "--processes 1 --out {out}/x.markers.zarr",
-            "tactile sim archive states --smoke --indenters sphere --patterns Array1 --tier layer "
+            "tactile sim archive states:Array1 --scale smoke --indenters sphere --tier layer "
             "--processes 1 --out {out}/x.markers.zarr",
-            "tactile sim archive resume {out}/x.markers.zarr --no-check",
+            "tactile sim archive {out}/x.markers.zarr --no-check",
         ),
         look=("x.markers.zarr",),
         timeout=600,
@@ -592,7 +591,7 @@ SIM_CASES = (
     Case(
         "sim-archive-fem",
         (
-            "tactile sim archive sensors --sensors r6,r18 --tier fem --spacing 1.3 --scale smoke --steps 1 "
+            "tactile sim archive r6,r18 --tier fem --spacing 1.3 --scale smoke --steps 1 "
             "--indenters sphere --processes 1 --no-check --out {out}/x.markers.zarr",
         ),
         look=("x.markers.zarr",),
@@ -602,22 +601,20 @@ SIM_CASES = (
     Case(
         "sim-archive-refused",
         (
-            "tactile sim archive sensors --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --sensors digit --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --sensors {out}/key.yaml --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --sensors {out}/value.yaml --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --sensors {out}/none.yaml --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --sensors {out}/list.yaml --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --sensors {out}/circle.yaml --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --group homogeneous --scale 2 --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --group homogeneous --indenters egg --out {out}/x.markers.zarr",
-            "tactile sim archive sensors --group homogeneous --steps -1 --out {out}/x.markers.zarr",
-            'tactile sim archive sensors --group material --tier fem --tolerance "3 %" --out {out}/x.markers.zarr',
-            "tactile sim archive states --patterns Spiral --out {out}/x.markers.zarr",
-            "tactile sim archive states --processes 0 --tier layer --smoke --out {out}/x.markers.zarr",
-            "tactile sim archive resume {out}/none.markers.zarr",
-            f"tactile sim archive resume {ARCHIVE.replace('skins.markers', 'gelsight')}",
-            "tactile sim archive sheet {out}/none.markers.zarr --out {out}/x.png",
+            "tactile sim archive digit --out {out}/x.markers.zarr",
+            "tactile sim archive {out}/key.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive {out}/value.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive {out}/none.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive {out}/list.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive {out}/circle.yaml --out {out}/x.markers.zarr",
+            "tactile sim archive homogeneous --scale 2 --out {out}/x.markers.zarr",
+            "tactile sim archive homogeneous --indenters egg --out {out}/x.markers.zarr",
+            "tactile sim archive homogeneous --steps -1 --out {out}/x.markers.zarr",
+            'tactile sim archive material --tier fem --tolerance "3 %" --out {out}/x.markers.zarr',
+            "tactile sim archive states:Spiral --out {out}/x.markers.zarr",
+            "tactile sim archive states --processes 0 --tier layer --scale smoke --out {out}/x.markers.zarr",
+            "tactile sim archive {out}/none.markers.zarr",
+            f"tactile sim archive {ARCHIVE.replace('skins.markers', 'gelsight')}",
         ),
         one_process=True,
         prepare=(
@@ -895,7 +892,7 @@ LEARNING_CASES = (
     Case(
         "learning-demo",
         (
-            "tactile sim archive sensors --sensors examples/demo-learning/array-hard.yaml,"
+            "tactile sim archive examples/demo-learning/array-hard.yaml,"
             "examples/demo-learning/circle.yaml,examples/demo-learning/diamond-soft.yaml --tier layer "
             "--scale 0.025 --steps 4 --no-check --out {out}/demo.markers.zarr",
             "tactile experiment {out}/demo.markers.zarr --out {out} --preset demo "

@@ -28,7 +28,7 @@ done
 # An archive of three simulated sensors: two skins that differ in modulus, and taxels.
 archive=$data/skins.markers.zarr split=$data/split.json
 rm -rf "$archive"
-"$python" -m tactile sim archive sensors --sensors r6,r18,uskin --tier layer --scale 0.03 --steps 2 \
+"$python" -m tactile sim archive r6,r18,uskin --tier layer --scale 0.03 --steps 2 \
     --indenters sphere,prism,cone --processes 1 --no-check --out "$archive"
 "$python" -m tactile split "$archive" --out "$split" --new-press 0.2 --validation 0.2
 

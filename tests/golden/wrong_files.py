@@ -60,8 +60,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
         },
     ),
     "sensor": (
-        "tactile sim archive sensors --sensors {} --tier layer --scale smoke "
-        "--out {out}/x.markers.zarr",
+        "tactile sim archive {} --tier layer --scale smoke --out {out}/x.markers.zarr",
         ".yaml",
         {
             "key misspelt": f"{SENSOR}\nbody: {{modulus_kp: 200}}",
@@ -182,7 +181,7 @@ FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
         },
     ),
     "stored plan": (
-        "tactile sim archive resume {} --no-check",
+        "tactile sim archive {} --no-check",
         ARCHIVE,
         ".markers.zarr",
         {

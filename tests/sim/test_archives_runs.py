@@ -32,7 +32,7 @@ from tactile.__main__ import main
 __all__ = ["own_grid", "solved_once"]
 
 ROOT = Path(__file__).parents[2]
-OPTIONS = ("--sensors", "r6,r18,uskin", "--indenters", "sphere,cone", "--scale", "0.01", "--steps",
+OPTIONS = ("r6,r18,uskin", "--indenters", "sphere,cone", "--scale", "0.01", "--steps",
            "1", "--tier", "layer")  # fmt: skip
 SKINS_OF_THE_COMMAND: DatasetPlan = replace(
     SKINS, unit_presses=UNIT_PRESSES, batch_size=UNIT_PRESSES
@@ -95,10 +95,10 @@ def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", write)
-        assert main(["sim", "archive", "resume", str(path)]) == 2
+        assert main(["sim", "archive", str(path)]) == 2
     reported = capsys.readouterr().err
     assert "No space left on device" in reported
-    assert f"to continue: tactile sim archive resume {path}" in reported
+    assert f"to continue: tactile sim archive {path}" in reported
     assert MarkerArchive(path).status == "writing"
     make(path, SKINS)
     assert digests(path) == undisturbed
@@ -126,10 +126,10 @@ def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
 
     monkeypatch.setattr("sim.dataset.run.make_in_processes", stopped)
     path = tmp_path / "a.markers.zarr"
-    assert main(["sim", "archive", "sensors", *OPTIONS, "--out", str(path)]) == 130
+    assert main(["sim", "archive", *OPTIONS, "--out", str(path)]) == 130
     reported = capsys.readouterr()
     assert "7 presses" not in reported.out
-    assert "units are missing; to continue: tactile sim archive resume" in reported.err
+    assert "units are missing; to continue: tactile sim archive" in reported.err
 
 
 @pytest.mark.slow
@@ -140,9 +140,7 @@ def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     path, picture = tmp_path / "a.markers.zarr", tmp_path / "a.png"
     begun = (
         "archive",
-        "states",
-        "--patterns",
-        "Array3",
+        "states:Array3",
         "--indenters",
         "sphere",
         "--tier",
@@ -160,7 +158,7 @@ def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     assert "nothing is missing" in capsys.readouterr().out
     assert main(["sim", *begun, "--seed", "3", "--out", str(path)]) == 2
     assert "another plan, which differs in seed; allowed" in capsys.readouterr().err
-    assert main(["sim", "archive", "sheet", str(path), "--out", str(picture)]) == 0
+    assert main(["sim", "archive", str(path), "--no-check", "--sheet", str(picture)]) == 0
     with Image.open(picture) as drawn:
         assert drawn.size[0] > 144
         assert len(np.unique(np.asarray(drawn.convert("L")))) > 2
@@ -169,15 +167,15 @@ def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("states", "--patterns", "Array9"), "pattern: 'Array9'; allowed: Array1"),
+        (("states:Array9",), "pattern: 'Array9'; allowed: Array1"),
         (("states", "--indenters", "ball"), "--indenters: ball; allowed: sphere"),
         (("states", "--tier", "layer", "--spacing", "1"), "0.001 m with tier layer; allowed: None"),
         (("states", "--tier", "fem", "--tolerance", "3 %"), "'fem' with --tolerance; allowed"),
-        (("sensors",), "--group: None, --sensors: None; allowed: one of both"),
-        (("sensors", "--group", "material", "--scale", "2"), "--scale: '2'; allowed: smoke"),
-        (("sensors", "--sensors", "eye"), "sensor: 'eye'; allowed: array-i"),
-        (("resume", "nowhere.zarr"), "nowhere.zarr"),
-        (("sheet", "nowhere.zarr"), "nowhere.zarr"),
+        ((), "the following arguments are required: CONTENTS"),
+        (("material", "--scale", "2"), "--scale: '2'; allowed: smoke"),
+        (("material", "--draws", "2"), "--draws: r6 has no posterior"),
+        (("eye",), "sensor: 'eye'; allowed: array-i"),
+        (("nowhere.markers.zarr",), "nowhere.markers.zarr"),
     ],
 )
 def test_wrong_options_are_refused_before_anything_is_written(
@@ -248,7 +246,6 @@ def _verb(path: Path) -> subprocess.Popen[str]:
             "tactile",
             "sim",
             "archive",
-            "sensors",
             *OPTIONS,
             "--out",
             str(path),
@@ -303,10 +300,10 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     assert process.returncode == 130, reported
     assert "Traceback" not in reported[1]
     assert "stopping: the units in flight are finished first" in reported[1]
-    assert "to continue: tactile sim archive resume" in reported[1]
+    assert "to continue: tactile sim archive" in reported[1]
     assert found(path).plan == SKINS_OF_THE_COMMAND
     resumed = subprocess.run(
-        [sys.executable, "-m", "tactile", "sim", "archive", "resume", str(path)],
+        [sys.executable, "-m", "tactile", "sim", "archive", str(path)],
         cwd=ROOT,
         capture_output=True,
         text=True,
@@ -337,7 +334,7 @@ def test_presses_of_layer_are_solved_on_the_gpu_in_large_units(
     path = tmp_path / "a.markers.zarr"
     small = ("--indenters", "sphere,torus", "--scale", "0.002", "--steps", "1", "--no-check")
     where = ("--device", "cuda:0", "--out", str(path), "--tier", "layer")
-    code = main(["sim", "archive", "sensors", "--sensors", "uskin", *small, *where])
+    code = main(["sim", "archive", "uskin", *small, *where])
     assert (code, asked) == (0, [(162, "cuda:0")])
     assert solved
 

@@ -563,8 +563,6 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
     words = [
         "sim",
         "archive",
-        "sensors",
-        "--twin",
         str(twin),
         "--draws",
         "2",
@@ -585,10 +583,8 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
 def test_draws_come_from_a_twin_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     design = tmp_path / "design.yaml"
     design.write_text("extends: gelsight.yaml\n")
-    assert main(["sim", "archive", "sensors", "--twin", str(design)]) == 2
+    assert main(["sim", "archive", str(design), "--draws", "2"]) == 2
     assert "no posterior" in capsys.readouterr().err
-    assert main(["sim", "archive", "sensors", "--twin", str(design), "--group", "material"]) == 2
-    assert "allowed: one of them" in capsys.readouterr().err
 
 
 @pytest.mark.slow

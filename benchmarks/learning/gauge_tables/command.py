@@ -161,21 +161,21 @@ def _tasks(options: argparse.Namespace, study: Study, cores: int, done: set[str]
             row = study.out / "rows" / f"{rest[0]}.yaml"
             trajectory = read_sensor(row).trajectory
             assert trajectory is not None
-            command = ["-m", "tactile", "sim", "archive", "sensors", "--no-check"]
+            command = ["-m", "tactile", "sim", "archive", "--no-check"]
             command += ["--steps", str(size.phase)]
             targets = FEWEST_TARGETS if kind == "further" else size.targets
             command += ["--scale", f"{targets / len(trajectory):.6f}"]
             shapes, tier = size.seen, study.fit
             if kind == "draws":
                 twin = twin_path(study.out, f"{rest[0]}-draw")
-                command += ["--twin", str(twin), "--draws", str(size.draws)]
+                command += [str(twin), "--draws", str(size.draws)]
                 command += ["--out", str(draws_path(study.out, rest[0]))]
             else:
                 shapes, drawn, out = (*size.seen, *size.unseen), size.drawn, archive_path
                 if kind == "further":
                     shapes, drawn, out = GAUGE[:1], drawn + sum(size.further), further_path
                 tier = size.tier
-                command += ["--sensors", str(row), "--drawn", str(drawn)]
+                command += [str(row), "--drawn", str(drawn)]
                 command += ["--out", str(out(study.out, rest[0]))]
             command += ["--indenters", ",".join(shapes), "--tier", tier]
             if on_cpu or tier == "layer":

@@ -20,7 +20,7 @@ def card(
     Args:
         row: Its row of the table of forces.
         millions: Its weights, in millions.
-        archive: Options of `tactile sim archive sensors` that make its frames.
+        archive: Options of `tactile sim archive` that make its frames.
         frames: Number of frames that it was trained on.
         trained: Indenters of these.
         tested: Indenters of the test.
@@ -44,7 +44,7 @@ def card(
         f"Fx, Fy, Fz of the simulated sensor `{sensor}` from {read}; preset `{preset}`, "
         f"{millions:.2f} M weights; learned in simulation, not for measurements.",
         "",
-        f"- **Data:** {frames} frames of `tactile sim archive sensors {archive}`.",
+        f"- **Data:** {frames} frames of `tactile sim archive {archive}`.",
         f"- **Split:** trained on {', '.join(trained)}; tested on {', '.join(tested)}.",
         f"- **Training:** {seconds:g} s on the sensor's own labels. Seed {row['seed']}, one run.",
         f"- **Error on the test indenters**, with 90 % intervals over them: R2 {known('r2')} "

@@ -131,13 +131,13 @@ def _tasks(options: argparse.Namespace, cores: int, done: set[str]) -> list[Task
     made += ("--processes", str(cores // 2 if on_gpu else cores))
     simulated = {
         f"archive {name}": (
-            *("sensors", "--sensors", ",".join(map(_row, sensors)), *size.archive, *made),
+            *(",".join(map(_row, sensors)), *size.archive, *made),
             *("--out", jobs.archive_file(name)),
         )
         for name, sensors in size.archives.items()
     }
     if size.patterns is not None:
-        states = ("states", *size.patterns, *made, "--out", jobs.archive_file("patterns"))
+        states = (*size.patterns, *made, "--out", jobs.archive_file("patterns"))
         simulated = {"archive patterns": states, **simulated}
     trained = jobs.names(size)
     known = (*simulated, *trained)

@@ -786,7 +786,7 @@ def _card(chain: Chain, row: dict[str, str]) -> str:
     return card(
         row,
         millions=count[preset] / 1e6,
-        archive=f"--sensors {sensor} --tier {chain.size.tier} {' '.join(chain.size.archive)}",
+        archive=f"{sensor} --tier {chain.size.tier} {' '.join(chain.size.archive)}",
         frames=len(trained),
         trained=indenters(trained),
         tested=indenters(tested),

@@ -38,9 +38,9 @@ class Size:
     tier: ContactTier
     """Tier of frames and true forces."""
     archive: tuple[str, ...]
-    """Options of `sim archive sensors`."""
+    """Options of `sim archive`."""
     patterns: tuple[str, ...] | None
-    """Options of `sim archive states`; None: there is no stage on patterns."""
+    """Contents and options of an archive of states; None: there is no stage on patterns."""
     vae: Mapping[str, Any]
     """Configuration of diffusers' AutoencoderKL."""
     unet: Mapping[str, Any]
@@ -161,7 +161,7 @@ SIZES = {
         archive=("--scale", "0.05", "--steps", "4"),
         apart=True,
         held_out=("circle-i",),
-        patterns=(),
+        patterns=("states",),
         held_out_patterns=("Circle1", "Diamond4"),
         parts={**_GPU.parts, "net": 0.4, "tuned": 0.1},
     ),
@@ -201,7 +201,7 @@ SIZES = {
             "--indenters",
             "prism,dots,moon,sphere_s,wave",
         ),
-        patterns=("--patterns", "Array1,Circle2,Diamond1,Circle1", "--indenters", "prism,sphere_s"),
+        patterns=("states:Array1,Circle2,Diamond1,Circle1", "--indenters", "prism,sphere_s"),
         vae=_vae((8, 16, 16, 16)),
         unet=_unet((32, 32)),
         batch=4,

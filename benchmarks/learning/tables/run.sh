@@ -21,18 +21,18 @@ export OMP_NUM_THREADS=2
 for table in "$@"; do
   steps=4 pairs=() preset=tables labels='[compensated, priors]' translators='[field, flow]'
   case $table in
-    homogeneous) sensors=(--group homogeneous) scale=0.1 labels='[]' ;; # one skin
-    material) sensors=(--group material) scale=0.25 ;;
-    heterogeneous) sensors=(--group heterogeneous) scale=0.15 labels='[compensated, priors, oracle]' ;;
-    homogeneous-full) sensors=(--sensors array-i,circle-ii) pairs=(--pairs array-i:circle-ii) labels='[]' ;;
-    material-full) sensors=(--sensors r6,r18) pairs=(--pairs r6:r18) ;;
-    heterogeneous-clean) sensors=(--sensors "$clean/uskin.yaml,$clean/gelsight.yaml,$clean/tacpalm.yaml") scale=0.15 ;;
-    heterogeneous-full) sensors=(--sensors uskin,gelsight) pairs=(--pairs uskin:gelsight) ;;
+    homogeneous) sensors=(homogeneous) scale=0.1 labels='[]' ;; # one skin
+    material) sensors=(material) scale=0.25 ;;
+    heterogeneous) sensors=(heterogeneous) scale=0.15 labels='[compensated, priors, oracle]' ;;
+    homogeneous-full) sensors=(array-i,circle-ii) pairs=(--pairs array-i:circle-ii) labels='[]' ;;
+    material-full) sensors=(r6,r18) pairs=(--pairs r6:r18) ;;
+    heterogeneous-clean) sensors=("$clean/uskin.yaml,$clean/gelsight.yaml,$clean/tacpalm.yaml") scale=0.15 ;;
+    heterogeneous-full) sensors=(uskin,gelsight) pairs=(--pairs uskin:gelsight) ;;
     *) echo "TABLE: found '$table'; allowed: a group, a group and -full, or heterogeneous-clean" >&2; exit 2 ;;
   esac
   case $table in heterogeneous*) preset=tables-heterogeneous ;; esac
   case $table in *-full) preset=tables-full scale=full steps=2 translators='[field, flow]' ;; esac
-  "$python" -m tactile sim archive sensors "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
+  "$python" -m tactile sim archive "${sensors[@]}" --tier layer --scale "${SCALE:-$scale}" --steps "$steps" \
     --no-check --device "${DEVICE:-cpu}" --processes "$processes" --out "$out/$table.markers.zarr"
   [ "${ONLY:-}" != archive ] || continue
   "$python" -m tactile experiment "$out/$table.markers.zarr" --out "$out/$table" --preset "${PRESET:-$preset}" \
