@@ -35,7 +35,7 @@ class Left:
     disorder: Mapping[str, int]
     """Number of rows whose number does not exceed the one before, by stream."""
     findings: tuple[str, ...]
-    """Codes that `recorder check` reports."""
+    """Codes that `tactile session check` reports."""
     rejected: Mapping[str, Mapping[str, int]]
     """Number of rejected samples recorded in the session, by stream and reason."""
 

@@ -10,7 +10,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Writes a model from frame, state and contact-free image to force [N] and next "
-        "state, and compares it with torch. `rig live` and `benchmarks latency` run it."
+        "state, and compares it with torch. `tactile live` runs it."
     )
     parser.add_argument("model", type=Path, metavar="MODEL", help="the folder of a force model")
     parser.add_argument("--out", type=Path, metavar="FILE", help="(MODEL/model.onnx)")

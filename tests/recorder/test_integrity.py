@@ -707,7 +707,7 @@ def test_a_session_that_lost_only_manifests_can_be_read_and_sealed_again_on_purp
     good = everything(path)
     lose_manifests(path, *lost)
     named = f"manifest/{max(lost)}/zarr.json: missing"
-    with pytest.raises(SessionError, match=rf"{named}.*recorder seal makes it again"):
+    with pytest.raises(SessionError, match=rf"{named}.*tactile session seal makes it again"):
         Session(path)
     accepted = Session(path, unsealed=True)
     assert named in (accepted.warning or "")

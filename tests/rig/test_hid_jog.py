@@ -79,7 +79,7 @@ def test_a_bench_without_a_spacemouse_is_wrong_input(capfd: pytest.CaptureFixtur
 
 
 class Hand:
-    """A running `rig jog` and a simulated hand on its emulated SpaceMouse."""
+    """A running `tactile jog` and a simulated hand on its emulated SpaceMouse."""
 
     def __init__(self, folder: Path) -> None:
         bench = folder / "bench.yaml"

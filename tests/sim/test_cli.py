@@ -69,7 +69,7 @@ def test_a_round_body_is_said_and_softer_than_the_square_around_it(
 
 
 def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
-    words = "-m sim press --depths 0.2 --tier fem:0.3 --size 8,8,4 --json"
+    words = "-m tactile sim press --depths 0.2 --tier fem:0.3 --size 8,8,4 --json"
     done = subprocess.run(
         [sys.executable, *shlex.split(words)],
         capture_output=True,
@@ -269,7 +269,7 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:
 
 def test_every_number_of_the_help_has_its_unit(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["press", "--help"])
+        main(["sim", "press", "--help"])
     text = " ".join(capsys.readouterr().out.split())
     assert text.count("[mm]") >= 6
     for unit in ("[MPa]", "[deg]", "[m/s^2]", "[kg/m^3]", "[s]"):
@@ -293,7 +293,7 @@ COMMANDS = [
 def test_the_commands_of_the_documentation_run(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(shlex.split(command)[2:]) == 0
+    assert main(shlex.split(command)[1:]) == 0
     assert capsys.readouterr().out
 
 
@@ -322,7 +322,7 @@ def test_the_python_of_the_documentation_runs() -> None:
 
 def test_the_options_of_the_documentation_exist(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        main(["press", "--help"])
+        main(["sim", "press", "--help"])
     known = capsys.readouterr().out
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", PAGE))
     assert named
