@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from recorder.command_line.errors import EXIT_WRONG_INPUT
-from recorder.command_line.run import HELP, ended, run_module
+from tactile.run import HELP, ended, run_module
 
 # The module of each benchmark, and its line of help.
 BENCHMARKS = {

@@ -1,1 +1,1 @@
-"""The command `tactile`, of all packages; here are `tactile init` and `tactile schema`."""
+"""The command `tactile`: the table of commands, and one way to run and end them."""

@@ -2,7 +2,7 @@
 
 import sys
 
-from recorder.command_line.run import main
+from tactile.run import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -19,9 +19,9 @@ import yaml
 from support.tutorials import TUTORIALS, blocks
 
 from benchmarks.__main__ import BENCHMARKS
-from recorder.command_line.commands import COMMANDS
 from recorder.command_line.options import Parser
-from recorder.command_line.run import joined
+from tactile.commands import COMMANDS
+from tactile.run import joined
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"

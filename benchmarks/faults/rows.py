@@ -68,7 +68,7 @@ class Row:
     disorder: str = ""
     """Reason why rows may be stored out of order; empty: they must not."""
     needs_recover: bool = False
-    """True if the session needs `tactile session recover` afterwards, as after any SIGKILL of ours."""
+    """True if the session has to be recovered afterwards, as after any SIGKILL of ours."""
     controller_gone: bool = False
     """True if no process remains that could report the state of the arm."""
 

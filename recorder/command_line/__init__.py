@@ -1,4 +1,4 @@
-"""Command line of all packages: the table of commands, and one way to run and end them.
+"""What the commands of all packages share: errors and exit codes, options, extras.
 
 Imports only the standard library, so that help is fast; see docs/decisions/0029.
 """

@@ -12,9 +12,9 @@ from support.workbench import BENCH, PLAN, TARGETS
 
 from benchmarks import first_hour
 from benchmarks.chromium import CHROMIUM
-from recorder.command_line.commands import COMMANDS
 from recorder.command_line.errors import EXIT_DEVICE_LOST
 from rig.acquire.collector import target_table
+from tactile.commands import COMMANDS
 from trajectories import plan_to_json
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from recorder.command_line.commands import COMMANDS
 from recorder.progress import ItemProgress, Progress, duration
+from tactile.commands import COMMANDS
 
 
 class Terminal(io.StringIO):

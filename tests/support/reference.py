@@ -16,7 +16,7 @@ sys.path[:0] = [str(ROOT), str(GOLDEN)]
 
 from wrong_files import MISTAKES, WRONG_FILES  # noqa: E402
 
-from recorder.command_line.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
+from tactile.commands import COMMANDS, EXTRAS, GROUPS, Command  # noqa: E402
 
 FOLDER = ROOT / "docs" / "reference"
 # Longest value [characters] that is shown for a name without a description.
@@ -25,7 +25,7 @@ PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
 ABOUT_COMMANDS = """\
 # Commands
 
-Generated from `recorder/command_line/commands.py` by `make reference`.
+Generated from `tactile/commands.py` by `make reference`.
 
 `tactile --help` lists all commands, `tactile COMMAND --help` the options of one with their units.
 `python -m tactile` is `tactile`. Files are read from and written to the current folder;

@@ -13,18 +13,10 @@ from pathlib import Path
 import pytest
 from support import reference
 
-from recorder.command_line.commands import (
-    COMMANDS,
-    EXTRAS,
-    FAMILIES,
-    GROUPS,
-    INTERRUPTED,
-    LIBRARIES,
-    Command,
-    extra_of,
-)
-from recorder.command_line.run import overview
+from recorder.command_line.extras import LIBRARIES, extra_of
 from tactile.__main__ import main
+from tactile.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
+from tactile.run import overview
 
 OURS = ("trajectories", "rig", "sim", "learning")
 # The only part of `recorder` that help loads.

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from recorder.command_line.commands import COMMANDS
 from rig.acquire.campaign import load_campaign
 from rig.bench.bench import BenchFile, find_bench
 from rig.core.packaged import BENCHES
 from tactile.__main__ import main
+from tactile.commands import COMMANDS
 
 
 @pytest.fixture

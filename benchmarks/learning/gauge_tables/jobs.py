@@ -60,11 +60,11 @@ from learning.training.run import generator
 from learning.translation.loading import load_translator
 from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive
-from recorder.command_line.run import main as run_sim
 from recorder.store import replace_file
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES
 from sim.result import ContactTier
+from tactile.run import main as run_sim
 
 Floats = NDArray[np.float64]
 

@@ -12,21 +12,14 @@ from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
-from recorder.command_line.commands import (
-    COMMANDS,
-    EXTRAS,
-    FAMILIES,
-    GROUPS,
-    INTERRUPTED,
-    Command,
-    extra_of,
-)
 from recorder.command_line.errors import (
     EXIT_BROKEN_PIPE,
     EXIT_INTERRUPTED,
     EXIT_WRONG_INPUT,
     CommandError,
 )
+from recorder.command_line.extras import extra_of
+from tactile.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
 
 HELP = ("-h", "--help")
 # File descriptor of standard output.

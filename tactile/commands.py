@@ -46,11 +46,6 @@ RECORD = (
     Command("doctor", "rig.cli.doctor", "test all devices of a bench, its plan, and the computer"),
     Command("setup", "rig.cli.setup", "set a bench up step by step, and write its acceptance"),
     Command(
-        "page",
-        "rig.cli.page",
-        "serve the workbench: sessions, replay, campaigns and set-up in the browser",
-    ),
-    Command(
         "jog",
         "rig.cli.jog",
         "move the arm with a SpaceMouse; its first button sets the contact origin",
@@ -67,6 +62,11 @@ RECORD = (
         "rig.cli.live",
         "predict forces with a trained model as the sensor is touched; nothing moves",
         extra="rig,learning",
+    ),
+    Command(
+        "page",
+        "rig.cli.page",
+        "serve the workbench: sessions, replay, campaigns and set-up in the browser",
     ),
 )
 SESSIONS = (
@@ -125,6 +125,11 @@ LEARN = (
         "fit marker detection to pictures without contact",
     ),
     Command(
+        "archive join",
+        "learning.cli.archive_join",
+        "join sensors of several archives: presses match by place, depth, direction",
+    ),
+    Command(
         "train field",
         "learning.translation.field.command",
         "train the field translator on a group of sensors",
@@ -180,11 +185,6 @@ LEARN = (
         "compare such a model and its intervals with true forces",
     ),
     Command(
-        "archive join",
-        "learning.cli.archive_join",
-        "join sensors of several archives: presses match by place, depth, direction",
-    ),
-    Command(
         "import-genforce",
         "learning.cli.import_genforce",
         "make a marker archive of the published GenForce folders",
@@ -232,57 +232,6 @@ FAMILIES = {
 }
 # Extras that the commands of a package need.
 EXTRAS = {"rig": "rig", "recorder": "", "sim": "sim", "learning": "learning", "tactile": ""}
-# Extras that install a library, by the name it is imported by; without those of the base.
-LIBRARIES = {
-    "accelerate": ("learning",),
-    "cv2": ("rig", "markers", "learning"),
-    "diffusers": ("diffusion",),
-    "distributed": ("cluster",),
-    "foxglove_schemas_protobuf": ("export",),
-    "fsspec": ("remote",),
-    "grpc": ("nidaq",),
-    "h5py": ("export",),
-    "hidraw": ("rig",),
-    "matplotlib": ("sim", "learning"),
-    "mcap": ("export",),
-    "mcap_protobuf": ("export",),
-    "nidaqmx": ("nidaq",),
-    "onnx": ("learning",),
-    "onnxruntime": ("markers", "learning"),
-    "onnxscript": ("learning",),
-    "openvino": ("openvino",),
-    "peft": ("diffusion",),
-    "pyarrow": ("export",),
-    "rerun": ("view",),
-    "rtde_control": ("rig",),
-    "s3fs": ("remote",),
-    "rosbags": ("export",),
-    "safetensors": ("learning",),
-    "scipy": ("sim", "markers", "learning"),
-    "serial": ("rig",),
-    "skimage": ("learning",),
-    "sklearn": ("learning",),
-    "tensorboard": ("learning",),
-    "torch": ("learning",),
-    "transformers": ("diffusion",),
-    "trimesh": ("sim",),
-    "warp": ("sim",),
-    "websockets": ("rig",),
-}
-
-
-def extra_of(library: str, wanted: str) -> str:
-    """Return the extra that installs a library, `wanted` if it does; empty for an unknown library.
-
-    Args:
-        library: Name of the module that could not be imported, such as `scipy.linalg`.
-        wanted: Extras of the command, between commas.
-    """
-    known = LIBRARIES.get(library.partition(".")[0], ())
-    own = [extra for extra in wanted.split(",") if extra in known]
-    return wanted if own else next(iter(known), "")
-
-
 # Consequence of Ctrl-C for the commands of a package.
 INTERRUPTED = {
     "rig": "nothing was recorded",
