@@ -7,23 +7,28 @@ import numpy as np
 import pytest
 import torch
 from support.made_up_archives import LATTICE, State, lattice_field, made_up_archive, mask_of
-from support.tiny_field import tiny
+from support.tiny_field import untrained
 from torch import Tensor
 
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.translation import SensorView, load_translator
-from learning.translation.field.data import Bank, Frames, draw_examples, gather_role, random_shifts
+from learning.translation.field.data import (
+    Bank,
+    ExampleSettings,
+    Frames,
+    draw_examples,
+    gather_role,
+    random_shifts,
+)
 from learning.translation.field.network import (
     CHANNELS,
     SIDE,
-    FieldModel,
     from_displacement,
     render,
     signed_distance,
     transferred,
 )
-from learning.translation.field.train import ExampleSettings
 from learning.translation.field.translator import FieldTranslator
 from recorder import MarkerArchive, SessionError
 from recorder.markers import HEIGHT, WIDTH, draw_discs, place_discs
@@ -219,7 +224,7 @@ def test_frames_that_do_not_fit_together_are_refused(frames: Frames) -> None:
 
 
 def test_an_untrained_model_gives_the_targets_reference_back() -> None:
-    translator = FieldTranslator("untrained", FieldModel(tiny()).eval())
+    translator = FieldTranslator("untrained", untrained().eval())
     source, grid = mask("dots", PRESSED)[None], mask("grid")
     made = translator.translate(source, grid, mask("dots"))
     assert torch.equal(made, grid[None])
@@ -230,7 +235,7 @@ def test_an_untrained_model_gives_the_targets_reference_back() -> None:
 
 
 def test_a_translator_takes_the_first_frame_of_a_press_for_its_reference() -> None:
-    translator = FieldTranslator("untrained", FieldModel(tiny()).eval())
+    translator = FieldTranslator("untrained", untrained().eval())
     press = torch.stack([mask("dots"), mask("dots", PRESSED)])
     assert translator.translate(press, mask("grid"), ordered=True).shape == press.shape
     with pytest.raises(LearningError, match="source_reference: missing"):
@@ -249,7 +254,7 @@ def test_a_translator_takes_the_first_frame_of_a_press_for_its_reference() -> No
 def test_what_is_no_mask_or_shows_no_marker_is_refused(
     source: Tensor | None, target: Tensor | None, reference: Tensor | None, message: str
 ) -> None:
-    translator = FieldTranslator("untrained", FieldModel(tiny()).eval())
+    translator = FieldTranslator("untrained", untrained().eval())
     with pytest.raises(LearningError, match=message):
         translator.translate(
             mask("dots")[None] if source is None else source,

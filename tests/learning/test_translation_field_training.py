@@ -8,7 +8,7 @@ import pytest
 import torch
 from support.commands import run_module
 from support.made_up_archives import MM_PER_PX, made_up_archive
-from support.tiny_field import TINY, tiny
+from support.tiny_field import TINY, tiny, untrained
 from support.training import session
 from torch import Tensor
 
@@ -19,7 +19,6 @@ from learning.training.run import RunFolder
 from learning.translation import load_translator
 from learning.translation.field import command as train_field_verb
 from learning.translation.field.data import Frames, gather_role
-from learning.translation.field.network import FieldModel
 from learning.translation.field.train import (
     PRESETS,
     FieldSettings,
@@ -66,7 +65,7 @@ def trained(frames: Frames) -> dict[str, Tensor]:
 
 
 def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
-    before = FieldModel(SETTINGS).state_dict()
+    before = untrained(SETTINGS).state_dict()
     # Weight decay moves nonzero weights: trained weights move by more than that.
     decay = 5 * SETTINGS.field_stage.learning_rate * SETTINGS.weight_decay
     lazy = [
@@ -81,7 +80,7 @@ def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
 @pytest.mark.slow
 def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: Frames) -> None:
     settings = tiny(**steps(0, 2))
-    before = FieldModel(settings).net.state_dict()
+    before = untrained(settings).net.state_dict()
     after = train_field(frames, settings).net.state_dict()
     assert all(torch.equal(value, before[name]) for name, value in after.items())
 

@@ -11,7 +11,7 @@ from support.commands import run_module
 from support.foreign_model import write_foreign_package
 from support.made_up_archives import made_up_archive
 from support.tiny_diffusion import DEEP_VAE, tiny_pretrained, tiny_settings, write_base
-from support.tiny_field import tiny
+from support.tiny_field import tiny, untrained
 
 from learning.cli import translate
 from learning.errors import LearningError
@@ -20,7 +20,6 @@ from learning.training.run import RunFolder
 from learning.translation import SensorView, Translator, for_pair, load_translator
 from learning.translation.diffusion.network import build
 from learning.translation.diffusion.weights import BASE, fingerprint
-from learning.translation.field.network import FieldModel
 from learning.translation.loading import hash_of
 from recorder import MarkerArchive
 
@@ -37,7 +36,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
     with RunFolder.open(folder / "field", "field", tiny(), "made up") as run:
-        run.finish(1, {"model": FieldModel(tiny())})
+        run.finish(1, {"model": untrained()})
     base = str(write_base(folder / "sd-turbo", DEEP_VAE))
     pretrained, settings = tiny_pretrained(DEEP_VAE), tiny_settings(base=base)
     metadata = {BASE: fingerprint(base)}

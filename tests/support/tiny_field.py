@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from learning.config import read_settings
+from learning.translation.field.network import FieldModel
 from learning.translation.field.train import PRESETS, FieldSettings
 
 TINY: dict[str, object] = {
@@ -16,3 +17,8 @@ TINY: dict[str, object] = {
 def tiny(**changes: object) -> FieldSettings:
     sets = [f"{key}={value}" for key, value in (TINY | changes).items()]
     return read_settings(FieldSettings, PRESETS, "cpu_smoke", sets)
+
+
+def untrained(settings: FieldSettings | None = None) -> FieldModel:
+    settings = settings or tiny()
+    return FieldModel(settings.net, settings.map, settings.seed)

@@ -370,7 +370,7 @@ def field_translator(chain: Chain) -> None:
         field.train_field(without, settings(steps), None, session)
 
     steps = fitting(chain, "field", "field", settings(PROBE).launch, train)
-    with run_of(chain, "field", field.KIND, settings(steps), "frames") as (_, session):
+    with run_of(chain, "field", "field", settings(steps), "frames") as (_, session):
         train(steps, session)
 
 

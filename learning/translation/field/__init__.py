@@ -6,7 +6,6 @@ been seen in training.
 """
 
 from learning.translation.field.network import FieldModel
-from learning.translation.field.train import KIND, FieldSettings
 from learning.translation.field.translator import FieldTranslator, load
 
-__all__ = ["KIND", "FieldModel", "FieldSettings", "FieldTranslator", "load"]
+__all__ = ["FieldModel", "FieldTranslator", "load"]

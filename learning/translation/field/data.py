@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from learning.config import require
 from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.images import read_fields
 from learning.data.presses import FRAME_BYTES, free_bytes, read_frames_of
@@ -33,12 +34,38 @@ from learning.translation.translator import SensorView
 from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
 from recorder.markers import HEIGHT, WIDTH, unpack
 
-if TYPE_CHECKING:
-    from learning.translation.field.train import ExampleSettings
-
 _AT_ONCE = 256  # frames read at once
 _SHIFT_BYTES = 2 * 2 * SIDE * SIDE  # per frame, float16
 _DISTANCES_AT_ONCE = 8  # full-size masks whose distances are computed at once
+
+
+@dataclass(frozen=True, slots=True)
+class ExampleSettings:
+    """Training examples of the field net that are made in addition to the archive's frames."""
+
+    procedural: float = 0.5
+    """Fraction of examples that are random patterns."""
+    random_shift: float = 0.3
+    """Fraction of those that are deformed by random bumps instead of the archive's fields."""
+    patterns: int = 512
+    """Number of random patterns drawn for a run; 0: none."""
+    amplitude: tuple[float, float] = (0.5, 1.5)
+    """Range of the factor that scales the archive's fields for random patterns."""
+    move: float = 0.1
+    """Largest joint translation of frame and reference, as a fraction of half the image."""
+    edge_px: float = 2.0
+    """Largest error of segmented marker size in random patterns, too large or small [px]."""
+    missing: float = 0.05
+    """Largest fraction of a random pattern's markers missing in a frame."""
+
+    def __post_init__(self) -> None:
+        """Reject invalid fractions, ranges and negative numbers."""
+        require(self, "procedural", "random_shift", "missing", least=0, most=1)
+        require(self, "patterns", "move", "edge_px", least=0)
+        if not 0 < self.amplitude[0] <= self.amplitude[1]:
+            raise LearningError(
+                f"amplitude: found {list(self.amplitude)}; allowed: the smaller first, above 0"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

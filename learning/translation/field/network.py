@@ -5,21 +5,64 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from learning.config import require
 from learning.data.images import sampled
 from learning.data.synthetic import pixel_grid
+from learning.errors import LearningError
 from recorder.markers import HEIGHT, WIDTH, Lattice
 
-if TYPE_CHECKING:
-    from learning.translation.field.train import FieldSettings
-
+# Kind of model in `config.yaml`.
+KIND = "field"
 # Groups of a group normalisation; every width is a multiple of it.
 GROUPS = 8
+
+
+_MOST_SCALES = 6  # halving 64 cells six times leaves one
+
+
+@dataclass(frozen=True, slots=True)
+class NetSettings:
+    """The field net: from frames to deformations."""
+
+    widths: tuple[int, ...] = (32, 48, 96, 128, 160)
+    """Channels at 128, 64, 32, 16, 8 cells."""
+    refinements: int = 2
+    """Number of passes that compare the frame with the reference as deformed so far."""
+
+    def __post_init__(self) -> None:
+        """Reject a network that cannot be built."""
+        _require_widths(self.widths, 2)
+        require(self, "refinements", least=1)
+
+
+@dataclass(frozen=True, slots=True)
+class MapSettings:
+    """The map: from one sensor's deformation to another's."""
+
+    widths: tuple[int, ...] = (48, 96, 128, 128)
+    """Channels at 64, 32, 16, 8 cells."""
+    numbers: int = 32
+    """Length of the vector that describes a sensor."""
+
+    def __post_init__(self) -> None:
+        """Reject a network that cannot be built."""
+        _require_widths(self.widths, 1)
+        require(self, "numbers", least=1)
+
+
+def _require_widths(widths: tuple[int, ...], before: int) -> None:
+    """Reject widths that are not multiples of 8, too few for the field's side, or too many."""
+    allowed = before + _MOST_SCALES
+    if not before <= len(widths) <= allowed or any(w < 8 or w % 8 for w in widths):
+        raise LearningError(
+            f"widths: found {list(widths)}; allowed: {before} to {allowed} multiples of 8"
+        )
 
 
 class ResidualBlock(nn.Module):
@@ -488,13 +531,13 @@ def _distance_to(masks: Tensor, reach: int) -> Tensor:
 class FieldModel(nn.Module):
     """The field net and the map. The untrained map is the identity in millimetres."""
 
-    def __init__(self, settings: FieldSettings) -> None:
+    def __init__(self, net: NetSettings, map_: MapSettings, seed: int = 0) -> None:
         """Build both networks; the initial weights depend only on the seed."""
         super().__init__()
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
-            self.net = FieldNet(settings.net.widths, settings.net.refinements)
-            self.map = FieldMap(settings.map.widths, settings.map.numbers)
+            torch.manual_seed(seed)
+            self.net = FieldNet(net.widths, net.refinements)
+            self.map = FieldMap(map_.widths, map_.numbers)
         self.usual_scale: Tensor
         # Millimetres per pixel (column, row): median of the training, a GelSight's before it.
         self.register_buffer("usual_scale", torch.tensor([0.0249, 0.0249]))

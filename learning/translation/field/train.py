@@ -31,78 +31,30 @@ from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.optim import Cosine, set_rate
 from learning.training.run import LaunchSettings, Session, accelerator, generator
-from learning.translation.field.data import Bank, Examples, Frames, draw_examples, gather_role
-from learning.translation.field.network import FieldModel, coverage, render, transferred
+from learning.translation.field.data import (
+    Bank,
+    Examples,
+    ExampleSettings,
+    Frames,
+    draw_examples,
+    gather_role,
+)
+from learning.translation.field.network import (
+    KIND,
+    FieldModel,
+    MapSettings,
+    NetSettings,
+    coverage,
+    render,
+    transferred,
+)
 from recorder import MarkerArchive
 
-# Kind of model in `config.yaml`.
-KIND = "field"
 # Presets shipped with the package.
 PRESETS = Path(__file__).parent / "presets"
 
 
 # Settings: the keys of the presets.
-
-_MOST_SCALES = 6  # halving 64 cells six times leaves one
-
-
-@dataclass(frozen=True, slots=True)
-class NetSettings:
-    """The field net: from frames to deformations."""
-
-    widths: tuple[int, ...] = (32, 48, 96, 128, 160)
-    """Channels at 128, 64, 32, 16, 8 cells."""
-    refinements: int = 2
-    """Number of passes that compare the frame with the reference as deformed so far."""
-
-    def __post_init__(self) -> None:
-        """Reject a network that cannot be built."""
-        _require_widths(self.widths, 2)
-        require(self, "refinements", least=1)
-
-
-@dataclass(frozen=True, slots=True)
-class MapSettings:
-    """The map: from one sensor's deformation to another's."""
-
-    widths: tuple[int, ...] = (48, 96, 128, 128)
-    """Channels at 64, 32, 16, 8 cells."""
-    numbers: int = 32
-    """Length of the vector that describes a sensor."""
-
-    def __post_init__(self) -> None:
-        """Reject a network that cannot be built."""
-        _require_widths(self.widths, 1)
-        require(self, "numbers", least=1)
-
-
-@dataclass(frozen=True, slots=True)
-class ExampleSettings:
-    """Training examples of the field net that are made in addition to the archive's frames."""
-
-    procedural: float = 0.5
-    """Fraction of examples that are random patterns."""
-    random_shift: float = 0.3
-    """Fraction of those that are deformed by random bumps instead of the archive's fields."""
-    patterns: int = 512
-    """Number of random patterns drawn for a run; 0: none."""
-    amplitude: tuple[float, float] = (0.5, 1.5)
-    """Range of the factor that scales the archive's fields for random patterns."""
-    move: float = 0.1
-    """Largest joint translation of frame and reference, as a fraction of half the image."""
-    edge_px: float = 2.0
-    """Largest error of segmented marker size in random patterns, too large or small [px]."""
-    missing: float = 0.05
-    """Largest fraction of a random pattern's markers missing in a frame."""
-
-    def __post_init__(self) -> None:
-        """Reject invalid fractions, ranges and negative numbers."""
-        require(self, "procedural", "random_shift", "missing", least=0, most=1)
-        require(self, "patterns", "move", "edge_px", least=0)
-        if not 0 < self.amplitude[0] <= self.amplitude[1]:
-            raise LearningError(
-                f"amplitude: found {list(self.amplitude)}; allowed: the smaller first, above 0"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,15 +139,6 @@ class FieldSettings:
             raise LearningError("launch.mixed_precision: found fp16; allowed: no, bf16")
         require(self, "every_frame", "validate_every_steps", "validated", least=1)
         require(self, "clip", above=0)
-
-
-def _require_widths(widths: tuple[int, ...], before: int) -> None:
-    """Reject widths that are not multiples of 8, too few for the field's side, or too many."""
-    allowed = before + _MOST_SCALES
-    if not before <= len(widths) <= allowed or any(w < 8 or w % 8 for w in widths):
-        raise LearningError(
-            f"widths: found {list(widths)}; allowed: {before} to {allowed} multiples of 8"
-        )
 
 
 # Losses, which compare a deformed reference with the frame that the sensor showed.
@@ -475,7 +418,7 @@ def train_field(
             "pairs: found none to learn the map from; allowed: two sensors with shared locations, "
             "or map_stage.steps 0"
         )
-    model = FieldModel(settings).to(frames.device)
+    model = FieldModel(settings.net, settings.map, settings.seed).to(frames.device)
     model.usual_scale.copy_(frames.scales[frames.sensor].median(dim=0).values)
     done = run.restore({"model": model})
     chance = generator(settings.seed, "patterns")

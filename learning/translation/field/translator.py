@@ -14,8 +14,15 @@ from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.images import shrink_masks
 from learning.errors import LearningError
 from learning.training.checkpoint import read_model_folder
-from learning.translation.field.network import FieldModel, render, resampled, signed_distance
-from learning.translation.field.train import KIND, FieldSettings
+from learning.translation.field.network import (
+    KIND,
+    FieldModel,
+    MapSettings,
+    NetSettings,
+    render,
+    resampled,
+    signed_distance,
+)
 from learning.translation.translator import SensorView, require_masks, source_reference_of
 from recorder.markers import pack, unpack
 
@@ -117,6 +124,5 @@ def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
         LearningError: No model, a model of another kind, or weights that do not fit.
     """
     found = read_model_folder(Path(folder), KIND)
-    model = found.load(FieldModel(found.settings(FieldSettings)), device)
-    name = f"{KIND}[{found.hash()[:8]}]"
-    return FieldTranslator(name, model)
+    model = FieldModel(found.settings(NetSettings, "net"), found.settings(MapSettings, "map"))
+    return FieldTranslator(f"{KIND}[{found.hash()[:8]}]", found.load(model, device))
