@@ -5,6 +5,6 @@ The settings are in this package; the solver, which needs Warp, is in `sim.fem.s
 
 from __future__ import annotations
 
-from sim.fem.numerics import ELASTIC_EVERY, FOR_EDGES, Fem, Grading
+from sim.fem.numerics import FOR_EDGES, Fem, Grading
 
-__all__ = ["ELASTIC_EVERY", "FOR_EDGES", "Fem", "Grading"]
+__all__ = ["FOR_EDGES", "Fem", "Grading"]

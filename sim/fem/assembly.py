@@ -840,11 +840,10 @@ class Assembly:
         """
         self._convex.assign(convex.astype(np.int32))
 
-    def linearise(self, active, u, damping: np.ndarray, renew=None) -> None:
+    def linearise(self, active, u, damping: np.ndarray) -> None:
         """Fill `block_matrix` and `preconditioner` with the tangent of the evaluated state, `u`.
 
-        `damping` (B,) [E / T^2] stiffens the tangent against any motion, but not the residual. The
-        elastic part is updated to `u` where `renew` (B,) is set, or everywhere; else it is kept.
+        `damping` (B,) [E / T^2] stiffens the tangent against any motion, but not the residual.
         """
         shift = (self.state.rates + damping).astype(numpy_of(self.real))
         if not np.array_equal(shift, self._shift_now):
@@ -860,11 +859,9 @@ class Assembly:
                 (self.shape, self.touched, self._matrix),
                 self._shift,
                 self._convex,
-                renew,
             )
 
-        key = "tangent", active.ptr, u.ptr, None if renew is None else renew.ptr
-        self._graphs.run(key, work)
+        self._graphs.run(("tangent", active.ptr, u.ptr), work)
         self.preconditioner.factor(active, self.block_matrix.matrix)
 
     def settle_volume(self, active, direction) -> Sums:

@@ -7,10 +7,8 @@ Blocks outside the grid, and in rows and columns of fixed nodes, are zero. Assem
 iteration, costs about as much as 3 matrix-free products; each product is then about ten times
 cheaper on a CPU.
 
-There are no atomic additions. Elements add to the elastic part; on a GPU one of eight colours after
-the other, so that no two at a time share a node, and row by row. `finish` adds the nodal terms. On
-a CPU it adds them to a copy: contact changes most, so the elastic part may be kept for a while
-(docs/decisions/0016). On a GPU memory is the limit.
+There are no atomic additions. Elements add their stiffness; on a GPU one of eight colours after the
+other, so that no two at a time share a node, and row by row. `finish` adds the nodal terms.
 
 On a GPU, in float32 and up to `HALF_NODES` and `HALF_POISSON`, products read the matrix rounded to
 float16, which halves the memory traffic that takes most of conjugate gradients' time. They solve
@@ -162,11 +160,10 @@ APIECE = 64
 
 
 @functools.cache
-def _kernels(real, stored, wide: bool, keeps: bool):
+def _kernels(real, stored, wide: bool):
     """Return the kernels for one precision; `stored` is the scalar type of the matrix they read.
 
-    `wide` kernels read a whole row of contiguous blocks, as on a CPU. If the tangent `keeps` its
-    elastic part, `finish` adds to a copy of it.
+    `wide` kernels read a whole row of contiguous blocks, as on a CPU.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -179,15 +176,15 @@ def _kernels(real, stored, wide: bool, keeps: bool):
         active: wp.array(dtype=wp.int32),
         threads: int,
         # Out: all numbers of each environment
-        elastic_out: wp.array2d(dtype=real),
+        matrix_out: wp.array2d(dtype=real),
     ):
         env, thread = wp.tid()
         if active[env] == 1:
             if wp.static(wide):
-                zero(elastic_out, env)
+                zero(matrix_out, env)
             else:
-                for i in range(thread, elastic_out.shape[1], threads):
-                    elastic_out[env, i] = real(0.0)
+                for i in range(thread, matrix_out.shape[1], threads):
+                    matrix_out[env, i] = real(0.0)
 
     @wp.kernel(enable_backward=False, module="unique")
     def finish(
@@ -206,17 +203,11 @@ def _kernels(real, stored, wide: bool, keeps: bool):
         shift: wp.array(dtype=real),
         # In:
         active: wp.array(dtype=wp.int32),
-        elastic: wp.array3d(dtype=mat33),
-        # Out:
+        # In and out:
         matrix_out: wp.array3d(dtype=mat33),
     ):
         env, n = wp.tid()
-        if active[env] == 0:
-            return
-        if wp.static(keeps):
-            for slot in range(matrix_out.shape[2]):
-                matrix_out[env, n, slot] = elastic[env, n, slot]
-        if free[n] == 0:
+        if active[env] == 0 or free[n] == 0:
             return
         own = wp.identity(n=3, dtype=real) * (shift[env] * node_mass[variant[env], n])
         matrix_out[env, n, CENTRE] = matrix_out[env, n, CENTRE] + own
@@ -330,7 +321,6 @@ class BlockMatrix:
         split: bool = False,
         parallel: bool | None = None,
         half: bool | None = None,
-        keep: bool | None = None,
     ) -> None:
         """Allocate 972 bytes per node, environment and matrix in float32.
 
@@ -345,8 +335,6 @@ class BlockMatrix:
                 with node numbers running fastest; by default only on a GPU.
             half: Let products read a copy of the matrix in float16, 486 bytes more; unsuitable
                 above `HALF_POISSON`. By default only in float32 on a GPU, up to `HALF_NODES`.
-            keep: Store the elastic part in a separate matrix, so that it can be kept; by default
-                only on a CPU.
         """
         count = len(mesh.nodes)
         mat33 = matrix_of(real)
@@ -359,9 +347,7 @@ class BlockMatrix:
         if half is None:
             half = self._on_gpu and real == wp.float32 and count <= HALF_NODES
         kept = wp.float16 if half else real
-        self.keeps = not self._on_gpu if keep is None else keep
-        """True if an elastic part can be kept."""
-        kernels = _kernels(real, kept, not self._parallel and not half, self.keeps)
+        kernels = _kernels(real, kept, not self._parallel and not half)
         self._clear, self._finish, self._round, self._product, self._block_product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """Number of partial sums that `product` writes for each sum."""
@@ -373,11 +359,10 @@ class BlockMatrix:
         )
         self.matrix = blocks(mat33)
         """Blocks (B, N, 27) of the last assembled state."""
-        self._elastic = blocks(mat33) if self.keeps else self.matrix
         self._read = blocks(matrix_of(kept)) if half else self.matrix
-        self._to_clear = _numbers(self._elastic, real)
-        self._rounded = (_numbers(self.matrix, real), _numbers(self._read, kept)) if half else None
-        self._threads = -(-self._to_clear.shape[1] // APIECE) if self._on_gpu else 1
+        self._written = _numbers(self.matrix, real)
+        self._rounded = _numbers(self._read, kept) if half else None
+        self._threads = -(-self._written.shape[1] // APIECE) if self._on_gpu else 1
         self._elements = self._integers(mesh.elements)
         self._faces = self._integers(mesh.faces)
         self._node_faces = self._integers(mesh.node_faces)
@@ -385,7 +370,7 @@ class BlockMatrix:
         self._offsets = self._integers(slot_offsets(mesh.cells))
         self._free = self._integers(mesh.free)
 
-    def assemble(self, active, u, geometry, material, contact, shift, convex, renew=None) -> None:
+    def assemble(self, active, u, geometry, material, contact, shift, convex) -> None:
         """Fill `matrix` of active environments with the tangent at `u`.
 
         Args:
@@ -399,19 +384,15 @@ class BlockMatrix:
                 stiffness of each point (B, S, P), as written by the contact kernel.
             shift: Stiffness of a unit volume against any motion (B,).
             convex: Environments whose elements must have no negative stiffness, int32 (B,).
-            renew: Active environments whose elastic part is updated to `u`, int32 (B,); others keep
-                theirs, if the stencil `keeps` it. None: all.
         """
         inverse, weight, node_mass, variant = geometry
-        if renew is None or not self.keeps:
-            renew = active
         by_node = self._environments, self._nodes
         by_number = self._environments, self._threads
         wp.launch(
             self._clear,
             dim=by_number,
-            inputs=[renew, self._threads],
-            outputs=[self._to_clear],
+            inputs=[active, self._threads],
+            outputs=[self._written],
             device=self._device,
         )
         mesh = self._elements, inverse, weight, variant
@@ -427,11 +408,11 @@ class BlockMatrix:
                         self._free,
                         len(CORNERS),
                         *material,
-                        renew,
+                        active,
                         u,
                         convex,
                     ],
-                    outputs=[self._elastic],
+                    outputs=[self.matrix],
                     device=self._device,
                     block_dim=ROWS_BLOCK,
                 )
@@ -439,8 +420,8 @@ class BlockMatrix:
             wp.launch(
                 self._elements_kernel,
                 dim=(self._environments, -(-len(self._elements) // AT_ONCE)),
-                inputs=[*mesh, self._free, *material, renew, u, convex],
-                outputs=[self._elastic],
+                inputs=[*mesh, self._free, *material, active, u, convex],
+                outputs=[self.matrix],
                 device=self._device,
             )
         wp.launch(
@@ -456,18 +437,16 @@ class BlockMatrix:
                 *contact,
                 shift,
                 active,
-                self._elastic,
             ],
             outputs=[self.matrix],
             device=self._device,
         )
         if self._rounded is not None:
-            matrix, rounded = self._rounded
             wp.launch(
                 self._round,
                 dim=by_number,
-                inputs=[active, self._threads, matrix],
-                outputs=[rounded],
+                inputs=[active, self._threads, self._written],
+                outputs=[self._rounded],
                 device=self._device,
             )
 

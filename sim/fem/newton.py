@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sim.fem.assembly import Assembly, Sums
 from sim.fem.cg import ConjugateGradient
-from sim.fem.numerics import ELASTIC_EVERY, Fem
+from sim.fem.numerics import Fem
 from sim.fem.vectors import axpy, copy_active
 from sim.fem.volume import SETTLINGS, STIFFER
 from sim.scalars import numpy_of
@@ -97,7 +97,7 @@ class Newton:
         self._predicting = np.zeros(count, bool)
         self._tolerance = np.full(count, assembly.numerics.tolerance)
         self._damping = np.zeros(count)
-        self._convex, self._switched = np.zeros((2, count), bool)
+        self._convex = np.zeros(count, bool)
         self._exact_below = np.full(count, EXACT_BELOW)
         self._convex_left = np.full(count, CONVEX_MOST)
         self._best = np.full(count, np.inf)
@@ -177,12 +177,7 @@ class Newton:
                 slow = self._mask(late)
                 state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
-        renew = None
-        if assembly.block_matrix.keeps:
-            due = (self.iterations % ELASTIC_EVERY == 0) | (self._damping > 0)
-            renew = self._mask(running & (due | self._convex | self._switched))
-        self._switched[running] = False
-        assembly.linearise(active, state.u, self._damping, renew)
+        assembly.linearise(active, state.u, self._damping)
         if predicting.any():
             assembly.push(self._mask(predicting), state.travel(predicting))
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
@@ -214,10 +209,9 @@ class Newton:
         eased = self._convex & (self._damping == 0) & (self.residual < self._exact_below)
         eased |= self._convex & ~spared
         self._exact_below[running & eased] *= EXACT_LESS
-        if self._switch(running & (bent | eased)):
-            assembly.evaluate_contact(
-                self._mask(running & self._switched), state.u, self._cg.solution
-            )
+        switched = running & (bent | eased)
+        if self._switch(switched):
+            assembly.evaluate_contact(self._mask(switched), state.u, self._cg.solution)
         better = running & (self.residual < BETTER * self._best)
         self._best[better], self._best_at[better] = self.residual[better], self.iterations[better]
         far = running & (self.residual > ROUNDING * self._tolerance)
@@ -232,7 +226,6 @@ class Newton:
     def _switch(self, chosen: np.ndarray) -> bool:
         """Switch tangents of the chosen (B,) between convex and exact; return True if any."""
         self._convex ^= chosen
-        self._switched |= chosen
         if chosen.any():
             self._assembly.make_convex(self._convex)
         return bool(chosen.any())

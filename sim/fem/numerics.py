@@ -46,10 +46,6 @@ SPACING_SHARE = 6
 # More elements than this need more than 10 GB for one press.
 CELLS_MAX = 4_000_000
 
-# Iterations between updates of the elastic part of the tangent, where it is kept and steps converge
-# well: contact, which is updated every time, changes more (docs/decisions/0016).
-ELASTIC_EVERY = 2
-
 # `auto` begins in float32 and falls back to float64 where that has too few digits.
 Precision = Literal["auto", "float32", "float64"]
 

@@ -1,4 +1,4 @@
-"""What a solution is worth: overlaps and lost contacts that end it, and its warnings."""
+"""Verdict on a solution: overlaps and lost contacts that end it, and its warnings."""
 
 from __future__ import annotations
 

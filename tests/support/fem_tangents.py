@@ -58,9 +58,7 @@ class Tangents:
             bulk_history=random.normal(0, 0.1, len(GRID.elements)),
         )
 
-    def block_matrix(
-        self, real: Any, *, parallel: bool = False, half: bool = False, keep: bool = True
-    ) -> BlockMatrix:
+    def block_matrix(self, real: Any, *, parallel: bool = False, half: bool = False) -> BlockMatrix:
         """Return the tangent assembled by the kernels over a matrix full of `FILLED`."""
         with planted("full-integration" if self.variant == "full_integration" else None):
             block_matrix = BlockMatrix(
@@ -71,16 +69,13 @@ class Tangents:
                 viscous=self.variant == "viscous",
                 parallel=parallel,
                 half=half,
-                keep=keep,
             )
         block_matrix.matrix.fill_(FILLED)
         self.assemble(block_matrix, real)
         return block_matrix
 
-    def assemble(
-        self, block_matrix: BlockMatrix, real: Any, renew: list[int] | None = None
-    ) -> None:
-        """Assemble again for the current state, the elastic part where `renew` is set."""
+    def assemble(self, block_matrix: BlockMatrix, real: Any) -> None:
+        """Assemble again for the current state."""
         geometry = (
             oracle.matrices(np.stack([mesh.inverse for mesh in MESHES]), real),
             oracle.scalars(np.stack([mesh.weight for mesh in MESHES]), real),
@@ -100,7 +95,6 @@ class Tangents:
             contact,
             oracle.scalars(self.shift, real),
             oracle.integers(self.convex),
-            None if renew is None else oracle.integers(renew),
         )
 
     def inputs(self, real: Any, materials: list[Material]) -> tuple[Any, ...]:

@@ -18,7 +18,7 @@ def without_prediction() -> Iterator[None]:
 
     Both are arguments of methods that the solver calls, but that a caller cannot reach.
     """
-    from sim.fem import assembly, solver
+    from sim.fem import assembly, stepping
     from sim.fem.assembly import SolverState
     from sim.fem.newton import Newton
 
@@ -34,15 +34,11 @@ def without_prediction() -> Iterator[None]:
         def begin(self, chosen: Any, tolerance: Any, *, predict: Any, patience: Any) -> None:
             super().begin(chosen, tolerance, predict=np.zeros_like(predict), patience=patience)
 
-    with in_place_of(assembly, "SolverState", FromLast), in_place_of(solver, "Newton", WithTheTip):
+    with (
+        in_place_of(assembly, "SolverState", FromLast),
+        in_place_of(stepping, "Newton", WithTheTip),
+    ):
         yield
-
-
-def without_keeping() -> contextlib.AbstractContextManager[None]:
-    """Assemble the elastic part of the tangent in every Newton iteration."""
-    from sim.fem import assembly
-
-    return _made_with(assembly, "BlockMatrix", keep=False)
 
 
 def without_graphs() -> contextlib.AbstractContextManager[None]:

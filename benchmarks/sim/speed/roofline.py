@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from benchmarks.sim.speed.record import Machine, Run
-from sim.fem.numerics import ELASTIC_EVERY
 
 # Bytes of a float32, and of a float16.
 NUMBER, HALF = 4, 2
@@ -31,31 +30,17 @@ WHOLE_CG_BYTES = CG_BYTES - HALF_ROW_BYTES + ROW_BYTES
 # Operations of the product, three small products of the preconditioner, four vector updates and
 # dot products.
 CG_FLOPS = 2 * 9 * SLOTS + 3 * 18 + 2 * 15
-# Elastic part read, tangent written, its columns factored, displacement and residual; in addition
-# the elastic part is written when updated, and on a GPU the tangent in float16.
-NEWTON_NODE_BYTES = 2 * ROW_BYTES + 4 * BLOCK + 4 * VECTOR
+# Tangent cleared, elements and contact added to it, its columns factored, displacement and
+# residual; on a GPU the tangent is also written in float16.
+NEWTON_NODE_BYTES = 3 * ROW_BYTES + 4 * BLOCK + 4 * VECTOR
 # Inverse Jacobians, weights and node numbers of an element.
 _GEOMETRY_BYTES = 8 * BLOCK + 8 * NUMBER + 8 * NUMBER
-# Forces at its corners, written and read.
-_FORCES_BYTES = 2 * 8 * VECTOR
+# Bytes of a Newton iteration and element: geometry read for the tangent and for the forces; forces
+# at its corners written and read.
+NEWTON_ELEMENT_BYTES = 2 * _GEOMETRY_BYTES + 2 * 8 * VECTOR
 # Operations for an element's tangent and for its forces, counted in the kernels' source, accurate
 # to about 20 %.
-_TANGENT_FLOPS, _FORCES_FLOPS = 14_000, 3_500
-
-
-def renewed_share(*, cpu: bool) -> float:
-    """Return the fraction of Newton iterations that assemble the elastic part."""
-    return 1 / ELASTIC_EVERY if cpu else 1.0
-
-
-def newton_element_bytes(*, cpu: bool) -> float:
-    """Return the bytes read per Newton iteration and element, for the tangent and the forces."""
-    return (1 + renewed_share(cpu=cpu)) * _GEOMETRY_BYTES + _FORCES_BYTES
-
-
-def newton_element_flops(*, cpu: bool) -> float:
-    """Return the operations per Newton iteration and element."""
-    return renewed_share(cpu=cpu) * _TANGENT_FLOPS + _FORCES_FLOPS
+NEWTON_ELEMENT_FLOPS = 14_000 + 3_500
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,15 +64,12 @@ class Floor:
 
 def bound_of(run: Run, machine: Machine, *, half: bool) -> Floor:
     """Return the bound for a run in float32; `half`: products read the tangent in float16."""
-    cpu = machine.device == "cpu"
-    of_node = (
-        NEWTON_NODE_BYTES + renewed_share(cpu=cpu) * ROW_BYTES + (HALF_ROW_BYTES if half else 0)
-    )
-    newton_bytes = run.newton_elements * newton_element_bytes(cpu=cpu) + run.newton_nodes * of_node
+    of_node = NEWTON_NODE_BYTES + (HALF_ROW_BYTES if half else 0)
+    newton_bytes = run.newton_elements * NEWTON_ELEMENT_BYTES + run.newton_nodes * of_node
     cg_bytes = run.cg_nodes * (CG_BYTES if half else WHOLE_CG_BYTES)
-    flops = run.newton_elements * newton_element_flops(cpu=cpu) + run.cg_nodes * CG_FLOPS
+    flops = run.newton_elements * NEWTON_ELEMENT_FLOPS + run.cg_nodes * CG_FLOPS
     rate = machine.copy_rate
-    if cpu and machine.near_rate > rate:
+    if machine.device == "cpu" and machine.near_rate > rate:
         rate = machine.near_rate
     return Floor(
         newton_bytes=float(newton_bytes),

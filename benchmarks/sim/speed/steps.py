@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from benchmarks.sim.speed.ablation import (
     without_gathering,
     without_graphs,
-    without_keeping,
     without_prediction,
     without_rounding,
 )
@@ -138,14 +137,6 @@ STEPS = (
         "2-3 with soft contact",
         "fewer Newton iterations: a step begins at an extrapolated state",
         _without(without_prediction),
-    ),
-    Step(
-        "elastic part kept for two iterations",
-        "cpu",
-        "1.1",
-        "assembling the tangent is saved; contact, which is always updated, changes most, so "
-        "hardly any iteration is added",
-        _without(without_keeping),
     ),
     Step(
         "two processes on two cores",
