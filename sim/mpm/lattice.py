@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.mpm.numerics import STABLE, Mpm
+from sim.mpm.numerics import (
+    AUTHORS_DENSITY,
+    AUTHORS_LAYERS,
+    AUTHORS_STEP,
+    AUTHORS_VOLUME,
+    SAFETY,
+    SPEED_RATIO,
+    STABLE,
+    WINDOW,
+    Mpm,
+)
 from sim.scene import Body, Scene
 
 Array = NDArray[np.float64]
@@ -51,9 +61,7 @@ class Lattice:
     surface_y: Array
     """y of the columns of particles [m] (Y,)."""
     to_surface: Array
-    """Offsets from particles of the highest layer to the top at their column's place (X Y, 3).
-
-    Jitter moves a particle off its column; the offset reverts that."""
+    """Offsets from particles of the highest layer to the top above them (X Y, 3)."""
 
     @property
     def node_count(self) -> int:
@@ -70,10 +78,10 @@ def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> Lattice:
         SceneError: There are fewer than two particles along an axis, or too many in all.
     """
     body = scenes[0].body
-    cell = numerics.cell if numerics.cell is not None else body.thickness / 8
+    cell = numerics.cell_in(body)
     spacing = cell / numerics.per_cell
     sizes = (body.size_x, body.size_y, body.thickness)
-    on_faces = numerics.lattice == "faces"
+    on_faces = numerics.published is not None
     counts = tuple(round(size / spacing) + int(on_faces) for size in sizes)
     nx, ny, nz = counts
     if min(counts) < 2 or nx * ny * nz > PARTICLES_MOST:
@@ -90,14 +98,10 @@ def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> Lattice:
     points[..., 0] = x[:, None]
     points[..., 1] = y
     points[..., 2] = -body.thickness + along[2][:, None, None] * column
-    regular = points[-1].copy()
-    if numerics.jitter:
-        moved = np.random.default_rng(numerics.seed).uniform(-1, 1, points.shape)
-        points += moved * numerics.jitter * spacing
     volume = np.full(counts[2:] + counts[:2], body.size_x * body.size_y / (nx * ny * nz)) * column
-    if numerics.particle_volume is not None:
-        volume[:] = numerics.particle_volume
-    to_surface = regular - points[-1]
+    if numerics.published is not None:
+        volume[:] = AUTHORS_VOLUME
+    to_surface = np.zeros((nx, ny, 3))
     to_surface[..., 2] = top - points[-1, ..., 2]
     nodes, corner = _grid(scenes, cell)
     origin = np.array([body.size_x / 2, body.size_y / 2, body.thickness]) / cell
@@ -109,7 +113,7 @@ def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> Lattice:
         rest=points.reshape(-1, 3) / cell + origin,
         volume=volume.ravel() / cell**3,
         counts=(nx, ny, nz),
-        held=nx * ny * min(numerics.base_layers, nz) if numerics.base == "particles" else 0,
+        held=0 if numerics.published is None else nx * ny * min(AUTHORS_LAYERS, nz),
         surface_x=x,
         surface_y=y,
         to_surface=to_surface.reshape(-1, 3) / cell,
@@ -204,8 +208,8 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
     """Return the mass and the schedule of a scene on a grid with cells of this size [m].
 
     Raises:
-        SceneError: The time step is unstable, the mass is specified twice, or the motion has more
-            steps than allowed.
+        SceneError: The published time step is unstable in the body, the published mass meets an
+            effect's, or the motion has more steps than allowed.
     """
     body = scene.body
     corners = _corners(scene)
@@ -218,7 +222,7 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
     step = _time_step(numerics, cell, speed)
     entry = [lengths[0] / tip_speed]
     period = 4 * body.thickness / math.sqrt(body.shear_modulus / (body.density * scaling))
-    timeless = scene.effects.inertia is None and numerics.mass_scaling is None
+    timeless = scene.effects.inertia is None and numerics.published is None
     if timeless:
         durations = np.where(lengths[1:] > 0, lengths[1:] / tip_speed, STANDING * period)
     settling = 0
@@ -242,7 +246,7 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
         tip_speed=tip_speed,
         corners=corners,
         at=at + settling,
-        window=math.ceil(numerics.window * body.thickness / speed / step),
+        window=math.ceil(WINDOW * body.thickness / speed / step),
         # Critical damping of the slowest shear wave, a quarter wave through the thickness.
         settling=min(1.0, 4 * math.pi / period * step),
     )
@@ -265,13 +269,13 @@ def _corners(scene: Scene) -> Array:
 def _mass_scaling(scene: Scene, numerics: Mpm, tip_speed: float) -> float:
     inertia = scene.effects.inertia
     if inertia is None:
-        if numerics.mass_scaling is not None:
-            return numerics.mass_scaling
-        return (numerics.speed_ratio * wave_speed(scene.body) / tip_speed) ** 2
-    if numerics.mass_scaling is not None:
+        if numerics.published is not None:
+            return AUTHORS_DENSITY / scene.body.density
+        return (SPEED_RATIO * wave_speed(scene.body) / tip_speed) ** 2
+    if numerics.published is not None:
         raise SceneError(
-            f"mpm.mass_scaling: {numerics.mass_scaling!r} with effects.inertia.scale "
-            f"{inertia.scale!r}; allowed: None, the effect says how heavy the body is"
+            f"mpm.published: {numerics.published!r} with effects.inertia.scale {inertia.scale!r}; "
+            "allowed: None, the effect says how heavy the body is"
         )
     if inertia.scale < 1e-12:
         raise SceneError(
@@ -282,12 +286,13 @@ def _mass_scaling(scene: Scene, numerics: Mpm, tip_speed: float) -> float:
 
 
 def _time_step(numerics: Mpm, cell: float, speed: float) -> float:
-    if numerics.time_step is None:
-        return numerics.safety * cell / speed
+    if numerics.published is None:
+        return SAFETY * cell / speed
     limit = STABLE * cell / speed
-    if numerics.time_step > limit:
+    if limit < AUTHORS_STEP:
         raise SceneError(
-            f"mpm.time_step: {numerics.time_step!r} s; allowed: up to {limit:.3g} s, in which "
-            f"a wave at {speed:.3g} m/s crosses {STABLE:g} of a cell of {cell * 1e3:.3g} mm"
+            f"mpm.published: time steps of {AUTHORS_STEP:g} s; allowed in this body: up to "
+            f"{limit:.3g} s, in which a wave at {speed:.3g} m/s crosses {STABLE:g} of a cell of "
+            f"{cell * 1e3:.3g} mm"
         )
-    return numerics.time_step
+    return AUTHORS_STEP

@@ -192,7 +192,7 @@ def simulate_mpm(
 
     Args:
         scenes: Scenes with the same size, thickness, dome and set of effects; the rest may differ.
-        numerics: Grid, sampling, mass, time step and contact.
+        numerics: Our grid, or published settings.
         device: `cpu`, or `cuda:0` and the like.
         progress: Called with the fraction done, 0 to 1.
 
@@ -280,7 +280,7 @@ def _walk(state, frames, paces, scenes, progress) -> dict[int, SimulationDiverge
 
 REASONS = {
     LEFT_GRID: "a particle left the grid",
-    COLLAPSED: "a particle was squeezed to nothing (mpm.det_floor)",
+    COLLAPSED: "a particle was squeezed to nothing",
     TOO_FAST: f"a particle moved {SPEED_LIMIT:g} cells in one step",
 }
 
@@ -329,9 +329,9 @@ def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]
             "slips past the indenter, and a flat face loads it in steps; allowed without this "
             f"warning: up to {100 * LOST:.0f} %, with smaller cells or a rounder indenter"
         )
-    if numerics.contact == "sticky" and scene.effects.friction is not None:
+    if numerics.published is not None and scene.effects.friction is not None:
         found.append("sticky contact: the scene's friction coefficient is not used")
-    if numerics.particle_volume is not None:
+    if numerics.published is not None:
         found.append("a particle's volume was given: forces are scaled with it")
     return found
 

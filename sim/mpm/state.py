@@ -11,7 +11,7 @@ import warp as wp
 
 from sim.indenters.device import PLAIN, PartTable, Traits, distance_function, table_struct
 from sim.mpm.lattice import BASE_NODE, Lattice, Pace
-from sim.mpm.numerics import Mpm
+from sim.mpm.numerics import DET_FLOOR, REACH, Mpm
 from sim.scalars import PRECISIONS, det_less_one_function, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
@@ -555,8 +555,11 @@ class ParticleState:
         self.tip, self.tip_velocity = zeros(count, vec3), zeros(count, vec3)
         self.damping = zeros(count, real)
         self.nodes, self._corner = wp.vec3i(*lattice.nodes), wp.vec3i(*lattice.corner)
-        self._held, self._det_floor = lattice.held, real(numerics.det_floor)
-        self._origin, self._reach = vec3(*lattice.origin), real(numerics.reach)
+        self._held, self._det_floor = lattice.held, real(DET_FLOOR)
+        self._origin, self._reach = (
+            vec3(*lattice.origin),
+            real(REACH if numerics.published is None else 0.0),
+        )
         self._graph = None
         # Initial sums of the grid: a time step of particles at rest changes nothing else.
         self.move_particles()
@@ -582,10 +585,10 @@ class ParticleState:
         self._weight = self.array(weight, self.vec3)
         self._node_kernel = node_kernel(
             real,
-            numerics.contact == "sticky",
+            numerics.published is not None,
             friction[0] is not None,
             scenes[0].effects.gravity is not None,
-            numerics.base == "grid",
+            numerics.published is None,
             self._table.traits,
         )
 

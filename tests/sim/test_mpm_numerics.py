@@ -25,7 +25,7 @@ from sim import (
 from sim.indenters import sphere
 from sim.mpm import Mpm
 from sim.mpm.lattice import build_lattice, pace_of, wave_speed
-from sim.mpm.numerics import STABLE
+from sim.mpm.numerics import AUTHORS_CELL, STABLE
 from sim.mpm.solver import simulate_mpm
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
@@ -37,26 +37,18 @@ INERTIA = Effects(inertia=Inertia())
     ("field", "value", "allowed"),
     [
         ("cell", -1e-3, "1e-06 to 1 m"),
-        ("per_cell", 0.1, "0.25 to 6"),
-        ("lattice", "random", "'centred', 'faces'"),
-        ("jitter", 0.6, "0 to 0.4"),
-        ("contact", "glued", "'coulomb', 'sticky'"),
-        ("reach", -0.1, "0 to 2"),
-        ("base", "free", "'grid', 'particles'"),
-        ("base_layers", 0, "1 to 100"),
-        ("mass_scaling", 0.0, "1e-12 to"),
-        ("speed_ratio", 0.9, "0.0001 to 0.3"),
-        ("time_step", float("nan"), "1e-12 to 1 s"),
-        ("safety", 1.5, f"0 to {STABLE}"),
-        ("window", -1.0, "0 to 1000"),
-        ("det_floor", 2.0, "0 to 1"),
-        ("particle_volume", 0.0, "1e-24 to 1 m^3"),
+        ("published", "taichi", "'tacchi', 'genforce', None"),
         ("precision", "float16", "'float32', 'float64'"),
     ],
 )
 def test_a_number_that_is_not_allowed_is_named(field: str, value: Any, allowed: str) -> None:
     with pytest.raises(SceneError, match=rf"mpm\.{field}.*{re.escape(allowed)}"):
         Mpm(**{field: value})
+
+
+def test_published_settings_have_their_own_cells() -> None:
+    with pytest.raises(SceneError, match=r"mpm\.cell: 0\.001 m; allowed with published: None"):
+        Mpm(1e-3, published="tacchi")
 
 
 def test_the_particles_share_out_the_volume_of_the_body() -> None:
@@ -80,17 +72,6 @@ def test_columns_of_particles_reach_up_to_a_dome_and_no_further() -> None:
     assert volume == pytest.approx((4e-3 + mean) * 6e-3**2, rel=2e-3)
 
 
-def test_jitter_is_the_seeds_and_stays_within_its_share() -> None:
-    regular, jittered, again, other = (
-        build_lattice([SCENE], Mpm(cell=CELL, jitter=jitter, seed=seed)).rest
-        for jitter, seed in ((0.0, 0), (0.25, 7), (0.25, 7), (0.25, 8))
-    )
-    moved = np.abs(jittered - regular)
-    np.testing.assert_array_equal(jittered, again)
-    assert (jittered != other).any()
-    assert moved.max() == pytest.approx(0.25 * 0.5, rel=1e-3)
-
-
 def test_a_lattice_that_is_no_lattice_or_too_large_is_refused() -> None:
     with pytest.raises(SceneError, match=r"mpm\.cell.*allowed: 2 or more"):
         build_lattice([SCENE], Mpm(cell=8e-3))
@@ -98,12 +79,12 @@ def test_a_lattice_that_is_no_lattice_or_too_large_is_refused() -> None:
         build_lattice([SCENE], Mpm(cell=0.01e-3))
 
 
-def test_without_inertia_the_mass_follows_from_the_speed_asked_for() -> None:
-    numerics = Mpm(cell=CELL, speed_ratio=0.02)
+def test_without_inertia_the_mass_follows_from_the_speed_of_the_tip() -> None:
+    numerics = Mpm(cell=CELL)
     pace = pace_of(SCENE, numerics, CELL)
-    assert pace.speed_ratio == pytest.approx(0.02)
+    assert pace.speed_ratio == pytest.approx(0.01)
     assert pace.courant == pytest.approx(0.5)
-    assert pace.steps == 1e-3 / CELL / 0.02 / 0.5
+    assert pace.steps == 1e-3 / CELL / 0.01 / 0.5
     # Then time has no meaning: a faster motion takes the same steps.
     fast = pace_of(Scene(sphere(4e-3), press([0.5e-3, 1e-3], speed=1.0)), numerics, CELL)
     np.testing.assert_array_equal(fast.at, pace.at)
@@ -135,16 +116,21 @@ def test_a_motion_that_begins_inside_the_body_is_entered_from_above() -> None:
 
 
 def test_a_time_step_above_the_stability_limit_is_refused() -> None:
-    limit = STABLE * CELL / wave_speed(SCENE.body, 900.0)
-    numerics = Mpm(cell=CELL, mass_scaling=900.0, time_step=0.999 * limit)
-    assert pace_of(SCENE, numerics, CELL).courant == pytest.approx(0.999 * STABLE)
-    with pytest.raises(SceneError, match=r"mpm\.time_step.*allowed: up to 0\.000595 s"):
-        pace_of(SCENE, replace(numerics, time_step=1.001 * limit), CELL)
+    numerics, body = Mpm.authors(), SCENE.body
+    soft = pace_of(SCENE, numerics, AUTHORS_CELL).courant
+    for below, stiffness in ((True, 0.999), (False, 1.001)):
+        modulus = body.modulus * stiffness * (STABLE / soft) ** 2
+        scene = replace(SCENE, body=replace(body, modulus=modulus))
+        if below:
+            assert pace_of(scene, numerics, AUTHORS_CELL).courant == pytest.approx(STABLE, rel=1e-3)
+            continue
+        with pytest.raises(SceneError, match=r"mpm\.published: time steps of 0\.0001 s; allowed"):
+            pace_of(scene, numerics, AUTHORS_CELL)
 
 
 def test_a_mass_asked_for_twice_or_no_mass_at_all_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"mass_scaling.*allowed: None"):
-        pace_of(replace(SCENE, effects=INERTIA), Mpm(mass_scaling=10.0), CELL)
+    with pytest.raises(SceneError, match=r"mpm\.published: 'tacchi' with .*allowed: None"):
+        pace_of(replace(SCENE, effects=INERTIA), Mpm.authors(), AUTHORS_CELL)
     massless = Effects(inertia=Inertia(scale=0.0))
     with pytest.raises(SceneError, match=r"inertia\.scale: 0\.0; allowed"):
         pace_of(replace(SCENE, effects=massless), Mpm(), CELL)
@@ -200,4 +186,4 @@ def test_the_released_preset_makes_the_body_it_really_makes() -> None:
     numerics = Mpm.authors_released()
     assert build_lattice([scene], numerics).counts == (101, 101, 21)
     assert numerics.per_cell**3 == pytest.approx(0.14, abs=0.005)
-    assert pace_of(scene, numerics, numerics.cell or 0.0).speed_ratio > 0.05
+    assert pace_of(scene, numerics, AUTHORS_CELL).speed_ratio > 0.05

@@ -141,7 +141,7 @@ def _presets(smoke: bool) -> dict[str, Mpm]:
     from sim.mpm import Mpm
 
     if smoke:
-        return {"coarse": Mpm(cell=1e-3, per_cell=1.0, speed_ratio=0.1)}
+        return {"coarse": Mpm(cell=2e-3)}
     return {"ours": Mpm(), "as the authors have it": Mpm.authors()}
 
 

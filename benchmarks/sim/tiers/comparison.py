@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sim.errors import SimulationDiverged
 from sim.indenters import sphere
-from sim.mpm.numerics import AUTHORS_CELL, Mpm
+from sim.mpm.numerics import AUTHORS_SPACING, AUTHORS_VOLUME, Mpm
 from sim.mpm.solver import simulate_mpm
 from sim.result import Result
 from sim.scene import Body, Scene, press
@@ -89,10 +89,7 @@ def choices(*, fine: bool = False) -> dict[str, tuple[Scene, Mpm]]:
     }
     cells = (0.5e-3, 0.4e-3, 0.25e-3) if fine else (0.5e-3, 0.4e-3)
     for cell in cells:
-        for reach in (0.0, 0.25, 0.5):
-            name = f"cell {cell * 1e3:g} mm, reach {reach:g}"
-            found[name] = paper, Mpm(cell=cell, reach=reach)
-    found["cell 0.4 mm, sticky"] = paper, Mpm(cell=0.4e-3, contact="sticky")
+        found[f"cell {cell * 1e3:g} mm"] = paper, Mpm(cell=cell)
     return found
 
 
@@ -111,7 +108,8 @@ def measure(
     """
     # Run the same kernels on a few particles first, so that compilation is not timed.
     tiny = Scene(sphere(RADIUS), press([1e-6], speed=SPEED), body=Body(4e-3, 4e-3, 4e-3))
-    simulate_mpm([tiny], _coarse(numerics), device=device)
+    few = numerics if numerics.published else replace(numerics, cell=1e-3)
+    simulate_mpm([tiny], few, device=device)
     wall, cpu = time.perf_counter(), time.process_time()
     outcome = simulate_mpm([scene], numerics, device=device, progress=progress)[0]
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
@@ -119,9 +117,9 @@ def measure(
         raise outcome
     record = outcome.record
     volume = 1.0
-    if numerics.particle_volume is not None:
-        # Volume per particle of the lattice, over the volume that was set.
-        volume = (AUTHORS_CELL / numerics.per_cell) ** 3 / numerics.particle_volume
+    if numerics.published is not None:
+        # Volume per particle of the lattice, over the published one.
+        volume = AUTHORS_SPACING[numerics.published] ** 3 / AUTHORS_VOLUME
     return _row(
         name,
         outcome,
@@ -177,15 +175,4 @@ def _row(name: str, result: Result, *, volume: float, **cost: object) -> Row:
         up=tuple(up for up, _ in places),
         outward=tuple(outward for _, outward in places),
         **cost,  # type: ignore[arg-type]
-    )
-
-
-def _coarse(numerics: Mpm) -> Mpm:
-    """Return settings with the same kernels on the coarsest grid."""
-    return Mpm(
-        cell=1e-3,
-        contact=numerics.contact,
-        base=numerics.base,
-        reach=numerics.reach,
-        precision=numerics.precision,
     )
