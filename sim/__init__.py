@@ -8,20 +8,18 @@ from sim.layer import Layer
 from sim.mpm import Mpm
 from sim.result import Quality, Result
 from sim.scene import Body, Motion, Scene, from_target, press, press_shear_return, ramp_hold
-from sim.simulate import Extrapolated, Measured, Plan, plan, plan_effects, simulate, simulate_many
+from sim.simulate import Plan, plan, plan_effects, simulate, simulate_many
 from sim.tiers import Solvers
 
 __all__ = [
     "Body",
     "Effects",
-    "Extrapolated",
     "Fem",
     "Friction",
     "Gravity",
     "Indenter",
     "Inertia",
     "Layer",
-    "Measured",
     "Motion",
     "Mpm",
     "Plan",

@@ -149,7 +149,7 @@ SIDES = {
     "contact with it is not computed (allowed: presses on the top)",
     "rim": "the contact reaches the rim of the round body, which cuts through elements there: its "
     "force is less accurate than the estimate for whole elements (allowed: a contact within the "
-    "rim, or an error bar)",
+    "rim, or a tolerance)",
 }
 
 

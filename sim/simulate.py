@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from sim.errors import SceneError, SimulationDiverged, check_kind
-from sim.fem.numerics import FOR_EDGES, Fem
+from sim.errors import SceneError, check_kind
+from sim.fem.numerics import Fem
 from sim.layer.numerics import Layer
 from sim.metrics import tolerance_of
 from sim.result import ContactTier, Result
@@ -20,39 +20,9 @@ if TYPE_CHECKING:
 Progress = Callable[[float], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A tier, and one more mesh of `fem` that measures its error.
-
-    `record["error"]` and `record["error_bar"]` have it.
-
-    Raises:
-        SceneError: The tier is neither `Fem` nor `Layer`.
-    """
-
-    tier: Fem | Layer = Fem()
-
-    def __post_init__(self) -> None:
-        check_kind("measured.tier", self.tier, Fem | Layer, "a Fem or a Layer")
-
-
-@dataclass(frozen=True, slots=True)
-class Extrapolated:
-    """A mesh of `fem`, and a coarser one; forces are extrapolated from both (`sim.extrapolation`).
-
-    Raises:
-        SceneError: The mesh is not a `Fem`.
-    """
-
-    fem: Fem = Fem(grading=FOR_EDGES)
-
-    def __post_init__(self) -> None:
-        check_kind("extrapolated.fem", self.fem, Fem, "a Fem")
-
-
 def simulate(
     scene: Scene,
-    tier: Tier | Measured | Extrapolated = Fem(),
+    tier: Tier = Fem(),
     *,
     device: str = "cpu",
     progress: Progress | None = None,
@@ -62,30 +32,15 @@ def simulate(
     Args:
         scene: Scene to simulate.
         tier: Tier and its settings. `Layer`: spectral bonded layer, small strain, no free sides;
-            `Fem`: finite elements, large strain; `Mpm`: explicit material points. `Measured` and
-            `Extrapolated` solve one more mesh, for the error or for better forces.
+            `Fem`: finite elements, large strain; `Mpm`: explicit material points.
         device: `cpu` or `cuda:0` and the like.
         progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        SceneError: The tier does not support the scene, or there is no mesh coarser than that of
-            `Measured` or `Extrapolated`.
+        SceneError: The tier does not support the scene.
         SimulationDiverged: No converged state was found; nothing unconverged is returned.
     """
     check_kind("scene", scene, Scene, "a Scene")
-    if isinstance(tier, Measured):
-        from sim.tolerance import with_measured_error
-
-        one = simulate_one(scene, tier.tier, device=device, progress=progress)
-        fem = tier.tier if isinstance(tier.tier, Fem) else Fem()
-        return with_measured_error(one, fem, device=device)
-    if isinstance(tier, Extrapolated):
-        from sim.extrapolation import simulate_extrapolated
-
-        (outcome,) = simulate_extrapolated([scene], tier.fem, device=device, progress=progress)
-        if isinstance(outcome, SimulationDiverged):
-            raise outcome
-        return outcome
     return simulate_one(scene, tier, device=device, progress=progress)
 
 
@@ -112,15 +67,14 @@ class Plan:
         `layer` is the last one if its estimate is within the tolerance. Finer meshes follow if the
         error measured by the first two is not.
         """
-        from sim.layer_within import worth_a_look
-        from sim.tolerance import COMPANION, first_mesh
+        from sim.tolerance import COMPANION, first_mesh, layer_may_do
 
         scene, only, wanted = self.scene, self.only, tolerance_of(self.tolerance)
         if self.effects is not None and self.effects.omitted:
             scene, only = self.effects.needed, only or "fem"
             wanted = tolerance_of(self.effects.rest)
         tiers: list[Layer | Fem] = []
-        if only == "layer" or (only is None and worth_a_look(scene, wanted)):
+        if only == "layer" or (only is None and layer_may_do(scene, wanted)):
             tiers.append(Layer())
         if only != "layer":
             fine = first_mesh(scene, wanted, self.device)
@@ -244,8 +198,6 @@ def plan_effects(
 
 
 __all__ = [
-    "Extrapolated",
-    "Measured",
     "Plan",
     "Tier",
     "plan",

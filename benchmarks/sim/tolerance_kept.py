@@ -27,14 +27,13 @@ from recorder.command_line.options import add_device, add_seed
 from recorder.progress import duration
 from recorder.store import replace_file
 from sim.errors import SceneError, SimulationDiverged
-from sim.extrapolation import left_of_difference
 from sim.fem.numerics import Fem
 from sim.metrics import force_scale, tolerance_of
 from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import plan
 from sim.tiers import simulate_one
-from sim.tolerance import RATIO_LEAST, elements_ratio
+from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
 
 # Element size of the answer over that of the reference.
 FINER = 1.6

@@ -634,7 +634,7 @@ SIM_CASES = (
     ),
     Case(
         "sim-mpm",
-        ("benchmarks mpm --only 'cell 0.5 mm, reach 0.25' --file {out}/rows.json",),
+        ("benchmarks mpm --only 'cell 0.5 mm' --file {out}/rows.json",),
         look=("rows.json",),
         timeout=900,
         slow=True,

@@ -1,14 +1,18 @@
-"""Errors measured by two meshes: for a tolerance, and for an error bar."""
+"""Forces and errors measured by two meshes, for a tolerance."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sim import Layer, Measured, Mpm, plan, simulate, tolerance
+from sim import plan, simulate, tolerance
 from sim.errors import SceneError
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
+from sim.metrics import tolerance_of
+from sim.result import Result
 from sim.scene import Body, Scene, press
 
 BALL = Scene(sphere(4e-3), press([0.3e-3, 0.6e-3]), Body(12e-3, 12e-3))
@@ -16,41 +20,33 @@ FINE = Fem(spacing=0.4e-3)
 
 
 @pytest.fixture(scope="module")
-def truth() -> np.ndarray:
-    """Force with elements of 0.4 mm, with the remaining error extrapolated from 0.8 mm."""
-    fine, coarse = (simulate(BALL, one).force for one in (FINE, Fem(spacing=0.8e-3)))
-    return fine + (fine - coarse) / 3
+def truth() -> Result:
+    """Press with elements of 0.4 mm, the remaining error of its force extrapolated from 0.8 mm."""
+    fine, coarse = (simulate(BALL, one) for one in (FINE, Fem(spacing=0.8e-3)))
+    return replace(fine, wrench=fine.wrench + (fine.wrench - coarse.wrench) / 3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "tier", [Fem(spacing=0.8e-3), pytest.param(Fem(), marks=pytest.mark.slow), Layer()]
-)
-def test_an_error_bar_covers_the_error(truth: np.ndarray, tier: Fem | Layer) -> None:
-    result = simulate(BALL, Measured(tier))
-    error = result.record["error"]
-    assert error["status"] == "measured"
-    off = np.abs(result.force - truth)[1:].max(axis=1) / np.linalg.norm(truth[1:], axis=1)
-    assert (off <= np.array(error["force"])[1:] + 2e-3).all()
-    assert error["percent"] < 100 * 12 * max(off.max(), 1e-3)
-    assert result.record["error_bar"]["force_share"] == error["percent"] / 100
-    assert result.record["error_bar"]["second_mesh"] == error["second_mesh"]
+@pytest.mark.parametrize("ratio", [4 / 3, 5 / 3])
+def test_an_error_that_falls_as_the_square_is_taken_off_whole(truth: Result, ratio: float) -> None:
+    exact = truth.wrench
+    mesh = truth.record["mesh"]
+    coarse = replace(
+        truth,
+        wrench=exact * (1 + 0.02 * ratio**2),
+        record={**truth.record, "mesh": {**mesh, "cells": [n / ratio for n in mesh["cells"]]}},
+    )
+    fine = replace(truth, wrench=exact * 1.02)
+    both, error = tolerance.extrapolated(coarse, fine, tolerance_of("5 %"), floor=1e-3)
+    np.testing.assert_allclose(both.wrench, exact, rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(both.surface, fine.surface)
+    assert error == pytest.approx(0.02, rel=1e-6)
+    assert both.record["error"]["second_mesh"] == coarse.record["mesh"]
 
 
-def test_a_mesh_without_a_coarser_one_has_no_error_bar() -> None:
-    with pytest.raises(SceneError, match=r"error_bar: a mesh of \d+ x \d+ x 3 elements; allowed:"):
-        simulate(BALL, Measured(Fem(spacing=4e-3 / 3)))
-
-
-def test_particles_have_no_error_bar() -> None:
-    with pytest.raises(SceneError, match=r"measured\.tier: Mpm\(.*; allowed: a Fem or a Layer"):
-        Measured(Mpm())  # type: ignore[arg-type]
-
-
-def test_a_tolerance_is_kept(truth: np.ndarray) -> None:
+def test_a_tolerance_is_kept(truth: Result) -> None:
     result = plan(BALL, "2 %").run()
     assert result.record["error"]["percent"] <= 2
-    np.testing.assert_allclose(result.force[:, 2], truth[:, 2], rtol=0.02)
+    np.testing.assert_allclose(result.force[:, 2], truth.force[:, 2], rtol=0.02)
 
 
 @pytest.mark.slow

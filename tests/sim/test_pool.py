@@ -28,9 +28,8 @@ from sim import (
     press,
     simulate_many,
 )
-from sim.extrapolation import simulate_extrapolated
 from sim.fem.mesh import agreed
-from sim.fem.numerics import FOR_EDGES, Fem
+from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
@@ -166,17 +165,6 @@ def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(
     assert {device for *_, device in given} == {"cuda:0"}
     for (_, tier, _), asked in zip(given[::2], (fine, coarse), strict=False):
         assert tier.cells_least == agreed(scenes, asked).cells_least
-
-
-@pytest.mark.slow
-def test_extrapolated_forces_are_the_same_by_several_processes() -> None:
-    fem = Fem(spacing=1e-3, grading=FOR_EDGES)
-    scenes = [Scene(sphere(3e-3), press([depth])) for depth in (0.3e-3, 0.5e-3)]
-    alone = simulate_extrapolated(scenes, fem)
-    for one, other in zip(simulate_extrapolated(scenes, fem, processes=2), alone, strict=True):
-        assert isinstance(one, Result)
-        assert isinstance(other, Result)
-        assert np.array_equal(one.wrench, other.wrench)
 
 
 def test_meshes_of_separate_processes_agree_if_they_have_a_spacing() -> None:

@@ -21,10 +21,9 @@ from benchmarks.sim.speed.forces import (
 )
 from benchmarks.sim.speed.record import Run, SpeedRecord
 from recorder.charts import BLUE, GREEN, PURPLE, RED
-from sim.extrapolation import COARSER
 
-# Minimum ratio of the element sizes of two meshes; closer meshes amplify random errors.
-APART = 1.3
+# Range of the ratio of the element sizes of two meshes: closer ones amplify random errors.
+APART, APART_MOST = 1.3, 5 / 3
 # Colours of devices.
 COLOURS = (BLUE, RED, GREEN, PURPLE)
 # True if there are two meshes, with their mark and name in the chart.
@@ -60,7 +59,7 @@ class Candidate:
 def offers_of(record: SpeedRecord, reference: Forces) -> list[Candidate]:
     """Return all meshes of a device from coarse to fine, then all pairs that differ enough.
 
-    Two meshes take the time of both; their forces are extrapolated by `sim.extrapolation`.
+    Two meshes take the time of both; their forces are extrapolated from both.
     """
     forces = read_runs(meshes_file(record.path))
     forces["all"] = read_forces(presses_file(record.path))
@@ -68,7 +67,7 @@ def offers_of(record: SpeedRecord, reference: Forces) -> list[Candidate]:
     runs = sorted((run for run in runs if run.presses), key=lambda run: -run.spacing_mm)
     candidates = [_single(run, forces.get(run.name, {}), reference) for run in runs]
     for coarse, fine in combinations(runs, 2):
-        if APART <= coarse.spacing_mm / fine.spacing_mm <= COARSER + 1e-3:
+        if APART <= coarse.spacing_mm / fine.spacing_mm <= APART_MOST + 1e-3:
             both = forces.get(coarse.name, {}), forces.get(fine.name, {})
             candidates.append(_pair(coarse, fine, *both, reference))
     return candidates

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from benchmarks.sim.speed.work import TimedPress
 from sim.errors import SimulationDiverged
-from sim.extrapolation import left_of_difference
 from sim.result import Result
+from sim.tolerance import left_of_difference
 
 Array = NDArray[np.float64]
 # Indenter, x, y, depth [mm].

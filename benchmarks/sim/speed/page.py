@@ -17,9 +17,9 @@ from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read
 from benchmarks.sim.speed.record import Machine, Run, SpeedRecord
 from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, Step, steps_on
 from recorder.pages import render
-from sim.extrapolation import left_of_difference
 from sim.fem.numerics import FOR_EDGES
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
+from sim.tolerance import left_of_difference
 
 # Goals for total seconds and force error, by kind of device: required, and stretch goals.
 GOALS = {"cpu": ((600.0, 0.03), (300.0, 0.01)), "gpu": ((10.0, 0.01), (3.0, 0.01))}
