@@ -11,7 +11,7 @@ WORLDDEP := $(if $(WORLD),$(VENV)/.sim)
 GIVEN    := $(sort $(foreach name,$(.VARIABLES),$(if $(filter command line,$(origin $(name))),$(name))))
 BENCHARG := $(if $(BENCH),--bench $(BENCH)) $(if $(BENCH),$(if $(filter SENSOR,$(GIVEN)),--sensor $(SENSOR)),--sensor $(SENSOR)) $(WORLDARG)
 SOURCES  := $(if $(CAMERA),--camera $(CAMERA)) $(if $(STILL),--still) $(if $(TAXELS),--taxels $(TAXELS))
-WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH))) $(if $(WATCHHOST),--watch-host $(WATCHHOST))
+WATCHARG := $(if $(WATCH),--watch $(filter-out 1,$(WATCH)))
 DEMO     := examples/demo-learning
 BARE     := examples/demo-transfer
 LAUNCH   := $(if $(GPUS),$(VENV)/bin/torchrun --nproc-per-node $(GPUS),$(PY))
@@ -73,18 +73,18 @@ help-%:
 
 ##@ Record
 
-#: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1 [WATCHHOST=0.0.0.0]]
+#: SENSOR=tacpalm [TARGETS=8] [INDENTER=cylinder] [OPERATOR=] [OUT=] [BENCH=file] [WORLD=sim] [FORCE=none] [CAMERA=path [STILL=1]] [TAXELS=path] [TRUTH=file] [WATCH=1|0.0.0.0:8765]
 collect: $(VENV)/.rig $(WORLDDEP)  ## Record one session
 	@$(PY) -m tactile collect $(BENCHARG) $(FORCEARG) $(SOURCES) $(if $(TARGETS),--targets $(TARGETS)) \
 	  $(if $(INDENTER),--indenter $(INDENTER)) $(if $(OUT),--out $(OUT)) $(if $(TRUTH),--truth $(TRUTH)) $(if $(OPERATOR),--operator '$(OPERATOR)') $(WATCHARG)
 
-#: SESSION=sessions/x.zarr [AGAIN=3,7] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1 [WATCHHOST=0.0.0.0]]
+#: SESSION=sessions/x.zarr [AGAIN=3,7] [BENCH=file] [WORLD=sim] [CAMERA=path [STILL=1]] [TAXELS=path] [WATCH=1|0.0.0.0:8765]
 resume: $(VENV)/.rig $(WORLDDEP)  ## Continue a stopped session
 	@$(PY) -m tactile collect $(if $(BENCH),--bench $(BENCH)) $(WORLDARG) $(SOURCES) --resume $(SESSION) $(if $(AGAIN),--again $(AGAIN)) $(WATCHARG)
 
-#: [SESSIONS=sessions] [PORT=8766] [HOST=0.0.0.0]
+#: [SESSIONS=sessions] [PORT=8766|0.0.0.0:8766]
 page: $(VENV)/.rig  ## Sessions, replay, campaigns and set-up in the browser; nothing moves
-	@$(PY) -m tactile page $(SESSIONS) $(if $(PORT),--port $(PORT)) $(if $(HOST),--host $(HOST))
+	@$(PY) -m tactile page $(SESSIONS) $(if $(PORT),--port $(PORT))
 
 #: SENSOR=tacpalm [INDENTER=] [CORNERS=1] [BENCH=file] [WORLD=sim] [FORCE=none]
 home: $(VENV)/.rig $(WORLDDEP)  ## Find the surface by touch and store it in calibrations/

@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--page", type=Path, metavar="FILE", help="page of the times to write")
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="picture (PNG) of the workbench to write"
+        "--picture", type=Path, metavar="FILE", help="picture (PNG) of the page to write"
     )
 
 
@@ -224,7 +224,7 @@ def clicked(words: Sequence[str], place: Path, picture: Path | None) -> Ran:
     Args:
         words: The command that serves it.
         place: Folder.
-        picture: File for a picture of the workbench (PNG); None: none.
+        picture: File for a picture of the page (PNG); None: none.
     """
     print(f"$ {shown(words)}", flush=True)
     began = time.monotonic()
@@ -240,7 +240,7 @@ def clicked(words: Sequence[str], place: Path, picture: Path | None) -> Ran:
     lines = [served.stdout.readline().rstrip()]
     failed = False
     try:
-        address = re.search(r"open (http\S+);", lines[0])
+        address = re.search(r"watch it at (http\S+)", lines[0])
         with Chromium() as browser:
             if address is None:
                 raise RuntimeError("no address was printed")
@@ -283,8 +283,8 @@ def look(browser: Chromium, address: str, picture: Path | None) -> Iterator[str]
     browser.until(f"{frame} > {before}")
     yield f"replay: {browser.eval(text('place'))}"
     for target in AGAIN:
-        browser.click(f"#map [data-index='{target - 1}']")
-        browser.until(f"{text('cell')}.startsWith('Target {target}:')")
+        browser.click(f"#r-map [data-index='{target - 1}']")
+        browser.until(f"{text('r-cell')}.startsWith('Target {target}:')")
         browser.click("#mark")
         browser.until(f"{text('marked')}.endsWith('{target}')")
     yield browser.eval(text("marked"))

@@ -66,7 +66,7 @@ RECORD = (
     Command(
         "page",
         "rig.cli.page",
-        "serve the workbench: sessions, replay, campaigns and set-up in the browser",
+        "serve the lab's page: sessions, replay, campaigns and set-up in the browser",
     ),
 )
 SESSIONS = (

@@ -197,7 +197,7 @@ TESTED = {
     "markers-fit": ("tests/learning/test_markers_fit.py", '"markers-fit"'),
     "mock": ("tests/rig/test_lab_bench.py", '"mock"'),
     "models": ("tests/learning/test_models_command.py", "run_module(command"),
-    "page": ("tests/support/workbench.py", '"page"'),
+    "page": ("tests/support/lab_page.py", '"page"'),
     "schema": ("tests/tactile/test_schema.py", "schema"),
     "score-transfer": ("tests/learning/test_transfer.py", "run_module(score_transfer"),
     "session list": ("tests/recorder/test_catalogue.py", '"list"'),

@@ -55,7 +55,7 @@ def test_an_unknown_variable_is_refused(arguments: tuple[str, ...], words: str) 
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("collect", "SENSOR=uskin", "TARGETS=2", "WATCH=1", "WATCHHOST=0.0.0.0"),
+        ("collect", "SENSOR=uskin", "TARGETS=2", "WATCH=0.0.0.0:8765"),
         ("collect", "PYTHON=python3.12"),
         ("check", "test"),
         ("experiment", "ARCHIVE=x", "OUT=y", "ARGS=--pairs a:b"),
@@ -71,7 +71,7 @@ def test_nothing_given_is_dropped() -> None:
     assert "--bench b.yaml" in both
     assert "--sensor uskin" in both
     assert "--sensor" not in make("collect", "BENCH=b.yaml").stdout
-    assert "--watch-host 0.0.0.0" in make("collect", "WATCHHOST=0.0.0.0").stdout
+    assert "--watch 0.0.0.0:80" in make("collect", "WATCH=0.0.0.0:80").stdout
     assert "--operator 'Ada L'" in make("collect", "OPERATOR=Ada L").stdout
 
 

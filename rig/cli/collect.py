@@ -12,11 +12,12 @@ from recorder.command_line.options import next_command
 from rig.bench.bench import Bench
 from rig.bench.no_gauge import planned_depth, slowed
 from rig.cli.options import (
+    add_page,
     banner,
     bench_options,
     calibration_of,
     calibration_options,
-    check_watch,
+    check_page,
     chosen_bench,
     confirm_options,
     free_path,
@@ -24,7 +25,6 @@ from rig.cli.options import (
     opened_page,
     resumed_indenter,
     sources_of,
-    watch_options,
 )
 from rig.cli.terminal import require_terminal
 from rig.core.clock import file_stamp
@@ -69,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--operator", default="", metavar="NAME", help="operator's name (default: the login name)"
     )
-    watch_options(parser)
+    add_page(parser, "--watch", "serve a page to watch, pause and abort")
     calibration_options(parser)
     confirm_options(parser)
 
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
     sources = sources_of(options, file)
     if not bench.mock and options.truth:
         raise ConfigError(f"TRUTH: {path} is a lab bench; allowed: a mock bench")
-    check_watch(options)
+    check_page("--watch", options.watch)
     session = options.resume or options.out
     if session is None:
         name = f"{bench.sensor}-{bench.indenter}-{file_stamp()}.zarr"

@@ -14,14 +14,16 @@ import numpy as np
 
 from recorder import models
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
-from recorder.command_line.options import positive, whole
+from recorder.command_line.options import positive
 from rig.acquire.control import InterruptFlag
-from rig.cli.options import bench_options, chosen_bench
+from rig.cli.options import add_page, bench_options, check_page, chosen_bench, page_lines
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
-    from rig.monitor.watched import Watched
+    from rig.monitor.forces_page import ForcesPage
+    from rig.monitor.predictor import LiveForce
+    from rig.monitor.watched import Triple, Watched
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,9 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "that support it)",
     )
     parser.add_argument(
-        "--threads", type=whole(0), default=0, help="model threads (default: the runtime's choice)"
-    )
-    parser.add_argument(
         "--preset", metavar="NAME", help="marker detection preset (default: that of the sensor)"
     )
     parser.add_argument(
@@ -75,12 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write every force to this new file, with intervals, those of --before and the "
         "gauge's or true forces where there are any",
     )
-    parser.add_argument(
-        "--page",
-        type=Path,
-        metavar="HTML",
-        help="write a page of the last 20 s to this file once per second; open it in a browser",
-    )
+    add_page(parser, "--page", "serve a page of the last 20 s")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -89,8 +83,7 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SessionError: Before the first force.
     """
-    from rig.monitor.comparison import ComparisonPage, add_gauge
-    from rig.monitor.forces import ForceLine, Seen, watch
+    from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
     from rig.monitor.predictor import open_predictor
 
     _check(options)
@@ -99,49 +92,50 @@ def run(options: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         stop = stack.enter_context(InterruptFlag())
+        sensor, source = _sensor(options)
         # Load the model first: an emulator would be late if it had to wait for it.
-        sensor = _sensor(options)
         predictor = open_predictor(
             options.model,
             before=options.before,
             runtime=options.runtime,
             sensor=sensor,
             preset=options.preset,
-            threads=options.threads,
         )
+        page = _opened_page(options, sensor, source, stack)
         watched = stack.enter_context(_opened(options, folder, clock))
         line = ForceLine(clock, sys.stdout)
-        seen = Seen()
-        page = None
-        if options.page is not None:
-            page = ComparisonPage(options.page, clock, watched.sensor)
+        summary = Summary()
+
+        def show(reading: LiveForce, t_ns: int, latency: float, gauge: Triple | None) -> None:
+            line(reading, latency)
+            if page is not None:
+                page.add(reading, t_ns, latency, gauge)
+
         try:
             watch(
                 watched,
                 predictor,
                 clock,
-                stop,
-                seen=seen,
+                summary=summary,
+                show=show,
+                is_over=lambda: stop.requested,
                 seconds=options.seconds,
-                told=line,
                 out=options.out,
-                page=page,
             )
         except DeviceLost as error:
             lost = error
         finally:
             line.close()
         wrench = None
-        if watched.wrench is not None and seen.frames:
-            wrench = watched.wrench(np.array(seen.shown_ns, np.int64))
-        print("\n".join(seen.lines(wrench)), flush=True)
-        if page is not None and seen.frames:
+        if watched.wrench is not None and summary.frames:
+            wrench = watched.wrench(np.array(summary.shows_ns, np.int64))
+        print("\n".join(summary.lines(wrench)), flush=True)
+        if page is not None:
             page.finish(watched.wrench)
-            print(f"{options.page}: the last seconds")
         if options.out is not None:
             if wrench is not None and np.isfinite(wrench[:, :3]).any():
                 add_gauge(options.out, wrench)
-            print(f"{options.out}: {seen.frames:,} forces")
+            print(f"{options.out}: {summary.frames:,} forces")
     if lost is not None:
         print(f"device lost: {lost}", file=sys.stderr)
         return EXIT_DEVICE_LOST
@@ -152,9 +146,9 @@ def _check(options: argparse.Namespace) -> None:
     """Reject options before any library is loaded, or a device opened; find the model."""
     folder = models.find(options.model)
     if folder is None:
-        found = "none" if options.model is None else f"{options.model}; no such folder"
+        name = "none" if options.model is None else f"{options.model}; no such folder"
         raise ConfigError(
-            f"MODEL, --model: found {found}; allowed: the folder of a trained force model, or a "
+            f"MODEL, --model: found {name}; allowed: the folder of a trained force model, or a "
             "name of `tactile models list`"
         )
     options.model = folder
@@ -163,8 +157,7 @@ def _check(options: argparse.Namespace) -> None:
             f"--before: found {options.before}; no such folder; allowed: the folder of a trained "
             "force model"
         )
-    if options.page is not None and not options.page.parent.is_dir():
-        raise ConfigError(f"--page: found {options.page}, in no folder; allowed: an existing one")
+    check_page("--page", options.page)
     bench = (options.sensor, options.bench, options.world, options.indenter)
     if options.session is not None and any(bench):
         raise ConfigError("--session: goes without --sensor, --bench, --world and --indenter")
@@ -172,13 +165,30 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError(f"{options.out}: exists; allowed: a new file")
 
 
-def _sensor(options: argparse.Namespace) -> str:
-    """Return the name of the sensor to watch."""
+def _sensor(options: argparse.Namespace) -> tuple[str, str]:
+    """Return the name of the sensor to watch, and the kind of its source."""
     from recorder import Session
 
     if options.session is not None:
-        return str(Session(options.session).attrs.get("sensor", ""))
-    return chosen_bench(options).bench.sensor
+        return str(Session(options.session).attrs.get("sensor", "")), "REPLAY"
+    bench = chosen_bench(options).bench
+    return bench.sensor, "MOCK BENCH" if bench.mock else "LAB BENCH"
+
+
+def _opened_page(
+    options: argparse.Namespace, sensor: str, source: str, stack: contextlib.ExitStack
+) -> ForcesPage | None:
+    """Serve the page of --page until the end of the stack, and print its address."""
+    if options.page is None:
+        return None
+    from rig.monitor.forces_page import ForcesJob, ForcesPage
+    from rig.monitor.lab import Folders
+    from rig.monitor.page_process import PageSettings
+
+    settings = PageSettings(options.page, Folders(Path("sessions"), options.benches), "--page")
+    page = stack.enter_context(ForcesPage(settings, ForcesJob(sensor, source)))
+    print("\n".join(page_lines(options.page, page.urls, "see the forces")), flush=True)
+    return page
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder import Session
-from recorder.command_line.options import next_command, whole
+from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.motion_notice import motion_lines
@@ -23,11 +23,11 @@ from rig.bench.worlds import SimulatedSpec
 from rig.cli.terminal import confirm
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
-from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST, AccessPolicy, is_loopback
+from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
 
 if TYPE_CHECKING:
     from rig.acquire.request import CollectRequest
-    from rig.monitor.page.page import Page
+    from rig.monitor.collection_page import CollectionPage
     from trajectories import Plan
 
 
@@ -266,51 +266,74 @@ def calibration_of(options: argparse.Namespace, bench: Bench) -> Calibration:
     return calibration
 
 
-# Options of the monitoring page, and the page opened from them.
+# The page that a command serves.
 
 
-def watch_options(parser: argparse.ArgumentParser) -> None:
-    """Add --watch and --watch-host."""
-    page = parser.add_argument_group("monitoring page")
-    page.add_argument(
-        "--watch",
-        type=whole(0, 0xFFFF),
+def add_page(
+    parser: argparse._ActionsContainer,
+    option: str,
+    what: str,
+    default: AccessPolicy | None = None,
+) -> None:
+    """Add an option with the address of a page.
+
+    Args:
+        parser: Parser of the command.
+        option: Name of the option.
+        what: Its help, without the address.
+        default: Address without the option; None: no page is served then.
+    """
+    address = default or AccessPolicy()
+    parser.add_argument(
+        option,
+        type=page_access,
         nargs="?",
-        const=DEFAULT_PORT,
-        metavar="PORT",
-        help=f"serve a monitoring page (default port {DEFAULT_PORT}; 0: any free port)",
-    )
-    page.add_argument(
-        "--watch-host",
-        default=LOOPBACK_HOST,
+        const=address,
+        default=default,
         metavar="ADDRESS",
-        help="address to serve the page on (default: %(default)s, this machine only; any other "
-        "address requires a token, which is printed)",
+        help=f"{what}: PORT ({address.port}; 0: any free port) of this machine only, or HOST:PORT; "
+        "a host that others can reach requires a token, which is printed",
     )
 
 
-def check_watch(options: argparse.Namespace) -> None:
-    """Check the options of the page before anything is started.
+def page_access(text: str) -> AccessPolicy:
+    """Read the address of a page."""
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit() and int(port) <= 0xFFFF):
+        raise argparse.ArgumentTypeError(
+            f"found {text!r}; allowed: PORT or HOST:PORT, with a whole number from 0 to 65535"
+        )
+    return AccessPolicy(host.strip("[]") or LOOPBACK_HOST, int(port))
+
+
+def check_page(option: str, access: AccessPolicy | None) -> None:
+    """Check the address of a page before anything is started.
 
     Raises:
-        ConfigError: An address without a page, or one that is not this machine's.
+        ConfigError: It is not this machine's, or its port is in use.
     """
-    if options.watch is None:
-        if options.watch_host != LOOPBACK_HOST:
-            raise ConfigError("WATCHHOST, --watch-host: goes with WATCH, --watch, only")
+    if access is None:
         return
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(
-            options.watch_host, options.watch, type=socket.SOCK_STREAM
+        family, kind, _, _, address = socket.getaddrinfo(
+            access.host, access.port, type=socket.SOCK_STREAM
         )[0]
-        with socket.socket(family, kind, protocol) as probe:
+        with socket.socket(family, kind) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
         raise ConfigError(
-            f"--watch: found {options.watch_host}:{options.watch}: {error.strerror or error}; "
+            f"{option}: found {access.host}:{access.port}: {error.strerror or error}; "
             "allowed: a free port of this machine"
         ) from None
+
+
+def page_lines(access: AccessPolicy, urls: list[str], power: str) -> list[str]:
+    """Return lines with the addresses of a page, and what others may do who have them."""
+    lines = [f"watch it at {url}" for url in urls]
+    if not is_loopback(access.host):
+        lines.append(f"whoever has this address can {power}: the connection is not encrypted")
+    return lines
 
 
 @contextlib.contextmanager
@@ -321,23 +344,24 @@ def opened_page(
     request: CollectRequest,
     plan: Plan,
     total: int,
-) -> Iterator[Page | None]:
+) -> Iterator[CollectionPage | None]:
     """Run the monitoring page during the context; yield None without --watch.
 
     Raises:
         ConfigError: The port or the address cannot be used.
     """
-    if options.watch is None:
+    access: AccessPolicy | None = options.watch
+    if access is None:
         yield None
         return
-    from rig.monitor.page.messages import page_job
-    from rig.monitor.page.page import Page
+    from rig.monitor.collection import CollectionJob
+    from rig.monitor.collection_page import CollectionPage
+    from rig.monitor.lab import Folders
+    from rig.monitor.page_process import PageSettings
 
-    access = AccessPolicy(options.watch_host, options.watch)
-    with Page(page_job(access, bench, folder, request, plan, total)) as page:
-        print("\n".join(f"watch it at {url}" for url in page.urls), flush=True)
-        if not is_loopback(access.host):
-            print(
-                "whoever has this address can see, pause and abort: the connection is not encrypted"
-            )
+    folders = Folders(request.path.parent, options.benches, options.calibrations)
+    settings = PageSettings(access, folders, "--watch")
+    job = CollectionJob.of(bench, folder, request, plan, total)
+    with CollectionPage(settings, job) as page:
+        print("\n".join(page_lines(access, page.urls, "see, pause and abort")), flush=True)
         yield page

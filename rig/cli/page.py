@@ -1,4 +1,4 @@
-"""`tactile page`: serve the workbench of a lab; nothing moves."""
+"""`tactile page`: serve the page of a lab; nothing moves."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import os
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
-from recorder.command_line.options import whole
-from rig.cli.options import benches_option, calibration_options
-from rig.monitor.page.access import DEFAULT_PORT, LOOPBACK_HOST
+from rig.cli.options import add_page, benches_option, calibration_options, check_page, page_lines
+from rig.monitor.access import DEFAULT_PORT, AccessPolicy
 
 # Default folder of sessions, which is made if it is missing.
 SESSIONS = Path("sessions")
@@ -30,27 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=SESSIONS,
         help="folder of sessions, searched with its subfolders (%(default)s)",
     )
-    parser.add_argument(
-        "--port",
-        type=whole(0, 0xFFFF),
-        default=DEFAULT_PORT + 1,
-        metavar="PORT",
-        help="port (%(default)s; 0: any free port)",
-    )
-    parser.add_argument(
-        "--host",
-        default=LOOPBACK_HOST,
-        metavar="ADDRESS",
-        help="address to serve on (default: %(default)s, this machine only; any other address "
-        "requires a token, which is printed)",
-    )
-    parser.add_argument(
-        "--campaigns",
-        type=Path,
-        default=Path("campaigns"),
-        metavar="DIR",
-        help="folder of campaign files (%(default)s)",
-    )
+    add_page(parser, "--port", "address of the page", AccessPolicy(port=DEFAULT_PORT + 1))
     benches_option(parser)
     calibration_options(parser)
 
@@ -65,22 +44,21 @@ def run(options: argparse.Namespace) -> int:
     import asyncio
 
     from rig.core.clock import SystemClock
-    from rig.monitor.page.access import AccessPolicy, is_loopback, urls_of
-    from rig.monitor.workbench.lab import Lab, Places
-    from rig.monitor.workbench.server import WorkbenchServer
+    from rig.monitor.access import urls_of
+    from rig.monitor.lab import Folders
+    from rig.monitor.server import PageServer
 
+    access = options.port
+    check_page("--port", access)
     if options.folder == SESSIONS:
         SESSIONS.mkdir(exist_ok=True)
-    places = Places(options.folder, options.campaigns, options.benches, options.calibrations)
-    access = AccessPolicy(options.host, options.port)
 
     def ready(port: int) -> None:
-        for url in urls_of(access, port):
-            print(f"open {url}; Ctrl-C ends the page", flush=True)
-        if not is_loopback(access.host):
-            print("whoever has this address can see all sessions: it is not encrypted", flush=True)
+        lines = page_lines(access, urls_of(access, port), "see all sessions")
+        print("\n".join([*lines, "Ctrl-C ends the page"]), flush=True)
 
     # Recording has priority over all clients.
     os.nice(10)
-    asyncio.run(WorkbenchServer(Lab(places, SystemClock()), access).run(ready))
+    folders = Folders(options.folder, options.benches, options.calibrations)
+    asyncio.run(PageServer(access, folders, SystemClock()).run(ready))
     return EXIT_DONE

@@ -19,7 +19,7 @@ from rig.core.sources import Sources
 from trajectories import Plan
 
 if TYPE_CHECKING:
-    from rig.monitor.page.page import Page
+    from rig.monitor.collection_page import CollectionPage
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def record(
     asked_by: int | None = None,
     sources: Sources | None = None,
     truth: Path | None = None,
-    page: Callable[[Bench, Path], AbstractContextManager[Page | None]] | None = None,
+    page: Callable[[Bench, Path], AbstractContextManager[CollectionPage | None]] | None = None,
     on: StartedBench | None = None,
 ) -> int:
     """Record `plan` from its first open target on and return the exit code.

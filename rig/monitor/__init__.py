@@ -1,1 +1,5 @@
-"""Live views: forces predicted by a model as a sensor is touched, and `page` of a collection."""
+"""The page of a lab, and forces predicted by a model as a sensor is touched.
+
+`tactile page`, `collect --watch` and `live --page` serve one page with three views: Live, Sessions
+and Benches. Nothing on it starts a device.
+"""

@@ -8,39 +8,33 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
 from recorder import SessionError
-from recorder.store import decode_jpeg
+from recorder.store import decode_jpeg, replace_file
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
-from rig.monitor.comparison import ComparisonPage, cells_of, columns_of
-from rig.monitor.predictor import Predictor, Reading, Triple
-from rig.monitor.watched import Watched
+from rig.monitor.watched import Triple, Watched
+
+if TYPE_CHECKING:
+    from rig.monitor.predictor import LiveForce, LivePredictor
 
 # Longest wait for the next frame before the time is checked again [s].
 _WAIT = 0.1
 _SHAPE = (480, 640, 3)
-_COLUMNS = ("t_ns", "Fx_N", "Fy_N", "Fz_N", "contact", "latency_ms")
+_AXES = ("Fx", "Fy", "Fz")
 # Most forces kept for the summary; in longer sessions the rest is only in the file.
 _KEEP = 1_000_000
 
 
-class Stop(Protocol):
-    """Stop request."""
-
-    @property
-    def requested(self) -> bool:
-        """True if the end was requested."""
-
-
 @dataclass(slots=True)
-class Seen:
+class Summary:
     """Results of watching a sensor."""
 
     frames: int = 0
@@ -53,13 +47,13 @@ class Seen:
     """Time from the first force to the last [s]."""
     latency: list[float] = field(default_factory=list)
     """Time from frame in to force out [s]."""
-    shown_ns: list[int] = field(default_factory=list)
-    """Times of the sensor states shown in the frames [ns]."""
+    shows_ns: list[int] = field(default_factory=list)
+    """Times of the states of the sensor that the frames show [ns]."""
     force: list[tuple[float, float, float]] = field(default_factory=list)
     """Predicted forces [N]; NaN on axes that the model does not predict."""
     first_ns: int | None = None
 
-    def add(self, reading: Reading, t_ns: int, now_ns: int, shown_ns: int) -> float:
+    def add(self, reading: LiveForce, t_ns: int, now_ns: int, shows_ns: int) -> float:
         """Record a force that was available at `now_ns` and return its latency [s]."""
         self.first_ns = now_ns if self.first_ns is None else self.first_ns
         self.frames += 1
@@ -67,7 +61,7 @@ class Seen:
         latency = (now_ns - t_ns) / SECOND_NS
         if self.frames <= _KEEP:
             self.latency.append(latency)
-            self.shown_ns.append(shown_ns)
+            self.shows_ns.append(shows_ns)
             self.force.append(reading.force)
         return latency
 
@@ -94,11 +88,11 @@ class Seen:
         )
         if wrench is None:
             return
-        apart = np.abs(np.array(self.force) - wrench[:, :3])
+        errors = np.abs(np.array(self.force) - wrench[:, :3])
         text = ", ".join(
-            f"{axis} {np.nanmean(here):.2f} N (of {np.nanmax(np.abs(there)):.2f})"
-            for axis, here, there in zip(("Fx", "Fy", "Fz"), apart.T, wrench.T, strict=False)
-            if np.isfinite(here).any()
+            f"{axis} {np.nanmean(error):.2f} N (of {np.nanmax(np.abs(true)):.2f})"
+            for axis, error, true in zip(_AXES, errors.T, wrench.T, strict=False)
+            if np.isfinite(error).any()
         )
         if text:
             yield f"mean absolute error compared with the true force: {text}"
@@ -106,15 +100,14 @@ class Seen:
 
 def watch(
     watched: Watched,
-    predictor: Predictor,
+    predictor: LivePredictor,
     clock: Clock,
-    stop: Stop,
     *,
-    seen: Seen,
+    summary: Summary,
+    show: Callable[[LiveForce, int, float, Triple | None], None] = lambda *_: None,
+    is_over: Callable[[], bool] = lambda: False,
     seconds: float | None = None,
-    told: Callable[[Reading, float], None] = lambda reading, latency: None,
     out: Path | None = None,
-    page: ComparisonPage | None = None,
 ) -> None:
     """Watch until the frames end, the time is up, or a stop is requested.
 
@@ -122,21 +115,22 @@ def watch(
         watched: An opened sensor.
         predictor: Predicts the force of each frame.
         clock: Clock.
-        stop: Checked after every frame.
-        seen: Receives all results, even if an error ends the loop.
+        summary: Receives all results, even if an error ends the loop.
+        show: Called with each force, the time of the state that its frame shows [ns], its latency
+            [s] and the gauge's newest force [N].
+        is_over: Returns True if a stop was requested.
         seconds: Duration from the first force on [s]; None: until the frames end.
-        told: Called with each force and its latency [s].
         out: CSV file to write; must not exist.
-        page: Page to show the forces on.
 
     Raises:
-        ConfigError: The file exists, or the predictor cannot use the frames.
+        ConfigError: The file exists.
         DeviceLost: The sensor fell silent.
+        LearningError: The predictor cannot use the frames.
     """
-    with _recording(out, (*_COLUMNS, *columns_of(predictor))) as record:
+    with _recording(out, predictor) as record:
         if watched.no_contact is not None:
             predictor.begin(watched.no_contact)
-        while not stop.requested and not _enough(seen, seconds):
+        while not is_over() and not (seconds is not None and summary.seconds >= seconds):
             samples = watched.driver.read(_WAIT)
             watched.check()
             if not samples:
@@ -145,32 +139,24 @@ def watch(
                 continue
             newest = samples[-1]
             try:
-                reading = predictor.step(_frame(watched, newest))
+                reading = predictor.step(_frame(newest))
             except SessionError:
-                seen.lost += 1
+                summary.lost += 1
                 continue
             if reading is None:
                 continue
-            if seen.first_ns is None:
+            if summary.first_ns is None:
                 watched.begin()
             else:
-                seen.skipped += len(samples) - 1
-            t_ns = int(newest["t_ns"])
-            latency = seen.add(reading, t_ns, clock.now_ns(), watched.shown_ns(newest))
-            plain = (t_ns, *reading.force, int(reading.contact), round(1e3 * latency, 3))
-            record((*plain, *cells_of(reading)))
-            gauge = watched.gauge()
-            if page is not None:
-                page.add(reading, watched.shown_ns(newest), gauge)
-            told(reading, latency)
-        seen.lost += watched.driver.dropped
+                summary.skipped += len(samples) - 1
+            t_ns, shows_ns = int(newest["t_ns"]), watched.shows_ns(newest)
+            latency = summary.add(reading, t_ns, clock.now_ns(), shows_ns)
+            record(t_ns, latency, reading)
+            show(reading, shows_ns, latency, watched.gauge())
+        summary.lost += watched.driver.dropped
 
 
-def _enough(seen: Seen, seconds: float | None) -> bool:
-    return seconds is not None and seen.seconds >= seconds
-
-
-def _frame(watched: Watched, sample: dict[str, Any]) -> Any:
+def _frame(sample: dict[str, Any]) -> Any:
     """Return the input of the predictor: pixels (480, 640, 3) or counts (16, 3).
 
     Raises:
@@ -180,28 +166,38 @@ def _frame(watched: Watched, sample: dict[str, Any]) -> Any:
     return decode_jpeg(value, _SHAPE) if isinstance(value, bytes) else value
 
 
+# Table of all forces.
+
+
 @contextlib.contextmanager
 def _recording(
-    out: Path | None, columns: tuple[str, ...]
-) -> Iterator[Callable[[tuple[Any, ...]], None]]:
+    out: Path | None, predictor: LivePredictor
+) -> Iterator[Callable[[int, float, LiveForce], None]]:
     """Yield a function that appends a row to a CSV file and flushes it.
 
     A file without any row is removed.
     """
     if out is None:
-        yield lambda row: None
+        yield lambda t_ns, latency, reading: None
         return
+    columns = ["t_ns", *_columns("{}"), "contact", "latency_ms"]
+    if predictor.intervals is not None:
+        columns += [*_columns("{}_low"), *_columns("{}_high"), "outside"]
+    if predictor.has_before:
+        columns += _columns("before_{}")
     rows = 0
 
-    def append(row: tuple[Any, ...]) -> None:
+    def append(t_ns: int, latency: float, reading: LiveForce) -> None:
         nonlocal rows
-        writer.writerow(row)
+        row = [t_ns, *reading.force, int(reading.contact), round(1e3 * latency, 3)]
+        if reading.interval is not None:
+            low, high = reading.interval
+            row += [*low, *high, int(reading.outside)]
+        writer.writerow([*row, *(reading.before or ())])
         rows += 1
 
     try:
         file = out.open("x", newline="", encoding="utf-8", buffering=1)
-    except FileExistsError:
-        raise ConfigError(f"{out}: exists; allowed: a new file") from None
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error}") from error
     try:
@@ -212,6 +208,28 @@ def _recording(
     finally:
         if not rows:
             out.unlink()
+
+
+def _columns(pattern: str) -> list[str]:
+    return [f"{pattern.format(axis)}_N" for axis in _AXES]
+
+
+def add_gauge(path: Path, wrench: np.ndarray) -> None:
+    """Add the gauge's forces to a table of forces, row by row.
+
+    Args:
+        path: CSV file.
+        wrench: Wrenches of its first rows (n, 6) [N, N m]; NaN where unknown.
+    """
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *rows = list(csv.reader(file))
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow([*header, *_columns("gauge_{}")])
+    for number, row in enumerate(rows):
+        force = wrench[number, :3].tolist() if number < len(wrench) else [np.nan] * 3
+        writer.writerow([*row, *("" if value != value else value for value in force)])
+    replace_file(path, text.getvalue().encode())
 
 
 # Output line: the newest force, rewritten ten times per second on a terminal.
@@ -234,15 +252,15 @@ class ForceLine:
         self._due_ns = 0
         self._open = False
 
-    def __call__(self, reading: Reading, latency: float) -> None:
+    def __call__(self, reading: LiveForce, latency: float) -> None:
         """Show a force and its latency [s], if the line is due."""
         now_ns = self._clock.now_ns()
         if now_ns < self._due_ns:
             return
         self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _ELSEWHERE_NS)
-        text = f"{_told(reading.force, reading.interval)} N  "
+        text = f"{_text(reading.force, reading.interval)} N  "
         if reading.before is not None:
-            text = f"before {_told(reading.before)}  after {text}"
+            text = f"before {_text(reading.before)}  after {text}"
         text += "contact" if reading.contact else "       "
         text += f"  {1e3 * latency:5.1f} ms{'  OUTSIDE' if reading.outside else ''}"
         self._open = self._terminal
@@ -257,14 +275,14 @@ class ForceLine:
             self._open = False
 
 
-def _told(force: Triple, interval: tuple[Triple, Triple] | None = None) -> str:
-    """Return the known forces [N] as text, with half-widths of their intervals."""
-    shown = []
-    for place, (axis, width) in enumerate(zip(("Fx", "Fy", "Fz"), (6, 6, 7), strict=True)):
-        if force[place] != force[place]:
+def _text(force: Triple, interval: tuple[Triple, Triple] | None = None) -> str:
+    """Return the forces [N] that are numbers as text, with half-widths of their intervals."""
+    parts = []
+    for k, (axis, width) in enumerate(zip(_AXES, (6, 6, 7), strict=True)):
+        if force[k] != force[k]:
             continue
-        text = f"{axis} {force[place]:+{width}.2f}"
-        if interval is not None and interval[0][place] == interval[0][place]:
-            text += f" +-{0.5 * (interval[1][place] - interval[0][place]):.2f}"
-        shown.append(text)
-    return "  ".join(shown)
+        text = f"{axis} {force[k]:+{width}.2f}"
+        if interval is not None and interval[0][k] == interval[0][k]:
+            text += f" +-{0.5 * (interval[1][k] - interval[0][k]):.2f}"
+        parts.append(text)
+    return "  ".join(parts)

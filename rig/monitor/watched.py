@@ -19,8 +19,8 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.presser import TouchedMock
 from rig.mock.recorded_stream import ReplayedSensor
-from rig.monitor.predictor import Triple
 
+Triple = tuple[float, float, float]
 Times = np.ndarray
 # Most samples of a gauge that are kept: 16 minutes at 1 kHz.
 _MOST = 1_000_000
@@ -44,7 +44,7 @@ class Watched:
     """Returns True if no more frames will come."""
     check: Callable[[], None] = lambda: None
     """Raises DeviceLost if an emulator has ended."""
-    shown_ns: Callable[[dict[str, Any]], int] = lambda sample: int(sample["t_ns"])
+    shows_ns: Callable[[dict[str, Any]], int] = lambda sample: int(sample["t_ns"])
     """Returns the time of a sample for `wrench` [ns]."""
     wrench: Callable[[Times], np.ndarray] | None = None
     """Returns the true or measured wrench (n, 6) [N, N m] at times (n,) [ns]; None if unknown."""
@@ -83,14 +83,14 @@ class GaugeBeside:
 
     def wrench(self, t_ns: Times) -> np.ndarray:
         """Return the wrench (n, 6) at times (n,) [ns]; NaN where it was not measured."""
-        found = np.full((len(t_ns), 6), np.nan)
+        wrench = np.full((len(t_ns), 6), np.nan)
         if self._bias is None:
-            return found
+            return wrench
         times, values = np.array(self._times), np.stack(self._values) - self._bias
         inside = (t_ns >= times[0]) & (t_ns <= times[-1])
         for axis in range(6):
-            found[inside, axis] = np.interp(t_ns[inside], times, values[:, axis])
-        return found
+            wrench[inside, axis] = np.interp(t_ns[inside], times, values[:, axis])
+        return wrench
 
 
 @contextlib.contextmanager
@@ -160,7 +160,7 @@ def mock_bench(
             opened.driver,
             begin=mock.press,
             check=mock.check,
-            shown_ns=_stamped,
+            shows_ns=_stamped,
             wrench=mock.wrench,
         )
 

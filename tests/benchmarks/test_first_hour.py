@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from support.collecting import ROOT
+from support.lab_page import BENCH, PLAN, TARGETS
 from support.sessions import make_session, set_attrs
-from support.workbench import BENCH, PLAN, TARGETS
 
 from benchmarks import first_hour
 from benchmarks.chromium import CHROMIUM

@@ -56,8 +56,7 @@ def folder_of_recordings(tmp_path: Path) -> Path:
         ("--sensor tacpalm --still", "STILL: goes with CAMERA only"),
         ("--bench {}/lab.yaml --camera {}/images", "CAMERA: {}/lab.yaml is a lab bench"),
         ("--bench {}/lab.yaml --truth {}/t", "TRUTH: {}/lab.yaml is a lab bench"),
-        ("--sensor tacpalm --watch-host 0.0.0.0", "WATCHHOST, --watch-host: goes with WATCH"),
-        ("--sensor tacpalm --watch-host 203.0.113.7 --watch", "allowed: a free port of this"),
+        ("--sensor tacpalm --watch 203.0.113.7:8765", "allowed: a free port of this"),
         ("--bench {}/lab.yaml", "lab bench: no terminal to ask on"),
     ],
 )

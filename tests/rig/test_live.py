@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import json
 import signal
 import subprocess
 import sys
@@ -17,14 +18,20 @@ import pytest
 import simplejpeg
 from support.learning_sessions import altered
 from support.sessions import make_session
+from support.watching import next_state
+from support.watching import watch as connected
 
+from learning.force.live import LiveForce, LivePredictor
 from recorder import Session, SessionError
 from rig.bench.bench import BenchFile, find_bench
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
-from rig.monitor.comparison import ComparisonPage, add_gauge
-from rig.monitor.forces import ForceLine, Seen, watch
+from rig.monitor.access import AccessPolicy
+from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
+from rig.monitor.forces_page import ForcesJob, ForcesPage
+from rig.monitor.lab import Folders
+from rig.monitor.page_process import PageSettings
 from rig.monitor.watched import GaugeBeside, Watched, mock_bench, replayed
 from tactile.__main__ import main
 
@@ -32,41 +39,45 @@ from tactile.__main__ import main
 WORK_NS = 5_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class Said:
-    force: tuple[float, float, float]
-    contact: bool = True
-    interval: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    outside: bool = False
-    before: tuple[float, float, float] | None = None
+def reading(force: tuple[float, float, float], *, contact: bool = True, **others: Any) -> LiveForce:
+    return LiveForce(force, contact, 0.0, **others)
 
 
 @dataclass
-class Stub:
+class Stub(LivePredictor):
     """A slow predictor that needs some frames before it begins."""
 
     clock: FakeClock | None = None
     first: int = 2
     seen: list[Any] = field(default_factory=list)
     no_contact: list[Any] = field(default_factory=list)
-    has_intervals: bool = False
-    has_before: bool = False
+    with_intervals: bool = False
+    with_before: bool = False
+
+    @property
+    def intervals(self) -> Any:
+        return True if self.with_intervals else None
+
+    @property
+    def has_before(self) -> bool:
+        return self.with_before
 
     def begin(self, frames: Any) -> None:
         self.no_contact += list(frames)
 
-    def step(self, frame: Any) -> Said | None:
+    def step(self, frame: Any) -> LiveForce | None:
         self.seen.append(frame)
         if self.clock is not None:
             self.clock.advance(WORK_NS / SECOND_NS)
         if len(self.seen) <= self.first:
             return None
         x, y, z = 0.0, 0.5, -float(np.mean(frame))
-        return Said(
+        interval = ((x - 1, y - 1, z - 1), (x + 1, y + 1, z + 1))
+        return reading(
             (x, y, z),
-            interval=((x - 1, y - 1, z - 1), (x + 1, y + 1, z + 1)) if self.has_intervals else None,
-            outside=self.has_intervals and z < -3.5,
-            before=(x, y, 2 * z) if self.has_before else None,
+            interval=interval if self.with_intervals else None,
+            outside=self.with_intervals and z < -3.5,
+            before=(x, y, 2 * z) if self.with_before else None,
         )
 
 
@@ -94,11 +105,6 @@ class Drops:
     def close(self) -> None: ...
 
 
-@dataclass
-class Never:
-    requested: bool = False
-
-
 def scan(value: float) -> np.ndarray[Any, Any]:
     return np.full((16, 3), value)
 
@@ -109,20 +115,20 @@ def test_the_newest_frame_is_taken_and_skipped_ones_are_counted(tmp_path: Path) 
     driver = Drops(clock, portions, dropped=1)
     begun: list[int] = []
     watched = Watched("uskin", "taxels", driver, begin=lambda: begun.append(len(portions)))
-    seen, predictor, out = Seen(), Stub(clock), tmp_path / "forces.csv"
+    summary, predictor, out = Summary(), Stub(clock), tmp_path / "forces.csv"
     with pytest.raises(DeviceLost):
-        watch(watched, predictor, clock, Never(), seen=seen, out=out)
-    assert [force[2] for force in seen.force] == [-1.0, -3.0, -4.0]
-    assert (seen.frames, seen.skipped) == (3, 3)
+        watch(watched, predictor, clock, summary=summary, out=out)
+    assert [force[2] for force in summary.force] == [-1.0, -3.0, -4.0]
+    assert (summary.frames, summary.skipped) == (3, 3)
     assert begun == [3]
-    assert np.allclose(seen.latency, WORK_NS / SECOND_NS)
+    assert np.allclose(summary.latency, WORK_NS / SECOND_NS)
     with out.open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["Fz_N"]) for row in rows] == [-1.0, -3.0, -4.0]
     assert [float(row["latency_ms"]) for row in rows] == [5.0] * 3
     assert int(rows[0]["t_ns"]) == 7 * SECOND_NS + 2 * WORK_NS
     with pytest.raises(ConfigError, match="exists"):
-        watch(watched, predictor, clock, Never(), seen=Seen(), out=out)
+        watch(watched, predictor, clock, summary=Summary(), out=out)
 
 
 def test_forces_before_and_after_stand_beside_the_gauge_in_a_table_and_on_a_page(
@@ -138,28 +144,41 @@ def test_forces_before_and_after_stand_beside_the_gauge_in_a_table_and_on_a_page
     watched = Watched(
         "uskin", "taxels", driver, over=lambda: True, wrench=gauge.wrench, gauge=gauge.newest
     )
-    predictor = Stub(clock, first=0, has_intervals=True, has_before=True)
-    out, file = tmp_path / "forces.csv", tmp_path / "live.html"
-    page, seen, line = ComparisonPage(file, clock, "uskin"), Seen(), io.StringIO()
-    watch(
-        *(watched, predictor, clock, Never()),
-        seen=seen,
-        out=out,
-        page=page,
-        told=ForceLine(clock, line),
-    )
-    assert "before Fx  +0.00  Fy  +0.50  Fz   -2.00  after Fx  +0.00 +-1.00" in line.getvalue()
-    assert 'http-equiv="refresh"' in file.read_text()
-    page.finish(watched.wrench)
-    text = file.read_text()
-    assert "refresh" not in text
-    assert text.count("<polygon") == 3
-    assert text.count("<polyline") == 9
-    assert "outside of what was learned" in text
-    assert ">before -8.00<" in text
-    assert ">after -4.00<" in text
-    assert ">gauge -2.00<" in text
-    add_gauge(out, gauge.wrench(np.array(seen.shown_ns)))
+    predictor = Stub(clock, first=0, with_intervals=True, with_before=True)
+    out, summary, printed = tmp_path / "forces.csv", Summary(), io.StringIO()
+    line, access = ForceLine(clock, printed), AccessPolicy(port=0)
+    settings = PageSettings(access, Folders(tmp_path / "none", BENCHES), "--page")
+    with ForcesPage(settings, ForcesJob("uskin", "REPLAY")) as page:
+
+        def show(force: LiveForce, t_ns: int, latency: float, beside: Any) -> None:
+            line(force, latency)
+            page.add(force, t_ns, latency, beside)
+
+        with connected(access, page.port) as client:
+            hello = json.loads(client.recv(timeout=10))
+            assert (hello["live"], hello["sensor"], hello["lab"]) == ("forces", "uskin", False)
+            client.send('{"command": "abort"}')  # it has none
+            while not next_state(client)["refused"]:
+                pass
+            watch(watched, predictor, clock, summary=summary, show=show, out=out)
+            points: list[Any] = []
+            while len(points) < 3:
+                state = next_state(client)
+                assert state["status"] == "watching"
+                points += state["points"]
+            _, force, low, high, before, beside, latency, contact, outside = points[-1]
+            assert (force, before) == ([0.0, 0.5, -4.0], [0.0, 0.5, -8.0])
+            assert (low, high) == ([-1.0, -0.5, -5.0], [1.0, 1.5, -3.0])
+            assert (beside, latency, contact, outside) == ([-2.0, -2.0, -2.0], 5.0, True, True)
+            page.finish(lambda t_ns: np.full((len(t_ns), 6), -9.0))
+            page.close()
+            while (state := next_state(client))["status"] == "watching":
+                pass
+            # The last forces replace all others: the true ones are known at the end only.
+            assert [point[1] for point in state["points"]] == [point[1] for point in points]
+            assert [point[5] for point in state["points"]] == [[-9.0] * 3] * 3
+    assert "before Fx  +0.00  Fy  +0.50  Fz   -2.00  after Fx  +0.00 +-1.00" in printed.getvalue()
+    add_gauge(out, gauge.wrench(np.array(summary.shows_ns)))
     with out.open() as opened:
         rows = list(csv.DictReader(opened))
     assert [float(row["before_Fz_N"]) for row in rows] == [-2.0, -6.0, -8.0]
@@ -174,19 +193,19 @@ def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(
     clock = FakeClock()
     many = [[scan(1)] for _ in range(100)]
     watched = Watched("uskin", "taxels", Drops(clock, many, dropped=2))
-    seen = Seen()
-    watch(watched, Stub(clock), clock, Never(), seen=seen, seconds=0.1)
-    assert seen.frames == 21
-    assert seen.rate_hz == pytest.approx(200.0)
-    assert seen.lost == 2
+    summary = Summary()
+    watch(watched, Stub(clock), clock, summary=summary, seconds=0.1)
+    assert summary.frames == 21
+    assert summary.rate_hz == pytest.approx(200.0)
+    assert summary.lost == 2
     over = Watched("uskin", "taxels", Drops(clock, [[scan(1)], []]), over=lambda: True)
-    watch(over, Stub(clock, first=0), clock, Never(), seen=(seen := Seen()))
-    assert seen.frames == 1
+    watch(over, Stub(clock, first=0), clock, summary=(summary := Summary()))
+    assert summary.frames == 1
     out = tmp_path / "none.csv"
-    watch(over, Stub(clock), clock, Never(requested=True), seen=(seen := Seen()), out=out)
-    assert seen.frames == 0
+    watch(over, Stub(clock), clock, is_over=lambda: True, summary=(summary := Summary()), out=out)
+    assert summary.frames == 0
     assert not out.exists()
-    assert list(seen.lines()) == ["no force: no frame arrived after the reference frames"]
+    assert list(summary.lines()) == ["no force: no frame arrived after the reference frames"]
 
 
 def test_a_damaged_picture_is_counted_and_left_out() -> None:
@@ -196,24 +215,24 @@ def test_a_damaged_picture_is_counted_and_left_out() -> None:
     driver = Drops(clock, [[good], [good[:200]], [good], []])
     watched = Watched("tacpalm", "camera", driver, over=lambda: True)
     predictor = Stub(clock, first=0)
-    watch(watched, predictor, clock, Never(), seen=(seen := Seen()))
-    assert (seen.frames, seen.lost) == (2, 1)
+    watch(watched, predictor, clock, summary=(summary := Summary()))
+    assert (summary.frames, summary.lost) == (2, 1)
     assert all(frame.shape == (480, 640, 3) for frame in predictor.seen)
 
 
 def test_the_summary_says_rate_latency_and_how_far_it_was_from_the_truth() -> None:
-    seen = Seen(skipped=3, lost=1)
+    summary = Summary(skipped=3, lost=1)
     for number in range(101):
         now_ns = number * SECOND_NS // 100
-        seen.add(Said((0.0, 0.0, -1.0)), now_ns - number * 100_000, now_ns, now_ns)
+        summary.add(reading((0.0, 0.0, -1.0)), now_ns - number * 100_000, now_ns, now_ns)
     wrench = np.zeros((101, 6))
     wrench[:, 2] = -1.5
     wrench[0] = np.nan
-    text = "\n".join(seen.lines(wrench))
+    text = "\n".join(summary.lines(wrench))
     assert "101 forces in 1.0 s, 100.0 a second; 3 frames skipped" in text
     assert "p50 5.0 ms, p99 9.9 ms, worst 10.0 ms" in text
     assert "Fz 0.50 N (of 1.50)" in text
-    assert "error" not in "\n".join(seen.lines(np.full((101, 6), np.nan)))
+    assert "error" not in "\n".join(summary.lines(np.full((101, 6), np.nan)))
 
 
 def test_forces_are_shown_no_more_often_than_they_can_be_read() -> None:
@@ -225,7 +244,7 @@ def test_forces_are_shown_no_more_often_than_they_can_be_read() -> None:
     for out, every in ((Terminal(), 10), (io.StringIO(), 1)):
         line = ForceLine(clock, out)
         for _ in range(200):
-            line(Said((0.1, -0.2, -3.0)), 0.008)
+            line(reading((0.1, -0.2, -3.0)), 0.008)
             clock.advance(0.01)
         line.close()
         line.close()
@@ -237,20 +256,20 @@ def test_the_finger_of_a_mock_bench_presses_once_the_sensor_was_seen_without_con
     tmp_path: Path,
 ) -> None:
     path = find_bench("uskin", BENCHES)
-    clock, stop = SystemClock(), Never()
+    clock = SystemClock()
     predictor = Stub(first=20)
-    seen = Seen()
+    summary = Summary()
     with mock_bench(BenchFile.read(path), tmp_path, clock, rate_hz=100.0) as watched:
         assert watched.driver.describe()["rate_hz"] in (None, 100.0)
-        watch(watched, predictor, clock, stop, seen=seen, seconds=1.2)
+        watch(watched, predictor, clock, summary=summary, seconds=1.2)
         assert watched.wrench is not None
-        wrench = watched.wrench(np.array(seen.shown_ns))
+        wrench = watched.wrench(np.array(summary.shows_ns))
     counts = np.array(predictor.seen, float)
     spread = np.abs(counts - counts[:20].mean(axis=0)).max(axis=(1, 2))
     assert spread[:20].max() < 20
     assert spread[20:].max() > 200
     assert wrench[:, 2].min() < -0.2
-    assert seen.frames > 20
+    assert summary.frames > 20
 
 
 def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
@@ -258,21 +277,21 @@ def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
     taken_ns = int(Session(made).streams["taxels"].t_ns[4])
     source = altered(made, tmp_path / "s.zarr", {"reference/t_ns": taken_ns})
     recorded = Session(source)
-    clock, predictor, seen = SystemClock(), Stub(first=0), Seen()
+    clock, predictor, summary = SystemClock(), Stub(first=0), Summary()
     folder = tmp_path / "run"
     folder.mkdir()
     with replayed(source, folder, clock) as watched:
         assert (watched.sensor, watched.stream) == ("wedge", "taxels")
-        watch(watched, predictor, clock, Never(), seen=seen)
+        watch(watched, predictor, clock, summary=summary)
         assert watched.wrench is not None
-        wrench = watched.wrench(np.array(seen.shown_ns))
+        wrench = watched.wrench(np.array(summary.shows_ns))
     rows = len(recorded.streams["taxels"])
     assert np.array_equal(predictor.no_contact, recorded.streams["taxels"].array("value")[:5])
     # One more: the driver also returns the sample that it needed to open.
-    assert seen.frames + seen.skipped == rows + 1
+    assert summary.frames + summary.skipped == rows + 1
     values = np.asarray(recorded.streams["taxels"].array("value"))
     assert np.array_equal(predictor.seen[-1], values[-1])
-    assert np.isfinite(wrench).all(axis=1).sum() > 0.8 * seen.frames
+    assert np.isfinite(wrench).all(axis=1).sum() > 0.8 * summary.frames
 
 
 def test_pictures_stored_as_pixels_cannot_be_watched(tmp_path: Path) -> None:
@@ -293,10 +312,7 @@ def test_pictures_stored_as_pixels_cannot_be_watched(tmp_path: Path) -> None:
             "--seconds: found '0'; allowed: a number",
         ),
         (["--sensor", "uskin", "--rate-hz", "-1"], "--rate-hz: found '-1'"),
-        (
-            ["--sensor", "uskin", "--threads", "-1"],
-            "--threads: found '-1'; allowed: whole",
-        ),
+        (["--sensor", "uskin", "--page", "x"], "--page: found 'x'; allowed: PORT or HOST:PORT"),
         (["--sensor", "uskin"], "found no config.yaml; allowed: the folder of a training run"),
         (["--sensor", "nothing"], "SENSOR: found 'nothing'"),
         (["--session", "x.zarr", "--indenter", "cone"], "--session: goes without"),

@@ -11,7 +11,7 @@ from support.live_quality import CLEARANCE, GELSIGHT, PLACES, USKIN, Part, pictu
 from rig.bench.bench import Bench, bench_from
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
-from rig.monitor.page.quality import LiveQuality, Quality
+from rig.monitor.quality import LiveQuality, Quality
 
 
 def wrong(judged: dict[str, Quality]) -> dict[str, tuple[str, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,7 @@ from rig.bench.stream_kinds import kind_of, stream_names
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.core.shared_memory import SharedLatest
-from rig.monitor.page.live_state import MOST_PICTURES, MOST_PLOTS, LiveState
-from rig.monitor.page.server import _in_turn
+from rig.monitor.live_state import MOST_PICTURES, MOST_PLOTS, LiveState, Picture
 
 
 def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:
@@ -77,7 +77,12 @@ def test_every_gauge_arm_and_taxel_array_has_its_own_values(tmp_path: Path) -> N
         }
         assert {name: tip[0] for name, tip in state.tips().items()} == {"pose": 1.0, "arm_0": 2.0}
         assert state.taxels()["skin_0"][3] == [2, 2, 2]
-        assert [trace.since(0)[0][1] for trace in state.traces.values()] == [1.0, 2.0, 3.0]
+        newest = [trace.news(Counter(), "")[0][1] for trace in state.traces.values()]
+        assert newest == [
+            1.0,
+            2.0,
+            3.0,
+        ]
         assert set(state.streams(5)) == set(stream_names(bench))
 
 
@@ -106,8 +111,19 @@ def test_the_page_shows_a_bounded_number_of_pictures_and_plots(count: int, tmp_p
         assert len(state.streams(0)) == 3 + 4 * count
 
 
-def test_a_period_sends_the_first_camera_and_one_of_the_others_in_turn() -> None:
-    assert _in_turn([], 1) == []
-    assert _in_turn(["a"], 5) == ["a"]
-    sent = [_in_turn(["a", "b", "c"], turn) for turn in range(4)]
-    assert sent == [["a", "b"], ["a", "c"], ["a", "b"], ["a", "c"]]
+def test_a_period_sends_the_first_camera_and_one_of_the_others_in_turn(tmp_path: Path) -> None:
+    def sent(*names: str) -> list[bytes]:
+        state.pictures = {name: Picture(tmp_path) for name in names}
+        state.kinds = dict.fromkeys(names, "camera")
+        client, periods = Counter[str](), []
+        for row in range(4):
+            for name, picture in state.pictures.items():
+                picture.row, picture.jpeg = row, name.encode()
+            periods.append(b"".join(message[1:] for message in state.new_pictures(client)))
+        assert list(state.new_pictures(client)) == [] or len(names) > 2
+        return periods
+
+    with seen(bench_with(0, 0, 0, 0), tmp_path) as (state, _):
+        assert sent() == [b""] * 4
+        assert sent("a") == [b"a"] * 4
+        assert sent("a", "b", "c") == [b"ac", b"ab", b"ac", b"ab"]

@@ -6,8 +6,8 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from rig.monitor.page.access import AccessPolicy, is_loopback
-from rig.monitor.page.server import Site
+from rig.monitor.access import AccessPolicy, is_loopback
+from rig.monitor.site import Site
 
 LOCAL = AccessPolicy("127.0.0.1", 8765, "local-token")
 REMOTE = AccessPolicy("0.0.0.0", 8765, "remote-token")

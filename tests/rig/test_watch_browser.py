@@ -17,9 +17,11 @@ from benchmarks.chromium import CHROMIUM, Chromium
 from rig.acquire.control import Control
 from rig.acquire.request import CollectRequest
 from rig.core.packaged import BENCHES
-from rig.monitor.page.access import AccessPolicy
-from rig.monitor.page.messages import page_job
-from rig.monitor.page.page import Page
+from rig.monitor.access import AccessPolicy
+from rig.monitor.collection import CollectionJob
+from rig.monitor.collection_page import CollectionPage
+from rig.monitor.lab import Folders
+from rig.monitor.page_process import PageSettings
 
 pytestmark = [
     pytest.mark.serial,
@@ -145,15 +147,16 @@ def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
 
 def test_a_fault_of_the_recording_is_seen_by_words_and_colour(tmp_path: Path) -> None:
     with recording(GELSIGHT, tmp_path) as made, Chromium() as browser:
-        job = page_job(
-            AccessPolicy(port=0),
+        job = CollectionJob.of(
             GELSIGHT,
             tmp_path,
             CollectRequest(made.path, targets=48),
             GELSIGHT.trajectory,
             48,
         )
-        with Page(job) as page:
+        with CollectionPage(
+            PageSettings(AccessPolicy(port=0), Folders(tmp_path, BENCHES)), job
+        ) as page:
             page.begin(Control(), dict, made.path, 0)
             browser.resize(1280, 800)
             browser.open(page.urls[0])

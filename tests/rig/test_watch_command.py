@@ -17,21 +17,24 @@ from support.watching import BENCH, TARGETS
 from recorder.command_line.errors import CommandError
 from recorder.command_line.options import Parser
 from rig.acquire.request import CollectRequest
-from rig.cli.options import check_watch, opened_page, watch_options
+from rig.cli.options import add_page, benches_option, calibration_options, opened_page
 from rig.core.errors import ConfigError
-from rig.monitor.page.access import AccessPolicy
-from rig.monitor.page.messages import page_job
-from rig.monitor.page.page import Page
+from rig.monitor.collection import CollectionJob
+from rig.monitor.collection_page import CollectionPage
 from trajectories import ForceDepth
 
 
 def parse(*words: str) -> argparse.Namespace:
     parser = Parser()
-    watch_options(parser)
+    add_page(parser, "--watch", "page")
+    benches_option(parser)
+    calibration_options(parser)
     return parser.parse_args(words)
 
 
-def opened(options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack) -> Page | None:
+def opened(
+    options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack
+) -> CollectionPage | None:
     request = CollectRequest(folder / "s.zarr", targets=TARGETS)
     page = opened_page(options, BENCH, folder, request, BENCH.trajectory, TARGETS)
     return stack.enter_context(page)
@@ -43,22 +46,27 @@ def test_nothing_is_served_unless_asked_for(tmp_path: Path) -> None:
 
 
 def test_the_port_has_a_default() -> None:
-    assert parse("--watch").watch == 8765
-    assert parse("--watch", "9000").watch == 9000
-    assert parse("--watch").watch_host == "127.0.0.1"
+    for words, address in (
+        (("--watch",), ("127.0.0.1", 8765)),
+        (("--watch", "9000"), ("127.0.0.1", 9000)),
+        (("--watch", "0.0.0.0:0"), ("0.0.0.0", 0)),
+        (("--watch", "[::1]:80"), ("::1", 80)),
+    ):
+        access = parse(*words).watch
+        assert (access.host, access.port) == address
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--watch", "70000"), "--watch: found '70000'; allowed: whole numbers, 0 to 65535"),
-        (("--watch", "-1"), "--watch: found '-1'"),
-        (("--watch-host", "0.0.0.0"), "goes with WATCH"),
+        (("--watch", "70000"), "--watch: found '70000'; allowed: PORT or HOST:PORT"),
+        (("--watch", "0.0.0.0:"), "--watch: found '0.0.0.0:'"),
+        (("--watch=-1",), "--watch: found '-1'"),
     ],
 )
 def test_what_cannot_be_is_refused(words: tuple[str, ...], message: str) -> None:
     with pytest.raises(CommandError, match=message):
-        check_watch(parse(*words))
+        parse(*words)
 
 
 def test_a_page_for_all_networks_prints_addresses_that_answer(
@@ -66,7 +74,7 @@ def test_a_page_for_all_networks_prints_addresses_that_answer(
 ) -> None:
     """A tablet resolves no name of this machine, so the addresses are numbers."""
     with contextlib.ExitStack() as stack:
-        page = opened(parse("--watch", "0", "--watch-host", "0.0.0.0"), tmp_path, stack)
+        page = opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
         assert page is not None
         printed = re.findall(r"watch it at (\S+)", capsys.readouterr().out)
         assert printed
@@ -86,7 +94,7 @@ def test_the_address_is_printed_and_a_remote_one_has_the_token(
         assert page is not None
         assert capsys.readouterr().out == f"watch it at http://127.0.0.1:{page.port}/\n"
     with contextlib.ExitStack() as stack:
-        page = opened(parse("--watch", "0", "--watch-host", "0.0.0.0"), tmp_path, stack)
+        page = opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
         printed = capsys.readouterr().out
         assert page is not None
         assert f":{page.port}/?token=" in printed
@@ -129,8 +137,7 @@ def test_the_address_of_a_page_that_does_not_answer_is_not_printed(
 
 def test_the_map_of_a_press_without_shear_has_one_direction(tmp_path: Path) -> None:
     plan = ForceDepth(depth_max=1.2e-3, repeats=3)
-    job = page_job(
-        AccessPolicy(), BENCH, tmp_path, CollectRequest(tmp_path / "s.zarr"), plan, len(plan)
-    )
+    request = CollectRequest(tmp_path / "s.zarr")
+    job = CollectionJob.of(BENCH, tmp_path, request, plan, len(plan))
     assert job.directions == 1
     assert [(spot.point, spot.depth, spot.direction) for spot in job.spots] == [(1, 1.2e-3, -1)] * 3

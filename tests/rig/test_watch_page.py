@@ -18,10 +18,9 @@ from websockets.sync.client import ClientConnection
 
 from rig.acquire.control import Control
 from rig.core.errors import ConfigError
-from rig.monitor.page.access import AccessPolicy
-from rig.monitor.page.messages import Snapshot
-from rig.monitor.page.page import Page
-from rig.monitor.page.server import run_page
+from rig.monitor.access import AccessPolicy
+from rig.monitor.collection import CollectionView, Snapshot
+from rig.monitor.page_process import run_page
 
 
 @pytest.fixture
@@ -40,7 +39,7 @@ def until(condition: Callable[[], bool], timeout: float = 15.0) -> None:
 
 def test_the_end_is_shown_before_the_server_goes(watched_bench: WatchedBench) -> None:
     access = AccessPolicy(port=0)
-    with Page(watched_bench.job(access)) as page:
+    with watched_bench.page(access) as page:
         page.begin(Control(), dict, watched_bench.session, 0)
         with watch(access, page.port) as client:
             until(lambda: next_state(client)["status"] == "collecting")
@@ -51,7 +50,7 @@ def test_the_end_is_shown_before_the_server_goes(watched_bench: WatchedBench) ->
 
 def test_an_error_before_recording_is_shown_as_the_end(watched_bench: WatchedBench) -> None:
     access = AccessPolicy(port=0)
-    page = Page(watched_bench.job(access)).__enter__()
+    page = watched_bench.page(access).__enter__()
     with watch(access, page.port) as client:
         assert next_state(client)["status"] == "preparing"
         page.__exit__(ConfigError, ConfigError("force: not there"), None)
@@ -63,7 +62,7 @@ def test_log_lines_reach_the_page_and_the_token_is_in_none(
 ) -> None:
     access = AccessPolicy(host="0.0.0.0", port=0)
     caplog.set_level(logging.DEBUG)
-    with Page(watched_bench.job(access)) as page, watch(access, page.port) as client:
+    with watched_bench.page(access) as page, watch(access, page.port) as client:
         logging.getLogger("rig.test").info("target %d of %d", 3, TARGETS)
         seen: list[str] = []
         while not seen:
@@ -76,7 +75,7 @@ def test_log_lines_reach_the_page_and_the_token_is_in_none(
 def test_a_killed_page_is_mentioned_once_and_nothing_else(
     watched_bench: WatchedBench, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with Page(watched_bench.job()) as page:
+    with watched_bench.page() as page:
         page.begin(Control(), dict, watched_bench.session, 0)
         os.kill(child(), signal.SIGKILL)
         until(lambda: "the monitoring page is gone" in caplog.text)
@@ -89,7 +88,7 @@ def test_a_pause_outlives_the_page_that_asked_for_it(
     watched_bench: WatchedBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     access, control = AccessPolicy(port=0), Control()
-    with Page(watched_bench.job(access)) as page:
+    with watched_bench.page(access) as page:
         page.begin(control, dict, watched_bench.session, 0)
         with watch(access, page.port) as client:
             client.send('{"command": "pause"}')
@@ -100,7 +99,7 @@ def test_a_pause_outlives_the_page_that_asked_for_it(
 
 
 def test_a_frozen_page_holds_nobody_up(watched_bench: WatchedBench) -> None:
-    page = Page(watched_bench.job())
+    page = watched_bench.page()
     with page:
         page.begin(Control(), lambda: {"phase": "x" * 200_000}, watched_bench.session, 0)
         pid = child()
@@ -118,14 +117,14 @@ def test_a_port_in_use_is_wrong_input(watched_bench: WatchedBench) -> None:
         port = taken.getsockname()[1]
         with (
             pytest.raises(ConfigError, match=rf"--watch: found 127\.0\.0\.1:{port}: .*in use"),
-            Page(watched_bench.job(AccessPolicy(port=port))),
+            watched_bench.page(AccessPolicy(port=port)),
         ):
             pass
 
 
 def test_an_address_that_is_not_ours_is_wrong_input(watched_bench: WatchedBench) -> None:
     access = AccessPolicy(host="192.0.2.7", port=0)
-    with pytest.raises(ConfigError, match="--watch"), Page(watched_bench.job(access)):
+    with pytest.raises(ConfigError, match="--watch"), watched_bench.page(access):
         pass
 
 
@@ -135,11 +134,11 @@ def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     access = AccessPolicy(port=0)
-    process = context.Process(target=run_page, args=(watched_bench.job(access), theirs))
+    arguments = (watched_bench.settings(access), CollectionView, watched_bench.job(), theirs)
+    process = context.Process(target=run_page, args=arguments)
     process.start()
     theirs.close()
-    word, port = ours.recv()
-    assert word == "ready"
+    port = ours.recv()
     with watch(access, port) as client:
         ours.send(Snapshot(status="collecting", outcomes="d" + "." * (TARGETS - 1)))
         until(lambda: next_state(client)["status"] == "collecting")
@@ -157,14 +156,14 @@ def test_earlier_runs_are_on_the_map_of_a_resumed_session(watched_bench: Watched
         )
     writer.close()
     access = AccessPolicy(port=0)
-    with Page(watched_bench.job(access)) as page:
+    with watched_bench.page(access) as page:
         page.begin(Control(), dict, watched_bench.session, 3)
         with watch(access, page.port) as client:
             until(lambda: next_state(client)["outcomes"].startswith("dld."))
 
 
 def test_an_ipv6_address_is_printed_as_one(watched_bench: WatchedBench) -> None:
-    page = Page(watched_bench.job(AccessPolicy(host="::1", port=0)))
+    page = watched_bench.page(AccessPolicy(host="::1", port=0))
     try:
         with page:
             assert page.urls == [f"http://[::1]:{page.port}/"]

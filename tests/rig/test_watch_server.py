@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import socket
 import time
 import urllib.error
@@ -17,14 +18,15 @@ from support.watching import TARGETS, WatchedBench, next_image, next_state, watc
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from rig.acquire.control import Control, Interrupted
-from rig.monitor.page.access import AccessPolicy
-from rig.monitor.page.page import Page
-from rig.monitor.page.server import (
+from rig.monitor.access import AccessPolicy
+from rig.monitor.collection import COMMANDS
+from rig.monitor.collection_page import CollectionPage
+from rig.monitor.server import (
     HANDSHAKE_TIMEOUT,
     MAX_CONNECTIONS,
     MAX_MESSAGES,
     MAX_WATCHERS,
-    parse_command,
+    parse_message,
 )
 
 PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
@@ -33,7 +35,9 @@ PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 class Running:
     """One page with its mock collection, and the requests it received."""
 
-    def __init__(self, watched_bench: WatchedBench, page: Page, access: AccessPolicy) -> None:
+    def __init__(
+        self, watched_bench: WatchedBench, page: CollectionPage, access: AccessPolicy
+    ) -> None:
         self.watched_bench, self.page, self.access = watched_bench, page, access
         self.control = Control()
         self.progress: dict[str, Any] = {}
@@ -46,7 +50,7 @@ class Running:
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     watched_bench, access = WatchedBench(tmp_path_factory.mktemp("page")), AccessPolicy(port=0)
-    with Page(watched_bench.job(access, patience=0.5)) as page:
+    with watched_bench.page(access, patience=0.5) as page:
         yield Running(watched_bench, page, access)
     watched_bench.close()
 
@@ -190,7 +194,7 @@ def test_pause_resume_and_abort_reach_the_control(running: Running) -> None:
     ],
 )
 def test_what_is_no_command_is_none(message: str | bytes) -> None:
-    assert parse_command(message) is None
+    assert parse_message(message, COMMANDS) is None
 
 
 def test_a_client_that_talks_nonsense_is_let_go_and_counted(running: Running) -> None:
@@ -300,6 +304,34 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
     assert len(set(rows)) >= 3
 
 
+def test_a_connection_that_stays_silent_is_closed(running: Running) -> None:
+    with socket.create_connection(("127.0.0.1", running.page.port)) as client:
+        client.sendall(b"GET / HTTP/1.1\r\n")
+        client.settimeout(2 * HANDSHAKE_TIMEOUT)
+        assert hung_up(client)
+    assert lets_in(running)
+
+
+def test_sessions_and_benches_are_on_the_page_of_a_collection_too(running: Running) -> None:
+    cookie = fetch(running, "/")[1]["Set-Cookie"].split(";")[0]
+    address = f"http://127.0.0.1:{running.page.port}/data/"
+    for name in ("sessions", "lab"):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(address + name)
+    request = urllib.request.Request(f"{address}sessions", headers={"Cookie": cookie})
+    with urllib.request.urlopen(request) as answer:
+        (row,) = json.loads(answer.read())["rows"]
+    assert (row["path"], row["status"]) == ("s.zarr", "recording")
+    with running.watch() as client:
+        assert json.loads(client.recv(timeout=10))["lab"] is True
+        client.send('{"session": "s.zarr", "again": [1]}')
+        message: dict[str, Any] = {}
+        while message.get("kind") != "marks":
+            received = client.recv(timeout=10)
+            message = json.loads(received) if isinstance(received, str) else {}
+    assert "is being recorded" in message["error"]
+
+
 def test_garbage_instead_of_http_is_hung_up_on(running: Running) -> None:
     for garbage in (b"\x16\x03\x01\x02\x00\x01", b"GET / HTTP/1.1\r\n" + b"A: b\r\n" * 500):
         with socket.create_connection(("127.0.0.1", running.page.port)) as client:
@@ -312,13 +344,17 @@ def test_garbage_instead_of_http_is_hung_up_on(running: Running) -> None:
 def test_the_page_is_served_with_everything_it_names(running: Running) -> None:
     page, headers = fetch(running, "/")
     assert running.access.token in headers["Set-Cookie"]
-    for name in ("page.css", "page.js", "icon.svg"):
-        assert name.encode() in page
-        assert fetch(running, f"/{name}")[0]
-    script, _ = fetch(running, "/page.js")
-    for name in (b"./map.js", b"./traces.js"):
-        assert name in script
-        assert fetch(running, "/" + name.decode().removeprefix("./"))[0]
+    names = set(re.findall(rb'(?:href|src)="([a-z]+\.[a-z]+)"', page))
+    assert names >= {b"page.css", b"page.js", b"icon.svg"}
+    scripts = [name for name in names if name.endswith(b".js")]
+    while scripts:
+        script, _ = fetch(running, f"/{scripts.pop().decode()}")
+        imported = set(re.findall(rb'from "\./([a-z]+\.js)"', script)) - names
+        names |= imported
+        scripts += imported
+    assert len(names) > 8
+    for name in names:
+        assert fetch(running, f"/{name.decode()}")[0]
     with pytest.raises(urllib.error.HTTPError, match="404"):
         fetch(running, "/../server.py")
 
@@ -366,7 +402,7 @@ def test_a_remote_page_needs_its_token_on_the_wire(tmp_path: Path) -> None:
     watched_bench = WatchedBench(tmp_path)
     access = AccessPolicy(host="0.0.0.0", port=0)
     try:
-        with Page(watched_bench.job(access)) as page:
+        with watched_bench.page(access) as page:
             assert all(url.endswith(f"/?token={access.token}") for url in page.urls)
             base = f"http://127.0.0.1:{page.port}"
             for path in ("/", "/page.js", "/?token=wrong"):

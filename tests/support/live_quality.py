@@ -16,7 +16,7 @@ from recorder.spec import camera_spec, force_spec, pose_spec, reference_spec, ta
 from rig.bench.bench import Bench, BenchFile
 from rig.core.geometry import compose
 from rig.core.packaged import BENCHES
-from rig.monitor.page.quality import LiveQuality, Quality
+from rig.monitor.quality import LiveQuality, Quality
 
 GELSIGHT, USKIN = (BenchFile.read(BENCHES / f"{name}.yaml").bench for name in ("gelsight", "uskin"))
 CLEARANCE = 0.3e-3

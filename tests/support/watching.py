@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,11 @@ from rig.core.clock import SystemClock
 from rig.core.packaged import BENCHES
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
 from rig.core.shared_memory import SharedLatest
-from rig.monitor.page.access import AccessPolicy
-from rig.monitor.page.messages import PageJob, page_job
+from rig.monitor.access import AccessPolicy
+from rig.monitor.collection import CollectionJob
+from rig.monitor.collection_page import CollectionPage
+from rig.monitor.lab import Folders
+from rig.monitor.page_process import PageSettings
 
 BENCH = BenchFile.read(BENCHES / "tacpalm.yaml").bench
 TARGETS = 40
@@ -65,11 +68,16 @@ class WatchedBench:
         ).close()
         self.camera = StreamWriter.open(self.session / "streams" / "camera")
 
-    def job(self, access: AccessPolicy | None = None, **fields: Any) -> PageJob:
+    def job(self) -> CollectionJob:
         request = CollectRequest(self.session, targets=TARGETS)
-        access = access or AccessPolicy(port=0)
-        job = page_job(access, BENCH, self.folder, request, BENCH.trajectory, TARGETS)
-        return replace(job, **fields)
+        return CollectionJob.of(BENCH, self.folder, request, BENCH.trajectory, TARGETS)
+
+    def settings(self, access: AccessPolicy | None = None, **others: Any) -> PageSettings:
+        folders = Folders(self.folder, BENCHES)
+        return PageSettings(access or AccessPolicy(port=0), folders, **others)
+
+    def page(self, access: AccessPolicy | None = None, **others: Any) -> CollectionPage:
+        return CollectionPage(self.settings(access, **others), self.job())
 
     def writer(self) -> SessionWriter:
         """Return a writer of the session, to add segments."""

@@ -1,9 +1,7 @@
-// Connects, displays the server's messages and sends commands. The server pushes all data.
+// A running collection: displays the server's messages and sends commands.
 
-import { TargetMap } from "./map.js";
-import { taxels } from "./taxels.js";
-import { $, PHASES, signed, text } from "./tools.js";
-import { Traces } from "./traces.js";
+import { $, AXES, Chart, PHASES, TargetMap, fill, h, lastSeconds, signed, taxels, text } from "./widgets.js";
+import { connected, on, send } from "./wire.js";
 
 const STATUS = {
   preparing: "Preparing", collecting: "Collecting", pausing: "Pausing", paused: "Paused", ending: "Ending",
@@ -11,13 +9,11 @@ const STATUS = {
 };
 const QUALITY = { good: "good", watch: "look", fault: "fault", unknown: "unknown" };
 const ENDED = new Set(["complete", "stopped", "gone"]);
-const SILENT = 2000;
-const RETRY = 1500;
 
 const map = new TargetMap($("map"), $("cell"));
-const first = new Traces($("traces"));
-let traces = {}, pictures = [], captions = {};
-let hello = null, state = null, socket = null, heard = 0, asked = "";
+const first = new Chart($("traces"), 0.5);
+let charts = {}, traces = {}, pictures = [], captions = {};
+let hello = null, state = null, asked = "";
 
 function clock(seconds) {
   if (seconds === null || seconds === undefined) return "–";
@@ -27,67 +23,28 @@ function clock(seconds) {
   return hours ? `${hours}:${two(minutes)}:${two(whole % 60)}` : `${minutes}:${two(whole % 60)}`;
 }
 
-// Connection -------------------------------------------------------------------------------------
-
-async function connect() {
-  try {
-    // The page is fetched first: the response renews the cookie, and shows if access is denied.
-    const answer = await fetch("/", { cache: "no-store" });
-    if (answer.status === 403) return lost("Not let in: open the address that the collection printed.", true);
-    if (!answer.ok) return lost("", true);
-  } catch {
-    return lost("", true);
-  }
-  socket = new WebSocket(`ws://${location.host}/live`);
-  socket.binaryType = "blob";
-  socket.onmessage = ({ data }) => (typeof data === "string" ? take(JSON.parse(data)) : picture(data));
-  socket.onclose = ({ reason }) => {
-    socket = null;
-    lost(reason, true);
-  };
-}
-
-function lost(why, again) {
-  if (again) setTimeout(connect, RETRY);
+export function lost() {
   buttons();
-  if (state && ENDED.has(state.status)) {
-    $("lost").hidden = true;
-    return;
-  }
-  const ago = heard ? ` since ${Math.max(1, Math.round((Date.now() - heard) / 1000))} s` : "";
-  text("lost", why ? `No connection${ago}: ${why}` : `No connection${ago}. Collecting does not depend on this page; reconnecting …`);
-  $("lost").hidden = false;
+  if (state && ENDED.has(state.status)) return true;
   document.body.dataset.status = "lost";
   text("status", "No connection");
   text("phase", "");
-}
-
-setInterval(() => {
-  if (heard && Date.now() - heard > SILENT) lost("", false);
-}, 500);
-
-function take(message) {
-  heard = Date.now();
-  $("lost").hidden = true;
-  if (message.kind === "hello") begin(message);
-  else if (message.kind === "state") show(message);
+  return false;
 }
 
 function ask(command) {
-  if (socket?.readyState !== WebSocket.OPEN) return;
+  if (!send({ command })) return;
   asked = command;
-  socket.send(JSON.stringify({ command }));
   buttons();
 }
 
 // Constant data -------------------------------------------------------------------------------------
 
-function begin(message) {
+export function begin(message) {
   hello = message;
-  document.title = `${hello.sensor}: collection`;
+  asked = "";
   text("what", `${hello.sensor} · ${hello.indenter} · ${hello.session}`);
   text("bench", hello.mock ? "MOCK BENCH" : "LAB BENCH");
-  $("bench").hidden = false;
   text("total", ` / ${hello.targets.length}`);
   $("bar").setAttribute("aria-valuemax", hello.targets.length);
   layOut();
@@ -98,14 +55,17 @@ function begin(message) {
   const { axes, ratings, soft, hard, box } = hello.limits;
   text("limits-note", `fraction of the rating; marks: soft limit ${percent(soft)}, hard ${percent(hard)}`);
   $("loads").replaceChildren(...axes.map((axis, k) => {
-    const made = gauge(axis, `${axis}: fraction of ${ratings[k]} ${k < 3 ? "N" : "N mm"}`, ["fill"]);
-    for (const [name, fraction] of [["soft", soft], ["hard", hard]]) mark(made, name, fraction / railEnd());
-    return made;
+    const marks = [["soft", soft], ["hard", hard]].map(([name, fraction]) => {
+      const made = h("div", { class: `mark ${name}` });
+      made.style.left = `${(100 * Math.min(fraction / railEnd(), 1)).toFixed(1)}%`;
+      return made;
+    });
+    return gauge(axis, `${axis}: fraction of ${ratings[k]} ${k < 3 ? "N" : "N mm"}`, "fill", marks);
   }));
   $("box").replaceChildren(
-    gauge("depth", `depth, allowed up to ${-box[2][0]} mm`, ["fill"]),
-    gauge("x", `x, allowed ${box[0].join(" to ")} mm`, ["dot"]),
-    gauge("y", `y, allowed ${box[1].join(" to ")} mm`, ["dot"]),
+    gauge("depth", `depth, allowed up to ${-box[2][0]} mm`, "fill"),
+    gauge("x", `x, allowed ${box[0].join(" to ")} mm`, "dot"),
+    gauge("y", `y, allowed ${box[1].join(" to ")} mm`, "dot"),
   );
 }
 
@@ -115,67 +75,28 @@ function layOut() {
   $("more-images").textContent = "";
   $("more-traces").textContent = "";
   pictures = Object.entries(hello.pictures).map(([name, kind], k) => ({
-    name, kind, busy: false, canvas: k ? figure($("more-images"), name, 320, 240) : $("image"),
+    name, kind, busy: false, canvas: k ? figure($("more-images"), name, { width: 320, height: 240 }) : $("image"),
   }));
   $("image").parentElement.hidden = !pictures.length;
   text("h-image", pictures[0]?.kind === "taxels" ? "Taxels" : "Live image");
-  traces = {};
-  hello.plots.forEach((name, k) => {
-    traces[name] = k ? new Traces(figure($("more-traces"), name)) : first;
-    traces[name].clear(hello.seconds);
-  });
+  charts = Object.fromEntries(hello.plots.map((name, k) => [name, k ? new Chart(figure($("more-traces"), name), 0.5) : first]));
+  traces = Object.fromEntries(hello.plots.map((name) => [name, []]));
   $("traces").closest("section").hidden = !hello.plots.length;
 }
 
-function figure(parent, name, width, height) {
-  const made = document.createElement("figure"), caption = document.createElement("figcaption");
-  const canvas = document.createElement("canvas");
-  canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", name);
-  if (width) {
-    canvas.width = width;
-    canvas.height = height;
-    made.append(canvas);
-  } else {
-    const plot = document.createElement("div");
-    plot.className = "plot";
-    plot.append(canvas);
-    made.append(plot);
-  }
-  text(caption, name);
-  captions[name] = caption;
-  made.append(caption);
-  parent.append(made);
+function figure(parent, name, size) {
+  const canvas = h("canvas", { role: "img", "aria-label": name, ...size });
+  captions[name] = h("figcaption", {}, name);
+  parent.append(h("figure", {}, size ? canvas : h("div", { class: "plot" }, canvas), captions[name]));
   return canvas;
 }
 
 const percent = (fraction) => `${Math.round(100 * fraction)} %`;
 const railEnd = () => 1.05 * hello.limits.hard;
 
-function gauge(name, label, parts) {
-  const row = document.createElement("div");
-  row.className = "gauge";
-  const title = document.createElement("span"), rail = document.createElement("div"), value = document.createElement("b");
-  title.textContent = name;
-  rail.className = "rail";
-  rail.setAttribute("role", "meter");
-  rail.setAttribute("aria-label", label);
-  row.title = label;
-  for (const part of parts) {
-    const made = document.createElement("div");
-    made.className = part;
-    rail.append(made);
-  }
-  value.textContent = "–";
-  row.append(title, rail, value);
-  return row;
-}
-
-function mark(row, name, fraction) {
-  const made = document.createElement("div");
-  made.className = `mark ${name}`;
-  made.style.left = `${(100 * Math.min(fraction, 1)).toFixed(1)}%`;
-  row.children[1].append(made);
+function gauge(name, label, part, marks = []) {
+  const rail = h("div", { class: "rail", role: "meter", "aria-label": label }, h("div", { class: part }), ...marks);
+  return h("div", { class: "gauge", title: label }, h("span", {}, name), rail, h("b", {}, "–"));
 }
 
 function setGauge(row, fraction, value, level) {
@@ -189,7 +110,7 @@ function setGauge(row, fraction, value, level) {
 
 // Changing data -----------------------------------------------------------------------------------
 
-function show(next) {
+export function show(next) {
   state = next;
   const waiting = state.status === "collecting" && state.paused_by.length;
   const status = waiting ? "pausing" : state.status;
@@ -206,7 +127,7 @@ function show(next) {
   const behind = counts.done + counts.limited;
   $("bar").firstElementChild.style.width = `${(100 * behind) / hello.targets.length}%`;
   $("bar").setAttribute("aria-valuenow", behind);
-  for (const [name, points] of Object.entries(state.traces)) traces[name].add(points);
+  for (const [name, points] of Object.entries(state.traces)) trace(name, points);
   forces(state.forces);
   places(state.tips);
   quality(state.quality);
@@ -222,8 +143,16 @@ function show(next) {
   buttons();
 }
 
+function trace(name, points) {
+  if (!points.length && charts[name].content) return;
+  traces[name].push(...points);
+  const range = lastSeconds(traces[name], hello.seconds);
+  const curves = AXES.map(([, colour], k) => ({ colour, width: 2, points: traces[name].map((point) => [point[0], point[k + 1], point[k + 1]]) }));
+  charts[name].show({ ...range, panels: [{ curves, least: 0.5 }] });
+}
+
 function buttons() {
-  const live = socket?.readyState === WebSocket.OPEN && state && !ENDED.has(state.status);
+  const live = connected() && state && !ENDED.has(state.status);
   const running = live && ["collecting", "paused"].includes(state.status);
   const paused = Boolean(running && state.paused_by.includes("page"));
   text("pause", paused ? "Resume" : "Pause");
@@ -236,7 +165,7 @@ function buttons() {
 function forces(gauges) {
   const force = gauges[hello.plots[0]];
   if (force) {
-    ["fx", "fy", "fz"].forEach((name, k) => text(`v-${name}`, signed(force.wrench[k])));
+    AXES.forEach(([name], k) => text(`v-${name}`, signed(force.wrench[k])));
     text("fz", signed(force.wrench[2], 1));
   }
   for (const name of hello.plots.slice(1)) {
@@ -272,52 +201,25 @@ function places(tips) {
 }
 
 function quality(rows) {
-  const list = $("quality");
-  while (list.children.length > rows.length) list.lastChild.remove();
-  while (list.children.length < rows.length) {
-    const row = document.createElement("li");
-    const said = document.createElement("p");
-    said.append(document.createElement("b"), " ", document.createElement("span"));
-    row.append(document.createElement("span"), said);
-    list.append(row);
-  }
-  rows.forEach(({ name, state, text: why }, k) => {
-    const [judged, said] = list.children[k].children, [title, reason] = said.children;
-    judged.className = `state ${state}`;
-    text(judged, QUALITY[state]);
-    text(title, name);
-    text(reason, why);
-  });
+  fill("quality", rows, () => rows.map(({ name, state, text: why }) =>
+    h("li", {}, h("span", { class: `state ${state}` }, QUALITY[state]), h("p", {}, h("b", {}, name), " ", h("span", {}, why)))));
   const count = (wanted) => rows.filter(({ state }) => state === wanted).length;
-  const found = [["fault", "at fault"], ["watch", "to look at"], ["unknown", "unknown"]]
-    .filter(([wanted]) => count(wanted)).map(([wanted, said]) => `${count(wanted)} ${said}`).join(", ");
-  text("quality-all", found || (rows.length ? "all good" : ""));
+  const counts = [["fault", "at fault"], ["watch", "to look at"], ["unknown", "unknown"]]
+    .filter(([wanted]) => count(wanted)).map(([wanted, words]) => `${count(wanted)} ${words}`).join(", ");
+  text("quality-all", counts || (rows.length ? "all good" : ""));
 }
 
 function streams(rows) {
-  const body = $("streams");
-  const names = Object.keys(rows);
-  while (body.children.length < names.length) {
-    const row = body.insertRow();
-    const head = document.createElement("th");
-    head.scope = "row";
-    row.append(head);
-    for (let k = 0; k < 4; k += 1) row.insertCell();
-  }
-  names.forEach((name, k) => {
-    const { rate, expected, dropped, gap, age } = rows[name];
-    const cells = body.rows[k].cells;
-    const over = ENDED.has(state.status) || state.status === "ending";
-    const silent = age > 1000 && !over;
-    const slow = rate !== undefined && Math.abs(rate - expected) > 0.15 * expected && !over;
-    text(cells[0], name);
-    text(cells[1], silent ? "silent" : rate === undefined ? "–" : `${rate.toFixed(0)} Hz`);
-    cells[1].className = silent || slow ? "wrong" : rate === undefined || over ? "" : "right";
-    text(cells[2], `${expected.toFixed(0)} Hz`);
-    text(cells[3], dropped === undefined ? "–" : String(dropped));
-    cells[3].className = dropped ? "wrong" : "";
-    text(cells[4], gap ? `${gap.toFixed(0)} ms` : "–");
+  const over = ENDED.has(state.status) || state.status === "ending";
+  const cells = Object.entries(rows).map(([name, { rate, expected, dropped, gap, age }]) => {
+    const silent = age > 1000 && !over, slow = rate !== undefined && Math.abs(rate - expected) > 0.15 * expected && !over;
+    return [
+      ["", name], [silent || slow ? "wrong" : rate === undefined || over ? "" : "right", silent ? "silent" : rate === undefined ? "–" : `${rate.toFixed(0)} Hz`],
+      ["", `${expected.toFixed(0)} Hz`], [dropped ? "wrong" : "", String(dropped ?? "–")], ["", gap ? `${gap.toFixed(0)} ms` : "–"],
+    ];
   });
+  fill("streams", cells, () => cells.map(([[, name], ...others]) =>
+    h("tr", {}, h("th", { scope: "row" }, name), ...others.map(([kind, value]) => h("td", { class: kind }, value)))));
   const { watchers, refused } = state;
   text("watchers", `${watchers} watching${refused ? `, ${refused} refused` : ""} · running for ${clock(state.elapsed)}`);
 }
@@ -332,7 +234,7 @@ function log(lines) {
 }
 
 // The first byte is the number of the picture, the rest its JPEG.
-async function picture(data) {
+on("picture", async ({ data }) => {
   const shown = pictures[new Uint8Array(await data.slice(0, 1).arrayBuffer())[0]];
   if (!shown || shown.busy) return;
   shown.busy = true;
@@ -355,7 +257,7 @@ async function picture(data) {
   } finally {
     shown.busy = false;
   }
-}
+});
 
 $("pause").addEventListener("click", () => ask(state.paused_by.includes("page") ? "resume" : "pause"));
 $("abort").addEventListener("click", () => $("confirm").showModal());
@@ -364,4 +266,3 @@ $("abort-now").addEventListener("click", () => {
   $("confirm").close();
   ask("abort");
 });
-connect();

@@ -6,8 +6,8 @@ session stores it at its full rate.
 
 from __future__ import annotations
 
-import math
-from collections import deque
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,10 @@ from rig.core.config import from_si
 from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
 from rig.core.shared_memory import AwaitedRecord
+from rig.monitor.live_view import SAMPLE_RATE_HZ, Backlog, number
 from trajectories import dome_height
 
-TRACE_RATE_HZ = 40.0
+# Time that traces reach back [s].
 TRACE_SECONDS = 20.0
 
 # Most pictures and plots that the page shows; the table lists every stream.
@@ -35,29 +36,20 @@ MOST_PICTURES, MOST_PLOTS, MOST_ARMS = 6, 4, 4
 Point = tuple[float, float | None, float | None, float | None]
 
 
-class Trace:
-    """Force of one gauge during the last TRACE_SECONDS."""
+class Trace(Backlog[Point]):
+    """Force of one gauge during the last seconds."""
 
     def __init__(self) -> None:
-        self._points: deque[Point] = deque(maxlen=round(TRACE_SECONDS * TRACE_RATE_HZ))
+        super().__init__(round(TRACE_SECONDS * SAMPLE_RATE_HZ))
         self._newest_ns = 0
-        self.total = 0
-        """Number of points ever added, including dropped ones."""
 
-    def add(self, record: np.void, start_ns: int) -> None:
+    def sample(self, record: np.void, start_ns: int) -> None:
         """Add a sample, unless it is already there."""
         t_ns = int(record["t_ns"])
-        if t_ns == self._newest_ns:
-            return
-        self._newest_ns = t_ns
-        x, y, z = (number(value) for value in record["value"][:3])
-        self._points.append((round((t_ns - start_ns) / SECOND_NS, 3), x, y, z))
-        self.total += 1
-
-    def since(self, count: int) -> list[Point]:
-        """Return the points after the first `count` of all, as far as the trace reaches back."""
-        new = min(self.total - count, len(self._points))
-        return [self._points[k] for k in range(len(self._points) - new, len(self._points))]
+        if t_ns != self._newest_ns:
+            self._newest_ns = t_ns
+            x, y, z = (number(value) for value in record["value"][:3])
+            self.add((round((t_ns - start_ns) / SECOND_NS, 3), x, y, z))
 
 
 class Picture:
@@ -121,8 +113,8 @@ class LiveState:
             for kind in ("camera", "taxels", "force", "pose")
         }
         signal = None if bench.signal is None else bench.signal.name
-        shown = sorted([*of_kind["camera"], *of_kind["taxels"]], key=lambda name: name != signal)
-        self.kinds = {name: bench.row(name).kind for name in shown[:MOST_PICTURES]}
+        signals = sorted([*of_kind["camera"], *of_kind["taxels"]], key=lambda name: name != signal)
+        self.kinds = {name: bench.row(name).kind for name in signals[:MOST_PICTURES]}
         """Kind of each stream that is shown as a picture; the first stands large on the page."""
         self._gauges = of_kind["force"][:MOST_PLOTS]
         self._arms = of_kind["pose"][:MOST_ARMS]
@@ -141,11 +133,11 @@ class LiveState:
         for name, trace in self.traces.items():
             record = self._latest[name].read()
             if record is not None:
-                trace.add(record, self._start_ns)
+                trace.sample(record, self._start_ns)
 
     def streams(self, now_ns: int) -> dict[str, dict[str, Any]]:
         """Return rate, expected rate [Hz], dropped, longest gap and age [ms] of every stream."""
-        found = {}
+        rows = {}
         for name, shared in self._counters.items():
             counters = shared.read()
             newest = self._latest[name].read()
@@ -159,54 +151,59 @@ class LiveState:
                 }
             if newest is not None:
                 row["age"] = max(round((now_ns - int(newest["t_ns"])) / 1e6), 0)
-            found[name] = row
-        return found
+            rows[name] = row
+        return rows
 
     def forces(self) -> dict[str, dict[str, Any]]:
         """Return the wrench [N, N mm] of each gauge, and the fraction of each rating."""
         ratings = self._bench.force_rating
-        found = {}
+        forces = {}
         for name in self._gauges:
             record = self._latest[name].read()
             if record is None:
                 continue
             wrench = [float(value) for value in record["value"]]
-            shown = (*wrench[:3], *(from_si(value, "n_mm") for value in wrench[3:]))
+            values = (*wrench[:3], *(from_si(value, "n_mm") for value in wrench[3:]))
             pairs = zip(wrench, ratings, strict=True)
-            found[name] = {
-                "wrench": [number(value) for value in shown],
+            forces[name] = {
+                "wrench": [number(value) for value in values],
                 "load": [number(abs(value) / rating) for value, rating in pairs],
                 "guards": any(gauge.name == name for gauge in self._bench.gauges),
             }
-        return found
+        return forces
 
     def tips(self) -> dict[str, list[float | None]]:
         """Return the position of each arm's tip (3,) [mm].
 
         x and y are in the contact frame, z is the height above the undeformed surface there.
         """
-        found = {}
+        tips = {}
         for name in self._arms:
             record = self._latest[name].read()
             if record is not None:
-                place = transform(self._to_contact, record["value"][:3])
-                place[2] -= dome_height(self._dome_radius, *place[:2].tolist())
-                found[name] = [number(from_si(float(value), "mm")) for value in place]
-        return found
+                tip = transform(self._to_contact, record["value"][:3])
+                tip[2] -= dome_height(self._dome_radius, *tip[:2].tolist())
+                tips[name] = [number(from_si(float(value), "mm")) for value in tip]
+        return tips
 
     def taxels(self) -> dict[str, list[list[int]]]:
         """Return the counts (16, 3) of each array that is shown, minus the first ones read."""
-        found = {}
+        counts = {}
         for name in self.kinds:
             record = self._latest[name].read() if name not in self.pictures else None
             if record is not None:
                 no_contact = self._no_contact.setdefault(name, record["value"].copy())
-                found[name] = (record["value"] - no_contact).tolist()
-        return found
+                counts[name] = (record["value"] - no_contact).tolist()
+        return counts
 
     def shown(self) -> dict[str, Any]:
         """Return the streams that are shown, as constant data."""
-        return {"pictures": self.kinds, "plots": self._gauges, "arms": self._arms}
+        return {
+            "pictures": self.kinds,
+            "plots": self._gauges,
+            "arms": self._arms,
+            "seconds": TRACE_SECONDS,
+        }
 
     def limits(self) -> dict[str, Any]:
         """Return the constant limits: axes, their ratings, both fractions, the box [mm]."""
@@ -228,15 +225,23 @@ class LiveState:
             picture.look(self._latest[name].read())
         return {name: picture.row for name, picture in self.pictures.items()}
 
+    def new_pictures(self, sent: Counter[str]) -> Iterator[bytes]:
+        """Yield the number of a picture, as a byte, and its JPEG, if it is new to a client.
+
+        These are the first camera, and one of the others in turn, so that the data sent in one
+        period do not grow with the number of cameras.
+        """
+        sent["turn"] += 1
+        first, *others = [*self.pictures] or [""]
+        for name in (first, *others[sent["turn"] % max(len(others), 1) :][:1]):
+            picture = self.pictures.get(name)
+            if picture and picture.jpeg is not None and picture.row + 1 != sent[f"image {name}"]:
+                sent[f"image {name}"] = picture.row + 1
+                yield bytes([list(self.kinds).index(name)]) + picture.jpeg
+
     def close(self) -> None:
         """Release all records; may be called twice."""
         for record in (*self._latest.values(), *self._counters.values()):
             record.close()
         for picture in self.pictures.values():
             picture.close()
-
-
-def number(value: Any, digits: int = 3) -> float | None:
-    """Return a rounded float for JSON; None if it is not finite."""
-    number = float(value)
-    return round(number, digits) if math.isfinite(number) else None

@@ -1,19 +1,21 @@
-"""State of a lab for the workbench: sessions, campaigns, benches with their set-up, indenters."""
+"""State of a lab for the page: sessions, campaigns, benches with their set-up, indenters."""
 
 from __future__ import annotations
 
 import functools
 import io
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qsl
 
 from recorder import SessionError
 from recorder.catalogue import Row
 from recorder.command_line.options import next_command
 from rig.acquire.again import marked, write_marks
-from rig.acquire.calibration.store import SETUP, report_path
+from rig.acquire.calibration.store import FOLDER, SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, progress_of
 from rig.acquire.preview import draw, summary
 from rig.bench.bench import Bench, BenchFile
@@ -22,22 +24,27 @@ from rig.core.clock import Clock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS
-from rig.monitor.page.page import ADDRESS
-from rig.monitor.workbench.finished import Finished
+from rig.monitor.finished import Finished
 from trajectories import dry_run
 
+# File beside a session with the port of its page, as long as the page is served.
+ADDRESS = ".tactile-page.json"
+# Longest value of a query and most values of it.
+MAX_VALUE, MAX_VALUES = 300, 12
 # Most campaign files and benches that are shown.
 _MOST = 40
+# Types of pictures, by their first bytes; any other content is a report.
+_TYPES = {b"\xff\xd8": "image/jpeg", b"\x89PNG": "image/png"}
 
 
 @dataclass(frozen=True, slots=True)
-class Places:
+class Folders:
     """Folders of a lab."""
 
     sessions: Path
-    campaigns: Path
     benches: Path
-    calibrations: Path
+    calibrations: Path = FOLDER
+    campaigns: Path = Path("campaigns")
 
     @property
     def again(self) -> Path:
@@ -45,23 +52,92 @@ class Places:
         return self.campaigns / "again.yaml"
 
 
+class Refused(Exception):
+    """A request that has no answer; the text names the reason."""
+
+
+class Query(dict[str, str]):
+    """Values of a request.
+
+    Args:
+        text: The part of its address after `?`.
+
+    Raises:
+        Refused: They are too many or too long.
+    """
+
+    def __init__(self, text: str) -> None:
+        try:
+            pairs = parse_qsl(text, keep_blank_values=True, max_num_fields=MAX_VALUES)
+        except ValueError:
+            raise Refused(f"a query of more than {MAX_VALUES} values") from None
+        if any(len(value) > MAX_VALUE for _, value in pairs):
+            raise Refused(f"a value of more than {MAX_VALUE} characters")
+        super().__init__(pairs)
+
+    def __missing__(self, key: str) -> str:
+        """Refuse a request that lacks a value."""
+        raise Refused(f"{key}: missing")
+
+    def whole(self, key: str) -> int:
+        """Return a whole number.
+
+        Raises:
+            Refused: It is missing, or anything else.
+        """
+        text = self[key]
+        if not (text.isascii() and text.isdigit() and len(text) < 10):
+            raise Refused(f"{key}: found {text!r}; allowed: a whole number")
+        return int(text)
+
+
 class Lab:
     """The lab. Its methods are called by one thread.
 
     Args:
-        places: Its folders.
+        folders: Its folders.
         clock: Clock.
 
     Raises:
         SessionError: No folder of sessions.
     """
 
-    def __init__(self, places: Places, clock: Clock) -> None:
-        self._places = places
-        self.finished = Finished(places.sessions, clock)
+    def __init__(self, folders: Folders, clock: Clock) -> None:
+        self._folders = folders
+        self.finished = finished = Finished(folders.sessions, clock)
         # Read again when the file has changed; changes of other files that it names are missed.
         self._bench = functools.lru_cache(maxsize=_MOST)(_load)
         self._loaded = functools.lru_cache(maxsize=_MOST)(_load_campaign)
+        self._routes: dict[str, Callable[[Query], Any]] = {
+            "sessions": finished.search,
+            "session": lambda query: self.session(query["session"]),
+            "frame": lambda query: finished.frame(query["session"], query.whole("frame")),
+            "image": lambda query: finished.image(
+                query["session"], query.whole("frame"), query["camera"]
+            ),
+            "thumbnail": lambda query: finished.thumbnail(query["session"]),
+            "lab": lambda query: self.state(),
+            "plan": lambda query: self.plan_picture(query["sensor"]),
+            "indenter": lambda query: self.indenter_picture(query["name"]),
+            "report": lambda query: self.report(query["sensor"]),
+        }
+
+    def answer(self, route: str, query: str) -> tuple[bytes, str]:
+        """Return the content that a request asks for, and its type.
+
+        Args:
+            route: Name of the content.
+            query: Values of the request.
+
+        Raises:
+            Refused, ValueError: A value is missing or wrong.
+            KeyError, IndexError, SessionError, ConfigError, OSError: There is no such content.
+        """
+        content = self._routes[route](Query(query))
+        if not isinstance(content, bytes):
+            return json.dumps(content).encode(), "application/json"
+        start = next((start for start in _TYPES if content.startswith(start)), b"")
+        return content, _TYPES.get(start, "text/html; charset=utf-8")
 
     def state(self) -> dict[str, Any]:
         """Return campaigns, benches, set-ups, indenters and a running collection's page."""
@@ -80,8 +156,8 @@ class Lab:
             KeyError, SessionError: See `Finished.session`.
         """
         about = self.finished.about(path)
-        marks = marked(self._places.again, self._places.sessions / path)
-        return {**about, "again": list(marks), "queue": self._command(self._places.again)}
+        marks = marked(self._folders.again, self._folders.sessions / path)
+        return {**about, "again": list(marks), "queue": self._command(self._folders.again)}
 
     def mark(self, path: str, targets: tuple[int, ...]) -> dict[str, Any]:
         """Mark targets of a session, numbered from 1, for recording again; none removes the marks.
@@ -96,8 +172,8 @@ class Lab:
         count = int(session.attrs["targets_wanted"])
         if targets and targets[-1] > count:
             raise ConfigError(f"again: found {targets[-1]}; allowed: 1 to {count}")
-        write_marks(self._places.again, self._places.sessions / path, session, targets)
-        return {"again": list(targets), "queue": self._command(self._places.again)}
+        write_marks(self._folders.again, self._folders.sessions / path, session, targets)
+        return {"again": list(targets), "queue": self._command(self._folders.again)}
 
     def plan_picture(self, sensor: str) -> bytes:
         """Return the drawing of a bench's plan as PNG.
@@ -112,9 +188,9 @@ class Lab:
             bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
         )
         lines = summary(bench, walked)
-        held = io.BytesIO()
-        draw(bench, list(bench.trajectory.targets()), lines, bool(walked.broken)).save(held, "PNG")
-        return held.getvalue()
+        png = io.BytesIO()
+        draw(bench, list(bench.trajectory.targets()), lines, bool(walked.broken)).save(png, "PNG")
+        return png.getvalue()
 
     def indenter_picture(self, name: str) -> bytes:
         """Return the drawing of an indenter as PNG.
@@ -133,29 +209,29 @@ class Lab:
         Raises:
             KeyError: No set-up of that sensor, or without a report.
         """
-        if sensor not in [found["sensor"] for found in self._setups()]:
+        if sensor not in [setup["sensor"] for setup in self._setups()]:
             raise KeyError(f"no report of {sensor!r}")
         return self._report(sensor).read_bytes()
 
     def _report(self, sensor: str) -> Path:
-        return report_path(self._places.calibrations, sensor)
+        return report_path(self._folders.calibrations, sensor)
 
     def _command(self, file: Path) -> str:
         return next_command("campaign", file=file)
 
     def _campaigns(self) -> list[dict[str, Any]]:
-        found = {path.name: path for path in sorted(self._places.campaigns.glob("*.yaml"))[:_MOST]}
-        names = found or {path.name: path for path in CAMPAIGNS.glob("*.yaml")}
-        return [self._campaign(path, packaged=not found) for path in names.values()]
+        files = sorted(self._folders.campaigns.glob("*.yaml"))[:_MOST]
+        packaged = [] if files else list(CAMPAIGNS.glob("*.yaml"))
+        return [self._campaign(path, packaged=not files) for path in files or packaged]
 
     def _campaign(self, path: Path, *, packaged: bool) -> dict[str, Any]:
         file = Path("campaigns") / path.name if packaged else path
-        shown: dict[str, Any] = {"name": path.stem, "command": self._command(file)}
+        campaign: dict[str, Any] = {"name": path.stem, "command": self._command(file)}
         try:
-            loaded = self._loaded(path, path.stat().st_mtime_ns, self._places.benches)
+            loaded = self._loaded(path, path.stat().st_mtime_ns, self._folders.benches)
             progress = progress_of(loaded)
         except (ConfigError, SessionError, OSError) as error:
-            return {**shown, "error": str(error), "items": []}
+            return {**campaign, "error": str(error), "items": []}
         items = [
             {
                 "sensor": each.item.entry.sensor,
@@ -171,22 +247,22 @@ class Lab:
             }
             for each in progress
         ]
-        return {**shown, "error": "", "items": items}
+        return {**campaign, "error": "", "items": items}
 
     def _inside(self, session: Path) -> str:
         """Return the path of a session in the folder that is shown; empty if it is elsewhere."""
         try:
-            path = session.resolve().relative_to(self._places.sessions.resolve())
+            path = session.resolve().relative_to(self._folders.sessions.resolve())
         except ValueError:
             return ""
         return str(path) if session.exists() else ""
 
     def _bench_files(self) -> dict[str, Path]:
-        folder = self._places.benches
-        found: dict[str, Path] = {}
-        for place in (BENCHES, folder, folder / "lab"):
-            found |= {path.stem: path for path in place.glob("*.yaml") if path.stem != "mock"}
-        return dict(sorted(found.items())[:_MOST])
+        folder = self._folders.benches
+        files: dict[str, Path] = {}
+        for each in (BENCHES, folder, folder / "lab"):
+            files |= {path.stem: path for path in each.glob("*.yaml") if path.stem != "mock"}
+        return dict(sorted(files.items())[:_MOST])
 
     def _named(self, name: str) -> Bench:
         path = self._bench_files()[name]
@@ -194,18 +270,18 @@ class Lab:
 
     def _benches(self) -> list[dict[str, Any]]:
         rows = self.finished.rows()
-        found = []
+        benches = []
         for name in self._bench_files():
-            shown: dict[str, Any] = {"name": name, "error": "", "mock": False}
             try:
                 bench = self._named(name)
             except (ConfigError, OSError) as error:
-                found.append({**shown, "error": str(error)})
+                benches.append({"name": name, "mock": False, "error": str(error)})
                 continue
             newest = next((row for row in reversed(rows) if _is_of(row, bench)), None)
-            found.append(
+            benches.append(
                 {
-                    **shown,
+                    "name": name,
+                    "error": "",
                     "sensor": bench.sensor,
                     "description": bench.description,
                     "mock": bench.mock,
@@ -214,22 +290,22 @@ class Lab:
                     "newest": newest.path if newest else "",
                 }
             )
-        return found
+        return benches
 
     def _setups(self) -> list[dict[str, Any]]:
-        found: list[dict[str, Any]] = []
-        for path in sorted(self._places.calibrations.glob(f"*{SETUP}"))[:_MOST]:
+        setups: list[dict[str, Any]] = []
+        for path in sorted(self._folders.calibrations.glob(f"*{SETUP}"))[:_MOST]:
             sensor = path.name.removesuffix(SETUP)
             try:
                 stored = json.loads(path.read_text())
                 steps = [{"name": name, **step} for name, step in stored["steps"].items()]
                 accepted, running = stored.get("acceptance"), stored.get("running")
             except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-                found.append({"sensor": sensor, "error": f"{path}: {error}", "steps": []})
+                setups.append({"sensor": sensor, "error": f"{path}: {error}", "steps": []})
                 continue
             if running and not _lives(running):
                 running = None
-            found.append(
+            setups.append(
                 {
                     "sensor": sensor,
                     "mock": bool(stored.get("mock")),
@@ -240,15 +316,15 @@ class Lab:
                     "report": accepted is not None and self._report(sensor).is_file(),
                 }
             )
-        return found
+        return setups
 
     def _running(self) -> dict[str, Any] | None:
         """Return port and session of a running collection's page; None if there is none."""
         for folder in {Path(row.path).parent for row in self.finished.rows()} | {Path()}:
             try:
-                found = json.loads((self.finished.folder / folder / ADDRESS).read_text())
-                if _lives(found):
-                    return {"port": int(found["port"]), "session": str(found["session"])}
+                page = json.loads((self.finished.folder / folder / ADDRESS).read_text())
+                if _lives(page):
+                    return {"port": int(page["port"]), "session": str(page["session"])}
             except (OSError, ValueError, KeyError, TypeError):
                 continue
         return None
@@ -275,14 +351,16 @@ def _load_campaign(path: Path, stamp: int, benches: Path) -> Campaign:
 
 @functools.cache
 def _indenters(names: tuple[str, ...]) -> list[dict[str, Any]]:
-    found = []
+    indenters = []
     for name in names:
         try:
             indenter = find_indenter(name)
         except (ConfigError, OSError) as error:
-            found.append({"name": name, "tip": str(error), "size": "", "drawing": False})
+            indenters.append({"name": name, "tip": str(error), "size": "", "drawing": False})
             continue
         size = " x ".join(f"{from_si(width, 'mm'):g}" for width in indenter.size)
         drawing = indenter.drawing is not None
-        found.append({"name": name, "tip": indenter.tip, "size": f"{size} mm", "drawing": drawing})
-    return found
+        indenters.append(
+            {"name": name, "tip": indenter.tip, "size": f"{size} mm", "drawing": drawing}
+        )
+    return indenters

@@ -1,12 +1,12 @@
-"""The workbench in a real browser, by clicks and keys, from a phone to a large screen."""
+"""The page of a lab in a real browser, by clicks and keys, from a phone to a large screen."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 import pytest
+from support.lab_page import LabPage, make_lab, running
 from support.layout import OVERFLOW
-from support.workbench import Workbench, make_lab, running
 
 from benchmarks.chromium import CHROMIUM, Chromium
 
@@ -25,7 +25,7 @@ UNNAMED = """[...document.querySelectorAll('button, a, input, select, [role=img]
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabPage]:
     with running(make_lab(tmp_path_factory.mktemp("lab"))) as found:
         yield found
 
@@ -39,7 +39,7 @@ def key(name: str) -> str:
     return f"document.body.dispatchEvent({event})"
 
 
-def test_a_session_is_found_replayed_and_marked(bench: Workbench) -> None:
+def test_a_session_is_found_replayed_and_marked(bench: LabPage) -> None:
     with Chromium() as browser:
         browser.resize(1280, 800)
         browser.open(f"{bench.base}/")
@@ -56,14 +56,14 @@ def test_a_session_is_found_replayed_and_marked(bench: Workbench) -> None:
         browser.eval(key("ArrowRight"))
         browser.until(f"{SHOWN} == 1")
         browser.eval(key("n"))
-        browser.until(f"{SHOWN} > 1 && {text('cell')}.startsWith('Target 2')")
+        browser.until(f"{SHOWN} > 1 && {text('r-cell')}.startsWith('Target 2')")
         browser.until("document.querySelector('#pictures img').naturalWidth == 640")
         assert "Fz" in browser.eval(text("values"))
         browser.click("#mark")
         browser.until(f"{text('marked')} == 'Marked: 2'")
         assert browser.eval(text("command")) == "tactile campaign --file campaigns/again.yaml"
         assert "again: [2]" in (bench.folder / "campaigns" / "again.yaml").read_text()
-        browser.click("nav a[href='#campaigns']")
+        browser.click("nav a[href='#benches']")
         browser.until("document.getElementById('campaigns').innerText.includes('again 2')")
         browser.eval("history.back()")
         browser.until(
@@ -75,7 +75,7 @@ def test_a_session_is_found_replayed_and_marked(bench: Workbench) -> None:
         assert browser.console == []
 
 
-def test_colours_are_those_of_the_system_until_the_button_is_pressed(bench: Workbench) -> None:
+def test_colours_are_those_of_the_system_until_the_button_is_pressed(bench: LabPage) -> None:
     theme = "document.documentElement.dataset.theme"
     with Chromium() as browser:
         browser.resize(1280, 800, dark=False)
@@ -85,21 +85,21 @@ def test_colours_are_those_of_the_system_until_the_button_is_pressed(bench: Work
         browser.until(f"{theme} == 'dark'")
         browser.click("#theme")
         browser.until(f"{theme} == 'light'")
-        browser.open(f"{bench.base}/#indenters")
+        browser.open(f"{bench.base}/#benches")
         assert browser.eval(theme) == "light"
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_every_view_fits_and_everything_has_a_name(bench: Workbench, size: tuple[int, int]) -> None:
+def test_every_view_fits_and_everything_has_a_name(bench: LabPage, size: tuple[int, int]) -> None:
     width, height = size
     views = {
         "sessions": "document.querySelectorAll('#list li').length == 4",
         "session/day%2Fmoon.zarr": f"{SHOWN} >= 0",
         "session/u.zarr": f"{SHOWN} >= 0 && !!document.querySelector('#pictures canvas')",
         "session/live.zarr": "!document.getElementById('s-error').hidden",
-        "campaigns": "document.querySelectorAll('#campaigns section').length == 1",
-        "benches": "document.querySelectorAll('#benches section').length >= 3",
-        "indenters": "document.querySelectorAll('#indenters section').length >= 18",
+        "benches": "document.querySelectorAll('#campaigns section').length == 1 && "
+        "document.querySelectorAll('#benches section').length >= 3 && "
+        "document.querySelectorAll('#indenters section').length >= 18",
     }
     with Chromium() as browser:
         browser.resize(width, height, dark=width < 1500)

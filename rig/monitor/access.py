@@ -48,21 +48,21 @@ def own_addresses(host: str) -> list[str]:
     Returns:
         The addresses; without a network, the loopback address of the family.
     """
-    found = _ipv4_addresses() if host == "0.0.0.0" else _ipv6_addresses()
-    others = [address for address in found if not is_loopback(address)]
+    addresses = _ipv4_addresses() if host == "0.0.0.0" else _ipv6_addresses()
+    others = [address for address in addresses if not is_loopback(address)]
     return others or [LOOPBACK_HOST if host == "0.0.0.0" else "::1"]
 
 
 def _ipv4_addresses() -> list[str]:
-    found = []
+    addresses = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
             # An interface without an address raises an error.
             with contextlib.suppress(OSError):
                 request = struct.pack("256s", name.encode()[:15])
                 answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
-                found.append(socket.inet_ntoa(answer[20:24]))
-    return found
+                addresses.append(socket.inet_ntoa(answer[20:24]))
+    return addresses
 
 
 def _ipv6_addresses() -> list[str]:
@@ -144,8 +144,8 @@ class AccessPolicy:
             return False
         return self.cookie in jar and self._is_token(jar[self.cookie].value)
 
-    def _is_token(self, found: str) -> bool:
-        return hmac.compare_digest(found.encode("utf-8", "replace"), self.token.encode())
+    def _is_token(self, text: str) -> bool:
+        return hmac.compare_digest(text.encode("utf-8", "replace"), self.token.encode())
 
 
 def urls_of(access: AccessPolicy, port: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""A workbench of made sessions, and clients for it."""
+"""A lab of made sessions, its page, and clients for it."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def make_lab(folder: Path) -> Path:
     return folder
 
 
-class Workbench:
-    """One running workbench."""
+class LabPage:
+    """One running page of a lab."""
 
     def __init__(self, folder: Path, port: int, token: str = "") -> None:
         self.folder = folder
@@ -79,11 +79,13 @@ class Workbench:
             compression=None,
         ) as client:
             client.send(message)
-            return json.loads(client.recv(timeout=20))
+            while (answer := json.loads(client.recv(timeout=20))).pop("kind") != "marks":
+                pass
+            return answer
 
 
 @contextmanager
-def running(folder: Path, *options: str) -> Iterator[Workbench]:
+def running(folder: Path, *options: str) -> Iterator[LabPage]:
     """Run `tactile page` in a folder."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tactile", "page", "--port", "0", *options],
@@ -96,9 +98,9 @@ def running(folder: Path, *options: str) -> Iterator[Workbench]:
     assert process.stdout is not None
     try:
         line = process.stdout.readline()
-        found = re.search(r"open http://\S+?:(\d+)/(\S*);", line)
+        found = re.search(r"watch it at http://\S+?:(\d+)/(\S*)", line)
         assert found, line + process.stdout.read()
-        yield Workbench(folder, int(found[1]), found[2])
+        yield LabPage(folder, int(found[1]), found[2])
     finally:
         process.terminate()
         output, _ = process.communicate(timeout=20)

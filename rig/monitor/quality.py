@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import simplejpeg
 from numpy.lib.stride_tricks import sliding_window_view
 
 from recorder import SessionError
@@ -21,11 +22,13 @@ from recorder.spec import frame_columns
 from rig.acquire.signal_level import picture
 from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS
-from rig.core.errors import ConfigError
 from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
-from rig.monitor.predictor import MarkerFinder, open_marker_finder
+from rig.monitor.predictor import open_segmenter
 from trajectories import dome_height
+
+if TYPE_CHECKING:
+    from rig.monitor.predictor import Segmenter
 
 Array = np.ndarray[Any, Any]
 State = Literal["good", "watch", "fault", "unknown"]
@@ -388,7 +391,7 @@ class _Camera:
         self._tail: ImageTail | None = None
         self._rest: Array | None = None
         self._drift: float | None = None
-        self._finder: MarkerFinder | None = None
+        self._segmenter: Segmenter | None = None
         self._check: MarkerCheck | None = None
         self._turn = 0
         self._looked = self._lost = 0
@@ -411,7 +414,7 @@ class _Camera:
             return
         try:
             self._judge(row, is_rest=rest.size > 0)
-        except (ConfigError, ValueError) as error:
+        except ValueError as error:
             self._markers = Quality("markers", "fault", f"image {row}: {error}")
 
     def rows(self) -> Iterator[Quality]:
@@ -440,12 +443,14 @@ class _Camera:
             return False
         self._rest = picture(data)
         try:
-            self._finder = open_marker_finder(self._sensor)
-            mask = self._finder.mask(data)
+            self._segmenter = open_segmenter(self._sensor)
+            mask = self._segmenter.mask(simplejpeg.decode_jpeg(data))
             self._check = MarkerCheck(
-                mask, smallest_px=smallest_marker(mask), tolerance=self._finder.tolerance
+                mask,
+                smallest_px=smallest_marker(mask),
+                tolerance=int(self._segmenter.preset.tolerance),
             )
-        except (ConfigError, ValueError) as error:
+        except ValueError as error:
             self._markers = Quality("markers", "unknown", f"not counted: {error}")
         return True
 
@@ -455,9 +460,9 @@ class _Camera:
             return
         if is_rest:
             self._drift = float(np.abs(picture(data) - self._rest).mean())
-        if self._check is None or self._finder is None:
+        if self._check is None or self._segmenter is None:
             return
-        mask = self._finder.mask(data)
+        mask = self._segmenter.mask(simplejpeg.decode_jpeg(data))
         flags = self._check.flags(mask[None], row)
         self._looked += 1
         expected = self._check.expected

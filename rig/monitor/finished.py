@@ -19,17 +19,17 @@ from PIL import Image
 
 from recorder import OUTCOMES, PHASES, Session, SessionError
 from recorder.catalogue import Catalogue, Query, Row
-from recorder.command_line.options import next_command
 from recorder.session import thumbnails
 from rig.acquire.request import finished_targets
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.config import from_si
-from rig.monitor.page.live_state import number
-from rig.monitor.page.messages import LETTERS
+from rig.monitor.live_view import number
 from trajectories import Plan, PressShear, plan_from_json
 
 # Sessions of one answer to a search, frames of a session that is shown, points of its curves.
 MOST_ROWS, MOST_FRAMES, MOST_POINTS = 300, 4_000_000, 700
+# Letter of a target's outcome in messages.
+LETTERS = {"open": ".", "done": "d", "limited": "l"}
 # Sessions kept open, and the time after which the folder is looked at again [s].
 _OPEN, _FRESH = 2, 1.0
 _THUMBNAILS = 400
@@ -64,33 +64,33 @@ class Finished:
             self._looked_ns = now_ns
         return list(self._catalogue)
 
-    def search(self, given: Mapping[str, str]) -> dict[str, Any]:
+    def search(self, conditions: Mapping[str, str]) -> dict[str, Any]:
         """Return the newest sessions that meet the conditions, and the choices for each of them.
 
         Args:
-            given: Fields of `Query` as text; an empty one is no condition.
+            conditions: Fields of `Query` as text; an empty one is no condition.
 
         Raises:
             ValueError: A day or `faults` that is neither.
         """
-        since = date.fromisoformat(given["since"]) if given.get("since") else None
+        since = date.fromisoformat(conditions["since"]) if conditions.get("since") else None
         faults = {"": None, "yes": True, "no": False}
-        if given.get("faults", "") not in faults:
-            raise ValueError(f"faults: found {given['faults']!r}; allowed: yes, no")
+        if conditions.get("faults", "") not in faults:
+            raise ValueError(f"faults: found {conditions['faults']!r}; allowed: yes, no")
         query = Query(
-            sensor=given.get("sensor", ""),
-            indenter=given.get("indenter", ""),
-            status=given.get("status", ""),
-            text=given.get("text", ""),
+            sensor=conditions.get("sensor", ""),
+            indenter=conditions.get("indenter", ""),
+            status=conditions.get("status", ""),
+            text=conditions.get("text", ""),
             since=since,
-            faults=faults[given.get("faults", "")],
+            faults=faults[conditions.get("faults", "")],
         )
         rows = self.rows()
-        found = [row for row in rows if query.accepts(row)]
-        newest = found[: -MOST_ROWS - 1 : -1]
+        matches = [row for row in rows if query.accepts(row)]
+        newest = matches[: -MOST_ROWS - 1 : -1]
         return {
             "rows": [{**asdict(row), "faults": row.faults} for row in newest],
-            "found": len(found),
+            "found": len(matches),
             "total": len(rows),
             "choices": {
                 key: sorted({getattr(row, key) for row in rows} - {""}) for key in _CHOICES
@@ -139,11 +139,10 @@ class Finished:
         frames, targets = session.frames, session.targets
         count, summary = len(frames["t_ns"]), session.attrs.get("summary") or {}
         plan = _plan(session)
-        places = _places(session, plan)
+        points = _points(session, plan)
         return {
             **asdict(row),
             "faults": row.faults,
-            "command": f"{next_command('collect', resume=self.folder / row.path)} --again",
             "frames": count,
             "rate": session.rate_hz,
             "cameras": session.of_kind("camera"),
@@ -158,7 +157,7 @@ class Finished:
                 }
                 for name in session.order
             ],
-            "points": [{"point": point, "at": at} for point, at in places.items()],
+            "points": [{"point": point, "at": at} for point, at in points.items()],
             "map": [
                 [int(point), round(from_si(float(depth), "mm"), 4), int(direction)]
                 for point, depth, direction in zip(
@@ -184,7 +183,7 @@ class Finished:
             raise IndexError(f"no frame {k}; allowed: 0 to {len(frames['t_ns']) - 1}")
         wrench = [float(value) for value in frames["wrench"][k]]
         phase, target = int(frames["phase"][k]), int(frames["target"][k])
-        found: dict[str, Any] = {
+        values: dict[str, Any] = {
             "frame": k,
             "t": round((int(frames["t_ns"][k]) - int(frames["t_ns"][0])) / SECOND_NS, 3),
             "run": int(frames["run"][k]),
@@ -201,11 +200,11 @@ class Finished:
         }
         if "taxels" in frames:
             rest = session.reference["taxels"]
-            known = np.flatnonzero(np.isfinite(rest).all(axis=(1, 2)))
-            zero = rest[known[0]] if known.size else frames["taxels"][0]
+            finite = np.flatnonzero(np.isfinite(rest).all(axis=(1, 2)))
+            zero = rest[finite[0]] if finite.size else frames["taxels"][0]
             change = np.nan_to_num(frames["taxels"][k] - zero)
-            found["taxels"] = np.round(change).astype(int).tolist()
-        return found
+            values["taxels"] = np.round(change).astype(int).tolist()
+        return values
 
     def image(self, path: str, k: int, camera: str) -> bytes:
         """Return the image of a frame as JPEG: the camera's own bytes, if they were kept.
@@ -246,17 +245,17 @@ class Finished:
             load = np.nan_to_num(np.abs(session.frames["wrench"][:, 2]))
             if not load.size:
                 raise IndexError(f"{path}: has no frames")
-            shown = int(load.argmax()) if load.any() else len(load) // 2
-            self._thumbnails[key] = _jpeg(thumbnails(session, np.array([shown]))[0])
+            frame = int(load.argmax()) if load.any() else len(load) // 2
+            self._thumbnails[key] = _jpeg(thumbnails(session, np.array([frame]))[0])
             while len(self._thumbnails) > _THUMBNAILS:
                 self._thumbnails.popitem(last=False)
         return self._thumbnails[key]
 
 
 def _jpeg(picture: Image.Image) -> bytes:
-    held = io.BytesIO()
-    picture.save(held, "JPEG", quality=85)
-    return held.getvalue()
+    jpeg = io.BytesIO()
+    picture.save(jpeg, "JPEG", quality=85)
+    return jpeg.getvalue()
 
 
 def _plan(session: Session) -> Plan | None:
@@ -267,22 +266,21 @@ def _plan(session: Session) -> Plan | None:
         return None
 
 
-def _places(session: Session, plan: Plan | None) -> dict[int, list[float]]:
+def _points(session: Session, plan: Plan | None) -> dict[int, list[float]]:
     """Return x and y of each contact point in the contact frame [mm]; unknown ones in a row."""
-    points = np.unique(session.targets.get("point", ())).tolist()
-    found = {int(point): [float(k), 0.0] for k, point in enumerate(points)}
+    points = [int(point) for point in np.unique(session.targets.get("point", ()))]
     planned = {} if plan is None else {each.point: each.origin for each in plan.targets()}
-    if set(found) <= set(planned):
-        return {point: [from_si(v, "mm") for v in planned[point][:2]] for point in found}
-    return found
+    if set(points) <= set(planned):
+        return {point: [from_si(v, "mm") for v in planned[point][:2]] for point in points}
+    return {point: [float(k), 0.0] for k, point in enumerate(points)}
 
 
 def _outcomes(session: Session, plan: Plan | None) -> str:
     """Return one of LETTERS for each target."""
     count, segments = len(session.targets.get("point", ())), session.segments
     limited = set(segments["target"][segments["outcome"] == _FORCE_LIMITED].tolist())
-    found = {int(target) for target in np.unique(segments["target"])}
-    done = found if plan is None else finished_targets(plan, segments, count)
+    pressed = {int(target) for target in np.unique(segments["target"])}
+    done = pressed if plan is None else finished_targets(plan, segments, count)
     return "".join(
         LETTERS["limited" if k in limited else "done" if k in done else "open"]
         for k in range(count)
@@ -302,10 +300,10 @@ def _curves(session: Session) -> dict[str, Any]:
     frames = session.frames
     count = len(frames["t_ns"])
     edges = np.unique(np.linspace(0, count, min(count, MOST_POINTS) + 1).astype(int))[:-1]
-    found: dict[str, Any] = {"at": edges.tolist()}
+    curves: dict[str, Any] = {"at": edges.tolist()}
     columns = {name: frames["wrench"][:, axis] for axis, name in enumerate(("fx", "fy", "fz"))}
     columns["depth"] = frames["depth"] * 1e3
     for name, values in columns.items():
         ends = [each.reduceat(values, edges) for each in (np.fmin, np.fmax) if count]
-        found[name] = [[number(a), number(b)] for a, b in zip(*ends, strict=True)]
-    return found
+        curves[name] = [[number(a), number(b)] for a, b in zip(*ends, strict=True)]
+    return curves

@@ -1,0 +1,182 @@
+"""The page of a running command: a process of its own, fed by a thread.
+
+What the command does never waits for the page. It leaves values that the thread reads five times
+per second; if the page's process hangs or dies, only that thread is affected.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+from rig.core.clock import Clock, SystemClock
+from rig.core.errors import ConfigError
+from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, urls_of
+from rig.monitor.lab import Folders
+from rig.monitor.live_view import LiveView
+from rig.monitor.server import LINGER, PATIENCE, PageServer
+
+# Interval between messages to the page [s]; commands are received immediately.
+_PERIOD = 0.2
+# Longest start of an interpreter on a busy machine [s].
+_START_TIMEOUT = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class PageSettings:
+    """Where and to whom a command serves its page."""
+
+    access: AccessPolicy
+    """Address to listen on, and access policy."""
+    folders: Folders
+    """Folders of the lab; without one of sessions, only the live view is served."""
+    option: str = "--watch"
+    """Option of the command, for error messages."""
+    patience: float = PATIENCE
+    """Time after which a client that reads nothing is disconnected [s]."""
+
+
+class PageProcess:
+    """Context manager that serves the page while a command runs.
+
+    Args:
+        settings: Settings of the page.
+        view: Class of the live view.
+        job: Its constant data.
+    """
+
+    def __init__(
+        self, settings: PageSettings, view: Callable[[Any, Clock], LiveView], job: object
+    ) -> None:
+        self._settings = settings
+        self._ending = threading.Event()
+        self.port = settings.access.port
+        """Port of the server, once started."""
+        context = multiprocessing.get_context("spawn")
+        self._pipe, self._far_end = context.Pipe()
+        arguments = (settings, view, job, self._far_end)
+        self._process = context.Process(target=run_page, args=arguments, name="page")
+        self._thread = threading.Thread(target=self._exchange, name="page", daemon=True)
+
+    def message(self) -> object:
+        """Return what the view receives next; called in a thread."""
+        raise NotImplementedError
+
+    def obey(self, command: str) -> None:
+        """Carry out a command of the page; called in a thread."""
+
+    def lost(self) -> None:
+        """Note that the page's process is gone; called in a thread."""
+
+    @property
+    def urls(self) -> list[str]:
+        """Addresses to open, with the token if it is required. Printed, never logged.
+
+        One for each network of this machine if the page serves all of them. They are numbers,
+        since a tablet need not know this machine's name.
+        """
+        return urls_of(self._settings.access, self.port)
+
+    def start(self) -> None:
+        """Start the process, and wait until the page answers.
+
+        Raises:
+            ConfigError: The port or the address cannot be used.
+        """
+        self._process.start()
+        self._far_end.close()
+        answer: Any
+        try:
+            started = self._pipe.poll(_START_TIMEOUT)
+            answer = self._pipe.recv() if started else "it does not start"
+        except (EOFError, OSError):
+            answer = "its process ended"
+        if isinstance(answer, str):
+            self._stop_process()
+            raise ConfigError(f"{self._settings.option}: {answer}")
+        self.port = answer
+        self._await_answer()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Send the last message, wait until it arrives, end the process; may be called twice."""
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join(_PERIOD + 1.0)
+        if not self._thread.is_alive():
+            self._process.join(LINGER + 2.0)
+        self._stop_process()
+
+    def _await_answer(self) -> None:
+        """Wait until the page answers a request, so that its address works when it is printed."""
+        access, host = self._settings.access, self._settings.access.host
+        at = LOOPBACK_HOST if host == "0.0.0.0" else "::1" if host == "::" else host
+        client = http.client.HTTPConnection(at, self.port, timeout=_START_TIMEOUT)
+        try:
+            client.request("GET", f"/?token={access.token}")
+            client.getresponse().read()
+        except (OSError, http.client.HTTPException) as error:
+            self._stop_process()
+            option = self._settings.option
+            raise ConfigError(f"{option}: {at}:{self.port} does not answer: {error}") from error
+        finally:
+            client.close()
+
+    def _stop_process(self) -> None:
+        if self._process.is_alive():
+            self._process.kill()
+        self._process.join()
+        if self._thread.is_alive():
+            # It was blocked on the killed process and ends now.
+            self._thread.join()
+        self._pipe.close()
+
+    def _exchange(self) -> None:
+        try:
+            while not self._ending.is_set():
+                self._pipe.send(self.message())
+                if self._pipe.poll(_PERIOD):
+                    self.obey(self._pipe.recv())
+            self._pipe.send(self.message())
+        except (EOFError, OSError):
+            if not self._ending.is_set():
+                self.lost()
+
+
+def run_page(
+    settings: PageSettings,
+    make_view: Callable[[Any, Clock], LiveView],
+    job: object,
+    pipe: Connection,
+) -> None:
+    """Run the page's process; it sends its port, or why there is none, then commands."""
+    # Ctrl-C is handled by the command, which ends this process through the pipe.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    # Recording has priority over all clients.
+    os.nice(10)
+    clock = SystemClock()
+    view = make_view(job, clock)
+
+    def ready(port: int) -> None:
+        pipe.send(port)
+        view.start()
+
+    folders = settings.folders if settings.folders.sessions.is_dir() else None
+    patience = settings.patience
+    try:
+        server = PageServer(settings.access, folders, clock, view, pipe, patience=patience)
+        asyncio.run(server.run(ready))
+    except ConfigError as error:
+        pipe.send(str(error))
+    finally:
+        view.close()
+        pipe.close()

@@ -1,0 +1,377 @@
+"""The one server of the page: files, data of a lab, and a live view pushed to permitted clients.
+
+It shares only read-only records and one pipe with a recording. A slow client gets the newest state
+whenever it is ready, never a queue of old ones. A client that reads nothing for long, sends garbage
+or floods is disconnected. Data of the lab are read in one thread, one request after the other. No
+request starts a device: what has to be done at the bench is shown as a command to type there.
+asyncio is used here, and only here in the rig, to handle many idle connections in one thread.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http
+import json
+import logging
+import os
+import signal
+import socket
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from recorder import SessionError
+from rig.core.clock import SECOND_NS, Clock
+from rig.core.errors import ConfigError
+from rig.monitor.access import AccessPolicy
+from rig.monitor.lab import Folders, Lab, Refused
+from rig.monitor.live_view import SAMPLE_RATE_HZ, LiveView
+from rig.monitor.site import Site, headers_of, single_header, text_of
+
+# Path of the lab's data.
+DATA = "/data/"
+# Open pages at a time: of a live view, whose images each of them gets, and without one.
+MAX_WATCHERS, MAX_READERS = 8, 32
+# TCP connections at a time, in any state.
+MAX_CONNECTIONS = 48
+# Longest message of a client [bytes]: the marks of a session.
+MAX_MESSAGE = 8192
+# Messages of one client in MESSAGE_WINDOW.
+MAX_MESSAGES = 20
+MESSAGE_WINDOW = 5.0
+# Invalid messages after which a client is disconnected.
+MAX_NONSENSE = 5
+# Longest time from connection to request, and to the end of its answer [s].
+HANDSHAKE_TIMEOUT, ANSWER_TIMEOUT = 5.0, 30.0
+STATE_PERIOD = 0.1
+# Time for delivering the final state [s]; the process ends sooner if all clients have it.
+LINGER = 3.0
+# Time after which a client that reads nothing is disconnected [s].
+PATIENCE = 5.0
+# Send buffer of the kernel per client [bytes]; small, because its content is outdated on arrival.
+_BUFFER = 64 * 1024
+# A report brings its own style and pictures, and nothing else.
+_REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+
+# Silences the library's log of every request with its address, which may contain the token.
+_quiet = logging.getLogger("rig.monitor.wire")
+_quiet.addHandler(logging.NullHandler())
+_quiet.propagate = False
+
+
+class _Connection(ServerConnection):
+    """Connection of a client, with a small buffer.
+
+    A browser sends its request at once. A connection that stays silent is closed after a while, and
+    if there are too many, the oldest of these at once, so that they cannot keep people out.
+
+    Args:
+        *arguments: Of `ServerConnection`.
+        silent: Connections of the server, oldest first; True if the request has not arrived.
+        **settings: Of `ServerConnection`.
+    """
+
+    def __init__(self, *arguments: Any, silent: dict[_Connection, bool], **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self._silent = silent
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._silent[self] = True
+        if len(self._silent) > MAX_CONNECTIONS:
+            oldest = next(each for each, silent in self._silent.items() if silent)
+            oldest.drop_if_silent()
+            if oldest is self:
+                return
+        self.loop.call_later(HANDSHAKE_TIMEOUT, self.drop_if_silent)
+        raw = transport.get_extra_info("socket")
+        if raw is not None:
+            raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._silent.pop(self, None)
+        super().connection_lost(exc)
+
+    def drop_if_silent(self) -> None:
+        """Close the connection if no request has arrived."""
+        if self._silent.get(self):
+            del self._silent[self]
+            self.transport.abort()
+
+    def spoke(self) -> None:
+        """Note that the request of the client has arrived."""
+        if self in self._silent:
+            self._silent[self] = False
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """Targets of a session that a client marks to be recorded again."""
+
+    session: str
+    """Its path in the catalogue."""
+    targets: tuple[int, ...]
+    """Numbers of the targets, from 1."""
+
+
+class PageServer:
+    """The page: a lab, and a live view if a command serves it.
+
+    Args:
+        access: Access policy.
+        folders: Folders of the lab; None: only the live view is served.
+        clock: Clock.
+        view: The live view.
+        pipe: Connection to the command, which ends the server; None: a signal does.
+        patience: Time after which a client that reads nothing is disconnected [s].
+    """
+
+    def __init__(
+        self,
+        access: AccessPolicy,
+        folders: Folders | None,
+        clock: Clock,
+        view: LiveView | None = None,
+        pipe: Connection | None = None,
+        *,
+        patience: float = PATIENCE,
+    ) -> None:
+        self._access = access
+        self._site = Site(access)
+        self._lab = None if folders is None else Lab(folders, clock)
+        self._clock = clock
+        self._view = view
+        self._pipe = pipe
+        self._patience = patience
+        self._reader = ThreadPoolExecutor(1, "lab", initializer=os.nice, initargs=(5,))
+        self._clients: set[ServerConnection] = set()
+        self._most = MAX_READERS if view is None else MAX_WATCHERS
+        self._refused = 0
+        self._ended = asyncio.Event()
+
+    async def run(self, ready: Callable[[int], None]) -> None:
+        """Serve until a signal, or until the command has ended and all clients know it.
+
+        Args:
+            ready: Called with the port.
+
+        Raises:
+            ConfigError: The port or the address cannot be used.
+        """
+        access = self._access
+        try:
+            server = await _listen(access, self._serve, self._on_request)
+        except OSError as error:
+            raise ConfigError(
+                f"found {access.host}:{access.port}: {error.strerror or error}; "
+                "allowed: a free port of this machine"
+            ) from None
+        port = server.sockets[0].getsockname()[1]
+        self._access = replace(access, port=port)
+        self._site = Site(self._access)
+        loop = asyncio.get_running_loop()
+        if self._pipe is not None and self._view is not None:
+            loop.add_reader(self._pipe.fileno(), self._receive, self._pipe, self._view)
+        else:
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                loop.add_signal_handler(number, self._ended.set)
+        ready(port)
+        sampling = asyncio.create_task(self._sample())
+        try:
+            await self._ended.wait()
+            deadline_ns = self._clock.now_ns() + round(LINGER * SECOND_NS)
+            while self._view and self._clients and self._clock.now_ns() < deadline_ns:
+                await asyncio.sleep(STATE_PERIOD / 2)
+        finally:
+            if self._pipe is not None:
+                loop.remove_reader(self._pipe.fileno())
+            sampling.cancel()
+            for connection in server.all_connections:
+                connection.transport.abort()
+            server.close()
+            await server.wait_closed()
+            self._reader.shutdown(cancel_futures=True)
+
+    def _receive(self, pipe: Connection, view: LiveView) -> None:
+        """Hand what the command has sent to the view."""
+        try:
+            while pipe.poll():
+                view.receive(pipe.recv())
+        except (EOFError, OSError):
+            asyncio.get_running_loop().remove_reader(pipe.fileno())
+            view.lose()
+        if view.ended:
+            self._ended.set()
+
+    async def _sample(self) -> None:
+        while self._view is not None:
+            self._view.sample()
+            await asyncio.sleep(1 / SAMPLE_RATE_HZ)
+
+    # Requests.
+
+    async def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        if isinstance(connection, _Connection):
+            connection.spoke()
+        response = self._site.answer(request, full=len(self._clients) >= self._most)
+        if response is not None and response.status_code in (403, 503):
+            self._refused += 1
+        # Name of the host and token are checked when a path is found to be unknown.
+        if response is None or response.status_code != http.HTTPStatus.NOT_FOUND:
+            return response
+        parts = urlsplit(request.path)
+        path = unquote(parts.path)
+        if self._lab is None or not path.startswith(DATA):
+            return response
+        if not self._access.has_cookie(single_header(request.headers, "Cookie")):
+            return text_of(http.HTTPStatus.FORBIDDEN, "Open the page first.\n")
+        try:
+            body, kind = await asyncio.get_running_loop().run_in_executor(
+                self._reader, self._lab.answer, path.removeprefix(DATA), parts.query
+            )
+        except (Refused, ValueError) as error:
+            return text_of(http.HTTPStatus.BAD_REQUEST, f"{error}\n")
+        except (KeyError, IndexError, SessionError, ConfigError, OSError) as error:
+            return text_of(http.HTTPStatus.NOT_FOUND, f"{_text(error)}\n")
+        policy = _REPORT_POLICY if kind.startswith("text/html") else ""
+        headers = headers_of(kind, len(body), "", policy)
+        return Response(http.HTTPStatus.OK, "OK", headers, body)
+
+    # Open pages.
+
+    async def _serve(self, client: ServerConnection) -> None:
+        if len(self._clients) >= self._most:
+            await client.close(1013, "enough people are watching")
+            return
+        self._clients.add(client)
+        listening = asyncio.create_task(self._listen_to(client))
+        try:
+            await self._show(client, listening)
+        except ConnectionClosed:
+            pass
+        except TimeoutError:
+            # It does not read, so no close frame would arrive.
+            client.transport.abort()
+        finally:
+            self._clients.discard(client)
+            listening.cancel()
+
+    async def _show(self, client: ServerConnection, listening: asyncio.Task[str]) -> None:
+        view, sent = self._view, Counter[str]()
+        hello = {"live": None} if view is None else view.hello()
+        await self._send(client, {"kind": "hello", "lab": self._lab is not None, **hello})
+        while not listening.done():
+            ended = self._ended.is_set()
+            if view is not None:
+                clients = {"watchers": len(self._clients), "refused": self._refused}
+                for message in view.news(sent, clients):
+                    await self._send(client, message)
+            if ended:
+                await client.close(1001, "the command ended")
+                return
+            period = STATE_PERIOD if view is not None else None
+            await asyncio.wait({listening}, timeout=period)
+        if reason := listening.result():
+            await client.close(1008, reason)
+
+    async def _send(self, client: ServerConnection, message: dict[str, Any] | bytes) -> None:
+        async with asyncio.timeout(self._patience):
+            await client.send(message if isinstance(message, bytes) else json.dumps(message))
+
+    async def _listen_to(self, client: ServerConnection) -> str:
+        """Carry out messages until the client leaves; return why it is disconnected, or ''."""
+        received: list[int] = []
+        nonsense = 0
+        try:
+            async for text in client:
+                now_ns = self._clock.now_ns()
+                received = [t for t in received if now_ns - t < MESSAGE_WINDOW * SECOND_NS]
+                received.append(now_ns)
+                if len(received) > MAX_MESSAGES:
+                    self._refused += 1
+                    return "too many messages"
+                message = parse_message(text, self._view.commands if self._view else ())
+                if isinstance(message, Marks) and self._lab is not None:
+                    await self._send(client, await self._mark(self._lab, message))
+                elif isinstance(message, str) and self._pipe is not None:
+                    if not self._ended.is_set():
+                        self._pipe.send(message)
+                else:
+                    self._refused += 1
+                    nonsense += 1
+                    if nonsense >= MAX_NONSENSE:
+                        return "invalid message"
+        except (ConnectionClosed, OSError):
+            pass
+        return ""
+
+    async def _mark(self, lab: Lab, marks: Marks) -> dict[str, Any]:
+        loop = asyncio.get_running_loop()
+        try:
+            answer = await loop.run_in_executor(
+                self._reader, lab.mark, marks.session, marks.targets
+            )
+        except (KeyError, SessionError, ConfigError, OSError) as error:
+            answer = {"error": _text(error)}
+        return {"kind": "marks", "session": marks.session, **answer}
+
+
+async def _listen(
+    access: AccessPolicy,
+    serve_client: Callable[[ServerConnection], Awaitable[None]],
+    on_request: Callable[[ServerConnection, Request], Any],
+) -> Server:
+    """Return a server with the limits of this module."""
+    connection: Any = partial(_Connection, silent={})
+    return await serve(
+        serve_client,
+        access.host,
+        access.port,
+        process_request=on_request,
+        create_connection=connection,
+        compression=None,
+        server_header=None,
+        open_timeout=ANSWER_TIMEOUT,
+        ping_interval=5.0,
+        ping_timeout=10.0,
+        close_timeout=1.0,
+        max_size=MAX_MESSAGE,
+        max_queue=4,
+        write_limit=_BUFFER,
+        logger=_quiet,
+    )
+
+
+def parse_message(message: str | bytes, commands: tuple[str, ...]) -> str | Marks | None:
+    """Return the command or the marks in a client's message, or None for anything else.
+
+    Args:
+        message: `{"command": one of commands}`, or `{"session": its path, "again": [numbers of
+            targets, from 1]}`.
+        commands: Commands that are allowed.
+    """
+    try:
+        content = json.loads(message)
+    except (ValueError, RecursionError):
+        return None
+    match content:
+        case {"command": str(command), **others} if not others and command in commands:
+            return command
+        case {"session": str(session), "again": list(targets), **others} if not others:
+            if all(type(target) is int and target >= 1 for target in targets):
+                return Marks(session, tuple(sorted(set(targets))))
+    return None
+
+
+def _text(error: Exception) -> str:
+    return str(error.args[0] if isinstance(error, KeyError) and error.args else error)

@@ -1,1 +1,0 @@
-"""The workbench: a page of the finished sessions, the campaigns and the set-up of a lab."""
