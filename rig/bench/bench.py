@@ -172,8 +172,8 @@ class BenchStream:
 
     @property
     def traits(self) -> Traits:
-        """Kind, alignment and roles."""
-        return Traits.read(self.name, {"kind": self.kind, **self.uses})
+        """Kind, alignment and roles, as they are stored."""
+        return empty_spec(self).traits
 
 
 def empty_spec(row: BenchStream) -> StreamSpec:
