@@ -88,7 +88,7 @@ def test_a_watcher_learns_the_plan_and_the_limits_once(running: Running) -> None
     assert len(hello["targets"]) == TARGETS
     assert hello["targets"][9] == [1, 2.25, 1]
     assert {point["point"] for point in hello["points"]} == {1, 2}
-    assert hello["limits"]["ratings"][:3] == [12.0, 12.0, 17.0]
+    assert hello["limits"]["ratings"][:3] == [10.0, 10.0, 10.0]
     assert hello["limits"]["box"][2][0] == pytest.approx(-5.1)
 
 
@@ -97,7 +97,7 @@ def test_force_share_tip_and_rates_are_those_of_the_shared_records(running: Runn
     with running.watch() as client:
         state = next_state(client)
     assert state["forces"]["force"]["wrench"] == pytest.approx([0.3, 0, -1.7, 0, 60.0, 0])
-    assert state["forces"]["force"]["load"] == pytest.approx([0.025, 0, 0.1, 0, 0.5, 0])
+    assert state["forces"]["force"]["load"] == pytest.approx([0.03, 0, 0.17, 0, 0.5, 0])
     # The sensor has a dome of 29 mm, whose top is 0.086 mm lower there.
     assert state["tips"]["pose"] == pytest.approx([1.0, -2.0, -2.914], abs=1e-3)
     assert state["streams"]["force"]["rate"] == 998.0
