@@ -184,27 +184,6 @@ LEARN = (
         "learning.cli.score_transfer",
         "compare such a model and its intervals with true forces",
     ),
-    Command(
-        "import-genforce",
-        "learning.cli.import_genforce",
-        "make a marker archive of the published GenForce folders",
-    ),
-    Command(
-        "export-genforce",
-        "learning.cli.export_genforce",
-        "write a marker archive as a GenForce training folder",
-    ),
-    Command(
-        "import-weights",
-        "learning.translation.diffusion.weights_command",
-        "convert the authors' published checkpoints",
-        extra="diffusion",
-    ),
-    Command(
-        "import-force-weights",
-        "learning.cli.import_force_weights",
-        "convert the authors' published force models",
-    ),
     Command("export-onnx", "learning.cli.export_onnx", "write one step of a force model as ONNX"),
     Command("models", "learning.cli.models", "take trained models, or publish one"),
 )

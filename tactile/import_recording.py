@@ -26,6 +26,7 @@ from recorder.convert import (
     write_sessions,
 )
 from recorder.progress import ItemProgress
+from tactile import import_genforce
 
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
 # Options of files, and their kind.
@@ -36,8 +37,6 @@ _FILES: dict[str, As] = {
     "width": "width",
     "pose": "pose",
 }
-# Folders of the published layouts.
-_GENFORCE = ("img", "image", "uskin_raw")
 _UNPLACED = (
     "Places and depths are unknown: no press can be joined with another sensor's, but a model of "
     "the sensor's own can be trained"
@@ -48,9 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Finds out what files and folders hold (videos, folders of images, CSV, NPY, NPZ, MCAP, "
-        "rosbags, LeRobot, uSkin logs, GenForce folders), finds the contacts, draws a page to "
-        "approve and writes sessions. Asks for what the files do not tell; without a terminal it "
-        "names the option."
+        "rosbags, LeRobot, uSkin logs), finds the contacts, draws a page to approve and writes "
+        "sessions. Asks for what the files do not tell; without a terminal it names the option. "
+        "A folder of the GenForce recordings becomes a marker archive, repeat the command to "
+        "continue; a file of their weights (.pkl, .pth) the folder of a trained model."
     )
     add = parser.add_argument
     add("paths", nargs="+", type=Path, metavar="PATH", help="files or folders of recordings")
@@ -119,7 +119,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="x y z [m] and rotation vector [rad] in which poses give places and depths",
     )
     tell("--trim", action="store_true", default=None, help="cut files to the shortest of them")
-    _add_genforce(parser)
+    import_genforce.add_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -130,8 +130,10 @@ def run(options: argparse.Namespace) -> int:
         options.out, options.paths = options.paths[0], []
     if options.out is None:
         raise SessionError("--out: missing; allowed: the session or folder to write")
-    if options.paths and not stated and _genforce_layout(options.paths):
-        return _import_genforce(options)
+    if not stated and import_genforce.are_weights(options.paths):
+        return import_genforce.import_weights(options.paths[0], options)
+    if not stated and import_genforce.layout_among(options.paths):
+        return import_genforce.import_folder(options.paths[0], options)
     answers, drafts = _drafts(options, stated)
     for line in _grouped([line for draft in drafts for line in draft.assumed]):
         print(line)
@@ -280,38 +282,3 @@ def _approved(out: Path) -> bool:
     if not sys.stdin.isatty():
         raise SessionError(f"{out}: not written; look at the page, then repeat with --yes")
     return input(f"write {out}? [y/N] ").strip().lower() in ("y", "yes")
-
-
-# GenForce folders become a marker archive: they hold masks, not a camera's images at their times.
-
-
-def _add_genforce(parser: argparse.ArgumentParser) -> None:
-    from learning.cli.import_genforce import add_options
-
-    add_options(parser.add_argument_group("GenForce folders, which become a marker archive"))
-
-
-def _genforce_layout(paths: Sequence[Path]) -> str | None:
-    """Return the layout of a folder of the published data; None if there is none."""
-    likely = [path for path in paths if path.is_dir() and _may_be_genforce(path)]
-    if not likely:
-        return None
-    from learning.cli.import_genforce import known_layout
-
-    layouts = [known_layout(path) for path in likely]
-    if any(layouts) and len(paths) > 1:
-        raise SessionError("found a GenForce folder among others; allowed: one at a time")
-    return layouts[0] if layouts else None
-
-
-def _may_be_genforce(path: Path) -> bool:
-    """Return True if a folder has names of the published layouts, which `learning` then reads."""
-    folders = [path, *(each for each in path.iterdir() if each.is_dir())]
-    named = any((each / name).is_dir() for each in folders for name in _GENFORCE)
-    return named or any(path.glob("*_ref.jpg"))
-
-
-def _import_genforce(options: argparse.Namespace) -> int:
-    from learning.cli.import_genforce import import_one
-
-    return import_one(options.paths[0], options)

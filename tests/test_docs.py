@@ -192,7 +192,6 @@ TESTED = {
     "card": ("tests/tactile/test_card.py", '"card"'),
     "cross-validate": ("tests/tactile/test_import_recording.py", 'run("cross-validate"'),
     "doctor": ("tests/rig/test_doctor.py", '"doctor"'),
-    "import-force-weights": ("tests/learning/test_force_authors.py", "import_force_weights("),
     "init": ("tests/tactile/test_init.py", '"init"'),
     "markers-fit": ("tests/learning/test_markers_fit.py", '"markers-fit"'),
     "mock": ("tests/rig/test_lab_bench.py", '"mock"'),

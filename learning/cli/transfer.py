@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--source-model",
         type=Path,
         metavar="MODEL",
-        help="use this force model of the source, such as one of `import-force-weights`, in place "
+        help="use this force model of the source, such as an imported one of the authors, in place "
         "of training one; it has seen all indenters that it was trained on elsewhere",
     )
     parser.add_argument(

@@ -157,7 +157,7 @@ def read_presses(chosen: Chosen) -> Presses:
         if told.startswith("unknown"):
             raise LearningError(
                 f"{where}: {key} is {told!r}, so its presses cannot be matched to others; "
-                "allowed: import it with its plan or turn (import-genforce --plan, --turn), or "
+                "allowed: import it with its plan or turn (tactile import --plan, --turn), or "
                 "train a model of its own, which needs no join"
             )
     table = sensor.table

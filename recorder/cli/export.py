@@ -1,4 +1,4 @@
-"""`tactile session export`: write a session in a format of other programs."""
+"""`tactile session export`: write a session or marker archive for other programs."""
 
 from __future__ import annotations
 
@@ -32,6 +32,10 @@ def run(options: argparse.Namespace) -> int:
     """Write the file or folder."""
     choices = Options(decode=options.decode, valid_only=options.valid_only)
     with ItemProgress("rows", sys.stderr) as progress:
-        export(options.session, options.destination, options.to, options=choices, progress=progress)
+        omitted = export(
+            options.session, options.destination, options.to, options=choices, progress=progress
+        )
+    for line in omitted:
+        print(f"left out: {line}")
     print(f"{options.destination}: written, {options.to}")
     return 0

@@ -5,6 +5,7 @@ docs/how-to/export-and-import.md describes the content of each format.
 """
 
 from recorder.convert.export import FORMATS, Options, building, export, file_name
+from recorder.convert.genforce_archive import DEPTH_UNKNOWN
 from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
 from recorder.convert.import_find import Answers
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS
@@ -14,6 +15,7 @@ from recorder.convert.import_taxels import ORDERS, in_order, told_order
 from recorder.convert.import_tracks import KINDS, As, MissingAnswer
 
 __all__ = [
+    "DEPTH_UNKNOWN",
     "FORCE_COLUMNS",
     "FORCE_UNITS",
     "FORMATS",

@@ -12,9 +12,13 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
+from recorder.archive import MarkerArchive
+from recorder.archive.plan import FORMAT as ARCHIVE
 from recorder.errors import SessionError
 from recorder.session.reader import Session
 from recorder.store.durable import sync_directory
+from recorder.store.files import locate
+from recorder.store.layout import says_it_is
 
 # Options of an export, and its progress callback.
 
@@ -89,7 +93,8 @@ FORMATS: Mapping[str, str] = {
     "lerobot": "LeRobot dataset v3.0, one episode per target (a folder)",
     "mcap": "MCAP with Foxglove's schemas, every sample at its own time (a file)",
     "hdf5": "HDF5, the whole session with names, types and attributes (a file)",
-    "genforce": "the folders of the GenForce recordings, four phases per point (a folder)",
+    "genforce": "the folders of the GenForce recordings, four phases per point (a folder); of a "
+    "marker archive, of their training",
 }
 
 
@@ -100,14 +105,16 @@ def export(
     *,
     options: Options | None = None,
     progress: Progress | None = None,
-) -> None:
+) -> tuple[str, ...]:
     """Write a finished session in another format. The source is only read.
+
+    A marker archive becomes GenForce's training folders; what they cannot hold is returned.
 
     The destination is created atomically. Rows are streamed: memory does not grow with the length
     of the session, except for the frames view (up to 0.6 kB per row) and the times.
 
     Args:
-        source: A session, its path, or its URL.
+        source: A session, or path or URL of a session or a marker archive.
         destination: File or folder to create; must not exist.
         to: One of `FORMATS`.
         options: Options of the format.
@@ -120,6 +127,14 @@ def export(
     """
     if to not in FORMATS:
         raise SessionError(f"found format {to!r}; known: {', '.join(FORMATS)}")
+    told = progress or ignored
+    if not isinstance(source, Session) and _is_archive(source):
+        if to != "genforce":
+            raise SessionError(f"found format {to!r}; allowed for a marker archive: genforce")
+        write_archive: Callable[[MarkerArchive, Path, Progress], tuple[str, ...]]
+        write_archive = import_module("recorder.convert.genforce_archive").write
+        with building(destination) as beside:
+            return write_archive(MarkerArchive(source), beside, told)
     session = source if isinstance(source, Session) else Session(source)
     if session.warning:
         raise SessionError(session.warning)
@@ -132,10 +147,16 @@ def export(
         raise SessionError(f"{to} needs {error.name}: pip install 'tactile-rig[export]'") from error
     with building(destination) as beside:
         try:
-            write(session, beside, options or Options(), progress or ignored)
+            write(session, beside, options or Options(), told)
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise
             # Libraries report this at length, and for the temporary file.
             where = os.fspath(destination)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), where) from error
+    return ()
+
+
+def _is_archive(source: str | os.PathLike[str]) -> bool:
+    files, place = locate(source)
+    return says_it_is(place, files, ARCHIVE)

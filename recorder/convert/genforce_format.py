@@ -122,9 +122,9 @@ def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
     if kind == "force":
         wrench = values.copy()
         wrench[:, 3:] *= 1e3  # N m -> N mm
-        _write_csv(folder / "ft.csv", FORCE_COLUMNS, wrench)
+        write_csv(folder / "ft.csv", FORCE_COLUMNS, wrench)
     elif kind == "pose":
-        _write_csv(folder / "pose.csv", POSE_COLUMNS, values)
+        write_csv(folder / "pose.csv", POSE_COLUMNS, values)
     elif kind == "camera":
         folder.mkdir(parents=True)
         for number, data in enumerate(_jpegs(stream, [int(row) for row in values])):
@@ -184,7 +184,8 @@ def _path(session: Session, folder: Path, found: list[RecordedPress]) -> None:
     np.savetxt(folder / f"{stamp}.csv", np.array(lines), fmt="%f", delimiter=",")
 
 
-def _write_csv(path: Path, names: Sequence[str], rows: Array) -> None:
+def write_csv(path: Path, names: Sequence[str], rows: Array) -> None:
+    """Write rows of numbers, which are restored exactly, under a header into a new folder."""
     path.parent.mkdir(parents=True)
     with path.open("w", newline="") as file:
         out = csv.writer(file)

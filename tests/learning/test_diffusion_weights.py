@@ -36,6 +36,7 @@ from learning.translation.diffusion.weights import (
     read_unet,
     read_vae,
 )
+from tactile.__main__ import main
 
 
 @pytest.fixture(scope="module")
@@ -170,14 +171,17 @@ def test_an_authors_translator_gives_the_same_network(base: Path, tmp_path: Path
             torch.testing.assert_close(got, due)
 
 
-def test_an_authors_autoencoder_is_a_start_for_training(base: Path, tmp_path: Path) -> None:
+def test_an_authors_autoencoder_is_a_start_for_training(
+    base: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     theirs = _theirs(_trained(), vae_adapter="marker_encoder")
     keys = ("vae_lora_target_modules", "rank_vae", "state_dict_vae")
     torch.save({key: theirs[key] for key in keys}, tmp_path / "checkpoint.pth")
-    kind, _ = import_checkpoint(tmp_path / "checkpoint.pth", str(base), tmp_path / "run")
+    command = ["import", str(tmp_path / "checkpoint.pth"), "--base", str(base)]
+    assert main([*command, "--out", str(tmp_path / "run")]) == 0
+    assert "run: marker-vae, " in capsys.readouterr().out
     adapter = load_vae_adapter(tmp_path / "run", fingerprint(str(base)))
     own = {name.removeprefix("vae."): each for name, each in _trained().state_dict().items()}
-    assert kind == "marker-vae"
     assert adapter
     assert all(torch.equal(each, own[name]) for name, each in adapter.items())
 

@@ -12,6 +12,7 @@ from torch.nn import functional
 from learning.errors import LearningError
 from learning.force.authors import import_force_weights
 from learning.force.model import load_force_model, prepare
+from tactile.__main__ import main
 
 # Widths of a small network of the same structure: those of theirs are 64, 96, 128; 128; 256, 512.
 WIDTHS, MEMORY, TAIL = (8, 12, 16), 16, (20, 24)
@@ -106,7 +107,8 @@ def their_forces(state: dict[str, Tensor], frames: Tensor) -> Tensor:
 def test_a_model_of_the_authors_predicts_what_their_network_computes(tmp_path: Path) -> None:
     state = their_weights()
     torch.save(state, tmp_path / "epoch_20.pth")
-    import_force_weights(tmp_path / "epoch_20.pth", tmp_path / "run")
+    command = ["import", str(tmp_path / "epoch_20.pth"), "--out", str(tmp_path / "run")]
+    assert main(command) == 0
     model = load_force_model(tmp_path / "run")
     images = (torch.rand(3, 256, 256, generator=torch.Generator().manual_seed(1)) > 0.5).byte()
     frames = prepare(images * 255, None, model.inputs)

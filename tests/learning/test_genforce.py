@@ -19,13 +19,11 @@ from support.planned_archives import planned_archive
 
 from learning.data.genforce import (
     Compensation,
-    export_training,
     import_folder,
     layout_of,
     read_coefficients,
     read_compensation,
     read_mask,
-    write_numbers,
 )
 from learning.data.genforce.format import GenForcePress
 from learning.data.genforce.importing import Choices
@@ -156,7 +154,7 @@ def test_labels_of_some_axes_are_named_when_they_are_left_out(tmp_path: Path) ->
     plan = PressShear(3e-3, 4e-3, 1e-3, 1e-3, 2 * np.pi, 1e-3, points=(1, 2))
     fz_only = (np.nan, np.nan, -2.0, np.nan, np.nan, np.nan)
     planned_archive(tmp_path / "a.markers.zarr", {"dots": plan}, wrench=fz_only)
-    omitted = export_training(tmp_path / "a.markers.zarr", tmp_path / "out")
+    omitted = export(tmp_path / "a.markers.zarr", tmp_path / "out", "genforce")
     assert omitted == (
         "dots: labels of 2 presses, which lack Fx Fy Tx Ty Tz; ft.csv holds all axes or none",
     )
@@ -195,7 +193,7 @@ def test_points_of_two_sensors_are_pairs(archive: MarkerArchive) -> None:
 def test_an_archive_that_is_written_out_and_read_again_is_the_same(
     archive: MarkerArchive, tmp_path: Path
 ) -> None:
-    assert export_training(archive.path, tmp_path / "out") == ()
+    assert export(archive.path, tmp_path / "out", "genforce") == ()
     assert layout_of(tmp_path / "out") == "training"
     import_folder(tmp_path / "out", tmp_path / "again.markers.zarr")
     again = MarkerArchive(tmp_path / "again.markers.zarr")
@@ -211,7 +209,7 @@ def test_an_archive_that_is_written_out_and_read_again_is_the_same(
 
 
 def test_what_is_written_is_what_their_scripts_read(archive: MarkerArchive, tmp_path: Path) -> None:
-    export_training(archive.path, tmp_path / "out")
+    export(archive.path, tmp_path / "out", "genforce")
     point = tmp_path / "out" / "img" / "npy" / "Array1" / "sphere" / "2"
     image = np.load(point / "0003.npy")
     assert (image.shape, image.dtype) == ((38400,), np.uint8)
@@ -239,7 +237,7 @@ def test_pictures_lists_apart_and_missing_depths_and_forces_are_read(tmp_path: P
     assert archive["Array1"].attrs["depth"] == "unknown: 0"
     assert np.isfinite(archive["Array1"].table["wrench"]).all()
     assert np.isnan(archive["uskin_a"].table["wrench"]).all()
-    export_training(archive.path, tmp_path / "out")
+    export(archive.path, tmp_path / "out", "genforce")
     assert not (tmp_path / "out" / "depth").exists()
     assert not (tmp_path / "out" / "force" / "uskin_a").exists()
 
@@ -547,7 +545,7 @@ def test_raw_runs_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
 
 def test_coefficients_come_back_as_they_were(tmp_path: Path) -> None:
     values = (-1.25, 0.1 + 0.2, 3e-7)
-    write_numbers(tmp_path / "r6_down.csv", values)
+    (tmp_path / "r6_down.csv").write_text("".join(f"{each!r}\n" for each in values))
     np.savetxt(tmp_path / "r6_up.csv", [-2.0, 0.5, 0.0], delimiter=",")
     assert read_coefficients(tmp_path / "r6_down.csv") == values
     (both,) = read_compensation(tmp_path).values()
@@ -571,23 +569,25 @@ def test_the_commands_import_and_export_with_coefficients(
     priors, out = tmp_path / "material", tmp_path / "a.markers.zarr"
     priors.mkdir()
     for half in ("down", "up"):
-        write_numbers(priors / f"Array1_{half}.csv", (-1.0, 0.5, 0.0))
+        (priors / f"Array1_{half}.csv").write_text("-1.0\n0.5\n0.0\n")
     own = ["--compensation", str(priors), "--mm-per-px", "Array1=0.03", "--unseen", "sphere"]
-    assert main(["import-genforce", str(folder), "--out", str(out), *own]) == 0
+    assert main(["import", str(folder), "--out", str(out), *own]) == 0
     told = capsys.readouterr().out
     assert "Array1: 52 frames, 1 references; marker count: 0 flagged" in told
     sensor = MarkerArchive(out)["Array1"]
     assert sensor.mm_per_px == 0.03
     assert not sensor.table["seen"][sensor.table["indenter"] == NAMES.index("sphere")].any()
-    assert main(["export-genforce", str(out), "--out", str(tmp_path / "back")]) == 0
+    assert main(["session", "export", str(out), str(tmp_path / "back"), "--to", "genforce"]) == 0
     back = read_compensation(tmp_path / "back" / "material_compensation")
     assert back == {"Array1": Compensation((-1.0, 0.5, 0.0), (-1.0, 0.5, 0.0))}
     capsys.readouterr()
-    assert main(["export-genforce", str(out), "--out", str(tmp_path / "back")]) == 2
+    assert main(["session", "export", str(out), str(tmp_path / "back"), "--to", "genforce"]) == 2
     assert "exists already" in capsys.readouterr().err
-    assert main(["import-genforce", str(tmp_path), "--out", str(out)]) == 2
-    assert "expected one of the layouts training, states, raw" in capsys.readouterr().err
-    assert main(["import-genforce", str(folder), "--out", str(out), "--mm-per-px", "b"]) == 2
+    with pytest.raises(LearningError, match="expected one of the layouts training, states, raw"):
+        import_folder(tmp_path, out)
+    assert main(["session", "export", str(out), str(tmp_path / "y"), "--to", "mcap"]) == 2
+    assert "allowed for a marker archive: genforce" in capsys.readouterr().err
+    assert main(["import", str(folder), "--out", str(out), "--mm-per-px", "b"]) == 2
     assert "--mm-per-px: found 'b'; allowed: NAME=NUMBER" in capsys.readouterr().err
 
 
@@ -609,6 +609,6 @@ def test_presses_that_lack_a_phase_are_left_out_and_told_of(
     write(root / "cone" / "Array1" / "0_0_0.3.jpg", mask_of(1))
     write(root / "Array1_ref.jpg", mask_of(0))
     import_folder(root, tmp_path / "a.markers.zarr")
-    with pytest.raises(LearningError, match="no press has all of normal_inc"):
-        export_training(tmp_path / "a.markers.zarr", tmp_path / "out")
+    with pytest.raises(SessionError, match="no press has all of normal_inc"):
+        export(tmp_path / "a.markers.zarr", tmp_path / "out", "genforce")
     assert not (tmp_path / "out").exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PureWindowsPath
@@ -168,11 +168,6 @@ def read_mask(path: Path) -> Packed:
     return pack(_greys(path) > WHITE_ABOVE)
 
 
-def write_mask(path: Path, packed: Packed) -> None:
-    """Write a packed mask (38400,) by `numpy.save`."""
-    np.save(path, packed, allow_pickle=False)
-
-
 def read_array(path: Path) -> NDArray[np.generic]:
     """Read the array in a .npy file.
 
@@ -247,16 +242,6 @@ def read_forces(path: Path) -> tuple[Array, bool]:
     return wrench, rows.shape[1] == 6
 
 
-def write_forces(path: Path, wrench: Array) -> None:
-    """Write wrenches (n, 6) [N, N m] as an ft.csv; forces are restored exactly."""
-    scaled = wrench.copy()
-    scaled[:, 3:] *= 1e3
-    with path.open("w", newline="") as file:
-        out = csv.writer(file)
-        out.writerow(FORCE_COLUMNS)
-        out.writerows([repr(float(value)) for value in row] for row in scaled)
-
-
 def read_poses(path: Path) -> Array:
     """Read the poses (n, 6) of a pose.csv [m, rad].
 
@@ -284,11 +269,6 @@ def read_depths(path: Path) -> Array:
     return np.array([row[0] for row in values], np.float64)
 
 
-def write_numbers(path: Path, values: Iterable[float]) -> None:
-    """Write depths [mm] or coefficients, one per line; they are restored exactly."""
-    path.write_text("".join(f"{float(value)!r}\n" for value in values))
-
-
 def read_last(path: Path, frames: int) -> tuple[int, ...]:
     """Read the numbers of the last frames of the four phases from a last.csv.
 
@@ -308,11 +288,6 @@ def read_last(path: Path, frames: int) -> tuple[int, ...]:
             f"{path}: says that the last frame is {last[-1]}; its folder has {frames} frames"
         )
     return last
-
-
-def write_last(path: Path, names: Sequence[str]) -> None:
-    """Write the names of the last frames of the phases, one per line."""
-    path.write_text("".join(f"{name}\n" for name in names))
 
 
 def _table(path: Path) -> tuple[tuple[str, ...], Array]:

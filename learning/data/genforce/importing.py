@@ -1,4 +1,4 @@
-"""Import of published folders to a marker archive: `tactile import-genforce`."""
+"""Import of published folders to a marker archive."""
 
 from __future__ import annotations
 

@@ -30,9 +30,10 @@ from learning.data.genforce.format import (
     read_mask,
 )
 from learning.errors import LearningError
+from recorder.convert import DEPTH_UNKNOWN
 from trajectories import PressShear, Target
 
-DEPTH_UNKNOWN, PLACE_UNKNOWN = "unknown: 0", "unknown: 0"
+PLACE_UNKNOWN = "unknown: 0"
 # Source of depths and positions that a plan tells: the folder has its ends of phases, no times.
 BY_PLAN = "the plan, by the number of the press; evenly spaced within a phase"
 # Surface heights of the authors' heterogeneous test, where depth is 0 [mm]: these files hold

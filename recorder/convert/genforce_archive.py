@@ -1,72 +1,62 @@
-"""Export of an archive to the folder layout of GenForce: `tactile export-genforce`."""
+"""Marker archives in the folder layout of GenForce's training data.
+
+img/npy/<sensor>/<indenter>/<point 1..N>/%04d.npy   packed masks; last.csv: ends of the phases
+force/..., depth/...                                ft.csv; inc_z.csv, dec_z.csv [mm]
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.data.genforce.format import (
-    write_forces,
-    write_last,
-    write_mask,
-    write_numbers,
-)
-from learning.data.genforce.training import DEPTH_UNKNOWN
-from learning.errors import LearningError
-from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
-from recorder.convert import building, file_name
+from recorder.archive import ArchivedSensor, MarkerArchive
+from recorder.convert.export import Progress, file_name
+from recorder.convert.genforce_format import FORCE_COLUMNS, write_csv
+from recorder.errors import SessionError
 from recorder.spec import AXES, PHASES
 
 Rows = NDArray[np.int64]
 NAMED = 5
+# Attribute `depth` of sensors of which no depth is known.
+DEPTH_UNKNOWN = "unknown: 0"
 # Phases with depths in inc_z.csv; the others' are in dec_z.csv.
 LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
 
 
-def export_training(
-    archive_path: Path,
-    out: Path,
-    *,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> tuple[str, ...]:
+def write(archive: MarkerArchive, root: Path, progress: Progress) -> tuple[str, ...]:
     """Write an archive in the layout of the authors' training; return descriptions of omissions.
 
-    The folder appears only when complete. Contact points are numbered from 1 by target; frames are
-    numbered through all phases. The layout has no times, positions or validity.
+    Contact points are numbered from 1 by target; frames are numbered through all phases. The layout
+    has no times, positions or validity.
 
     Raises:
-        LearningError: No press has four phases, or the archive is incomplete.
-        SessionError: The archive is corrupt.
-        OSError: The disk is full, or not writable.
+        SessionError: No press has four phases, or the archive is incomplete or corrupt.
     """
-    archive = MarkerArchive(archive_path)
     if archive.warning:
-        raise LearningError(archive.warning)
+        raise SessionError(archive.warning)
     omitted: list[str] = []
     found = {name: list(_presses(sensor, omitted)) for name, sensor in archive.items()}
     total = sum(len(rows) for presses in found.values() for rows in presses)
     if not total:
-        raise LearningError(f"{archive.name}: no press has all of {', '.join(PHASES)}")
+        raise SessionError(f"{archive.name}: no press has all of {', '.join(PHASES)}")
     done = 0
     axes: dict[tuple[str, str], int] = {}
-    with building(out) as root:
-        for name, presses in found.items():
-            if not presses:
-                continue
-            sensor, plain = archive[name], file_name(name)
-            _sensor(root, plain, sensor, omitted)
-            for rows in presses:
-                lacking = _press(root, plain, archive, sensor, rows)
-                if lacking:
-                    axes[name, lacking] = axes.get((name, lacking), 0) + 1
-                done += len(rows)
-                progress(done, total)
+    for name, presses in found.items():
+        if not presses:
+            continue
+        sensor, plain = archive[name], file_name(name)
+        _sensor(root, plain, sensor, omitted)
+        for rows in presses:
+            lacking = _press(root, plain, archive, sensor, rows)
+            if lacking:
+                axes[name, lacking] = axes.get((name, lacking), 0) + 1
+            done += len(rows)
+            progress(done, total)
     unlabelled = [
         f"{name}: labels of {count} presses, which lack {lacking}; ft.csv holds all axes or none"
         for (name, lacking), count in axes.items()
@@ -99,7 +89,7 @@ def _presses(sensor: ArchivedSensor, omitted: list[str]) -> Iterator[Rows]:
 def _sensor(root: Path, name: str, sensor: ArchivedSensor, omitted: list[str]) -> None:
     images = root / "img" / "npy"
     images.mkdir(parents=True, exist_ok=True)
-    write_mask(images / f"{name}_ref.npy", sensor.references[0])
+    np.save(images / f"{name}_ref.npy", sensor.references[0])
     if len(sensor.references) > 1:
         omitted.append(f"{name}: {len(sensor.references) - 1} references beside the first")
     known: Mapping[str, Any] | None = sensor.attrs.get("force_depth")
@@ -107,7 +97,7 @@ def _sensor(root: Path, name: str, sensor: ArchivedSensor, omitted: list[str]) -
         folder = root / "material_compensation"
         folder.mkdir(exist_ok=True)
         for half in ("down", "up"):
-            write_numbers(folder / f"{name}_{half}.csv", tuple(known[half]))
+            _write_numbers(folder / f"{name}_{half}.csv", tuple(known[half]))
 
 
 def _press(
@@ -121,21 +111,22 @@ def _press(
     images.mkdir(parents=True)
     names = [f"{number:04d}.npy" for number in range(len(rows))]
     for file, packed in zip(names, sensor.packed(rows), strict=True):
-        write_mask(images / file, packed)
+        np.save(images / file, packed)
     phase = table["phase"][rows]
     last = [int(np.flatnonzero(phase == code)[-1]) for code in range(len(PHASES))]
-    write_last(images / "last.csv", [f"{place.as_posix()}/{names[number]}" for number in last])
+    ends = "".join(f"{place.as_posix()}/{names[number]}\n" for number in last)
+    (images / "last.csv").write_text(ends)
     wrench = table["wrench"][rows]
     if np.isfinite(wrench).all():
-        folder = root / "force" / place
-        folder.mkdir(parents=True)
-        write_forces(folder / "ft.csv", wrench)
+        scaled = wrench.copy()
+        scaled[:, 3:] *= 1e3  # N m -> N mm
+        write_csv(root / "force" / place / "ft.csv", FORCE_COLUMNS, scaled)
     if sensor.attrs.get("depth") != DEPTH_UNKNOWN:
         folder = root / "depth" / place
         folder.mkdir(parents=True)
         depth_mm, loading = table["depth"][rows] * 1e3, np.isin(phase, LOADING)
-        write_numbers(folder / "inc_z.csv", depth_mm[loading])
-        write_numbers(folder / "dec_z.csv", depth_mm[~loading])
+        _write_numbers(folder / "inc_z.csv", depth_mm[loading])
+        _write_numbers(folder / "dec_z.csv", depth_mm[~loading])
     known = np.isfinite(wrench)
     if known.all() or not known.any():
         return ""
@@ -145,3 +136,8 @@ def _press(
 def _indenter(sensor: ArchivedSensor, rows: Rows) -> str:
     message = json.loads(sensor.sources[int(sensor.table["source"][rows[0]])])
     return str(message.get("folder") or message.get("session") or f"row {rows[0]}")
+
+
+def _write_numbers(path: Path, values: Iterable[float]) -> None:
+    """Write depths [mm] or coefficients, one per line; they are restored exactly."""
+    path.write_text("".join(f"{float(value)!r}\n" for value in values))
