@@ -4,8 +4,8 @@ A field whose metadata has a `unit` is written in that unit in files, under a ke
 it: `depth_max` with unit mm is `depth_max_mm`. Values in memory are SI. A field with metadata
 `pose` is written as a `Pose`. Metadata `plausible` is the range of a field's magnitude in the unit
 of the file, unless it is 0: a value outside it is probably in another unit, and refused. Where a
-field may be one of several dataclasses, the key `kind` names one by its `KIND`. Every error states
-file, key, the value found, and the allowed ones.
+field may be one of several dataclasses, the key `kind` names one by its `KIND`; the class of a
+family stands for its members. Every error states file, key, the value found, and the allowed ones.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import dataclasses
 import difflib
 import math
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -99,6 +99,9 @@ class Reader:
     """Units of fields whose metadata do not have them, by class and name."""
     stored: bool = False
     """True for values stored by a program: SI under the names of the fields, infinity as `inf`."""
+    families: Mapping[Any, Callable[[Any], Mapping[str, type]]] = field(default_factory=dict)
+    """Families of dataclasses, by the class that stands for one: a function of the `kind` in the
+    file that returns the members."""
 
     def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
         """Return the mapping in a YAML file, merged over the file that its `extends` names.
@@ -287,6 +290,8 @@ class Reader:
             return self._tuple(inner, value, where, unit)
         if origin is dict:
             return self._mapping(inner[1], value, where, unit)
+        if hint in self.families:
+            return self.build_one_of(self._members([hint], value), value, where)
         if dataclasses.is_dataclass(hint):
             return self.build(hint, value, where)  # type: ignore[arg-type]
         if hint is float:
@@ -339,20 +344,30 @@ class Reader:
         options = tuple(option for option in options if option is not _NONE)
         if len(options) == 1:
             return self._value(options[0], value, where, unit)
-        kinds = tuple(option for option in options if hasattr(option, "KIND"))
-        if kinds and (len(kinds) == len(options) or isinstance(value, dict)):
+        known = [each for each in options if hasattr(each, "KIND") or each in self.families]
+        kinds = self._members(known, value)
+        if kinds and (len(known) == len(options) or isinstance(value, dict)):
             return self.build_one_of(kinds, value, where)
         allowed = (
             [f"a mapping with kind {' or '.join(each.KIND for each in kinds)}"] if kinds else []
         )
         for option in options:
-            if option in kinds:
+            if option in known:
                 continue
             try:
                 return self._value(option, value, where, unit)
             except self.error as error:
                 allowed.append(str(error).rpartition("allowed: ")[2])
         raise self.error(f"{where}: found {describe(value)}; allowed: {', or '.join(allowed)}")
+
+    def _members(self, hints: Sequence[Any], value: Any) -> list[Any]:
+        """Return the dataclasses that a mapping may describe, with the members of families."""
+        kind = value.get("kind") if isinstance(value, dict) else None
+        found: list[Any] = []
+        for hint in hints:
+            family = self.families.get(hint)
+            found += [hint] if family is None else family(kind).values()
+        return found
 
     def _mapping_schema(self, kind: type) -> dict[str, Any]:
         hints = get_type_hints(kind)
@@ -384,6 +399,8 @@ class Reader:
             }
         if origin is dict:
             return {"type": "object", "additionalProperties": self._schema(inner[1])}
+        if hint in self.families:
+            return {"anyOf": [self._schema(each) for each in self._members([hint], None)]}
         if dataclasses.is_dataclass(hint):
             return self._mapping_schema(hint)  # type: ignore[arg-type]
         return {"type": "null" if hint is _NONE else _JSON[hint]}

@@ -459,13 +459,13 @@ def pose_spec(rate_hz: float, *, name: str = "pose", **attrs: Any) -> StreamSpec
 
 
 def taxels_spec(
-    rate_hz: float, *, name: str = "taxels", taxels: int = 16, **attrs: Any
+    rate_hz: float, *, name: str = "taxels", taxels: int = 16, axes: int = 3, **attrs: Any
 ) -> StreamSpec:
-    """Return a stream of an array of three-axis taxels (taxels, 3)."""
+    """Return a stream of an array of taxels (taxels, axes)."""
     value = Column(
         "value",
         "int32",
-        (taxels, 3),
+        (taxels, axes),
         units="counts",
         dims=("taxel", "axis"),
         description="raw counts x y z, taxels row by row",

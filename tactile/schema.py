@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def schema_of(kind: str) -> dict[str, Any]:
     """Return the JSON Schema of files of that kind, one of `KINDS`."""
     if kind == "bench":
+        from rig.bench.bench import READER as BENCHES
         from rig.bench.bench import Bench
-        from rig.core.config import READER as BENCHES
 
         return BENCHES.schema(Bench, title="Bench of tactile-rig")
     if kind == "campaign":

@@ -25,7 +25,7 @@ from rig.core.clock import SECOND_NS, SystemClock
 EMULATORS = {
     "arm": "ur",
     "force": "netft",
-    "camera": "opencv",
+    "camera": "camera",
     "taxels": "xela",
     "NI-DAQ": "nidaq",
     "gripper": "robotiq_2f",

@@ -197,8 +197,7 @@ def _spec_of(layout: StreamLayout) -> StreamSpec | None:
     """Return the format's specification of a stream of this kind; None if there is none."""
     shapes = {column.column.name: column.column.shape for column in layout.columns}
     if layout.path.parent.name != "streams":
-        taxels = shapes.get("taxels", ())[:1] or (16,)
-        reference = reference_spec([taxels_spec(60, taxels=taxels[0])])
+        reference = reference_spec([_taxels_spec(shapes.get("taxels"))])
         return {"segments": SEGMENTS, "reference": reference}.get(layout.name)
     kind = Traits.read(layout.name, layout.attrs()).kind
     image = layout.image
@@ -208,6 +207,12 @@ def _spec_of(layout: StreamLayout) -> StreamSpec | None:
             units = image.column.units
             return depth_spec(60, name=layout.name, height=height, width=width, units=units)
         return camera_spec(60, height=height, width=width, codec=image.column.codec)
-    taxels = shapes.get("value", ())[:1] or (16,)
     known = {"force": force_spec(1000), "pose": pose_spec(500)}
-    return {**known, "taxels": taxels_spec(60, taxels=taxels[0])}.get(kind)
+    return {**known, "taxels": _taxels_spec(shapes.get("value"))}.get(kind)
+
+
+def _taxels_spec(shape: tuple[int, ...] | None) -> StreamSpec:
+    """Return the specification of an array of any number of taxels and axes."""
+    if shape is None or len(shape) != 2:
+        return taxels_spec(60)
+    return taxels_spec(60, taxels=shape[0], axes=shape[1])

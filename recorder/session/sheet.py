@@ -1,5 +1,6 @@
 """The contact sheet: a session on one page, for a visual check."""
 
+import math
 import os
 from typing import Any
 
@@ -113,25 +114,31 @@ def _taxel_picture(change: NDArray[Any], full_scale: float) -> Image.Image:
     """Return a taxel pad as discs: shifted by shear, larger and warmer under pressure.
 
     Args:
-        change: Counts x y z relative to rest (taxels, 3), four taxels a row.
+        change: Counts relative to rest (taxels, axes), row by row of the squarest grid; the last
+            axis is pressure, those before it are shear along x and y.
         full_scale: Counts that give the largest displacement and size.
     """
     width, height = _THUMB[0] * _SMOOTH, _THUMB[1] * _SMOOTH
     picture = Image.new("RGB", (width, height), (30, 34, 42))
     draw = ImageDraw.Draw(picture)
-    lines = -(-len(change) // 4)
-    pitch = min(width, height) / (max(lines, 4) + 0.6)
+    taxels, axes = change.shape
+    columns = next(n for n in range(math.isqrt(taxels - 1) + 1, taxels + 1) if taxels % n == 0)
+    lines = taxels // columns
+    pitch = min(width, height) / (max(lines, columns, 4) + 0.6)
+    moved = np.zeros((taxels, 3))
+    moved[:, 2] = change[:, -1]
+    moved[:, : axes - 1] = change[:, : axes - 1]
     homes = [
         (
-            width / 2 + (taxel % 4 - 1.5) * pitch,
-            height / 2 + (taxel // 4 - (lines - 1) / 2) * pitch,
+            width / 2 + (taxel % columns - (columns - 1) / 2) * pitch,
+            height / 2 + (taxel // columns - (lines - 1) / 2) * pitch,
         )
-        for taxel in range(len(change))
+        for taxel in range(taxels)
     ]
     for home in homes:
         draw.ellipse(_disc(*home, pitch * 0.42), outline=(58, 64, 76), width=2 * _SMOOTH)
     for taxel, home in enumerate(homes):
-        shift_x, shift_y, press = np.nan_to_num(change[taxel]) / full_scale
+        shift_x, shift_y, press = np.nan_to_num(moved[taxel]) / full_scale
         x = home[0] + float(np.clip(shift_x, -1, 1)) * pitch * 0.45
         y = home[1] + float(np.clip(shift_y, -1, 1)) * pitch * 0.45
         strength = float(np.clip(abs(press), 0, 1))

@@ -30,6 +30,7 @@ from rig.core.clock import SECOND_NS, Clock, utc_text
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose, invert
 from rig.core.realtime import RIG_PRIORITY, may_have_priority
+from rig.devices import registry
 from trajectories import dry_run
 
 State = Literal["well", "note", "FAULT"]
@@ -48,39 +49,6 @@ FAR = 1.5
 VENDOR = re.compile("[0-9a-f]{4}:[0-9a-f]{4}")
 # A clock that is earlier was never set.
 _SET = "2024-01-01"
-
-# Cures by kind of device; `{at}` is its address.
-CURES: dict[str, tuple[str, ...]] = {
-    "ur": (
-        "switch the arm on, release its brakes, and choose remote control on the pendant",
-        "ping {at}: this computer needs an address of its own in the arm's network",
-        "let a firewall pass ports 29999, 30001 to 30004",
-    ),
-    "netft": (
-        "ping {at}; the box shows its page in a browser at that address",
-        "power of the box, cable of the sensor; UDP port 49152",
-    ),
-    "nidaq": ("the device's name as NI MAX shows it; install the NI-DAQmx driver",),
-    "scale": (
-        "plug the cable in again; is {at} this device? A name of /dev/serial/by-id stays the same",
-        "sudo usermod -a -G dialout $USER, then log in again",
-        "baud rate and protocol as in the scale's own menu",
-    ),
-    "opencv": (
-        "v4l2-ctl --list-devices: is it there, under {at}? Close other programs that show it",
-        "sudo usermod -a -G video $USER, then log in again",
-        "a USB 3 port of its own; exposure_ms below one period, or a brighter light",
-    ),
-    "xela": ("start the vendor's server, xela_server, and open {at} in its viewer",),
-    "robotiq_2f": (
-        "24 V of the gripper, and its USB cable; sudo usermod -a -G dialout $USER",
-        "tactile grip closes it on the indenter",
-    ),
-    "hid_pedal": (
-        "plug it in; lsusb shows vendor:product; a udev rule gives access (tactile doctor --fix)",
-    ),
-}
-CURES |= {"ur_pose": CURES["ur"], "ur_wrench": CURES["ur"]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,8 +301,8 @@ def _interlocks(bench: Bench, clock: Clock) -> Iterator[Finding]:
 
 
 def _cures(config: Any) -> tuple[str, ...]:
-    found = CURES.get(config.KIND, ())
-    return tuple(cure.replace("{at}", _address(config) or "its address") for cure in found)
+    at = _address(config) or "its address"
+    return tuple(cure.replace("{at}", at) for cure in registry.device(config.KIND).cures)
 
 
 def _address(config: Any) -> str:

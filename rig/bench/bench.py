@@ -22,23 +22,21 @@ from recorder.spec import check_streams, signal_of
 from rig.bench import no_gauge
 from rig.bench.indenter import find_indenter, paper_indenters
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
-from rig.core.config import build, from_si, read_yaml
+from rig.core.config import READER as PLAIN_READER
+from rig.core.config import from_si, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.geometry import matrix_from_vector
 from rig.core.guard import GuardLimits
 from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
-from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
-from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.settings import (
-    ForceConfig,
-    NetFtConfig,
-    NidaqConfig,
-    ScaleConfig,
-)
+from rig.core.stream_settings import StreamSettings
+from rig.devices import registry
+from rig.devices.arm.settings import ArmConfig
+from rig.devices.camera.settings import CameraSettings
+from rig.devices.force.settings import ForceSettings
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
-from rig.devices.taxels.settings import XelaConfig
+from rig.devices.taxels.settings import TaxelSettings
 from trajectories import ForceDepth, Limits, PressShear
 
 # Least cosine between the tool's axis and the direction into the sensor.
@@ -49,6 +47,16 @@ REACH_MM = (50.0, 2000.0)
 LOOPBACK = "loopback"
 # Placeholder for the folder where emulators of serial devices put links to their ptys.
 RUN_FOLDER = "runfolder"
+# Reads a field of a family of devices as the one that the file names by its `kind`.
+READER = replace(
+    PLAIN_READER,
+    families={
+        ForceSettings: registry.family("force"),
+        CameraSettings: registry.family("camera"),
+        TaxelSettings: registry.family("taxels"),
+        StreamSettings: registry.family(None),
+    },
+)
 # Most targets of a plan. More are a mistake in a unit: they would take days to press.
 MOST_TARGETS = 20_000
 
@@ -132,12 +140,6 @@ class Preflight:
     """Longest time for a device to answer [s]."""
 
 
-# Devices that `streams` may name by their `kind`.
-StreamConfig = (
-    CameraConfig | NetFtConfig | NidaqConfig | ScaleConfig | XelaConfig | PoseConfig | WrenchConfig
-)
-
-
 @dataclass(frozen=True, slots=True)
 class BenchStream:
     """One stream of a bench."""
@@ -165,6 +167,14 @@ class BenchStream:
         return float(self.config.rate_hz)
 
     @property
+    def shape(self) -> dict[str, int]:
+        """Number of taxels and of their axes of a stream of taxels, for its storage."""
+        if self.kind != "taxels":
+            return {}
+        rows, columns, axes = self.config.shape
+        return {"taxels": rows * columns, "axes": axes}
+
+    @property
     def uses(self) -> dict[str, Any]:
         """Alignment and roles where the bench file states them, as attributes of the stream."""
         stated = {key: getattr(self.config, key, None) for key in ("align", "roles")}
@@ -185,7 +195,7 @@ def empty_spec(row: BenchStream) -> StreamSpec:
         "arm_wrench": arm_wrench_spec,
         "taxels": taxels_spec,
     }
-    return make[row.kind](row.rate_hz, name=row.name, **row.uses)
+    return make[row.kind](row.rate_hz, name=row.name, **row.shape, **row.uses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +214,7 @@ class Bench:
     tool_rotation: tuple[float, float, float] = field(metadata={"unit": "deg"})
     """Orientation of the TCP in the contact frame, rotation vector [rad]."""
     arm: ArmConfig
-    force: ForceConfig | Literal["none"] | None = field(default=None, kw_only=True)
+    force: ForceSettings | Literal["none"] | None = field(default=None, kw_only=True)
     """The F/T sensor; `none`: there is no gauge, and other guards stand in (`stand_ins`). Only a
     mock bench may leave it out."""
     limits: BenchLimits
@@ -214,9 +224,9 @@ class Bench:
     """Height above the surface at which the tip slows down to contact speed [m]."""
     indenter: str = "cylinder"
     """Name of the indenter on the arm."""
-    camera: CameraConfig | None = None
-    taxels: XelaConfig | None = None
-    streams: dict[str, StreamConfig] | None = None
+    camera: CameraSettings | None = None
+    taxels: TaxelSettings | None = None
+    streams: dict[str, StreamSettings] | None = None
     """Further streams by name, each a device with its `kind`; `force`, `camera` and `taxels` are
     streams with the names of their keys, and the arm's poses are the stream `pose`."""
     hold: float = field(default=0.0, metadata={"unit": "ms", "plausible": (10, 600_000)})
@@ -245,7 +255,7 @@ class Bench:
         if self.no_gauge:
             no_gauge.check_settings(self.limits, self.stand_ins, self.gauges, self.signal)
         for row in self.of_kind("force"):
-            if isinstance(row.config, ScaleConfig) and self.hold < row.config.hold:
+            if self.hold < row.config.hold:
                 raise ValueError(
                     f"hold_ms: {1e3 * self.hold:g}; allowed with {row.key}: at least "
                     f"{1e3 * row.config.hold:.0f}, in which its readings settle"
@@ -263,20 +273,6 @@ class Bench:
             )
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0")
-        for row in self.rows:
-            camera = row.config
-            if not isinstance(camera, CameraConfig):
-                continue
-            if camera.stamp is not None and camera.is_network:
-                raise ValueError(
-                    f"{row.key}.stamp: {camera.stamp!r}; allowed: with a V4L2 camera, since MJPEG "
-                    "over HTTP has no time stamps"
-                )
-            if (camera.exposure or 0.0) > 1 / camera.rate_hz:
-                raise ValueError(
-                    f"{row.key}.exposure_ms: {1e3 * (camera.exposure or 0.0):g}; allowed: up to "
-                    f"{1e3 / camera.rate_hz:.4g} at {row.key}.rate_hz {camera.rate_hz:g}"
-                )
         for name, plan in (("trajectory", self.trajectory), ("force_depth", self.force_depth)):
             if plan is not None and len(plan) > MOST_TARGETS:
                 depths = f" at {plan.depth_count} depths" if isinstance(plan, PressShear) else ""
@@ -445,7 +441,7 @@ def bench_from(content: dict[str, Any], where: str) -> Bench:
     Raises:
         ConfigError: See `rig.core.config.build`; or the tool points away from the sensor.
     """
-    bench = build(Bench, content, where)
+    bench = READER.build(Bench, content, where)
     if float(matrix_from_vector(bench.tool_rotation)[2, 2]) > -_POINTS_INTO_SENSOR:
         degrees = [round(from_si(angle, "deg"), 4) for angle in bench.tool_rotation]
         raise ConfigError(

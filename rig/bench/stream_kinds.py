@@ -22,8 +22,7 @@ from rig.core.clock import Clock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, latest_dtype
-from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.settings import ForceConfig, NidaqConfig, ScaleConfig
+from rig.devices import registry
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +97,11 @@ def stream_names(bench: Bench) -> tuple[str, ...]:
 
 def kind_of(bench: Bench, name: str) -> StreamKind:
     """Return the kind of a bench's stream."""
-    return KINDS[bench.row(name).kind]
+    row = bench.row(name)
+    kind = KINDS[row.kind]
+    if row.shape:
+        return replace(kind, latest=latest_dtype(row.kind, tuple(row.shape.values())))
+    return kind
 
 
 def expected_rate(bench: Bench, name: str) -> float:
@@ -112,48 +115,14 @@ def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
     Raises:
         ConfigError: The library is not installed.
     """
-    row = bench.row(name)
+    device = registry.device(bench.row(name).config.KIND)
     try:
-        if row.kind == "force":
-            return _force_driver(row.config, clock)
-        if row.kind == "pose":
-            from rig.devices.arm.reader import RtdePoseDriver
-
-            return RtdePoseDriver(row.config.host, row.config.rate_hz, clock)
-        if row.kind == "arm_wrench":
-            from rig.devices.arm.wrench import RtdeWrenchDriver
-
-            return RtdeWrenchDriver(row.config.host, row.config.rate_hz, clock)
-        if row.kind == "camera":
-            if not row.config.is_network:
-                from rig.devices.camera.v4l2 import V4l2Driver
-
-                return V4l2Driver(row.config, clock)
-            from rig.devices.camera.opencv import OpenCvDriver
-
-            return OpenCvDriver(row.config, clock)
-        from rig.devices.taxels.xela import XelaDriver
-
-        return XelaDriver(row.config, clock)
+        return device.make_driver(bench.row(name).config, clock)
     except ImportError as error:
-        raise ConfigError(
-            f"{name}: {error.name} is not installed; install the extra: "
-            "pip install 'tactile-rig[rig]'"
-        ) from None
-
-
-def _force_driver(config: ForceConfig, clock: Clock) -> Driver:
-    if isinstance(config, NidaqConfig):
-        from rig.devices.force.nidaq import NidaqDriver
-
-        return NidaqDriver(config, clock)
-    if isinstance(config, ScaleConfig):
-        from rig.devices.force.scale import ScaleDriver
-
-        return ScaleDriver(config, clock)
-    from rig.devices.force.netft import NetFtDriver
-
-    return NetFtDriver(config, clock)
+        cure = "install the extra: pip install 'tactile-rig[rig]'"
+        if device.kind not in registry.DEVICES:
+            cure = f"the device {device.kind} of another package needs it"
+        raise ConfigError(f"{name}: {error.name} is not installed; {cure}") from None
 
 
 _READING = Column(
@@ -188,12 +157,8 @@ def stream_spec(
     if row.kind == "arm_wrench":
         return arm_wrench_spec(rate_hz, name=name, device=description, **attrs)
     if row.kind == "taxels":
-        return taxels_spec(rate_hz, name=name, device=description, **attrs)
-    camera: CameraConfig = row.config
-    if not camera.is_network:
-        attrs = {"stamp": camera.stamp or description.get("stamp", "end"), **attrs}
-        if camera.exposure is not None:
-            attrs = {"exposure": camera.exposure, **attrs}
+        return taxels_spec(rate_hz, name=name, device=description, **row.shape, **attrs)
+    attrs = {**row.config.attrs(description), **attrs}
     codec = "jpeg" if description["jpeg_bytes_kept"] else "zstd"
     return camera_spec(
         rate_hz,

@@ -10,6 +10,8 @@ from typing import ClassVar, Literal
 class StreamSettings:
     """Uses of the device's stream; by default those of its kind (`recorder.spec.KINDS`)."""
 
+    KIND: ClassVar[str]
+    """Name of the device in a bench file."""
     STREAM: ClassVar[str]
     """Kind of the stream."""
 
@@ -18,3 +20,10 @@ class StreamSettings:
     roles: tuple[Literal["signal", "label", "guard"], ...] | None = None
     """signal: what the sensor shows; label: what models learn; guard: stops the arm at the bench's
     limits (F/T sensors only)."""
+
+    def check_mock(self) -> None:
+        """Reject settings that no emulator can have, on a mock bench.
+
+        Raises:
+            ValueError: Names the field, the value found and the values allowed.
+        """

@@ -29,8 +29,8 @@ from rig.core.geometry import compose
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
-from rig.devices.arm.settings import PoseConfig, WrenchConfig
-from rig.devices.force.settings import NidaqConfig, ScaleConfig
+from rig.core.stream_settings import StreamSettings
+from rig.devices import registry
 from rig.mock.processes import ProcessGroup, StartedOrClosed
 from rig.mock.world import ARM_FILE, WORLD_FILE
 from rig.mock.world.simulated import PRESS_FILE
@@ -147,9 +147,9 @@ class MockBench(StartedOrClosed):
             first = config.STREAM not in [device.kind for device in found]
             section = content["streams"][name]
             port = _NAMED_PORTS + place
-            if isinstance(config, PoseConfig | WrenchConfig):
+            if not registry.device(config.KIND).emulator:
                 # The arm's own controller serves further readers.
-                if config.host != bench.arm.host:
+                if getattr(config, "host", None) != bench.arm.host:
                     raise ConfigError(
                         f"streams.{name}.host: found {section['host']!r}; allowed on a mock "
                         "bench: that of the arm"
@@ -161,6 +161,11 @@ class MockBench(StartedOrClosed):
     def _more(self, device: _Device) -> dict[str, Any]:
         """Return the settings of an emulator that its device does not have."""
         bench, name, config = self.bench, device.kind, device.config
+        if isinstance(config, StreamSettings):
+            try:
+                config.check_mock()
+            except ValueError as error:
+                raise ConfigError(f"{device.process.removesuffix('.device')}.{error}") from None
         sources = self._sources if device.played else Sources()
         noise = (bench.world and bench.world.noise) or Noise()
         if name == "arm":
@@ -169,15 +174,7 @@ class MockBench(StartedOrClosed):
             wrist = {"wrist": bool(bench.of_kind("arm_wrench"))}
             return {"state": str(self._folder / ARM_FILE), "pose": start.tolist(), **wrist}
         if name == "force":
-            if isinstance(config, NidaqConfig) and config.grpc is None:
-                where = device.process.removesuffix(".device")
-                raise ConfigError(
-                    f"{where}.grpc: missing; allowed: loopback:31763, the address of a mock "
-                    "bench's NI card"
-                )
-            # A scale averages over many samples of its load cell.
-            averaged = 0.2 if isinstance(config, ScaleConfig) else 1.0
-            return {"noise_n": averaged * noise.force}
+            return {"noise_n": noise.force}
         if name == "camera":
             if sources.camera is not None:
                 return {"source": str(sources.camera), "motion": sources.camera_motion}

@@ -1,7 +1,7 @@
 """Run one emulator of a mock bench: of a device, the World, or its solver.
 
     python -m rig.mock.emulate netft '{"device": {"http_port": 8080}, "noise_n": 0.01}'
-    python -m rig.mock.emulate opencv '{"source": "images/", "device": {"rate_hz": 60}}'
+    python -m rig.mock.emulate camera '{"source": "images/", "device": {"rate_hz": 60}}'
     python -m rig.mock.emulate robotiq_2f --file gripper.json
     python -m rig.mock.emulate xela --schema
 
@@ -30,20 +30,14 @@ from rig.core.config import READER
 from rig.core.emulation import FaultPort, Served
 from rig.core.errors import ConfigError
 from rig.core.realtime import enable_realtime
+from rig.devices import registry
 
-# Module of each emulator; that of a device has the device's `kind` in a bench file as its name.
+# Modules of the emulators that are no device's; that of a device is named as its `kind`.
+WORLDS = {"world": "rig.mock.world.host", "solver": "rig.mock.world.solver"}
+# Emulators in this package.
 EMULATORS = {
-    "ur": "rig.devices.arm.emulator",
-    "netft": "rig.devices.force.netft_emulator",
-    "nidaq": "rig.devices.force.nidaq_emulator",
-    "scale": "rig.devices.force.scale_emulator",
-    "opencv": "rig.devices.camera.mjpeg_emulator",
-    "xela": "rig.devices.taxels.xela_emulator",
-    "robotiq_2f": "rig.devices.gripper.robotiq_emulator",
-    "hid_pedal": "rig.devices.hid.emulator",
-    "spacemouse": "rig.devices.hid.emulator",
-    "world": "rig.mock.world.host",
-    "solver": "rig.mock.world.solver",
+    **{kind: device.emulator for kind, device in registry.DEVICES.items() if device.emulator},
+    **WORLDS,
 }
 
 
@@ -54,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("name", choices=EMULATORS, metavar="NAME", help=", ".join(EMULATORS))
+    parser.add_argument("name", metavar="NAME", help=", ".join(EMULATORS))
     given = parser.add_mutually_exclusive_group()
     given.add_argument(
         "document", nargs="?", default="{}", metavar="JSON", help="the settings (none)"
@@ -65,7 +59,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--until-stdin-closes", action="store_true", help="exit when the parent process does"
     )
     options = parser.parse_args(argv)
-    emulate = import_module(EMULATORS[options.name]).emulate
+    try:
+        module = EMULATORS.get(options.name) or registry.device(options.name).emulator
+    except ConfigError as error:
+        parser.error(str(error))
+    emulate = import_module(module).emulate
     kind = get_type_hints(emulate)["settings"]
     if options.schema:
         print(json.dumps(READER.schema(kind, title=options.name), indent=2))

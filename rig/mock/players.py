@@ -29,7 +29,7 @@ PLAYED_BY = {
     "pose": "ur",
     "arm_wrench": "ur",
     "taxels": "xela",
-    "camera": "opencv",
+    "camera": "camera",
 }
 
 
@@ -184,7 +184,9 @@ def _device(session: Session, name: str, host: str, speed: float) -> Any:
     if kind == "arm_wrench":
         return WrenchConfig(host=host, rate_hz=stated_rate(stream))
     if kind == "taxels":
-        return XelaConfig(address=f"ws://{host}:5000", rate_hz=stated_rate(stream), silence=silence)
+        (taxels, _) = stream.layout.columns[0].column.shape
+        address = f"ws://{host}:5000"
+        return XelaConfig(address, taxels=taxels, rate_hz=stated_rate(stream), silence=silence)
     height, width, _ = stream.layout.columns[0].column.shape
     return CameraConfig(
         address=f"http://{host}:8090/",

@@ -187,7 +187,7 @@ class LiveState:
         return tips
 
     def taxels(self) -> dict[str, list[list[int]]]:
-        """Return the counts (16, 3) of each array that is shown, minus the first ones read."""
+        """Return counts (taxels, axes) of each array that is shown, minus the first ones read."""
         counts = {}
         for name in self.kinds:
             record = self._latest[name].read() if name not in self.pictures else None

@@ -62,6 +62,11 @@ def check_taxels(stream: Stream, rows: slice) -> None:
         SessionError: Names the row.
     """
     value = stream.array("value")[rows]
+    if value.shape[1:] not in ((16, 3), (24, 3)):
+        raise SessionError(
+            f"streams/{stream.name}: values {value.shape[1:]}; a uSkin has (16, 3) or (24, 3) and "
+            f"cannot send these; replay the other streams with --without {stream.name}"
+        )
     beyond: npt.NDArray[np.bool_] = (value < 0) | (value >= _UINT16)
     outside = np.asarray(beyond.any(axis=(1, 2)))
     _refuse(stream.name, rows, outside, "a count is not a uint16")

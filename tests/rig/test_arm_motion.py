@@ -27,6 +27,7 @@ from rig.core.geometry import compose
 from rig.devices.arm.arm import Arm
 from rig.devices.arm.emulated_arm import CYCLE
 from rig.devices.arm.reader import RtdePoseDriver
+from rig.devices.arm.settings import ArmConfig
 
 pytest.importorskip("rtde_control", reason="no ur-rtde: pip install 'tactile-rig[rig]'")
 
@@ -43,7 +44,7 @@ def arm(shared: Arm) -> Arm:
 
 
 def test_a_sequence_of_moves_reaches_every_pose_while_no_pose_is_missed(arm):
-    driver = RtdePoseDriver(HOST, 500.0, CLOCK)
+    driver = RtdePoseDriver(ArmConfig(host=HOST, rate_hz=500.0), CLOCK)
     driver.open(5.0)
     places = [(0, 0, 0.02), (0.01, 0, 0.02), (0.01, -0.01, 0.01), (0, 0, 0.03)]
     tilted = compose([0, 0, 0, 0.02, -0.03, 0.1], [0, 0, 0, *START[3:]])[3:]

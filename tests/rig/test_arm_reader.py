@@ -18,6 +18,7 @@ from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator, RtdeClient
 from rig.devices.arm.reader import COLUMNS, RtdeLink, RtdePoseDriver
+from rig.devices.arm.settings import ArmConfig
 
 HOST = f"127.{10 + os.getpid() // 250 % 100}.{1 + os.getpid() % 250}.1"
 # Loopback addresses by process, so that parallel runs do not collide.
@@ -40,7 +41,7 @@ def emulator(tmp_path) -> Iterator[ArmEmulator]:
 
 @pytest.fixture
 def driver() -> Iterator[RtdePoseDriver]:
-    driver = RtdePoseDriver(HOST, 500.0, SystemClock())
+    driver = RtdePoseDriver(ArmConfig(host=HOST, rate_hz=500.0), SystemClock())
     yield driver
     driver.close()
     driver.close()
@@ -78,7 +79,7 @@ def test_a_slow_consumer_loses_nothing(emulator, driver):
 
 
 def test_the_controller_divides_its_rate(emulator):
-    driver = RtdePoseDriver(HOST, 125.0, SystemClock())
+    driver = RtdePoseDriver(ArmConfig(host=HOST, rate_hz=125.0), SystemClock())
     driver.open(5.0)
     found = ticks(read(driver, 50))
     driver.close()

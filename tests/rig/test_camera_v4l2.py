@@ -301,7 +301,7 @@ def seen(shim: Path, options: dict[str, Any], *, mjpg: bool = True, **faults: in
 def test_jpeg_frames_carry_the_buffers_own_monotonic_time_until_the_camera_is_unplugged(
     shim: Path,
 ) -> None:
-    found = seen(shim, {"exposure": 0.02, "gain": 12}, unplug_after=40)
+    found = seen(shim, {"exposure": 0.008, "gain": 12}, unplug_after=40)
     assert found["properties"]["backend"] == "V4L2"
     assert found["properties"]["jpeg_bytes_kept"] is True
     assert found["properties"]["device_clock"] == "monotonic"

@@ -138,7 +138,7 @@ def test_a_default_name_that_is_taken_gets_a_number(tmp_path: Path) -> None:
         ("limits: {stale_force_ms: 0.05}", "is it in s? then write 50"),
         ("limits: {torque_rating_n_mm: [0.12, 0.12, 0.12]}", "is it in N m?"),
         ("limits: {box_x_mm: [-0.01, 0.01]}", "is it in m?"),
-        ("camera: {exposure_ms: 1560.0}", "camera.exposure_ms: 1560; allowed: up to 33.33"),
+        ("camera: {exposure_ms: 1560.0}", "camera: exposure_ms: 1560; allowed: up to 33.33"),
         ("camera: {exposure_ms: 15600.0}", "is it in us? then write 15.6"),
         ("force: {axes_measured: []}", "axes_measured: []; allowed: one or more of Fx, Fy"),
         ("force: {axes_measured: [Fz, Fq]}", "allowed: Fx, Fy, Fz"),

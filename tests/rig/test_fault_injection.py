@@ -23,6 +23,7 @@ from rig.devices.arm.emulated_arm import POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator
 from rig.devices.arm.reader import RtdePoseDriver
+from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig, WorldSource
 from rig.devices.camera.opencv import OpenCvDriver
 from rig.devices.camera.settings import CameraConfig
@@ -232,7 +233,7 @@ def _arm(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     emulator = ArmEmulator(host, controller, CLOCK)
     return (
         emulator,
-        RtdePoseDriver(host, 500.0, CLOCK),
+        RtdePoseDriver(ArmConfig(host=host, rate_hz=500.0), CLOCK),
         lambda fault, **values: emulator_faults.inject(host, fault, **values),
     )
 

@@ -25,7 +25,7 @@ def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:
     streams: dict[str, Any] = {}
     for k in range(cameras):
         address = f"http://loopback:{8100 + k}/"
-        streams[f"eye_{k}"] = {"kind": "opencv", "address": address, "rate_hz": 10.0}
+        streams[f"eye_{k}"] = {"kind": "camera", "address": address, "rate_hz": 10.0}
     for k in range(gauges):
         ports = {"http_port": 8200 + k, "udp_port": 49200 + k}
         streams[f"gauge_{k}"] = {"kind": "netft", "host": "loopback", "rate_hz": 100.0, **ports}

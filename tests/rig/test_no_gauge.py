@@ -375,7 +375,7 @@ def lab_bench(folder: Path, force: str) -> Path:
     path = folder / "lab.yaml"
     path.write_text(
         f"extends: {BENCHES / 'gelsight.yaml'}\nmock: false\nworld: null\nsimulated: null\n"
-        f"force: {force}\ncamera: {{kind: opencv, address: /dev/video9, rate_hz: 30.0}}\n"
+        f"force: {force}\ncamera: {{kind: camera, address: /dev/video9, rate_hz: 30.0}}\n"
         "arm: {host: 192.0.2.1}\n"
     )
     return path

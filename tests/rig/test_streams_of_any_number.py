@@ -34,8 +34,8 @@ taxels: {kind: xela, address: "ws://loopback:5000", rate_hz: 20.0}
 preflight: {timeout: 20.0}
 limits: {stale_force_ms: 2000.0, stale_pose_ms: 2000.0, duration_max_min: 60.0}
 streams:
-  side: {kind: opencv, address: "http://loopback:8082/", rate_hz: 10.0}
-  room: {kind: opencv, address: "http://loopback:8083/", rate_hz: 5.0, roles: [], align: nearest}
+  side: {kind: camera, address: "http://loopback:8082/", rate_hz: 10.0}
+  room: {kind: camera, address: "http://loopback:8083/", rate_hz: 5.0, roles: [], align: nearest}
   left: {kind: netft, host: loopback, http_port: 8090, udp_port: 49153, rate_hz: 200.0}
   right: {kind: netft, host: loopback, http_port: 8091, udp_port: 49154, rate_hz: 100.0,
           roles: [label]}
@@ -102,7 +102,7 @@ def test_null_removes_a_device_and_every_named_stream(tmp_path: Path) -> None:
     assert [row.name for row in bench.gauges] == ["force"]
 
 
-CAMERA = {"kind": "opencv", "address": "http://loopback:8085/", "rate_hz": 10.0}
+CAMERA = {"kind": "camera", "address": "http://loopback:8085/", "rate_hz": 10.0}
 
 
 @pytest.mark.parametrize(
@@ -111,12 +111,12 @@ CAMERA = {"kind": "opencv", "address": "http://loopback:8085/", "rate_hz": 10.0}
         ({"camera": CAMERA}, "streams.camera: found twice"),
         ({"depth": CAMERA}, "streams: stream depth: is the name of a column of frames"),
         ({"a b": CAMERA}, "allowed as a name: a letter"),
-        ({"x": {**CAMERA, "kind": "opencvv"}}, "streams.x.kind: found 'opencvv'; allowed: opencv"),
+        ({"x": {**CAMERA, "kind": "camerra"}}, "streams.x.kind: found 'camerra'; allowed: "),
         ({"x": {**CAMERA, "roles": ["guard"]}}, "streams.x.roles: found guard"),
         ({"x": {**CAMERA, "roles": ["boss"]}}, "streams.x.roles.0.: found text 'boss'; allowed"),
         ({"x": {**CAMERA, "align": "mean"}}, "streams: x: found align 'mean'; allowed for its"),
-        ({"x": {**CAMERA, "stamp": "start"}}, "streams.x.stamp: 'start'; allowed: with a V4L2"),
-        ({"x": {**CAMERA, "exposure_ms": 500.0}}, "streams.x.exposure_ms: 500; allowed: up to"),
+        ({"x": {**CAMERA, "stamp": "start"}}, "streams.x: stamp: 'start'; allowed: with a V4L2"),
+        ({"x": {**CAMERA, "exposure_ms": 500.0}}, "streams.x: exposure_ms: 500; allowed: up to"),
         ({"x": {"kind": "ur_pose", "host": "h", "rate_hz": 900.0}}, "rate_hz: 900.0; allowed"),
         (["x"], "streams: found the list .*; allowed: a mapping from names"),
     ],
@@ -134,7 +134,7 @@ def test_a_v4l2_camera_stores_its_exposure_and_the_moment_of_its_times(
     stated: str | None, driver: str, stamp: str
 ) -> None:
     content = read_yaml(BENCHES / "gelsight.yaml", BENCHES)
-    camera = {"kind": "opencv", "address": "/dev/video0", "rate_hz": 30, "exposure_ms": 8.0}
+    camera = {"kind": "camera", "address": "/dev/video0", "rate_hz": 30, "exposure_ms": 8.0}
     bench = bench_from({**content, "camera": {**camera, "stamp": stated}}, "bench.yaml")
     properties: dict[str, Any] = {"jpeg_bytes_kept": True, "height": 480, "width": 640}
     properties |= {"stamp": driver, "device_clock": "monotonic"}

@@ -295,9 +295,15 @@ def test_a_4_by_6_patch_on_a_4_by_4_bench_is_refused_by_its_model() -> None:
         parse(text, "1", 16)
 
 
-def test_a_bench_with_a_4_by_6_patch_is_refused_before_anything_starts() -> None:
-    with pytest.raises(ValueError, match=r"taxels: 24.*4 x 4"):
-        XelaConfig(taxels=24)
+def test_a_4_by_6_patch_is_read_but_no_world_of_a_mock_bench_has_one() -> None:
+    assert XelaConfig(taxels=24).shape == (4, 6, 3)
+    scan = parse(frame({"data": ",".join(["7A00"] * 72), "taxels": 24}), "1", 24)
+    assert scan is not None
+    assert scan.counts.shape == (24, 3)
+    with pytest.raises(ValueError, match=r"taxels: 20; allowed: 16 \(4 x 4\), 24 \(4 x 6\)"):
+        XelaConfig(taxels=20)
+    with pytest.raises(ValueError, match="taxels: 24; allowed on a mock bench: 16"):
+        XelaConfig(taxels=24).check_mock()
 
 
 @pytest.mark.parametrize(

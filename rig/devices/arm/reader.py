@@ -17,6 +17,7 @@ from rig.core.clock import SECOND_NS, Clock
 from rig.core.driver import Inbox, Receiver
 from rig.core.errors import DeviceLost
 from rig.devices.arm import rtde
+from rig.devices.arm.settings import ArmConfig, ListenedConfig
 
 VARIABLES = (
     "timestamp",
@@ -237,8 +238,7 @@ class RtdePoseDriver:
     """Pose stream of a recording: an `RtdeLink` read by a dedicated thread.
 
     Args:
-        host: Controller address.
-        rate_hz: Packages per second.
+        config: Controller address, and packages per second.
         clock: Timestamps the arrivals.
         capacity: Number of samples kept for a late consumer.
     """
@@ -246,10 +246,12 @@ class RtdePoseDriver:
     MORE: ClassVar[Mapping[str, str]] = {}
     """Further variables to stream, and the names of their columns."""
 
-    def __init__(self, host: str, rate_hz: float, clock: Clock, *, capacity: int = 10_000) -> None:
-        self._host = host
-        self._rate_hz = rate_hz
-        self._link = RtdeLink(host, rate_hz, clock, self.MORE)
+    def __init__(
+        self, config: ArmConfig | ListenedConfig, clock: Clock, *, capacity: int = 10_000
+    ) -> None:
+        self._host = config.host
+        self._rate_hz = config.rate_hz
+        self._link = RtdeLink(config.host, config.rate_hz, clock, self.MORE)
         self._new_inbox: Callable[[], Inbox] = lambda: Inbox(clock, capacity)
         self._inbox: Inbox | None = None
         self._receiver: Receiver | None = None

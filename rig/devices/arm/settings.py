@@ -78,7 +78,7 @@ class ArmConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class _ListenedTo(StreamSettings):
+class ListenedConfig(StreamSettings):
     """Settings of a stream from a UR controller that is only listened to."""
 
     host: str
@@ -102,7 +102,7 @@ class _ListenedTo(StreamSettings):
 
 
 @dataclass(frozen=True, slots=True)
-class PoseConfig(_ListenedTo):
+class PoseConfig(ListenedConfig):
     """Settings of a further stream of poses."""
 
     KIND: ClassVar[str] = "ur_pose"
@@ -110,7 +110,7 @@ class PoseConfig(_ListenedTo):
 
 
 @dataclass(frozen=True, slots=True)
-class WrenchConfig(_ListenedTo):
+class WrenchConfig(ListenedConfig):
     """Settings of the arm's own estimate of the force at its tool: it stops the arm, no more."""
 
     KIND: ClassVar[str] = "ur_wrench"

@@ -1,7 +1,7 @@
 """Emulated network camera: MJPEG over HTTP, of the World, images, a video, or a recording.
 
-    python -m rig.mock.emulate opencv '{"world": "run/world.state", "view": "run/world.json"}'
-    python -m rig.mock.emulate opencv '{"source": "images/", "device": {"rate_hz": 60}}'
+    python -m rig.mock.emulate camera '{"world": "run/world.state", "view": "run/world.json"}'
+    python -m rig.mock.emulate camera '{"source": "images/", "device": {"rate_hz": 60}}'
 
 Each JPEG has a comment after SOI, `tactile-rig emulator seq=<n> state_t_ns=<t>`: its number, and
 the time of the World's state it shows (of the tick, if it shows no World). A slow client gets the

@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from rig.core.stream_settings import StreamSettings
 
 
 @dataclass(frozen=True, slots=True)
-class CameraConfig(StreamSettings):
-    """Settings of a camera that OpenCV can open."""
+class CameraSettings(StreamSettings):
+    """Settings that all cameras have; each adds a `rate_hz` [Hz] and its address."""
 
-    KIND: ClassVar[str] = "opencv"
     STREAM: ClassVar[str] = "camera"
+
+    silence: float = field(
+        default=1.0, kw_only=True, metadata={"unit": "ms", "plausible": (5, 60000)}
+    )
+    """Silence after which the camera counts as lost [s]."""
+
+    def attrs(self, description: Mapping[str, Any]) -> dict[str, Any]:
+        """Return attributes of the stream of the open camera, such as `exposure` [s] and `stamp`.
+
+        Args:
+            description: `Driver.describe()`.
+        """
+        return {}
+
+
+@dataclass(frozen=True, slots=True)
+class CameraConfig(CameraSettings):
+    """Settings of a V4L2 camera, or of one that sends MJPEG over HTTP."""
+
+    KIND: ClassVar[str] = "camera"
 
     address: str = "/dev/video0"
     """A V4L2 node, its number, or http://..."""
@@ -31,13 +51,35 @@ class CameraConfig(StreamSettings):
     """Manual exposure time [s]; None leaves the camera's own mode."""
     gain: float | None = None
     """In the camera's own unit; None leaves it unchanged."""
-    silence: float = field(default=1.0, metadata={"unit": "ms", "plausible": (5, 60000)})
-    """Silence after which the camera counts as lost [s]."""
     stamp: Literal["start", "middle", "end"] | None = None
     """Moment of the exposure that a V4L2 camera's time stamps are of; None: as its driver says."""
     repeats: bool = False
     """True if equal consecutive frames of a network camera count separately, as in a replay of a
     still scene; else they are one frame sent twice: no two pictures of a sensor are equal."""
+
+    def __post_init__(self) -> None:
+        """Reject time stamps of a camera that sends none, and an exposure longer than a frame.
+
+        Raises:
+            ValueError: Names the field, the value found and the values allowed.
+        """
+        if self.stamp is not None and self.is_network:
+            raise ValueError(
+                f"stamp: {self.stamp!r}; allowed: with a V4L2 camera, since MJPEG over HTTP has no "
+                "time stamps"
+            )
+        if (self.exposure or 0.0) > 1 / self.rate_hz:
+            raise ValueError(
+                f"exposure_ms: {1e3 * (self.exposure or 0.0):g}; allowed: up to "
+                f"{1e3 / self.rate_hz:.4g} at rate_hz {self.rate_hz:g}"
+            )
+
+    def attrs(self, description: Mapping[str, Any]) -> dict[str, Any]:
+        """Return exposure and stamp of a V4L2 camera."""
+        if self.is_network:
+            return {}
+        exposure = {} if self.exposure is None else {"exposure": self.exposure}
+        return {**exposure, "stamp": self.stamp or description.get("stamp", "end")}
 
     @property
     def is_network(self) -> bool:

@@ -25,6 +25,8 @@ from rig.devices.force.settings import ScaleConfig
 _GRAMS_PER_N = 1e3 / 9.80665
 # A scale shows its unit while the reading moves by less than this between two readings [N].
 _STABLE = 0.003
+# Standard deviation of a reading, relative to that of a sample.
+_AVERAGED = 0.2
 # The filter is computed this often [Hz].
 _FILTER_HZ = 50.0
 
@@ -36,7 +38,7 @@ class ScaleEmulatorConfig(EmulatorConfig):
     device: ScaleConfig
     """Its rate is that of a board that sends by itself."""
     noise: float = field(default=0.0, metadata={"unit": "n"})
-    """Standard deviation of a reading [N]."""
+    """Standard deviation of a sample of its load cell [N]; a reading is averaged over many."""
     lag: float = field(default=0.1, metadata={"unit": "ms"})
     """Time constant of the scale's filter [s]."""
 
@@ -50,6 +52,7 @@ class ScaleEmulator(PtyEmulator):
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=config.seed)
         self._world = world
         self._clock = clock
+        self._noise = _AVERAGED * config.noise
         self._rng = np.random.default_rng(config.seed)
         self._shown = self._before = 0.0
 
@@ -88,8 +91,8 @@ class ScaleEmulator(PtyEmulator):
 
     def _line(self) -> bytes:
         device = self._config.device
-        shown = self._shown + self._rng.normal(0.0, self._config.noise)
-        stable = abs(shown - self._before) < max(_STABLE, 4 * self._config.noise)
+        shown = self._shown + self._rng.normal(0.0, self._noise)
+        stable = abs(shown - self._before) < max(_STABLE, 4 * self._noise)
         self._before = shown
         if device.direction == "up":
             shown = -shown

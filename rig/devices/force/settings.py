@@ -17,11 +17,17 @@ AXES: tuple[Axis, ...] = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
 @dataclass(frozen=True, slots=True)
-class _Gauge(StreamSettings):
-    """Settings that all F/T sensors have."""
+class ForceSettings(StreamSettings):
+    """Settings that all F/T sensors have; each adds a `rate_hz` [Hz] and its address."""
 
     STREAM: ClassVar[str] = "force"
+    UNTRUSTED_MASK: ClassVar[int] = 0
+    """Status bits that make a wrench untrusted."""
 
+    silence: float = field(
+        default=0.5, kw_only=True, metadata={"unit": "ms", "plausible": (5, 60000)}
+    )
+    """Silence after which the sensor counts as lost [s]."""
     axes_measured: tuple[Axis, ...] = field(default=AXES, kw_only=True)
     """Axes that the sensor measures; values of the others, such as NaN, are stored and ignored."""
 
@@ -42,14 +48,18 @@ class _Gauge(StreamSettings):
         """Rated load per axis (6,) in the frame of the wrench [N, N m]; None: not stated."""
         return None
 
+    @property
+    def hold(self) -> float:
+        """Time at rest after a move in which readings settle [s]; 0: they follow at once."""
+        return 0.0
+
 
 @dataclass(frozen=True, slots=True)
-class NetFtConfig(_Gauge):
+class NetFtConfig(ForceSettings):
     """Settings of an ATI Net F/T box: its address and its rate."""
 
     KIND: ClassVar[str] = "netft"
     UNTRUSTED_MASK: ClassVar[int] = ERROR_MASK | SATURATION_MASK
-    """Status bits that make a wrench untrusted."""
 
     host: str = "192.168.1.1"
     """Address of the box."""
@@ -59,8 +69,6 @@ class NetFtConfig(_Gauge):
     """Port of its data (RDT)."""
     rate_hz: float = 1000.0
     """Records per second; the box supports integers from 1 to 7000."""
-    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
-    """Silence after which the box counts as lost [s]."""
 
     @property
     def address(self) -> str:
@@ -69,7 +77,7 @@ class NetFtConfig(_Gauge):
 
 
 @dataclass(frozen=True, slots=True)
-class NidaqConfig(_Gauge):
+class NidaqConfig(ForceSettings):
     """Settings of an ATI DAQ F/T transducer on six analog inputs of an NI card (NI-DAQmx)."""
 
     KIND: ClassVar[str] = "nidaq"
@@ -89,8 +97,6 @@ class NidaqConfig(_Gauge):
     """Frame of the wrench; by default the transducer's own."""
     grpc: str | None = None
     """host:port of an NI gRPC Device Server that has the card; None: this computer has it."""
-    silence: float = field(default=0.5, metadata={"unit": "ms", "plausible": (5, 60000)})
-    """Silence after which the card counts as lost [s]."""
 
     def __post_init__(self) -> None:
         """Reject invalid values.
@@ -98,11 +104,18 @@ class NidaqConfig(_Gauge):
         Raises:
             ValueError: Names the field, the value found and the values allowed.
         """
-        _Gauge.__post_init__(self)
+        ForceSettings.__post_init__(self)
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0 Hz")
         if not 0 < self.saturated_at <= 1:
             raise ValueError(f"saturated_at: {self.saturated_at!r}; allowed: above 0, up to 1")
+
+    def check_mock(self) -> None:
+        """Reject a card in this computer, which cannot be emulated."""
+        if self.grpc is None:
+            raise ValueError(
+                "grpc: missing; allowed: loopback:31763, the address of a mock bench's NI card"
+            )
 
     @property
     def address(self) -> str:
@@ -126,11 +139,10 @@ class NidaqConfig(_Gauge):
 
 
 @dataclass(frozen=True, slots=True)
-class ScaleConfig(_Gauge):
+class ScaleConfig(ForceSettings):
     """Settings of a load cell or scale on a serial port: Fz alone, slow, a label and no guard."""
 
     KIND: ClassVar[str] = "scale"
-    UNTRUSTED_MASK: ClassVar[int] = 0
 
     protocol: Literal["hx711", "kern", "sartorius"]
     """Language on the wire: `hx711`, a board that prints one number a line; `kern`, the command w;
@@ -154,7 +166,9 @@ class ScaleConfig(_Gauge):
     """Time for which readings must agree before they count as settled [s]."""
     settle_within: float = field(default=0.02, metadata={"unit": "n", "plausible": (0.0001, 10)})
     """Largest difference between readings that agree [N]."""
-    silence: float = field(default=2.0, metadata={"unit": "ms", "plausible": (100, 60000)})
+    silence: float = field(
+        default=2.0, kw_only=True, metadata={"unit": "ms", "plausible": (100, 60000)}
+    )
     """Silence after which the scale counts as lost [s]."""
     axes_measured: tuple[Axis, ...] = field(default=("Fz",), kw_only=True)
     """Fz; the other axes are stored as NaN."""
@@ -194,7 +208,3 @@ class ScaleConfig(_Gauge):
     def hold(self) -> float:
         """Time at rest in which readings settle and give at least three labels [s]."""
         return 2 * self.settle + 3 / self.rate_hz
-
-
-# Settings of any F/T sensor; `kind` in the bench file selects one.
-ForceConfig = NetFtConfig | NidaqConfig | ScaleConfig

@@ -7,35 +7,57 @@ from typing import ClassVar
 
 from rig.core.stream_settings import StreamSettings
 
-_TAXELS = 16
+# Rows and columns of XELA's patches, by number of taxels.
+_PATCHES = {16: (4, 4), 24: (4, 6)}
 
 
 @dataclass(frozen=True, slots=True)
-class XelaConfig(StreamSettings):
+class TaxelSettings(StreamSettings):
+    """Settings that all arrays of taxels have; each adds a `rate_hz` [Hz] and its address."""
+
+    STREAM: ClassVar[str] = "taxels"
+
+    silence: float = field(
+        default=1.0, kw_only=True, metadata={"unit": "ms", "plausible": (5, 60000)}
+    )
+    """Silence after which the device counts as lost [s]."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Rows and columns of the array, and axes of each taxel."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class XelaConfig(TaxelSettings):
     """Settings of a XELA uSkin behind its vendor's server."""
 
     KIND: ClassVar[str] = "xela"
-    STREAM: ClassVar[str] = "taxels"
 
     address: str = "ws://127.0.0.1:5000"
     """Address of `xela_server`."""
     sensor: str = "1"
     """Key of the sensor in the server's messages."""
     taxels: int = 16
-    """Number of taxels: a 4 x 4 patch (XR1944, uSPa44). Sessions support no other."""
+    """16 of a 4 x 4 patch (XR1944, uSPa44), or 24 of a 4 x 6 one (XR1946, uSPa46)."""
     rate_hz: float = 60.0
     """Expected messages per second; the server decides, the rig measures."""
-    silence: float = field(default=1.0, metadata={"unit": "ms", "plausible": (5, 60000)})
-    """Silence after which the server counts as lost [s]."""
 
     def __post_init__(self) -> None:
-        """Reject a patch that sessions do not support.
+        """Reject a patch that XELA does not make.
 
         Raises:
             ValueError: Names the field, the value found and the values allowed.
         """
-        if self.taxels != _TAXELS:
-            raise ValueError(
-                f"taxels: {self.taxels}; allowed: {_TAXELS} (4 x 4: XR1944, uSPa44); the 4 x 6 "
-                "models (XR1946, uSPa46) have 24, which sessions do not hold"
-            )
+        if self.taxels not in _PATCHES:
+            raise ValueError(f"taxels: {self.taxels}; allowed: 16 (4 x 4), 24 (4 x 6)")
+
+    def check_mock(self) -> None:
+        """Reject a patch that the World of a mock bench does not have."""
+        if self.taxels != 16:
+            raise ValueError(f"taxels: {self.taxels}; allowed on a mock bench: 16, of its World")
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Rows and columns of the patch, and axes of each taxel."""
+        return (*_PATCHES[self.taxels], 3)

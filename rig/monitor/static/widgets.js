@@ -169,7 +169,7 @@ export function lastSeconds(points, seconds) {
   return { from: to - seconds, to, ticks: backs.map((back) => [to - back, back ? `−${back} s` : "now"]) };
 }
 
-// 4 x 4 taxels as the server counts them: a disc for the normal force, a line for the shear.
+// Taxels row by row of the squarest grid: a disc for the normal force, a line for the shear.
 export function taxels(canvas, values) {
   const pen = canvas.getContext("2d"), style = getComputedStyle(canvas);
   const disc = (u, v, radius, colour) => {
@@ -180,10 +180,15 @@ export function taxels(canvas, values) {
   };
   pen.setTransform(canvas.width / 640, 0, 0, canvas.height / 480, 0, 0);
   pen.clearRect(0, 0, 640, 480);
-  values.forEach(([x, y, z], k) => {
-    const u = 320 + 115 * ((k % 4) - 1.5), v = 240 + 115 * (Math.floor(k / 4) - 1.5);
-    disc(u, v, 50, "--open");
-    disc(u, v, Math.min(50, Math.sqrt(Math.abs(z)) * 0.9), "--done");
+  let columns = Math.ceil(Math.sqrt(values.length));
+  while (values.length % columns) columns += 1;
+  const rows = values.length / columns, pitch = 460 / Math.max(rows, columns, 4), full = pitch / 2.3;
+  values.forEach((axes, k) => {
+    const [x, y] = axes.length > 1 ? axes : [0, 0], z = axes[axes.length - 1];
+    const u = 320 + pitch * ((k % columns) - (columns - 1) / 2);
+    const v = 240 + pitch * (Math.floor(k / columns) - (rows - 1) / 2);
+    disc(u, v, full, "--open");
+    disc(u, v, Math.min(full, Math.sqrt(Math.abs(z)) * 0.9), "--done");
     pen.strokeStyle = style.getPropertyValue("--limited");
     pen.lineWidth = 4;
     pen.beginPath();
