@@ -154,11 +154,10 @@ class CollectionView(LiveView):
             "indenter": job.bench.indenter,
             "mock": job.bench.mock,
             "session": job.session.name,
-            **self._state.shown(),
+            **self._state.constants(),
             "points": [{"point": point, "at": position} for point, position in points.items()],
             "targets": [[s.point, round(1e3 * s.depth, 4), s.direction] for s in job.spots],
             "directions": job.directions,
-            "limits": self._state.limits(),
         }
 
     def news(self, sent: Counter[str], clients: Mapping[str, int]) -> list[dict[str, Any] | bytes]:

@@ -196,27 +196,22 @@ class LiveState:
                 counts[name] = (record["value"] - no_contact).tolist()
         return counts
 
-    def shown(self) -> dict[str, Any]:
-        """Return the streams that are shown, as constant data."""
+    def constants(self) -> dict[str, Any]:
+        """Return the streams that are shown, and the limits: ratings [N, N mm], the box [mm]."""
+        limits, rating = self._bench.limits, self._bench.force_rating
+        box = (limits.box_x, limits.box_y, (-limits.depth_max, limits.height_max))
         return {
             "pictures": self.kinds,
             "plots": self._gauges,
             "arms": self._arms,
             "seconds": TRACE_SECONDS,
-        }
-
-    def limits(self) -> dict[str, Any]:
-        """Return the constant limits: axes, their ratings, both fractions, the box [mm]."""
-        limits = self._bench.limits
-        rating = self._bench.force_rating
-        ratings = (*rating[:3], *(from_si(torque, "n_mm") for torque in rating[3:]))
-        box = (limits.box_x, limits.box_y, (-limits.depth_max, limits.height_max))
-        return {
-            "axes": [name for name, _ in AXES],
-            "ratings": list(ratings),
-            "soft": limits.soft_fraction,
-            "hard": limits.hard_fraction,
-            "box": [[from_si(value, "mm") for value in pair] for pair in box],
+            "limits": {
+                "axes": [name for name, _ in AXES],
+                "ratings": [*rating[:3], *(from_si(torque, "n_mm") for torque in rating[3:])],
+                "soft": limits.soft_fraction,
+                "hard": limits.hard_fraction,
+                "box": [[from_si(value, "mm") for value in pair] for pair in box],
+            },
         }
 
     def images(self) -> dict[str, int]:

@@ -76,33 +76,33 @@ class _Growing:
     def __init__(self, group: Path) -> None:
         self._group = group
         self._stream: Stream | None = None
-        self._seen = 0
+        self.count = 0
+        """Number of rows up to now."""
         if group.exists():
             self._stream = Stream(group, live=True)
-            self._seen = len(self._stream)
+            self.count = len(self._stream)
 
     def all(self, name: str) -> Array:
         """Return all rows of a column (n, ...); none if the stream does not exist yet."""
         stream = self._refreshed()
         return np.zeros(0) if stream is None else stream.array(name)
 
-    def new(self, *names: str, until: int | None = None) -> tuple[int, list[Array]]:
-        """Return the number of the first new row, and the new rows of columns (n, ...).
+    def new(self, *names: str, until: int | None = None) -> list[Array] | None:
+        """Return the new rows of columns (n, ...), `t_ns` first; None if there are none.
 
         Args:
-            names: Columns; `t_ns` first if `until` is given.
-            until: Time up to which rows are taken [ns]; later ones come again.
+            names: Columns beside `t_ns`.
+            until: Time up to which rows are returned [ns]; later ones come again.
         """
         stream = self._refreshed()
         if stream is None:
-            return 0, []
-        first, last = self._seen, len(stream)
-        found = [stream.rows_between(name, first, last) for name in names]
-        count = last - first
+            return None
+        columns = [stream.rows_between(n, self.count, len(stream)) for n in ("t_ns", *names)]
+        count = len(columns[0])
         if until is not None:
-            count = int(np.searchsorted(found[0], until, side="right"))
-        self._seen += count
-        return first, [each[:count] for each in found]
+            count = int(np.searchsorted(columns[0], until, side="right"))
+        self.count += count
+        return [column[:count] for column in columns] if count else None
 
     def _refreshed(self) -> Stream | None:
         if self._stream is not None:
@@ -131,18 +131,17 @@ class _Tip:
 
     def look(self) -> None:
         """Add the new places."""
-        _, found = self._poses.new("t_ns", "value")
-        if not found or not len(found[0]):
+        if (rows := self._poses.new("value")) is None:
             return
-        t_ns, pose = found
-        place = transform(self._to_contact, pose[:, :3])
+        t_ns, pose = rows
+        tips = transform(self._to_contact, pose[:, :3])
         radius = self._bench.dome_radius
-        surface = [dome_height(radius, x, y) for x, y in place[:, :2].tolist()]
+        surface = [dome_height(radius, x, y) for x, y in tips[:, :2].tolist()]
         limits = self._bench.limits
         outside = np.zeros(len(t_ns), np.bool_)
         for axis, (low, high) in enumerate((limits.box_x, limits.box_y)):
-            outside |= (place[:, axis] < low) | (place[:, axis] > high)
-        free = (place[:, 2] - surface > self._clear) | outside
+            outside |= (tips[:, axis] < low) | (tips[:, axis] > high)
+        free = (tips[:, 2] - surface > self._clear) | outside
         self._t_ns = np.concatenate([self._t_ns, t_ns])
         self._free = np.concatenate([self._free, free])
         self._outside = np.concatenate([self._outside, outside])
@@ -162,8 +161,8 @@ class _Tip:
         """Return True at the times (n,) [ns] at which the tip has been clear for a while."""
         first = self._before(t_ns - round(_IMAGE_REST * SECOND_NS))
         touched = np.concatenate([[0], np.cumsum(~self._free)])
-        known = t_ns - round(_IMAGE_REST * SECOND_NS) >= self._t_ns[0]
-        return np.asarray(known & (touched[self._after(t_ns) + 1] == touched[first]))
+        is_kept = t_ns - round(_IMAGE_REST * SECOND_NS) >= self._t_ns[0]
+        return np.asarray(is_kept & (touched[self._after(t_ns) + 1] == touched[first]))
 
     def _before(self, t_ns: Array) -> Array:
         return np.maximum(np.searchsorted(self._t_ns, t_ns, side="right") - 1, 0)
@@ -212,7 +211,7 @@ class _Gauge:
         self._name, self._start_ns = gauge.name, start_ns
         self._allowed = bench.preflight.contact_free
         self._axes = [
-            place for place, (axis, _) in enumerate(AXES[:3]) if axis in gauge.config.axes_measured
+            k for k, (axis, _) in enumerate(AXES[:3]) if axis in gauge.config.axes_measured
         ]
         self._ratings = np.array(bench.force_rating[:3])[self._axes]
         self._soft, self._hard = bench.limits.soft_fraction, bench.limits.hard_fraction
@@ -226,20 +225,19 @@ class _Gauge:
         self._touched = 0
         self._samples = 0
         # Number of occurrences, and the last one as text, by anomaly.
-        self._found: dict[str, tuple[int, str]] = {}
+        self._anomalies: dict[str, tuple[int, str]] = {}
 
     def look(self, tip: _Tip) -> None:
         """Judge the samples that were recorded since."""
-        _, found = self._rows.new("t_ns", "value", "status", until=tip.newest_ns)
-        if not found or not len(found[0]):
+        if (rows := self._rows.new("value", "status", until=tip.newest_ns)) is None:
             return
-        t_ns, wrench, status = found
+        t_ns, wrench, status = rows
         if (bad := np.flatnonzero(status & self._untrusted)).size:
             text = f"status 0x{int(status[bad[-1]]):x}: overloaded, or a cable is loose"
             self._note("invalid sample", bad.size, int(t_ns[bad[-1]]), text)
         force = wrench[:, self._axes]
-        known = np.isfinite(force).all(axis=1)
-        t_ns, force = t_ns[known], force[known]
+        finite = np.isfinite(force).all(axis=1)
+        t_ns, force = t_ns[finite], force[finite]
         if not len(t_ns):
             return
         self._samples += len(t_ns)
@@ -266,23 +264,24 @@ class _Gauge:
         if not self._samples:
             yield Quality(name, "unknown", "no sample yet")
             return
-        if not self._found:
+        if not self._anomalies:
             yield Quality(name, "good", f"no anomaly in {self._samples:,} samples")
             return
         texts = [
-            f"{count} x {what}, the last at {text}" for what, (count, text) in self._found.items()
+            f"{count} x {what}, the last at {text}"
+            for what, (count, text) in self._anomalies.items()
         ]
-        state = "watch" if set(self._found) <= _WATCHED else "fault"
+        state = "watch" if set(self._anomalies) <= _WATCHED else "fault"
         yield Quality(name, state, "; ".join(texts))
 
     def _worst(self, force: Array) -> tuple[str, float]:
-        place = int(np.argmax(np.abs(force)))
-        return AXES[self._axes[place]][0], float(abs(force[place]))
+        axis = int(np.argmax(np.abs(force)))
+        return AXES[self._axes[axis]][0], float(abs(force[axis]))
 
     def _note(self, what: str, count: int, t_ns: int, text: str) -> None:
         minutes, seconds = divmod(max(t_ns - self._start_ns, 0) // SECOND_NS, 60)
-        before = self._found.get(what, (0, ""))[0]
-        self._found[what] = (before + count, f"{minutes}:{seconds:02}, {text}")
+        before = self._anomalies.get(what, (0, ""))[0]
+        self._anomalies[what] = (before + count, f"{minutes}:{seconds:02}, {text}")
 
     def _at_rest(self, tip: _Tip, t_ns: Array, force: Array) -> None:
         for number, times, mean in self._rests.add(t_ns, force, tip.free(t_ns)):
@@ -290,8 +289,8 @@ class _Gauge:
             axis, worst = self._worst(mean)
             if worst <= self._allowed:
                 continue
-            where = "outside of the box" if tip.outside(times) else "clear of the surface"
-            text = f"{axis} of {worst:.2f} N with the tip {where}"
+            tip_is = "outside of the box" if tip.outside(times) else "clear of the surface"
+            text = f"{axis} of {worst:.2f} N with the tip {tip_is}"
             self._note("force without contact", int(number != self._touched), int(times[-1]), text)
             self._touched = number
 
@@ -300,11 +299,11 @@ class _Gauge:
         # A press ends at the soft limit, a little above it; so far beyond it none should come.
         near = (self._soft + self._hard) / 2
         if (high := np.flatnonzero((load >= near).any(axis=1))).size:
-            place = int(load[high].max(axis=1).argmax())
-            axis = int(load[high[place]].argmax())
+            worst = high[int(load[high].max(axis=1).argmax())]
+            axis = int(load[worst].argmax())
             text = (
-                f"{AXES[self._axes[axis]][0]} of {force[high[place], axis]:+.2f} N, "
-                f"{load[high[place], axis]:.0%} of the rating"
+                f"{AXES[self._axes[axis]][0]} of {force[worst, axis]:+.2f} N, "
+                f"{load[worst, axis]:.0%} of the rating"
             )
             what = "near" if load[high].max() < self._hard else "beyond"
             self._note(f"sample {what} the rating", high.size, int(t_ns[high[-1]]), text)
@@ -319,9 +318,9 @@ class _Gauge:
         begun = flat & ~np.concatenate([self._flat, flat[:-1]])
         self._flat = flat[-1:]
         for row, axis in np.argwhere(begun)[-1:]:
-            place = row - len(begun)
-            text = f"{AXES[self._axes[axis]][0]} stays at {force[place, axis]:+.3f} N"
-            self._note("saturation", int(begun.sum()), int(t_ns[place]), text)
+            last = row - len(begun)
+            text = f"{AXES[self._axes[axis]][0]} stays at {force[last, axis]:+.3f} N"
+            self._note("saturation", int(begun.sum()), int(t_ns[last]), text)
 
     def _spikes(self, t_ns: Array, force: Array) -> None:
         """Note samples that stand out from those around them (Hampel's filter)."""
@@ -339,8 +338,8 @@ class _Gauge:
         count = 1 + int(np.count_nonzero(np.diff(rows) > 1))
         axis = int(np.abs(off[rows[-1]]).argmax())
         text = f"{AXES[self._axes[axis]][0]} by {off[rows[-1], axis]:+.2f} N"
-        place = max(int(rows[-1]) + _WINDOW // 2 - len(self._before), 0)
-        self._note("spike", count, int(t_ns[place]), text)
+        last = max(int(rows[-1]) + _WINDOW // 2 - len(self._before), 0)
+        self._note("spike", count, int(t_ns[last]), text)
 
 
 class _Taxels:
@@ -356,10 +355,9 @@ class _Taxels:
 
     def look(self, tip: _Tip) -> None:
         """Judge the samples that were recorded since."""
-        _, found = self._rows.new("t_ns", "value", until=tip.newest_ns)
-        if not found or not len(found[0]):
+        if (rows := self._rows.new("value", until=tip.newest_ns)) is None:
             return
-        t_ns, counts = found[0], found[1].reshape(len(found[0]), -1).astype(float)
+        t_ns, counts = rows[0], rows[1].reshape(len(rows[0]), -1).astype(float)
         for _, _, mean in self._rests.add(t_ns, counts, tip.free(t_ns)):
             self._first = mean if self._first is None else self._first
             self._drift = float(np.abs(mean - self._first).max())
@@ -402,14 +400,12 @@ class _Camera:
         if not self._group.exists():
             return
         self._tail = self._tail or open_tail(self._group)
-        first, found = self._rows.new("t_ns", until=tip.newest_ns)
-        if self._rest is None and not self._begin():
-            return
-        if not found or not len(found[0]):
+        first, rows = self._rows.count, self._rows.new(until=tip.newest_ns)
+        if (self._rest is None and not self._begin()) or rows is None:
             return
         self._turn += 1
-        rest = np.flatnonzero(tip.at_rest(found[0]))
-        row = first + (int(rest[-1]) if rest.size else len(found[0]) - 1)
+        rest = np.flatnonzero(tip.at_rest(rows[0]))
+        row = first + (int(rest[-1]) if rest.size else len(rows[0]) - 1)
         if not rest.size and self._turn % 2:
             return
         try:
@@ -476,8 +472,8 @@ class _Camera:
         if not is_rest and abs(hidden) <= HIDDEN * expected:
             return
         self._lost += 1
-        where = "at rest" if is_rest else "in contact"
-        text = f"{flag.found} of {expected} seen {where} (image {row}): {flag.reason}"
+        load = "at rest" if is_rest else "in contact"
+        text = f"{flag.found} of {expected} seen {load} (image {row}): {flag.reason}"
         self._markers = Quality("markers", "fault" if is_rest else "watch", text)
 
 

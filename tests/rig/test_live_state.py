@@ -104,7 +104,7 @@ def test_each_camera_has_its_own_picture(tmp_path: Path) -> None:
 def test_the_page_shows_a_bounded_number_of_pictures_and_plots(count: int, tmp_path: Path) -> None:
     bench = bench_with(count, count, count, count)
     with seen(bench, tmp_path) as (state, _):
-        shown = state.shown()
+        shown = state.constants()
         assert next(iter(shown["pictures"])) == "camera"
         assert len(shown["pictures"]) == min(2 * count + 1, MOST_PICTURES)
         assert len(shown["plots"]) == min(count + 1, MOST_PLOTS)
