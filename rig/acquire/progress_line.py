@@ -14,13 +14,13 @@ from typing import Any, TextIO
 from recorder.progress import duration
 from rig.acquire.streams import Streams
 from rig.core.clock import SECOND_NS, Clock
+from rig.core.paced_line import PacedLine
 from trajectories import PHASES, Move, Target
 
 logger = logging.getLogger(__name__)
 
 _ON_TERMINAL_NS = SECOND_NS // 5
 _IN_LOG_NS = 10 * SECOND_NS
-_CLEAR = "\x1b[K"
 
 
 class LiveLine:
@@ -50,11 +50,16 @@ class LiveLine:
         self._total = total
         self._planned_ns = round(planned * SECOND_NS)
         self._clock = clock
-        self._out = out or sys.stdout
-        self._terminal = self._out.isatty()
-        self._due_ns = 0
+        self._line = PacedLine(
+            clock,
+            out or sys.stdout,
+            _ON_TERMINAL_NS,
+            _IN_LOG_NS,
+            lambda text: logger.info("%s", text),
+        )
         order = range(total) if pressing is None else pressing
-        self._place = {index: place for place, index in enumerate(order)}
+        # Number of targets before a target, in this run.
+        self._before = {index: number for number, index in enumerate(order)}
         # Beginning of the first target of this run and of the current one, moved by pauses.
         self._start_ns = self._target_ns = clock.now_ns()
         self._target: Target | None = None
@@ -73,11 +78,13 @@ class LiveLine:
     def waiting(self, why: str) -> None:
         """Show why nothing moves in place of the phase; a new reason is shown immediately."""
         if why != self._waiting:
-            self._waiting, self._due_ns = why, 0
+            self._waiting = why
+            self._line.hurry()
 
     def waited(self, duration_ns: int) -> None:
         """Continue; exclude a pause of `duration_ns` from the remaining time."""
-        self._waiting, self._due_ns = "", 0
+        self._waiting = ""
+        self._line.hurry()
         self._start_ns += duration_ns
         self._target_ns += duration_ns
 
@@ -100,30 +107,14 @@ class LiveLine:
 
     def tick(self) -> None:
         """Write the line if it is due."""
-        now_ns = self._clock.now_ns()
-        if now_ns < self._due_ns or self._target is None:
-            return
-        self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _IN_LOG_NS)
-        text = self._text(self._target, now_ns)
-        if self._terminal:
-            self._write(f"\r{text}{_CLEAR}")
-        else:
-            logger.info("%s", text)
+        if self._target is not None and self._line.is_due():
+            self._line.show(self._text(self._target))
 
     def end(self) -> None:
         """End the line and leave it on the terminal."""
-        if self._terminal and self._target is not None:
-            self._write("\n")
+        self._line.end()
 
-    def _write(self, text: str) -> None:
-        """Write to the terminal; if it is gone, the log gets the lines from now on."""
-        try:
-            self._out.write(text)
-            self._out.flush()
-        except OSError:
-            self._terminal = False
-
-    def _text(self, target: Target, now_ns: int) -> str:
+    def _text(self, target: Target) -> str:
         counters = self._streams.counters()
         dropped = sum(int(count["dropped"]) for count in counters.values())
         rates = "  ".join(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items())
@@ -131,10 +122,10 @@ class LiveLine:
             f"target {target.index + 1}/{self._total}",
             f"{self._phase(self._move):<10}",
             f"{1e3 * target.depth:.2f} mm",
+            f"{duration(self._seconds_left(self._clock.now_ns()))} left",
             self._streams.pressing(),
-            rates,
             f"dropped {dropped}",
-            f"{duration(self._seconds_left(now_ns))} left",
+            rates,
         ]
         return "  ".join(part for part in parts if part)
 
@@ -143,8 +134,8 @@ class LiveLine:
 
     def _seconds_left(self, now_ns: int) -> float:
         """Return the remaining time [s], by the plan and the targets pressed in this run."""
-        done = 0 if self._target is None else self._place[self._target.index]
+        done = 0 if self._target is None else self._before[self._target.index]
         per_target_ns = (self._planned_ns + self._target_ns - self._start_ns) / (1 + done)
         begun_ns = 0 if self._target is None else now_ns - self._target_ns
         current_ns = max(per_target_ns - begun_ns, 0)
-        return (current_ns + per_target_ns * (len(self._place) - done - 1)) / SECOND_NS
+        return (current_ns + per_target_ns * (len(self._before) - done - 1)) / SECOND_NS

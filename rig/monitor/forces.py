@@ -20,6 +20,7 @@ from recorder import SessionError
 from recorder.store import decode_jpeg, replace_file
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
+from rig.core.paced_line import PacedLine
 from rig.monitor.watched import Triple, Watched
 
 if TYPE_CHECKING:
@@ -232,12 +233,6 @@ def add_gauge(path: Path, wrench: np.ndarray) -> None:
     replace_file(path, text.getvalue().encode())
 
 
-# Output line: the newest force, rewritten ten times per second on a terminal.
-
-_ON_TERMINAL_NS, _ELSEWHERE_NS = SECOND_NS // 10, SECOND_NS
-_CLEAR = "\x1b[K"
-
-
 class ForceLine:
     """Prints forces at a readable rate.
 
@@ -247,32 +242,21 @@ class ForceLine:
     """
 
     def __init__(self, clock: Clock, out: TextIO) -> None:
-        self._clock, self._out = clock, out
-        self._terminal = out.isatty()
-        self._due_ns = 0
-        self._open = False
+        def write(text: str) -> None:
+            print(text, file=out, flush=True)
+
+        self._line = PacedLine(clock, out, SECOND_NS // 10, SECOND_NS, write)
+        self.close = self._line.end
 
     def __call__(self, reading: LiveForce, latency: float) -> None:
         """Show a force and its latency [s], if the line is due."""
-        now_ns = self._clock.now_ns()
-        if now_ns < self._due_ns:
+        if not self._line.is_due():
             return
-        self._due_ns = now_ns + (_ON_TERMINAL_NS if self._terminal else _ELSEWHERE_NS)
         text = f"{_text(reading.force, reading.interval)} N  "
         if reading.before is not None:
             text = f"before {_text(reading.before)}  after {text}"
         text += "contact" if reading.contact else "       "
-        text += f"  {1e3 * latency:5.1f} ms{'  OUTSIDE' if reading.outside else ''}"
-        self._open = self._terminal
-        self._out.write(f"\r{text}{_CLEAR}" if self._terminal else f"{text}\n")
-        self._out.flush()
-
-    def close(self) -> None:
-        """End the line and leave it on the terminal; may be called twice."""
-        if self._open:
-            self._out.write("\n")
-            self._out.flush()
-            self._open = False
+        self._line.show(f"{text}  {1e3 * latency:5.1f} ms{'  OUTSIDE' if reading.outside else ''}")
 
 
 def _text(force: Triple, interval: tuple[Triple, Triple] | None = None) -> str:

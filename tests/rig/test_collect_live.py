@@ -55,7 +55,7 @@ def test_the_line_says_all_a_technician_asks() -> None:
     line.at(targets[36], PLAN.moves(targets[36])[1])
     line.tick()
     text = out.getvalue()
-    words = ("target 37/240", "shear_inc", "1.20 mm", "Fz  -2.41 N", "camera 60 Hz", "dropped 2")
+    words = ("target 37/240", "shear_inc", "1.20 mm", "Fz  -2.41 N", "dropped 2")
     for word in words:
         assert word in text
     # 36 targets in 35 s, and 2 s by the plan: 1 s each; 204 remain, including the current one.
@@ -63,6 +63,21 @@ def test_the_line_says_all_a_technician_asks() -> None:
     assert "\n" not in text
     line.end()
     assert out.getvalue().endswith("\n")
+
+
+@pytest.mark.parametrize(("columns", "has_rates"), [("200", True), ("60", False)])
+def test_the_line_stays_in_one_row_of_the_terminal(
+    columns: str, has_rates: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    out, clock = Terminal(), FakeClock()
+    line = live(out, clock)
+    line.at(next(PLAN.targets()), None)
+    line.tick()
+    text = out.getvalue().removeprefix("\r").removesuffix("\x1b[K")
+    assert len(text) < int(columns)
+    assert "left" in text
+    assert ("camera 60 Hz" in text) == has_rates
 
 
 def test_the_remaining_time_is_known_from_the_first_second_and_falls() -> None:

@@ -1,0 +1,70 @@
+"""A line that is rewritten in place on a terminal, and written at longer intervals elsewhere."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from typing import TextIO
+
+from rig.core.clock import Clock
+
+_CLEAR = "\x1b[K"
+
+
+class PacedLine:
+    """The newest text, as often as it can be read.
+
+    Args:
+        clock: Clock.
+        out: Output.
+        terminal_ns: Interval on a terminal [ns].
+        elsewhere_ns: Interval elsewhere [ns].
+        elsewhere: Called with a text if the output is no terminal, or a terminal that is gone.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        out: TextIO,
+        terminal_ns: int,
+        elsewhere_ns: int,
+        elsewhere: Callable[[str], object],
+    ) -> None:
+        self._clock, self._out, self._elsewhere = clock, out, elsewhere
+        self._terminal_ns, self._elsewhere_ns = terminal_ns, elsewhere_ns
+        self._is_terminal = out.isatty()
+        self._due_ns = 0
+        self._is_open = False
+
+    def is_due(self) -> bool:
+        """Return True if a text is to be shown now; the next one is due an interval later."""
+        now_ns = self._clock.now_ns()
+        if now_ns < self._due_ns:
+            return False
+        self._due_ns = now_ns + (self._terminal_ns if self._is_terminal else self._elsewhere_ns)
+        return True
+
+    def hurry(self) -> None:
+        """Make the next text due at once."""
+        self._due_ns = 0
+
+    def show(self, text: str) -> None:
+        """Show a text; on a terminal, as much of it as a row holds."""
+        if self._is_terminal:
+            self._is_open = True
+            self._write(f"\r{text[: shutil.get_terminal_size().columns - 1]}{_CLEAR}")
+        else:
+            self._elsewhere(text)
+
+    def end(self) -> None:
+        """End the line and leave it on the terminal; may be called twice."""
+        if self._is_open and self._is_terminal:
+            self._write("\n")
+        self._is_open = False
+
+    def _write(self, text: str) -> None:
+        try:
+            self._out.write(text)
+            self._out.flush()
+        except OSError:
+            self._is_terminal = False
