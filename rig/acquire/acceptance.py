@@ -39,10 +39,10 @@ class SetupRecord:
         self.path = setup_path(folder, bench.sensor)
         self._bench = bench
         self._content = content
-        found = read_setup(folder, bench)
-        self.steps: dict[str, dict[str, Any]] = found.get("steps", {})
+        stored = read_setup(folder, bench)
+        self.steps: dict[str, dict[str, Any]] = stored.get("steps", {})
         """Answers and findings of each step, by its name."""
-        self.accepted: dict[str, Any] | None = found.get("acceptance")
+        self.accepted: dict[str, Any] | None = stored.get("acceptance")
         """Summary of the report; None before the end."""
         self._running: dict[str, Any] | None = None
 
@@ -149,14 +149,14 @@ class SetupRecord:
         return bench_hash({key: self._content.get(key) for key in keys})
 
     def _write(self) -> None:
-        found = {
+        stored = {
             "sensor": self._bench.sensor,
             "mock": self._bench.mock,
             "steps": self.steps,
             "acceptance": self.accepted,
             **({"running": self._running} if self._running else {}),
         }
-        self._replace(self.path, json.dumps(found, indent=1).encode())
+        self._replace(self.path, json.dumps(stored, indent=1).encode())
 
     def _replace(self, path: Path, content: bytes) -> None:
         try:

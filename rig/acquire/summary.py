@@ -49,8 +49,8 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
 
 def omitted(rejected: Mapping[str, int]) -> str:
     """Return the counts of samples that were received but not stored, as text; empty if none."""
-    found = [f"{count} {reason}" for reason, count in rejected.items() if count]
-    return f"  left out: {', '.join(found)}" if found else ""
+    counts = [f"{count} {reason}" for reason, count in rejected.items() if count]
+    return f"  left out: {', '.join(counts)}" if counts else ""
 
 
 def frames_per_target(session: Session) -> str:

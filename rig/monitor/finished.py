@@ -6,8 +6,8 @@ small columns of `frames` are read whole; images are read one by one.
 
 from __future__ import annotations
 
+import functools
 import io
-from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import date
@@ -34,6 +34,7 @@ LETTERS = {"open": ".", "done": "d", "limited": "l"}
 _OPEN, _FRESH = 2, 1.0
 _THUMBNAILS = 400
 _FORCE_LIMITED = OUTCOMES.index("force_limited")
+Stamp = tuple[int, int, int]
 _CHOICES = ("sensor", "indenter", "status")
 
 
@@ -53,8 +54,9 @@ class Finished:
         self._clock = clock
         self._catalogue = Catalogue(folder)
         self._looked_ns = 0
-        self._thumbnails: OrderedDict[tuple[str, tuple[int, int, int]], bytes] = OrderedDict()
-        self._opened: OrderedDict[tuple[str, tuple[int, int, int]], Session] = OrderedDict()
+        # By path and stamp: a session that was recorded to again is read again.
+        self._opened = functools.lru_cache(_OPEN)(self._open)
+        self._thumbnails = functools.lru_cache(_THUMBNAILS)(self._thumbnail)
 
     def rows(self) -> list[Row]:
         """Return all sessions, the oldest first."""
@@ -116,18 +118,15 @@ class Finished:
             SessionError: It cannot be read, is being recorded or has too many frames.
         """
         row = self.row(path)
-        key = (row.path, row.stamp)
-        if key not in self._opened:
-            if row.status == "recording":
-                raise SessionError(f"{path}: is being recorded, or was killed while it was")
-            session = Session(self.folder / row.path)
-            if (count := len(session.require_frames()["t_ns"])) > MOST_FRAMES:
-                raise SessionError(f"{path}: found {count} frames; shown: up to {MOST_FRAMES}")
-            self._opened[key] = session
-            while len(self._opened) > _OPEN:
-                self._opened.popitem(last=False)
-        self._opened.move_to_end(key)
-        return self._opened[key]
+        if row.status == "recording":
+            raise SessionError(f"{path}: is being recorded, or was killed while it was")
+        return self._opened(row.path, row.stamp)
+
+    def _open(self, path: str, stamp: Stamp) -> Session:
+        session = Session(self.folder / path)
+        if (count := len(session.require_frames()["t_ns"])) > MOST_FRAMES:
+            raise SessionError(f"{path}: found {count} frames; shown: up to {MOST_FRAMES}")
+        return session
 
     def about(self, path: str) -> dict[str, Any]:
         """Return what is constant about a session, its targets and its curves.
@@ -239,17 +238,15 @@ class Finished:
             IndexError: It has no frames.
         """
         row = self.row(path)
-        key = (row.path, row.stamp)
-        if key not in self._thumbnails:
-            session = self.session(path)
-            load = np.nan_to_num(np.abs(session.frames["wrench"][:, 2]))
-            if not load.size:
-                raise IndexError(f"{path}: has no frames")
-            frame = int(load.argmax()) if load.any() else len(load) // 2
-            self._thumbnails[key] = _jpeg(thumbnails(session, np.array([frame]))[0])
-            while len(self._thumbnails) > _THUMBNAILS:
-                self._thumbnails.popitem(last=False)
-        return self._thumbnails[key]
+        return self._thumbnails(row.path, row.stamp)
+
+    def _thumbnail(self, path: str, stamp: Stamp) -> bytes:
+        session = self.session(path)
+        load = np.nan_to_num(np.abs(session.frames["wrench"][:, 2]))
+        if not load.size:
+            raise IndexError(f"{path}: has no frames")
+        frame = int(load.argmax()) if load.any() else len(load) // 2
+        return _jpeg(thumbnails(session, np.array([frame]))[0])
 
 
 def _jpeg(picture: Image.Image) -> bytes:
