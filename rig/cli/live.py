@@ -198,8 +198,7 @@ def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator
 
     if options.session is not None:
         print(f"REPLAY of {options.session}: nothing moves", flush=True)
-        with replayed(options.session, folder, clock) as watched:
-            yield watched
+        yield replayed(options.session, clock)
         return
     file = chosen_bench(options)
     path, bench = file.path, file.bench

@@ -7,23 +7,38 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from recorder import Session, SessionError
+from recorder.session import linear
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.stream_kinds import make_driver
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import Driver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.presser import TouchedMock
-from rig.mock.recorded_stream import ReplayedSensor
 
 Triple = tuple[float, float, float]
 Times = np.ndarray
+# The first run of a session: later ones were recorded after a stop.
+_RUN = 0
+# Frames before the session's first reference that are without contact.
+_UNTOUCHED = 10
 # Most samples of a gauge that are kept: 16 minutes at 1 kHz.
 _MOST = 1_000_000
+
+
+class Source(Protocol):
+    """Open driver of a sensor."""
+
+    @property
+    def dropped(self) -> int:
+        """Samples that never reached `read`."""
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Return the samples that have arrived since, or wait for one for a time [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +49,7 @@ class Watched:
     """Name of the sensor."""
     stream: str
     """Name of its stream."""
-    driver: Driver
+    driver: Source
     """Open driver."""
     no_contact: np.ndarray | None = None
     """Frames known to be without contact; None: the first to arrive must be."""
@@ -59,7 +74,7 @@ class GaugeBeside:
         driver: Its open driver.
     """
 
-    def __init__(self, driver: Driver) -> None:
+    def __init__(self, driver: Source) -> None:
         self._driver = driver
         self._bias: np.ndarray | None = None
         self._first: list[np.ndarray] = []
@@ -165,25 +180,109 @@ def mock_bench(
         )
 
 
-@contextlib.contextmanager
-def replayed(path: Path, folder: Path, clock: Clock) -> Iterator[Watched]:
-    """Open the sensor of a recorded session, played at the recorded times.
+class RecordedSignal:
+    """Signal of a session's first run, played at the recorded times from the first `read` on.
+
+    Args:
+        path: The session.
+        clock: Clock.
 
     Raises:
-        SessionError, DeviceLost: The session cannot be played.
+        SessionError: It has no signal of a camera or of taxels.
     """
-    with ReplayedSensor(path, folder, clock) as source:
-        no_contact = source.no_contact()
-        source.play()
-        yield Watched(
-            source.sensor,
-            source.stream,
-            source.driver,
-            no_contact,
-            over=source.over,
-            check=source.check,
-            wrench=source.wrench,
+
+    dropped = 0
+
+    def __init__(self, path: Path, clock: Clock) -> None:
+        self._session = session = Session(path)
+        self._clock = clock
+        name = session.signal
+        if name is None or session.streams[name].traits.kind not in ("camera", "taxels"):
+            raise SessionError(f"{path}: has neither camera nor taxels")
+        self.name = name
+        """Name of its stream."""
+        self.sensor = str(session.attrs.get("sensor", ""))
+        """Name of the sensor in the session."""
+        self._stream = session.streams[name]
+        rows = session.rows_of_run(name, _RUN)
+        self._first, last, _ = rows.indices(len(self._stream))
+        self._recorded_ns = self._stream.t_ns[rows]
+        if self._first == last:
+            raise SessionError(f"{path}: no {name} rows in its first run")
+        self._played = 0
+        # Difference between the times of playing and recording [ns]; unknown before the first read.
+        self._later_ns: int | None = None
+
+    def over(self) -> bool:
+        """Return True if the last row was read."""
+        return self._played == len(self._recorded_ns)
+
+    def read(self, timeout: float) -> list[dict[str, Any]]:
+        """Return the samples that have come since, or wait for the next one for a time [s]."""
+        now_ns = self._clock.now_ns()
+        if self._later_ns is None:
+            self._later_ns = now_ns - int(self._recorded_ns[0])
+        if self.over():
+            return []
+        due_ns = int(self._recorded_ns[self._played]) + self._later_ns
+        self._clock.sleep_until(min(due_ns, now_ns + round(timeout * SECOND_NS)))
+        until_ns = self._clock.now_ns() - self._later_ns
+        first, self._played = (
+            self._played,
+            int(np.searchsorted(self._recorded_ns, until_ns, "right")),
         )
+        return [
+            {"value": self._value(k), "t_ns": int(self._recorded_ns[k]) + self._later_ns}
+            for k in range(first, self._played)
+        ]
+
+    def _value(self, k: int) -> Any:
+        row = self._first + k
+        if self._stream.layout.image is None:
+            return self._stream.array("value")[row]
+        return self._stream.jpeg(row) or self._stream.images([row])[0]
+
+    def no_contact(self) -> np.ndarray | None:
+        """Return images (n, h, w, 3) or counts (n, 16, 3) up to the first reference, None without.
+
+        Raises:
+            SessionError: The images are corrupt.
+        """
+        reference, stream = self._session.reference, self._stream
+        of_run = np.flatnonzero(reference["run"] == _RUN)
+        if not of_run.size:
+            return None
+        k = int(of_run[0])
+        end = int(np.searchsorted(self._recorded_ns, reference["t_ns"][k], "right"))
+        column = self._session.columns.get(self.name, "")
+        is_image = stream.layout.image is not None
+        if is_image and column in reference and reference[column][k] >= 0:
+            end = int(reference[column][k]) + 1 - self._first
+        rows = np.arange(max(end - _UNTOUCHED, 0), end) + self._first
+        if not rows.size:
+            return None
+        return stream.images(rows) if is_image else np.asarray(stream.array("value"))[rows]
+
+    def wrench(self, t_ns: Times) -> np.ndarray:
+        """Return the recorded wrench (n, 6) [N, N m] at times of playing (n,); NaN if none."""
+        name = self._session.first("force")
+        if name is None:
+            return np.full((len(t_ns), 6), np.nan)
+        rows, force = self._session.rows_of_run(name, _RUN), self._session.streams[name]
+        value = np.asarray(force.array("value"), np.float64)[rows]
+        recorded_ns = np.asarray(t_ns, np.int64) - (self._later_ns or 0)
+        return linear(force.t_ns[rows], value, recorded_ns).value
+
+
+def replayed(path: Path, clock: Clock) -> Watched:
+    """Return the sensor of a recorded session, played at the recorded times.
+
+    Raises:
+        SessionError: The session cannot be played.
+    """
+    signal = RecordedSignal(path, clock)
+    no_contact, over, wrench = signal.no_contact(), signal.over, signal.wrench
+    return Watched(signal.sensor, signal.name, signal, no_contact, over=over, wrench=wrench)
 
 
 def _stamped(sample: dict[str, Any]) -> int:
