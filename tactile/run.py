@@ -8,22 +8,15 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
-from recorder.command_line.errors import (
-    EXIT_BROKEN_PIPE,
-    EXIT_INTERRUPTED,
-    EXIT_WRONG_INPUT,
-    CommandError,
-)
+from recorder.command_line.errors import EXIT_WRONG_INPUT, ended
 from recorder.command_line.extras import extra_of
 from tactile.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
 
 HELP = ("-h", "--help")
-# File descriptor of standard output.
-STDOUT = 1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -98,25 +91,6 @@ def run_module(
     return ended(call, interrupted)
 
 
-def ended(call: Callable[[], int], interrupted: str = "") -> int:
-    """Return the exit code of `call`; print the line of a known error or of Ctrl-C."""
-    try:
-        code = call()
-        sys.stdout.flush()
-        return code
-    except CommandError as error:
-        line, code = error.report(), error.exit_code
-    except OSError as error:
-        if _nobody_reads(error):
-            return EXIT_BROKEN_PIPE
-        reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        line, code = f"cannot read or write: {reason}", EXIT_WRONG_INPUT
-    except KeyboardInterrupt:
-        line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED
-    print(line, file=sys.stderr)
-    return code
-
-
 def joined(argv: Iterable[str]) -> list[str]:
     """Return `argv` with values such as `-4,0` joined to the option before them by `=`.
 
@@ -168,18 +142,3 @@ def _unknown(words: str) -> int:
         file=sys.stderr,
     )
     return EXIT_WRONG_INPUT
-
-
-def _nobody_reads(error: OSError) -> bool:
-    """Return True if standard output is a pipe that nobody reads any more, such as `| head`.
-
-    Other broken pipes are errors. Python would fail again at its exit, so output is discarded.
-    """
-    import select
-
-    events = select.poll()
-    events.register(STDOUT, 0)
-    if not isinstance(error, BrokenPipeError) or not events.poll(0):
-        return False
-    os.dup2(os.open(os.devnull, os.O_WRONLY), STDOUT)
-    return True

@@ -1,6 +1,10 @@
-"""Exit codes, and the base of errors that end a command with one line."""
+"""Exit codes, the base of errors that end a command with one line, and the end of a command."""
 
 from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
 
 EXIT_DONE = 0
 EXIT_WRONG_INPUT = 2
@@ -9,6 +13,8 @@ EXIT_SAFETY_STOP = 4
 EXIT_INTERRUPTED = 130
 # As a shell reports a process that SIGPIPE has ended.
 EXIT_BROKEN_PIPE = 141
+# File descriptor of standard output.
+_STDOUT = 1
 
 
 class CommandError(Exception):
@@ -20,3 +26,37 @@ class CommandError(Exception):
     def report(self) -> str:
         """Return the text that the command prints before it ends with `exit_code`."""
         return f"{self.label}: {self}"
+
+
+def ended(call: Callable[[], int], interrupted: str = "") -> int:
+    """Return the exit code of `call`; print the line of a known error or of Ctrl-C."""
+    try:
+        code = call()
+        sys.stdout.flush()
+        return code
+    except CommandError as error:
+        line, code = error.report(), error.exit_code
+    except OSError as error:
+        if _nobody_reads(error):
+            return EXIT_BROKEN_PIPE
+        reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        line, code = f"cannot read or write: {reason}", EXIT_WRONG_INPUT
+    except KeyboardInterrupt:
+        line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED
+    print(line, file=sys.stderr)
+    return code
+
+
+def _nobody_reads(error: OSError) -> bool:
+    """Return True if standard output is a pipe that nobody reads any more, such as `| head`.
+
+    Other broken pipes are errors. Python would fail again at its exit, so output is discarded.
+    """
+    import select
+
+    events = select.poll()
+    events.register(_STDOUT, 0)
+    if not isinstance(error, BrokenPipeError) or not events.poll(0):
+        return False
+    os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
+    return True

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,7 +13,6 @@ from recorder import Session, SessionError
 from recorder.catalogue import Catalogue, Row
 from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import duration
-from rig.acquire.control import InterruptFlag
 from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.request import finished_targets, first_open_target
 from rig.acquire.summary import show_curve
@@ -303,6 +299,8 @@ def table(found: list[Progress]) -> list[str]:
 
 # Runner of a campaign's remaining sessions: requests the swap, records, continues.
 
+# Records or resumes an entry and returns the exit code.
+Record = Callable[[Progress], int]
 # Shows a question and waits; False ends the campaign.
 Ask = Callable[[str], bool]
 Say = Callable[[str], None]
@@ -310,43 +308,15 @@ Say = Callable[[str], None]
 Swap = Callable[[Item], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Settings of a campaign run."""
-
-    benches: Path
-    """Folder of bench files."""
-    calibrations: Path
-    """Folder of calibrations."""
-    keep_going: bool = False
-    """Continue with the next entry after a lost device or a safety stop."""
-    go_on: str = ""
-    """Command that continues the campaign; empty: none is shown."""
-    world: str | None = None
-    """World of mock benches in place of that of their files: `sim`, or None."""
-
-
-def command(progress: Progress, campaign: Campaign, settings: Settings) -> list[str]:
-    """Return the arguments of `tactile` that record or resume one entry."""
-    entry, bench = progress.item.entry, str(progress.item.bench_path)
-    # The technician agreed to motion when the indenter was mounted.
-    kept = ["--calibrations", str(settings.calibrations), "--asked-by", str(os.getpid())]
-    kept += [] if settings.world is None else ["--world", settings.world]
-    if progress.state == "to resume":
-        resumed = ["collect", "--bench", bench, "--resume", str(progress.session), *kept]
-        if not entry.again:
-            return resumed
-        return [*resumed, "--again", ",".join(map(str, progress.again))]
-    common = ["--bench", bench, "--out", str(progress.session), "--indenter", entry.indenter]
-    common += [*kept, *(("--operator", campaign.operator) if campaign.operator else ())]
-    if entry.plan == "force_depth":
-        return ["force-depth", *common]
-    wanted = [] if entry.targets is None else ["--targets", str(entry.targets)]
-    return ["collect", *common, *wanted]
-
-
 def run_campaign(
-    campaign: Campaign, settings: Settings, ask: Ask, say: Say, swap: Swap | None = None
+    campaign: Campaign,
+    record: Record,
+    ask: Ask,
+    say: Say,
+    swap: Swap | None = None,
+    *,
+    keep_going: bool = False,
+    go_on: str = "",
 ) -> int:
     """Record all unfinished sessions and return the exit code.
 
@@ -356,6 +326,15 @@ def run_campaign(
     Exit code 0: all is done. Otherwise it is that of the session that ended the campaign, or with
     `keep_going` of the first session that failed. Ctrl-C ends the current session in order, and the
     campaign.
+
+    Args:
+        campaign: The campaign.
+        record: Records or resumes an entry.
+        ask: Asks the technician.
+        say: Shows a line.
+        swap: Waits for the gripper.
+        keep_going: Continue with the next entry after a lost device or a safety stop.
+        go_on: Command that continues the campaign, shown if something is left; empty: none.
     """
     campaign.out.mkdir(parents=True, exist_ok=True)
     failed = EXIT_DONE
@@ -370,7 +349,7 @@ def run_campaign(
         if progress.state == "unreadable":
             say(f"{progress.session}: {progress.note}")
             failed = failed or EXIT_WRONG_INPUT
-            if settings.keep_going:
+            if keep_going:
                 continue
             break
         place = f"{number + 1} of {len(campaign.items)}"
@@ -379,7 +358,7 @@ def run_campaign(
             break
         before = item
         say(f"recording {progress.session}")
-        code = run_rig(command(progress, campaign, settings))
+        code = record(progress)
         if code == EXIT_DONE:
             if progress.state == "to resume" and entry.plan == "force_depth":
                 # It was resumed by `collect`, which draws no curve.
@@ -387,14 +366,14 @@ def run_campaign(
             continue
         say(f"{item.name}: ended with exit code {code}")
         failed = failed or code
-        if code == EXIT_INTERRUPTED or not settings.keep_going:
+        if code == EXIT_INTERRUPTED or not keep_going:
             break
     found = [_progress(campaign, item, catalogue) for item in campaign.items]
     catalogue.save()
     for line in table(found):
         say(line)
-    if any(progress.state != "done" for progress in found) and settings.go_on:
-        say(f"to continue: {settings.go_on}")
+    if any(progress.state != "done" for progress in found) and go_on:
+        say(f"to continue: {go_on}")
     return failed
 
 
@@ -424,23 +403,3 @@ def _mount(item: Item, place: str, before: Item | None, ask: Ask, swap: Swap | N
         except KeyboardInterrupt:
             return False
     return True
-
-
-def run_rig(arguments: list[str]) -> int:
-    """Run `tactile ARGUMENTS`, such as one session, and return its exit code.
-
-    Ctrl-C and a closed terminal reach that process as well; SIGTERM, sent to this one, is passed
-    on. This process waits until the session has ended in order.
-    """
-    # The process writes to the same terminal, so the buffer is flushed first.
-    sys.stdout.flush()
-    with InterruptFlag() as interrupt:
-        with subprocess.Popen([sys.executable, "-m", "tactile", *arguments]) as process:
-            interrupt.forward_to(process)
-            while True:
-                try:
-                    code = process.wait()
-                    break
-                except KeyboardInterrupt:
-                    continue
-        return EXIT_INTERRUPTED if interrupt.requested or code < 0 else code

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
+import multiprocessing
 import os
 import signal
 import stat
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError
+from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError, ended
 
 logger = logging.getLogger(__name__)
 
@@ -44,7 +46,7 @@ class InterruptFlag:
         self.requested = False
         self._reason = "interrupted by the operator"
         self._ignored = False
-        self._forward: subprocess.Popen[bytes] | None = None
+        self._forward: BaseProcess | None = None
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> InterruptFlag:
@@ -57,13 +59,13 @@ class InterruptFlag:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def forward_to(self, process: subprocess.Popen[bytes]) -> None:
+    def forward_to(self, process: BaseProcess) -> None:
         """Pass SIGTERM on to a process; the other signals reach the whole group of processes."""
         self._forward = process
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if number == signal.SIGTERM and self._forward is not None:
-            self._forward.send_signal(number)
+            self._forward.terminate()
         if number == signal.SIGHUP:
             discard_output_of_a_closed_terminal()
             if not self.requested:
@@ -96,6 +98,38 @@ def discard_output_of_a_closed_terminal() -> None:
                 null = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(null, number)
                 os.close(null)
+
+
+def apart(function: Callable[..., int], *arguments: object) -> int:
+    """Run a function in a process of its own, at this terminal, and return its exit code.
+
+    A vendor's library may take that process down, but not this one. Ctrl-C and a closed terminal
+    reach that process as well; SIGTERM, sent to this one, is passed on. This process waits until
+    the other has ended in order.
+
+    Args:
+        function: A function of a module; returns an exit code.
+        *arguments: Its arguments, which can be pickled.
+    """
+    # Both processes write to the same terminal, so the buffer is flushed first.
+    sys.stdout.flush()
+    with InterruptFlag() as interrupt:
+        process = multiprocessing.get_context("spawn").Process(
+            target=_at_terminal, args=(function, arguments)
+        )
+        process.start()
+        interrupt.forward_to(process)
+        while process.exitcode is None:
+            with contextlib.suppress(KeyboardInterrupt):
+                process.join()
+        stopped = interrupt.requested or process.exitcode < 0
+        return EXIT_INTERRUPTED if stopped else process.exitcode
+
+
+def _at_terminal(function: Callable[..., int], arguments: tuple[object, ...]) -> None:
+    """Call the function in its process, with this terminal's input, which `spawn` has put aside."""
+    with open(0, closefd=False) as sys.stdin:
+        sys.exit(ended(functools.partial(function, *arguments), "nothing was recorded"))
 
 
 class Control:

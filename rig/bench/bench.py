@@ -43,6 +43,8 @@ from trajectories import ForceDepth, Limits, PressShear
 _POINTS_INTO_SENSOR = 0.7
 # Distances from an arm's base that some UR arm can reach [mm].
 REACH_MM = (50.0, 2000.0)
+# Folder of a lab's bench files.
+BENCHES_FOLDER = Path("benches")
 # Placeholder for the address that the emulators are started on.
 LOOPBACK = "loopback"
 # Placeholder for the folder where emulators of serial devices put links to their ptys.
@@ -401,7 +403,7 @@ def _check_streams(rows: Sequence[BenchStream]) -> None:
         raise ValueError(f"streams: {error}") from None
 
 
-def find_bench(sensor: str, folder: Path, where: str = "SENSOR") -> Path:
+def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "SENSOR") -> Path:
     """Return the lab's bench file of `sensor` if it exists, else the mock bench's.
 
     Args:

@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_DONE
 from recorder.command_line.options import next_command
-from rig.cli.options import benches_option, calibration_options
+from rig.acquire.calibration import store
+from rig.bench.bench import BENCHES_FOLDER
+from rig.cli.options import banner, bench_file, benches_option, calibration_options
+from rig.cli.recording import Recording
 from rig.cli.terminal import answer
 from rig.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rig.acquire.campaign import Item
+    from rig.acquire.campaign import Item, Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +41,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     calibration_options(parser)
 
 
+def record_entry(progress: Progress, operator: str, calibrations: Path, world: str | None) -> int:
+    """Record or resume an entry of a campaign; return the exit code.
+
+    Args:
+        progress: State of the entry.
+        operator: Name of the operator.
+        calibrations: Folder of the calibrations.
+        world: `sim`: mock benches simulate the contact.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+    """
+    from rig.cli import collect, force_depth
+
+    item, entry = progress.item, progress.item.entry
+    resumed = progress.session if progress.state == "to resume" else None
+    file = bench_file(item.bench_path, world=world, resume=resumed)
+    print(banner(file), flush=True)
+    recording = Recording(
+        file.with_indenter(entry.indenter),
+        calibrations,
+        operator,
+        progress.session,
+        # The technician agreed to motion when the indenter was mounted.
+        agreed=True,
+        chosen={"bench": item.bench_path, "world": world},
+    )
+    if resumed is not None:
+        again = tuple(number - 1 for number in progress.again)
+        return collect.collect(recording, resumed=resumed, again=again)
+    if entry.plan == "force_depth":
+        return force_depth.press(recording)
+    return collect.collect(recording, targets=entry.targets)
+
+
 def run(options: argparse.Namespace) -> int:
     """List or record; return the exit code.
 
@@ -46,7 +84,8 @@ def run(options: argparse.Namespace) -> int:
     """
     import dataclasses
 
-    from rig.acquire.campaign import Settings, load_campaign, progress_of, run_campaign, table
+    from rig.acquire.campaign import load_campaign, progress_of, run_campaign, table
+    from rig.acquire.control import apart
     from rig.bench.bench import read_content, with_simulated_world
 
     campaign = load_campaign(options.file, options.benches)
@@ -61,26 +100,30 @@ def run(options: argparse.Namespace) -> int:
     if options.world is not None:
         for item in campaign.items:
             with_simulated_world(read_content(item.bench_path), str(item.bench_path))
-    settings = Settings(
-        options.benches,
-        options.calibrations,
-        options.keep_going,
-        _go_on(options),
-        options.world,
-    )
     ask = _agree if options.yes else functools.partial(_ask, has_lab_benches=bool(lab))
-    return run_campaign(campaign, settings, ask, _say, _swap)
+
+    def record(progress: Progress) -> int:
+        chosen = (campaign.operator, options.calibrations, options.world)
+        return apart(record_entry, progress, *chosen)
+
+    return run_campaign(
+        campaign,
+        record,
+        ask,
+        _say,
+        _swap,
+        keep_going=options.keep_going,
+        go_on=_go_on(options),
+    )
 
 
 def _go_on(options: argparse.Namespace) -> str:
     """Return the command that continues the campaign."""
-    from rig.acquire.calibration import store
-
     elsewhere = options.calibrations != store.FOLDER
     return next_command(
         "campaign",
         file=options.file,
-        benches=None if options.benches == Path("benches") else options.benches,
+        benches=None if options.benches == BENCHES_FOLDER else options.benches,
         out=options.out,
         calibrations=options.calibrations if elsewhere else None,
         world=options.world,

@@ -5,35 +5,29 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import functools
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
-from recorder.command_line.options import next_command
-from rig.bench.bench import Bench
-from rig.bench.no_gauge import planned_depth, slowed
+from rig.acquire.request import CollectRequest, is_complete, plan_of
+from rig.bench.no_gauge import planned_depth
 from rig.cli.options import (
     add_page,
-    banner,
-    bench_options,
-    calibration_of,
-    calibration_options,
     check_page,
-    chosen_bench,
-    confirm_options,
-    free_path,
     log_to,
     opened_page,
-    resumed_indenter,
+    recording_options,
     sources_of,
 )
+from rig.cli.recording import OpenPage, Recording, record, recording_of, started_bench
 from rig.cli.terminal import require_terminal
-from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
+from rig.core.sources import Sources
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    bench_options(parser, sources=True).add_argument(
+    recording_options(parser, sources=True).add_argument(
         "--truth",
         type=Path,
         metavar="FILE",
@@ -47,9 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = "Example: tactile collect --sensor tacpalm --targets 8"
     group = parser.add_argument_group("session")
-    group.add_argument(
-        "--out", type=Path, metavar="PATH", help="session to write (default: in sessions/)"
-    )
     group.add_argument(
         "--resume",
         type=Path,
@@ -65,13 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "press counts",
     )
     group.add_argument("--targets", type=int, metavar="N", help="press only the first N targets")
-    group.add_argument("--indenter", metavar="NAME", help="name of the indenter on the arm")
-    group.add_argument(
-        "--operator", default="", metavar="NAME", help="operator's name (default: the login name)"
-    )
     add_page(parser, "--watch", "serve a page to watch, pause and abort")
-    calibration_options(parser)
-    confirm_options(parser)
 
 
 def target_numbers(text: str) -> tuple[int, ...]:
@@ -95,83 +80,100 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
-    from rig.acquire import no_gauge
-    from rig.acquire.request import CollectRequest, is_complete, plan_of
-    from rig.cli import without_gauge
-    from rig.cli.recording import record, started_bench
-
-    file = chosen_bench(options)
-    print(banner(file), flush=True)
     if options.resume and (options.out or options.targets or options.indenter):
         raise ConfigError(
             "--resume: neither --out, --targets nor --indenter go with it: the session has them"
         )
     if options.again and not options.resume:
         raise ConfigError("AGAIN, --again: goes with RESUME, --resume, only")
-    file = file.with_indenter(options.indenter or resumed_indenter(options))
-    path, bench = file.path, file.bench
-    sources = sources_of(options, file)
-    if not bench.mock and options.truth:
-        raise ConfigError(f"TRUTH: {path} is a lab bench; allowed: a mock bench")
+    recording = recording_of(options)
+    sources = sources_of(options, recording.file)
+    if not recording.bench.mock and options.truth:
+        raise ConfigError(f"TRUTH: {recording.file.path} is a lab bench; allowed: a mock bench")
     check_page("--watch", options.watch)
-    session = options.resume or options.out
-    if session is None:
-        name = f"{bench.sensor}-{bench.indenter}-{file_stamp()}.zarr"
-        session = free_path(Path("sessions") / name)
-    calibration = calibration_of(options, bench)
+    return collect(
+        recording,
+        targets=options.targets,
+        resumed=options.resume,
+        again=options.again,
+        sources=sources,
+        truth=options.truth,
+        page=functools.partial(opened_page, options),
+    )
+
+
+def collect(
+    recording: Recording,
+    *,
+    targets: int | None = None,
+    resumed: Path | None = None,
+    again: tuple[int, ...] = (),
+    sources: Sources | None = None,
+    truth: Path | None = None,
+    page: OpenPage | None = None,
+) -> int:
+    """Record a session along the bench's plan, or resume one; return the exit code.
+
+    Args:
+        recording: The bench.
+        targets: Press only this many targets; None: all.
+        resumed: The session to resume.
+        again: Indices of targets of that session to press again.
+        sources: Real recordings for a mock bench to play.
+        truth: File for a mock bench to log the World's truth to.
+        page: Opens the monitoring page.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
+    """
+    bench, sources = recording.bench, sources or Sources()
+    session = resumed or recording.session(bench.indenter)
+    calibration = recording.calibration(resumed)
     request = CollectRequest(
         path=session,
-        resume=options.resume is not None,
-        again=options.again,
-        targets=options.targets,
-        operator=options.operator,
+        resume=resumed is not None,
+        again=again,
+        targets=targets,
+        operator=recording.operator,
         mock_sources=sources.description() if bench.mock else None,
         calibration=calibration,
-        go_on=next_command("collect", resume=session, bench=options.bench),
+        go_on=recording.resume(session),
     )
     plan, total = plan_of(request, calibration.applied(bench))
-    if request.resume and not request.again and is_complete(session, plan, total):
+    if request.resume and not again and is_complete(session, plan, total):
         print(f"complete: all {total} targets are done; {session} is left as it is")
         return EXIT_DONE
-    depth = planned_depth(bench, plan, total)
-    if bench.no_gauge:
-        if not bench.mock:
-            require_terminal()
-        without_gauge.check_before(options, bench, calibration, depth)
     with contextlib.ExitStack() as stack:
-        on = None
+        prepare = None
         if bench.no_gauge:
+            from rig.acquire import no_gauge
+            from rig.cli import without_gauge
+
+            depth = planned_depth(bench, plan, total)
+            if not bench.mock:
+                require_terminal()
+            without_gauge.check_before(recording, calibration, depth)
             session.parent.mkdir(parents=True, exist_ok=True)
             log_to(session.with_suffix(".log"))
-            on = stack.enter_context(started_bench(file, sources=sources, truth=options.truth))
+            on = stack.enter_context(started_bench(recording.file, sources=sources, truth=truth))
+            recording = dataclasses.replace(recording, on=on)
             try:
                 if not request.resume:
-                    stages = without_gauge.StageRecorder(
-                        file,
-                        session.parent,
-                        on,
-                        options.operator,
-                        calibration.acceptance,
+                    calibration = without_gauge.prepare(
+                        recording, session.parent, calibration, depth
                     )
-                    calibration = without_gauge.prepare(options, stages, calibration, depth)
             except no_gauge.StageStopped as stopped:
                 print("collect: a stage before the plan was stopped; nothing was collected")
                 return stopped.code
             request = dataclasses.replace(request, calibration=calibration)
 
-        def prepared(ready: Bench) -> Bench:
-            placed = calibration.applied(ready)
-            return slowed(placed, depth) if ready.no_gauge else placed
+            prepare = functools.partial(without_gauge.prepared, calibration, depth)
 
         return record(
-            file,
+            recording,
             request,
-            plan,
-            total=total,
-            prepared=prepared,
-            asked_by=options.asked_by,
+            prepare=prepare,
             sources=sources,
-            truth=options.truth,
-            page=lambda ready, folder: opened_page(options, ready, folder, request, plan, total),
-            on=on,
+            truth=truth,
+            page=page,
         )

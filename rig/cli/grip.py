@@ -17,7 +17,7 @@ _OPENING = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    bench_options(parser)
+    bench_options(parser, mock=False)
     parser.add_argument("--open", action="store_true", help="only open; a held indenter falls")
 
 

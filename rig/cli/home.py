@@ -3,49 +3,36 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
-from typing import Any
 
 from recorder import Session
-from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
-from rig.acquire.calibration import store
-from rig.bench.bench import BenchFile
-from rig.cli.options import (
-    banner,
-    bench_options,
-    calibration_options,
-    chosen_bench,
-    free_path,
-)
+from recorder.command_line.errors import EXIT_DONE
+from rig.acquire.calibration import home, store
+from rig.acquire.calibration.calibration import Calibration, require_gauge
+from rig.acquire.request import CollectRequest
+from rig.cli.options import recording_options
+from rig.cli.recording import Recording, measured, record, recording_of, started_bench
 from rig.cli.terminal import require_terminal
-from rig.core.clock import file_stamp
 from rig.core.config import to_si
-from rig.core.errors import SafetyStop
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    bench_options(parser)
-    parser.add_argument("--indenter", help="name of the indenter on the arm")
+    recording_options(parser)
     parser.add_argument("--repeats", type=int, default=4, help="approaches per point (%(default)s)")
     parser.add_argument(
-        "--force-n", type=float, default=0.3, help="back off at this force [N] (%(default)s)"
+        "--force-n",
+        type=float,
+        default=home.FORCE,
+        help="back off at this force [N] (%(default)s)",
     )
     parser.add_argument(
         "--travel-mm",
         type=float,
         help="distance to go below the assumed surface [mm] (1.0, or the bench's depth limit)",
     )
-    parser.add_argument(
-        "--width-mm",
-        type=float,
-        default=0.05,
-        help="reject a 95 %% interval wider than this [mm] (%(default)s)",
-    )
     parser.add_argument("--corners", action="store_true", help="also touch four corners, for tilt")
-    parser.add_argument("--out", type=Path, help="session to write (default: in sessions/)")
-    parser.add_argument("--operator", default="", help="operator's name (default: the login name)")
-    calibration_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,71 +41,91 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
-    from rig.acquire.calibration import home
-    from rig.acquire.calibration.calibration import Calibration, require_gauge
-    from rig.acquire.request import CollectRequest, plan_of
-    from rig.cli.recording import record
-
-    file = chosen_bench(options).with_indenter(options.indenter or "")
-    bench = file.bench
-    print(banner(file), flush=True)
-    acceptance = store.acceptance_of(options.calibrations, bench)
-    if bench.no_gauge:
-        return _by_signal(options, file, acceptance)
-    require_gauge(bench, "home")
-    points = (1, 2, 3, 4, 5) if options.corners else (1,)
+    recording = recording_of(options)
+    if recording.bench.no_gauge:
+        return find_by_signal(recording)
     travel = None if options.travel_mm is None else to_si(options.travel_mm, "mm")
-    plan = home.plan_for(bench, travel=travel, repeats=options.repeats, points=points)
-    touching = home.touching_bench(bench, options.force_n)
-    session = options.out or free_path(home.default_path(bench.sensor, file_stamp()))
-    request = CollectRequest(
-        path=session, operator=options.operator, calibration=Calibration(acceptance=acceptance)
+    return find_by_force(
+        recording,
+        repeats=options.repeats,
+        force=options.force_n,
+        travel=travel,
+        corners=options.corners,
     )
+
+
+def find_by_force(
+    recording: Recording,
+    *,
+    repeats: int = 4,
+    force: float = home.FORCE,
+    travel: float | None = None,
+    corners: bool = False,
+) -> int:
+    """Find and store the surface by slow approaches; return the exit code.
+
+    Args:
+        recording: The bench.
+        repeats: Approaches per point.
+        force: Force that ends an approach [N].
+        travel: Distance to go below the assumed surface [m]; None: 1 mm, or the bench's limit.
+        corners: Also touch four corners, for the tilt.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
+    """
+    bench, content = recording.bench, recording.file.content
+    require_gauge(bench, "home")
+    points = (1, 2, 3, 4, 5) if corners else (1,)
+    plan = home.plan_for(bench, travel=travel, repeats=repeats, points=points)
+    touching = home.touching_bench(bench, force)
+    path = recording.session("home")
+    acceptance = store.acceptance_of(recording.calibrations, bench)
+    request = CollectRequest(
+        path, operator=recording.operator, calibration=Calibration(acceptance=acceptance)
+    )
+
+    def stored(session: Session) -> Path:
+        approaches = home.evaluate(session, plan)
+        print("\n".join(home.lines_of(approaches, bench)))
+        surface = home.calibration_from(approaches, touching, content)
+        return store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
+
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
-    plan_of(request, bench, plan)
-    code = record(
-        file,
+    return record(
+        recording,
         request,
         plan,
-        prepared=lambda ready: home.touching_bench(ready, options.force_n),
+        prepare=lambda ready: home.touching_bench(ready, force),
+        evaluate=lambda code: measured("home", path, code, stored),
     )
-    if code != EXIT_DONE:
-        print("home: not finished, nothing is stored; repeat the command")
-        return code
-    try:
-        found = home.evaluate(Session(session), plan, width_max=to_si(options.width_mm, "mm"))
-    except SafetyStop as error:
-        print(f"{error}; nothing is stored; the approaches are in {session}")
-        return EXIT_SAFETY_STOP
-    print("\n".join(home.lines_of(found, bench)))
-    measured = home.calibration_from(found, touching, file.content)
-    stored = store.store(options.calibrations, bench.sensor, home={bench.indenter: measured})
-    print(f"home: stored in {stored}")
-    return EXIT_DONE
 
 
-def _by_signal(
-    options: argparse.Namespace,
-    file: BenchFile,
-    acceptance: dict[str, Any] | None,
-) -> int:
-    """Find the surface without a gauge, and store it; return the exit code."""
+def find_by_signal(recording: Recording) -> int:
+    """Find and store the surface without a gauge; return the exit code.
+
+    `out` is then the folder of the stages' sessions.
+
+    Raises:
+        ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Nothing was stored.
+    """
     from rig.acquire import no_gauge
     from rig.cli import without_gauge
-    from rig.cli.recording import started_bench
 
-    bench = file.bench
+    bench, content = recording.bench, recording.file.content
     if not bench.mock:
         require_terminal()
-    folder = Path("sessions") if options.out is None else options.out
+    folder = Path("sessions") if recording.out is None else recording.out
     folder.mkdir(parents=True, exist_ok=True)
-    with started_bench(file) as on:
-        stages = without_gauge.StageRecorder(file, folder, on, options.operator, acceptance)
+    acceptance = store.acceptance_of(recording.calibrations, bench)
+    with started_bench(recording.file) as on:
+        started = dataclasses.replace(recording, on=on)
+        stages = without_gauge.StageRecorder(started, folder, acceptance)
         try:
-            home = no_gauge.find_surface(bench, file.content, stages)
+            surface = no_gauge.find_surface(bench, content, stages)
         except no_gauge.StageStopped as stopped:
             print("home: not finished, nothing is stored; repeat the command")
             return stopped.code
-    stored = store.store(options.calibrations, bench.sensor, home={bench.indenter: home})
-    print(f"home: stored in {stored}")
+    file = store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
+    print(f"home: stored in {file}")
     return EXIT_DONE

@@ -10,9 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rig.acquire.motion_notice import motion_lines
+from rig.bench.bench import BenchFile
 from rig.bench.guards import gauge_guards
-from rig.cli.options import banner, bench_options, chosen_bench, confirm_motion
+from rig.cli.options import banner, bench_options, chosen_bench
 from rig.cli.recording import started_bench
+from rig.cli.terminal import confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, SafetyStop
 
@@ -24,17 +27,25 @@ logger = logging.getLogger(__name__)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    bench_options(parser)
+    bench_options(parser, mock=False)
 
 
 def run(options: argparse.Namespace) -> int:
     """Follow the SpaceMouse until its first button sets the origin; return the exit code.
 
     Raises:
+        ConfigError, DeviceLost, SafetyStop, Interrupted: See `follow`.
+    """
+    return follow(chosen_bench(options))
+
+
+def follow(file: BenchFile) -> int:
+    """Move a bench's arm as its SpaceMouse directs, print the origin; return the exit code.
+
+    Raises:
         ConfigError: The bench has no `jog`.
         DeviceLost, SafetyStop, Interrupted: Jogging was ended; the arm has stopped.
     """
-    file = chosen_bench(options)
     bench = file.bench
     if bench.no_gauge:
         raise ConfigError(
@@ -46,7 +57,8 @@ def run(options: argparse.Namespace) -> int:
         )
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     print(banner(file), flush=True)
-    confirm_motion(bench, bench.limits.depth_max)
+    if not bench.mock:
+        confirm(motion_lines(bench, bench.limits.depth_max))
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         on = stack.enter_context(started_bench(file, folder=folder))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
-import os
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,13 +13,17 @@ from typing import TYPE_CHECKING
 from recorder import Session
 from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
-from rig.acquire.calibration.calibration import Calibration
-from rig.acquire.motion_notice import motion_lines
-from rig.bench.bench import Bench, BenchFile, find_bench, read_content, with_simulated_world
+from rig.bench.bench import (
+    BENCHES_FOLDER,
+    Bench,
+    BenchFile,
+    find_bench,
+    read_content,
+    with_simulated_world,
+)
 from rig.bench.indenter import indenter_names
 from rig.bench.no_gauge import NO_GAUGE, without_gauge
 from rig.bench.worlds import SimulatedSpec
-from rig.cli.terminal import confirm
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
 from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
@@ -32,13 +35,19 @@ if TYPE_CHECKING:
 
 
 def bench_options(
-    parser: argparse.ArgumentParser, *, sources: bool = False
+    parser: argparse.ArgumentParser,
+    *,
+    mock: bool = True,
+    sources: bool = False,
+    gauge: bool = False,
 ) -> argparse._ArgumentGroup:
-    """Add --sensor or --bench, --benches and --world; return the group of a mock bench's options.
+    """Add --sensor, --bench and those of a mock bench, whose group is returned.
 
     Args:
         parser: Parser of the command.
-        sources: If true, add the options for real recordings that a mock bench plays.
+        mock: Add --world and --force.
+        sources: Add the options for real recordings that a mock bench plays.
+        gauge: The command needs a gauge: --force is left out.
     """
     bench = parser.add_argument_group("bench")
     chosen = bench.add_mutually_exclusive_group()
@@ -48,18 +57,19 @@ def bench_options(
         help="name of a bench file, searched in benches/lab/, benches/ and the package",
     )
     chosen.add_argument("--bench", type=Path, metavar="FILE", help="path of a bench file")
-    benches_option(bench)
     group = parser.add_argument_group("mock bench only")
-    group.add_argument(
-        "--world",
-        choices=("sim",),
-        help="simulate the contact by `sim` in place of the bench file's formulae",
-    )
-    group.add_argument(
-        "--force",
-        choices=(NO_GAUGE,),
-        help="use the bench without its gauge; a lab bench states `force: none` in its file",
-    )
+    if mock:
+        group.add_argument(
+            "--world",
+            choices=("sim",),
+            help="simulate the contact by `sim` in place of the bench file's formulae",
+        )
+    if mock and not gauge:
+        group.add_argument(
+            "--force",
+            choices=(NO_GAUGE,),
+            help="use the bench without its gauge; a lab bench states `force: none` in its file",
+        )
     if sources:
         group.add_argument(
             "--camera",
@@ -83,10 +93,43 @@ def benches_option(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--benches",
         type=Path,
-        default=Path("benches"),
+        default=BENCHES_FOLDER,
         metavar="DIR",
         help="folder of bench files (%(default)s)",
     )
+
+
+def recording_options(
+    parser: argparse.ArgumentParser,
+    *,
+    sources: bool = False,
+    gauge: bool = False,
+    indenter: str = "",
+) -> argparse._ArgumentGroup:
+    """Add the options of a command that records; return the group of a mock bench's options.
+
+    Args:
+        parser: Parser of the command.
+        sources: See `bench_options`.
+        gauge: See `bench_options`.
+        indenter: Indenter of the command; empty: that of the bench file.
+    """
+    group = bench_options(parser, sources=sources, gauge=gauge)
+    session = parser.add_argument_group("session")
+    session.add_argument(
+        "--indenter",
+        default=indenter,
+        metavar="NAME",
+        help=f"name of the indenter on the arm ({indenter or 'default: that of the bench file'})",
+    )
+    session.add_argument(
+        "--out", type=Path, metavar="PATH", help="session to write (default: in sessions/)"
+    )
+    session.add_argument(
+        "--operator", default="", metavar="NAME", help="operator's name (default: the login name)"
+    )
+    calibration_options(session)
+    return group
 
 
 def bench_path(options: argparse.Namespace) -> Path:
@@ -104,37 +147,51 @@ def bench_path(options: argparse.Namespace) -> Path:
         sensor = Session(options.resume).attrs["sensor"]
     if sensor is None:
         raise ConfigError("--sensor, --bench: both missing; allowed: one of them")
-    return find_bench(sensor, options.benches)
+    return find_bench(sensor)
 
 
 def chosen_bench(options: argparse.Namespace) -> BenchFile:
     """Return the selected bench file, with --world and --force applied.
 
+    Raises:
+        ConfigError, SessionError: See `bench_path` and `bench_file`.
+    """
+    chosen = {name: getattr(options, name, None) for name in ("world", "force", "resume")}
+    return bench_file(bench_path(options), **chosen)
+
+
+def bench_file(
+    path: Path, *, world: str | None = None, force: str | None = None, resume: Path | None = None
+) -> BenchFile:
+    """Read a bench file, as it is used.
+
     A resumed session continues in the world in which it began, and without a gauge if it began so.
+
+    Args:
+        path: The file.
+        world: `sim`: the contact of a mock bench is simulated.
+        force: `none`: a mock bench is used without its gauge.
+        resume: The session to resume.
 
     Raises:
         ConfigError: See `rig.core.config`; or the bench has no simulated world.
         SessionError: The session to resume cannot be read.
     """
-    path = bench_path(options)
     content = read_content(path)
-    resumed = getattr(options, "resume", None)
-    began = {} if resumed is None else Session(resumed).attrs["bench"]
-    if options.world is not None or (began.get("world") or {}).get("kind") == SimulatedSpec.KIND:
+    began = {} if resume is None else Session(resume).attrs["bench"]
+    if world is not None or (began.get("world") or {}).get("kind") == SimulatedSpec.KIND:
         content = with_simulated_world(content, str(path))
-    if options.force is not None or (began.get("force") == NO_GAUGE and content.get("mock")):
+    if force is not None or (began.get("force") == NO_GAUGE and content.get("mock")):
         content = without_gauge(content, str(path))
     return BenchFile.of(content, path)
 
 
-def resumed_indenter(options: argparse.Namespace) -> str:
-    """Return the indenter of the session to resume; empty if none is resumed.
+def resumed_indenter(session: Path) -> str:
+    """Return the indenter of the session to resume.
 
     A name from before indenters had to be known is returned as empty: the bench's own is checked.
     """
-    if options.resume is None:
-        return ""
-    name = Session(options.resume).attrs.get("indenter")
+    name = Session(session).attrs.get("indenter")
     return name if name in indenter_names() else ""
 
 
@@ -174,28 +231,6 @@ def banner(file: BenchFile) -> str:
     return f"LAB BENCH ({file.path}): the arm WILL move"
 
 
-def confirm_motion(bench: Bench, depth: float, by: int | None = None) -> None:
-    """State how a lab bench's arm will move, and wait for a word; a mock bench asks nothing.
-
-    Args:
-        bench: The bench with the limits that will hold.
-        depth: Deepest indentation that is planned [m].
-        by: Process id of the campaign that has asked already, the parent of this process.
-
-    Raises:
-        ConfigError: There is no terminal to ask on.
-        Interrupted: The answer was not the word.
-    """
-    if bench.mock or by == os.getppid():
-        return
-    confirm(motion_lines(bench, depth))
-
-
-def confirm_options(parser: argparse.ArgumentParser) -> None:
-    """Add the option by which a campaign says that it has asked; not shown in the help."""
-    parser.add_argument("--asked-by", type=int, help=argparse.SUPPRESS)
-
-
 def bench_command(name: str, options: argparse.Namespace, **others: object) -> str:
     """Return the command to continue with on the bench of these options.
 
@@ -204,9 +239,12 @@ def bench_command(name: str, options: argparse.Namespace, **others: object) -> s
         options: Those of a command with `bench_options`.
         others: Further options of the command and their values; those of None are left out.
     """
-    chosen = {key: getattr(options, key) for key in ("sensor", "bench", "world", "force")}
-    benches = None if options.benches == Path("benches") else options.benches
-    return next_command(name, **chosen, **others, benches=benches)
+    return next_command(name, **bench_choice(options), **others)
+
+
+def bench_choice(options: argparse.Namespace) -> dict[str, object]:
+    """Return the options that choose a bench."""
+    return {key: getattr(options, key, None) for key in ("sensor", "bench", "world", "force")}
 
 
 def free_path(path: Path) -> Path:
@@ -230,7 +268,7 @@ def log_to(path: Path) -> None:
 # Calibration options of the commands that record.
 
 
-def calibration_options(parser: argparse.ArgumentParser) -> None:
+def calibration_options(parser: argparse._ActionsContainer) -> None:
     """Add --calibrations."""
     parser.add_argument(
         "--calibrations",
@@ -239,31 +277,6 @@ def calibration_options(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of the results of home and calibrate-latency (%(default)s)",
     )
-
-
-def calibration_of(options: argparse.Namespace, bench: Bench) -> Calibration:
-    """Load the calibration of this session: from the store, or from the session to resume.
-
-    Prints the calibration and warnings.
-
-    Args:
-        options: Options with `calibrations` and possibly `resume`.
-        bench: The bench as described by its file, with the indenter on its arm.
-
-    Raises:
-        ConfigError: The calibration is invalid; see `rig.acquire.calibration.store.load`.
-        SessionError: The session to resume cannot be read.
-    """
-    resumed: Path | None = getattr(options, "resume", None)
-    warnings: list[str] = []
-    if resumed is not None:
-        description = Session(resumed).attrs.get("calibration") or {}
-        calibration = Calibration.from_attrs(description)
-    else:
-        calibration, warnings = store.load(options.calibrations, bench, bench.indenter)
-    for line in (*calibration.lines(), *(f"warning: {warning}" for warning in warnings)):
-        print(line, flush=True)
-    return calibration
 
 
 # The page that a command serves.
@@ -359,7 +372,7 @@ def opened_page(
     from rig.monitor.lab import Folders
     from rig.monitor.page_process import PageSettings
 
-    folders = Folders(request.path.parent, options.benches, options.calibrations)
+    folders = Folders(request.path.parent, BENCHES_FOLDER, options.calibrations)
     settings = PageSettings(access, folders, "--watch")
     job = CollectionJob.of(bench, folder, request, plan, total)
     with CollectionPage(settings, job) as page:

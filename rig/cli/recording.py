@@ -1,25 +1,40 @@
-"""Records sessions along any plan: starts the mock bench, if it is one, and the collector."""
+"""The way of all commands that record: bench, plan, question, emulators, collector, evaluation."""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorder import Session
+from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
+from recorder.command_line.options import next_command
+from rig.acquire.calibration import store
+from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.collector import Collector
-from rig.acquire.motion_notice import deepest
-from rig.acquire.request import CollectRequest
+from rig.acquire.motion_notice import deepest, motion_lines
+from rig.acquire.request import CollectRequest, plan_of
 from rig.bench.bench import Bench, BenchFile
-from rig.cli.options import confirm_motion, log_to
+from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to, resumed_indenter
+from rig.cli.terminal import confirm
+from rig.core.clock import file_stamp
+from rig.core.errors import SafetyStop
 from rig.core.sources import Sources
 from trajectories import Plan
 
 if TYPE_CHECKING:
     from rig.monitor.collection_page import CollectionPage
+
+
+# Opens the monitoring page: of a bench, a run folder, a request, a plan and a number of targets.
+OpenPage = Callable[
+    [Bench, Path, CollectRequest, Plan, int], AbstractContextManager["CollectionPage | None"]
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,47 +80,142 @@ def started_bench(
         yield StartedBench(mock.file, mock.check)
 
 
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What all commands that record have: a bench, and where results lie."""
+
+    file: BenchFile
+    """The bench, with the indenter on its arm."""
+    calibrations: Path = store.FOLDER
+    operator: str = ""
+    """Name of the operator; empty: the login name."""
+    out: Path | None = None
+    """Session to write; None: one in sessions/."""
+    agreed: bool = False
+    """True if the operator of a campaign has agreed to the motion of its sessions."""
+    chosen: Mapping[str, object] = field(default_factory=dict)
+    """Options that choose the bench, for commands to continue with."""
+    on: StartedBench | None = None
+    """The bench, if it has been started."""
+
+    @property
+    def bench(self) -> Bench:
+        """The bench as its file describes it."""
+        return self.file.bench
+
+    def session(self, *parts: str) -> Path:
+        """Return the session to write: `out`, or one of sensor, `parts` and time in sessions/."""
+        name = "-".join([self.bench.sensor, *parts, file_stamp()])
+        return self.out or free_path(Path("sessions") / f"{name}.zarr")
+
+    def calibration(self, resumed: Path | None = None) -> Calibration:
+        """Load and print the calibration: from the store, or that of the session to resume.
+
+        Raises:
+            ConfigError: The calibration is invalid; see `rig.acquire.calibration.store.load`.
+            SessionError: The session to resume cannot be read.
+        """
+        warnings: list[str] = []
+        if resumed is not None:
+            calibration = Calibration.from_attrs(Session(resumed).attrs.get("calibration") or {})
+        else:
+            calibration, warnings = store.load(self.calibrations, self.bench, self.bench.indenter)
+        for line in (*calibration.lines(), *(f"warning: {warning}" for warning in warnings)):
+            print(line, flush=True)
+        return calibration
+
+    def next(self, name: str, **others: object) -> str:
+        """Return a command to continue with on this bench, with further options."""
+        return next_command(name, **self.chosen, **others)
+
+    def resume(self, session: Path) -> str:
+        """Return the command that continues a stopped session."""
+        return next_command("collect", resume=session, bench=self.chosen.get("bench"))
+
+
+def recording_of(options: argparse.Namespace) -> Recording:
+    """Return what the options of a command that records say, and print which bench it is.
+
+    Raises:
+        ConfigError, SessionError: See `chosen_bench`; or no indenter has that name.
+    """
+    file = chosen_bench(options)
+    print(banner(file), flush=True)
+    resumed = getattr(options, "resume", None)
+    indenter = resumed_indenter(resumed) if resumed else options.indenter
+    return Recording(
+        file.with_indenter(indenter),
+        options.calibrations,
+        options.operator,
+        options.out,
+        chosen=bench_choice(options),
+    )
+
+
 def record(
-    file: BenchFile,
+    recording: Recording,
     request: CollectRequest,
-    plan: Plan,
+    plan: Plan | None = None,
     *,
-    total: int | None = None,
-    prepared: Callable[[Bench], Bench],
-    asked_by: int | None = None,
+    prepare: Callable[[Bench], Bench] | None = None,
+    evaluate: Callable[[int], int] | None = None,
     sources: Sources | None = None,
     truth: Path | None = None,
-    page: Callable[[Bench, Path], AbstractContextManager[CollectionPage | None]] | None = None,
-    on: StartedBench | None = None,
+    page: OpenPage | None = None,
 ) -> int:
-    """Record `plan` from its first open target on and return the exit code.
+    """Record a plan from its first open target on, evaluate, and return the exit code.
 
     Args:
-        file: The bench file.
+        recording: The bench.
         request: Where to record, and with which settings.
-        plan: Targets to press.
-        prepared: Returns the final bench: speeds, limits, calibrated frame. The mock's World
-            does not see these changes.
-        asked_by: Campaign that has asked if a lab bench may move; see `confirm_motion`.
-        total: Number of the plan's targets to press; None: all.
+        plan: Targets to press; None: those of the bench, or of the session to resume.
+        prepare: Returns the final bench: speeds, limits, calibrated frame; None: the request's
+            calibration is applied. The mock's World does not see these changes.
+        evaluate: Takes the collector's exit code, and returns that of the command.
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
-        page: Opens the monitoring page, given the bench and the run folder.
-        on: The bench, if it has been started; `sources` and `truth` are then unused.
+        page: Opens the monitoring page.
 
     Raises:
         ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Before anything was
             recorded.
     """
-    confirm_motion(prepared(file.bench), deepest(plan, total), asked_by)
+    placed = request.calibration.applied
+    prepare = prepare or placed
+    plan, total = plan_of(request, placed(recording.bench), plan)
+    if not recording.bench.mock and not recording.agreed:
+        confirm(motion_lines(prepare(recording.bench), deepest(plan, total)))
     request.path.parent.mkdir(parents=True, exist_ok=True)
     log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
-        if on is None:
-            started = started_bench(file, sources=sources, truth=truth, folder=folder)
-            on = stack.enter_context(started)
-        bench = prepared(on.file.bench)
-        shown = None if page is None else stack.enter_context(page(bench, folder))
+        on = recording.on or stack.enter_context(
+            started_bench(recording.file, sources=sources, truth=truth, folder=folder)
+        )
+        bench = prepare(on.file.bench)
+        shown = (
+            None if page is None else stack.enter_context(page(bench, folder, request, plan, total))
+        )
         collector = Collector(bench, on.file.content, folder, on.watch, shown)
-        return collector.run(request, plan, len(plan) if total is None else total)
+        code = collector.run(request, plan, total)
+    return code if evaluate is None else evaluate(code)
+
+
+def measured(name: str, session: Path, code: int, measure: Callable[[Session], Path]) -> int:
+    """Measure from a recorded session, and return the exit code.
+
+    Args:
+        name: Name of the command.
+        session: The session.
+        code: Exit code of its collection.
+        measure: Returns the file that the result was stored in.
+    """
+    if code != EXIT_DONE:
+        print(f"{name}: not finished, nothing is stored; repeat the command")
+        return code
+    try:
+        print(f"{name}: stored in {measure(Session(session))}")
+    except SafetyStop as error:
+        print(f"{error}; nothing is stored; what was recorded is in {session}")
+        return EXIT_SAFETY_STOP
+    return EXIT_DONE

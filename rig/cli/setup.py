@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
+import functools
 import getpass
 import math
 import tempfile
@@ -18,11 +20,13 @@ from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_SAFET
 from rig.acquire import setup_checks as checks
 from rig.acquire.acceptance import SetupRecord
 from rig.acquire.calibration import store
-from rig.acquire.campaign import run_rig
+from rig.acquire.control import apart
 from rig.acquire.doctor import Finding, examine
 from rig.acquire.preflight import settling
 from rig.bench.bench import Bench, BenchStream
-from rig.cli import doctor
+from rig.cli import collect, doctor, force_depth, jog
+from rig.cli.calibrate_latency import calibrate
+from rig.cli.home import find_by_force, find_by_signal
 from rig.cli.options import (
     banner,
     bench_command,
@@ -30,7 +34,7 @@ from rig.cli.options import (
     calibration_options,
     chosen_bench,
 )
-from rig.cli.recording import started_bench
+from rig.cli.recording import Recording, started_bench
 from rig.cli.terminal import answer, require_terminal
 from rig.core import emulation
 from rig.core.clock import SystemClock, file_stamp
@@ -48,8 +52,8 @@ _WINDOW = 0.5
 _FINGER, _FINGER_MOST, _PUSH, _CLEAR = 0.5, 6e-4, 2e-4, 0.03
 _STEPS, _STEP_NS = 6, 30_000_000
 # Taps of a second measurement of the latency, after one whose interval was too wide, and the width
-# that it may have [ms]: known that well is better than unknown.
-_MORE_TAPS, _WIDE_MS = 48, 5
+# that it may have [s]: known that well is better than unknown.
+_MORE_TAPS, _WIDE = 48, 5e-3
 _DEVICES = ("arm", "force", "camera", "taxels", "streams")
 
 
@@ -151,29 +155,18 @@ class AtBench:
             self.watch()
         return checks.read_for(self.ready, row.name, self.clock, max(seconds, 2 * settling(row)))
 
-    def command(self, name: str, *more: str) -> int:
-        """Run another command of the rig on this bench, and return its exit code."""
+    def run(self, command: Callable[..., int], *arguments: object) -> int:
+        """Run another command on this bench in a process of its own; return its exit code."""
         self.close()
-        mock = [
-            f"--{key}={getattr(self.options, key)}"
-            for key in ("force", "world")
-            if getattr(self.options, key)
-        ]
-        return run_rig([name, "--bench", str(self.file.path), *mock, *more])
+        return apart(command, *arguments)
 
-    def measure(self, name: str, folder: bool = False, *more: str) -> tuple[int, Path]:
-        """Run a command that records a session; return its exit code, and the session.
-
-        Args:
-            name: The command.
-            folder: True if it takes a folder of sessions.
-            *more: Further options.
-        """
-        stamp = file_stamp()
-        session = self.options.out / f"{self.bench.sensor}-setup-{name}-{stamp}.zarr"
-        out = self.options.out if folder else session
-        kept = ["--indenter", self.bench.indenter, "--calibrations", self.options.calibrations]
-        return self.command(name, *map(str, kept), "--out", str(out), *more), session
+    def recording(self, name: str) -> Recording:
+        """Return what a command that records gets, with the session to write."""
+        path = self.options.out / f"{self.bench.sensor}-setup-{name}-{file_stamp()}.zarr"
+        chosen = {"bench": self.file.path, "world": self.options.world, "force": self.options.force}
+        return Recording(
+            self.file, self.options.calibrations, self.options.operator, path, chosen=chosen
+        )
 
 
 # Steps: each returns or yields findings.
@@ -270,7 +263,7 @@ def contact(at: AtBench, answers: Answers) -> Iterator[Finding]:
     """Is the origin of contact_frame where the tip touches the middle of the sensor?"""
     by = answers["contact_by"]
     if by == "jog":
-        code = at.command("jog")
+        code = at.run(jog.follow, at.file)
         yield _outcome("contact", code, "set by jog: is contact_frame as printed?", "tactile jog")
         return
     if by == "pose":
@@ -295,7 +288,12 @@ def contact(at: AtBench, answers: Answers) -> Iterator[Finding]:
 
 def home(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Where is the surface, by touch?"""
-    code, _path = at.measure("home", at.bench.no_gauge)
+    recording = at.recording("home")
+    if at.bench.no_gauge:
+        recording = dataclasses.replace(recording, out=at.options.out)
+        code = at.run(find_by_signal, recording)
+    else:
+        code = at.run(find_by_force, recording)
     found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0]
     text = f"surface {1e3 * found.home.shift:+.3f} mm of the bench file's" if found.home else ""
     yield _outcome("home", code, text, "contact_frame in the bench file; tactile home says more")
@@ -303,12 +301,12 @@ def home(at: AtBench, _: Answers) -> Iterator[Finding]:
 
 def latency(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Latency of the signal: how late does it show what is there?"""
-    code, _path = at.measure("calibrate-latency")
+    code = at.run(calibrate, at.recording("calibrate-latency"))
     # On a busy computer the interval of a mock bench may be too wide; a person decides at a lab's.
     if code == EXIT_SAFETY_STOP and at.bench.mock:
         print(f"  again, with {_MORE_TAPS} taps, which narrow the interval", flush=True)
-        more = ("--taps", str(_MORE_TAPS), "--width-ms", str(_WIDE_MS))
-        code, _path = at.measure("calibrate-latency", False, *more)
+        again = functools.partial(calibrate, taps=_MORE_TAPS, width_max=_WIDE)
+        code = at.run(again, at.recording("calibrate-latency"))
     found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].latency
     text = ""
     if found:
@@ -321,8 +319,10 @@ def latency(at: AtBench, _: Answers) -> Iterator[Finding]:
 def press(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Does the first press go well? Without a gauge it is made in steps."""
     curve = at.bench.force_depth is not None and bool(at.bench.gauges)
-    name, more = ("force-depth", []) if curve else ("collect", ["--targets", "1"])
-    code, path = at.measure(name, False, *more)
+    recording = at.recording("force-depth" if curve else "collect")
+    path = recording.session()
+    record = force_depth.press if curve else functools.partial(collect.collect, targets=1)
+    code = at.run(record, recording)
     picture = path.with_suffix(".curve.png")
     if picture.exists():
         at.record.keep_picture("press.png", picture.read_bytes())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 from collections.abc import Callable
@@ -17,10 +16,10 @@ from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.no_gauge import StageStopped
 from rig.acquire.request import CollectRequest, plan_of
 from rig.acquire.streams import Streams
-from rig.bench.bench import Bench, BenchFile
-from rig.bench.no_gauge import check_plan, lines
-from rig.cli.options import bench_command, free_path
-from rig.cli.recording import StartedBench, record
+from rig.bench.bench import Bench
+from rig.bench.no_gauge import check_plan, lines, slowed
+from rig.cli.options import free_path
+from rig.cli.recording import Recording, record
 from rig.cli.terminal import confirm
 from rig.core.clock import file_stamp
 from rig.core.errors import ConfigError
@@ -31,14 +30,10 @@ from trajectories import Plan, Target
 class StageRecorder:
     """Records the stages of one bench; a `rig.acquire.no_gauge.Record`."""
 
-    file: BenchFile
-    """The bench file."""
+    recording: Recording
+    """The bench, started."""
     folder: Path
     """Folder for the sessions."""
-    on: StartedBench
-    """The bench, started."""
-    operator: str = ""
-    """Name of the operator."""
     acceptance: dict[str, Any] | None = None
     """Summary of the bench's acceptance report; None: no report."""
 
@@ -52,7 +47,7 @@ class StageRecorder:
         after_target: Callable[[Target, Session], None] | None = None,
     ) -> Session:
         """Press `plan` and return the session; see `rig.acquire.no_gauge.Record`."""
-        path = free_path(self.folder / f"{self.file.bench.sensor}-{what}-{file_stamp()}.zarr")
+        path = free_path(self.folder / f"{self.recording.bench.sensor}-{what}-{file_stamp()}.zarr")
 
         def after(target: Target, streams: Streams) -> None:
             if after_target is not None:
@@ -60,35 +55,34 @@ class StageRecorder:
 
         request = CollectRequest(
             path,
-            operator=self.operator,
+            operator=self.recording.operator,
             calibration=Calibration(acceptance=self.acceptance),
             contact_change=contact_change,
             after_target=None if after_target is None else after,
         )
-        plan_of(request, prepared(self.file.bench), plan)
-        code = record(self.file, request, plan, prepared=prepared, on=self.on)
+        plan_of(request, prepared(self.recording.bench), plan)
+        code = record(self.recording, request, plan, prepare=prepared)
         if code != EXIT_DONE:
             raise StageStopped(code)
         return Session(path)
 
 
-def check_before(
-    options: argparse.Namespace, bench: Bench, calibration: Calibration, depth: float
-) -> None:
+def check_before(recording: Recording, calibration: Calibration, depth: float) -> None:
     """Reject a collection without a gauge before anything is started, and print what stands in.
 
     Raises:
         ConfigError: The plan could overload the sensor, or the surface of a lab bench is unknown.
     """
+    bench = recording.bench
     check_plan(bench, depth)
     print("\n".join(lines(bench, depth)), flush=True)
     if not bench.mock:
-        hint = bench_command("home", options, indenter=bench.indenter)
+        hint = recording.next("home", indenter=bench.indenter)
         no_gauge.check_home(bench, calibration, hint)
 
 
 def prepare(
-    options: argparse.Namespace, stages: StageRecorder, calibration: Calibration, depth: float
+    recording: Recording, folder: Path, calibration: Calibration, depth: float
 ) -> Calibration:
     """Run the stages that must precede a collection, and return its calibration.
 
@@ -97,8 +91,8 @@ def prepare(
     that of the same bench file and indenter as lately as a lab's must be.
 
     Args:
-        options: Options of the command.
-        stages: Records a stage.
+        recording: The bench, started.
+        folder: Folder for the sessions of the stages.
         calibration: Earlier calibration of the sensor.
         depth: Deepest indentation of the plan [m].
 
@@ -106,16 +100,22 @@ def prepare(
         StageStopped: A stage was stopped.
         SafetyStop, ConfigError, DeviceLost, SessionError, Interrupted: Nothing may be pressed.
     """
-    bench, content = stages.file.bench, stages.file.content
+    bench, content = recording.bench, recording.file.content
+    stages = StageRecorder(recording, folder, calibration.acceptance)
     if bench.mock and not _is_found(bench, calibration, content):
         home = no_gauge.find_surface(bench, content, stages)
         calibration = dataclasses.replace(calibration, home=home, file="found in the same run")
         no_gauge.press_in_steps(bench, calibration, depth, stages, _show)
-    elif not store.pressed_before(options.calibrations, bench, bench.indenter, depth):
+    elif not store.pressed_before(recording.calibrations, bench, bench.indenter, depth):
         ask = _show if bench.mock else confirm
         made = no_gauge.press_in_steps(bench, calibration, depth, stages, ask)
-        store.store(options.calibrations, bench.sensor, first_press={bench.indenter: made})
+        store.store(recording.calibrations, bench.sensor, first_press={bench.indenter: made})
     return calibration
+
+
+def prepared(calibration: Calibration, depth: float, bench: Bench) -> Bench:
+    """Return the bench as it presses `depth` [m] without a gauge."""
+    return slowed(calibration.applied(bench), depth)
 
 
 def _is_found(bench: Bench, calibration: Calibration, content: dict[str, Any]) -> bool:

@@ -41,7 +41,7 @@ def test_a_command_that_records_builds_its_bench_once(
 
     monkeypatch.setattr(bench_module, "bench_from", counted)
     monkeypatch.setattr(recording, "Collector", Idle)
-    monkeypatch.setattr(recording, "confirm_motion", lambda *_: None)
+    monkeypatch.setattr(recording, "confirm", lambda _: None)
     monkeypatch.setattr(recording, "log_to", lambda _: None)
     monkeypatch.setattr(MockBench, "_start", lambda _: None)
     monkeypatch.chdir(tmp_path)

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +19,16 @@ from rig.acquire import campaign as campaign_module
 from rig.acquire.campaign import (
     Campaign,
     Item,
-    Settings,
-    command,
+    Progress,
     load_campaign,
     progress_of,
     run_campaign,
     table,
 )
+from rig.bench.worlds import SimulatedSpec
+from rig.cli import collect, force_depth
+from rig.cli.campaign import record_entry
+from rig.cli.recording import Recording
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS
 from rig.devices.gripper.settings import RobotiqConfig
@@ -52,6 +56,7 @@ def _session(path: Path, item: Item, done: int, status: str, sensor: str = "") -
     attrs = {
         "sensor": sensor or item.entry.sensor,
         "indenter": item.entry.indenter,
+        "bench": {},
         "plan": plan_to_json(item.plan),
         "targets_wanted": item.total,
     }
@@ -86,29 +91,23 @@ class _Bench:
     def __init__(self, campaign: Campaign, codes: list[int]) -> None:
         self.items = {f"{item.name}.zarr": item for item in campaign.items}
         self.codes = codes
-        self.ran: list[list[str]] = []
+        self.ran: list[Progress] = []
 
-    def __call__(self, arguments: list[str]) -> int:
-        self.ran.append(arguments)
+    def __call__(self, progress: Progress) -> int:
+        self.ran.append(progress)
         code = self.codes.pop(0)
-        named = "--resume" if "--resume" in arguments else "--out"
-        path = Path(arguments[arguments.index(named) + 1])
+        path = progress.session
         item = self.items[path.name]
-        if named == "--resume":
+        if progress.state == "to resume":
             path.rename(path.with_suffix(".before"))
         _session(path, item, item.total if code == 0 else 1, "stopped" if code else "complete")
         return code
 
 
 def _run(
-    campaign: Campaign,
-    codes: list[int],
-    monkeypatch: pytest.MonkeyPatch,
-    *,
-    keep_going: bool = False,
-) -> tuple[int, list[list[str]], list[str], list[str]]:
+    campaign: Campaign, codes: list[int], *, keep_going: bool = False
+) -> tuple[int, list[Progress], list[str], list[str]]:
     bench = _Bench(campaign, codes)
-    monkeypatch.setattr(campaign_module, "run_rig", bench)
     asked: list[str] = []
     reported: list[str] = []
 
@@ -116,8 +115,7 @@ def _run(
         asked.append(question)
         return True
 
-    settings = Settings(BENCHES, ROOT / "calibrations", keep_going)
-    code = run_campaign(campaign, settings, ask, reported.append)
+    code = run_campaign(campaign, bench, ask, reported.append, keep_going=keep_going)
     return code, bench.ran, asked, reported
 
 
@@ -125,14 +123,15 @@ def test_everything_is_recorded_in_order_after_a_question_for_each_swap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     campaign = _campaign(tmp_path)
-    code, ran, asked, reported = _run(campaign, [0, 0, 0], monkeypatch)
+    code, ran, asked, reported = _run(campaign, [0, 0, 0])
     assert code == 0
-    assert [arguments[0] for arguments in ran] == ["force-depth", "collect", "collect"]
+    plans = [progress.item.entry.plan for progress in ran]
+    assert plans == ["force_depth", "press_shear", "press_shear"]
     assert "indenter prism" in asked[0]
     assert "sensor uskin" in asked[2]
-    assert ran[1][ran[1].index("--targets") + 1] == "2"
+    assert ran[1].item.entry.targets == 2
     assert reported[-1].startswith("3 of 3 sessions done")
-    code, ran, asked, _ = _run(campaign, [], monkeypatch)
+    code, ran, asked, _ = _run(campaign, [])
     assert (code, ran, asked) == (0, [], [])
 
 
@@ -141,21 +140,20 @@ def test_what_stopped_goes_on_from_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: int
 ) -> None:
     campaign = _campaign(tmp_path)
-    code, ran, _, reported = _run(campaign, [0, failure], monkeypatch)
+    code, ran, _, reported = _run(campaign, [0, failure])
     assert code == failure
     assert len(ran) == 2
     assert any("1/2" in line and "to resume" in line for line in reported)
-    code, ran, _, _ = _run(campaign, [0, 0], monkeypatch)
+    code, ran, _, _ = _run(campaign, [0, 0])
     assert code == 0
-    assert "--resume" in ran[0]
-    assert "--resume" not in ran[1]
+    assert [progress.state for progress in ran] == ["to resume", "open"]
 
 
 def test_keep_going_passes_a_failure_but_not_ctrl_c(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     campaign = _campaign(tmp_path)
-    code, ran, _, _ = _run(campaign, [4, 130], monkeypatch, keep_going=True)
+    code, ran, _, _ = _run(campaign, [4, 130], keep_going=True)
     assert code == 4
     assert len(ran) == 2
 
@@ -165,9 +163,7 @@ def test_a_technician_who_says_no_ends_it_before_anything_moves(
 ) -> None:
     campaign = _campaign(tmp_path)
     bench = _Bench(campaign, [])
-    monkeypatch.setattr(campaign_module, "run_rig", bench)
-    settings = Settings(BENCHES, ROOT / "calibrations")
-    assert run_campaign(campaign, settings, lambda _: False, lambda _: None) == 130
+    assert run_campaign(campaign, bench, lambda _: False, lambda _: None) == 130
     assert bench.ran == []
 
 
@@ -183,7 +179,7 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
         for item in campaign.items
     )
     campaign = dataclasses.replace(campaign, items=items)
-    monkeypatch.setattr(campaign_module, "run_rig", _Bench(campaign, [0, 0, 0]))
+    record = _Bench(campaign, [0, 0, 0])
     events: list[str] = []
 
     def ask(question: str) -> bool:
@@ -193,8 +189,7 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
     def swap(item: Item) -> None:
         events.append(f"gripper: {item.entry.indenter}")
 
-    settings = Settings(BENCHES, ROOT / "calibrations")
-    assert run_campaign(campaign, settings, ask, lambda _: None, swap) == 0
+    assert run_campaign(campaign, record, ask, lambda _: None, swap) == 0
     entries = [item.entry for item in campaign.items]
     expected, before = [], ("", "")
     for number, entry in enumerate(entries, 1):
@@ -216,10 +211,10 @@ def test_a_session_of_another_sensor_in_its_place_is_not_touched(
     _session(tmp_path / "out" / f"{first.entry.name}.zarr", last, 1, "complete")
     found = progress_of(campaign)
     assert found[0].state == "unreadable"
-    code, ran, _, reported = _run(campaign, [0, 0], monkeypatch)
+    code, ran, _, reported = _run(campaign, [0, 0])
     assert (code, ran) == (2, [])
     assert "move it away" in reported[0]
-    code, ran, _, _ = _run(campaign, [0, 0], monkeypatch, keep_going=True)
+    code, ran, _, _ = _run(campaign, [0, 0], keep_going=True)
     assert (code, len(ran)) == (2, 2)
 
 
@@ -232,14 +227,19 @@ def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and
     campaign = dataclasses.replace(load_campaign(file, tmp_path), out=tmp_path / "out")
     (item,) = campaign.items
 
-    def record(arguments: list[str]) -> int:
-        assert arguments[arguments.index("--world") + 1] == "sim"
-        _session(tmp_path / "out" / f"{item.name}.zarr", item, 1, "complete", item.bench.sensor)
+    def collected(recording: Recording, *, targets: int | None) -> int:
+        assert isinstance(recording.bench.world, SimulatedSpec)
+        assert (recording.bench.indenter, targets) == ("line", 1)
+        assert recording.out is not None
+        _session(recording.out, item, 1, "complete", item.bench.sensor)
         return 0
 
-    monkeypatch.setattr(campaign_module, "run_rig", record)
-    settings = Settings(tmp_path, ROOT / "calibrations", world="sim")
-    assert run_campaign(campaign, settings, lambda _: True, lambda _: None) == 0
+    monkeypatch.setattr(collect, "collect", collected)
+
+    def record(progress: Progress) -> int:
+        return record_entry(progress, "", ROOT / "calibrations", "sim")
+
+    assert run_campaign(campaign, record, lambda _: True, lambda _: None) == 0
     assert [progress.state for progress in progress_of(campaign)] == ["done"]
 
 
@@ -261,7 +261,6 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
         dataclasses.replace(item, bench=dataclasses.replace(item.bench, mock=False, world=None))
         for item in campaign.items
     )
-    monkeypatch.setattr(campaign_module, "run_rig", lambda _: 0)
 
     def asked(items: tuple[Item, ...]) -> list[str]:
         questions: list[str] = []
@@ -271,7 +270,7 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
             return True
 
         one = dataclasses.replace(campaign, items=items)
-        run_campaign(one, Settings(tmp_path, ROOT / "calibrations"), ask, lambda _: None)
+        run_campaign(one, lambda _: 0, ask, lambda _: None)
         return questions
 
     told = asked(lab)
@@ -302,7 +301,7 @@ def test_the_same_sensor_indenter_and_plan_are_recorded_more_than_once(
 ) -> None:
     entry = "  - {{sensor: uskin, indenter: cylinder, targets: 1}}\n"
     campaign = _campaign(tmp_path, "out: {out}\nsessions:\n" + 3 * entry)
-    code, ran, asked, _ = _run(campaign, [0, 0, 0], monkeypatch)
+    code, ran, asked, _ = _run(campaign, [0, 0, 0])
     assert (code, len(ran), len(asked)) == (0, 3, 1)
     names = {path.name for path in (tmp_path / "out").glob("*.zarr")}
     first = "uskin-cylinder-press-shear-1"
@@ -318,19 +317,17 @@ def test_a_day_reads_each_session_once(
     read: list[str] = []
     original = catalogue_module._read
 
-    def record(arguments: list[str]) -> int:
-        _metadata(Path(arguments[arguments.index("--out") + 1]), campaign.items[0])
+    def record(progress: Progress) -> int:
+        _metadata(progress.session, campaign.items[0])
         return 0
 
     def look(folder: Path, path: str, stamp: tuple[int, int, int]) -> catalogue_module.Row:
         read.append(path)
         return original(folder, path, stamp)
 
-    monkeypatch.setattr(campaign_module, "run_rig", record)
     monkeypatch.setattr(catalogue_module, "_read", look)
     monkeypatch.setattr(campaign_module, "Session", None)  # no session has to be opened
-    settings = Settings(BENCHES, ROOT / "calibrations")
-    assert run_campaign(campaign, settings, lambda _: True, lambda _: None) == 0
+    assert run_campaign(campaign, record, lambda _: True, lambda _: None) == 0
     assert all(progress.state == "done" for progress in progress_of(campaign))
     assert len(read) == len(set(read)) == count
 
@@ -387,11 +384,11 @@ def test_a_stopped_campaign_names_the_command_that_continues_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     campaign = _campaign(tmp_path)
-    monkeypatch.setattr(campaign_module, "run_rig", _Bench(campaign, [3]))
     told: list[str] = []
-    settings = Settings(BENCHES, ROOT / "calibrations", go_on="tactile campaign --file day.yaml")
-    assert run_campaign(campaign, settings, lambda _: True, told.append) == 3
-    assert told[-1] == f"to continue: {settings.go_on}"
+    go_on = "tactile campaign --file day.yaml"
+    record = _Bench(campaign, [3])
+    assert run_campaign(campaign, record, lambda _: True, told.append, go_on=go_on) == 3
+    assert told[-1] == f"to continue: {go_on}"
 
 
 def test_the_example_is_runnable_and_listing_records_nothing(
@@ -423,17 +420,27 @@ def test_without_a_terminal_it_does_not_guess_that_something_is_mounted(
     assert "no terminal to ask on" in ran.stderr
 
 
-def test_a_command_names_the_bench_the_session_and_the_operator(tmp_path: Path) -> None:
+def test_an_entry_is_recorded_with_its_bench_session_and_operator_or_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pressed: list[Recording] = []
+    resumed: list[tuple[Recording, dict[str, Any]]] = []
+    monkeypatch.setattr(force_depth, "press", lambda recording: pressed.append(recording) or 0)
+    monkeypatch.setattr(
+        collect, "collect", lambda recording, **more: resumed.append((recording, more)) or 3
+    )
     campaign = _campaign(tmp_path)
-    settings = Settings(BENCHES, tmp_path / "cal")
-    arguments = command(progress_of(campaign)[0], campaign, settings)
-    assert arguments[0] == "force-depth"
-    for option, value in (
-        ("--indenter", "prism"),
-        ("--operator", "ada"),
-        ("--calibrations", str(tmp_path / "cal")),
-    ):
-        assert arguments[arguments.index(option) + 1] == value
+    first, second, _ = progress_of(campaign)
+    assert record_entry(first, campaign.operator, tmp_path / "cal", None) == 0
+    (recording,) = pressed
+    assert (recording.bench.indenter, recording.operator) == ("prism", "ada")
+    assert (recording.out, recording.calibrations) == (first.session, tmp_path / "cal")
+    # The question was asked when the indenter was mounted.
+    assert recording.agreed
+    _session(second.session, second.item, 1, "stopped")
+    stopped = dataclasses.replace(second, state="to resume", again=(2,))
+    assert record_entry(stopped, "ada", tmp_path / "cal", None) == 3
+    assert resumed[0][1] == {"resumed": second.session, "again": (1,)}
 
 
 @pytest.mark.slow

@@ -116,17 +116,15 @@ def test_the_command_ends_with_0_or_3_and_says_how_to_go_on(
     assert "doctor: 1 fault; again: tactile doctor --sensor uskin --out" in text
 
 
-def test_commands_to_continue_with_keep_the_bench() -> None:
+def test_commands_to_go_on_with_keep_the_bench() -> None:
     parser = argparse.ArgumentParser()
     bench_options(parser)
     options = parser.parse_args(["--sensor", "uskin", "--world", "sim", "--force", "none"])
     assert bench_command("collect", options, targets=2, out=None) == (
         "tactile collect --sensor uskin --world sim --force none --targets 2"
     )
-    elsewhere = parser.parse_args(["--bench", "my own.yaml", "--benches", "lab"])
-    assert bench_command("doctor", elsewhere) == (
-        "tactile doctor --bench 'my own.yaml' --benches lab"
-    )
+    elsewhere = parser.parse_args(["--bench", "my own.yaml"])
+    assert bench_command("doctor", elsewhere) == "tactile doctor --bench 'my own.yaml'"
 
 
 @pytest.mark.parametrize(

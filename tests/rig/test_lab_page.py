@@ -18,7 +18,7 @@ from support.sessions import make_session
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from recorder import Session
-from rig.acquire.campaign import Settings, command, load_campaign, progress_of
+from rig.acquire.campaign import load_campaign, progress_of
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.monitor.server import MAX_MESSAGE, parse_message
@@ -150,10 +150,7 @@ def test_marks_become_a_campaign_that_presses_those_targets_again(
     campaign = load_campaign(Path("campaigns/again.yaml"), BENCHES)
     (progress,) = progress_of(campaign)
     assert (progress.state, progress.done, progress.item.total) == ("to resume", 0, 2)
-    words = command(progress, campaign, Settings(BENCHES, Path("calibrations")))
-    assert words[:1] == ["collect"]
-    assert words[words.index("--resume") + 1] == f"sessions/{MOON}"
-    assert words[words.index("--again") + 1] == "2,7"
+    assert (progress.session, progress.again) == (Path("sessions") / MOON, (2, 7))
     shown = next(each for each in bench.get("/data/lab")["campaigns"] if each["name"] == "again")
     assert (shown["items"][0]["session"], shown["items"][0]["again"]) == (MOON, [2, 7])
     # What a later run has finished is done: as if the first run had come after the marks.
@@ -161,8 +158,7 @@ def test_marks_become_a_campaign_that_presses_those_targets_again(
     Path("campaigns/again.yaml").write_text(text.replace("runs: 1", "runs: 0"))
     (progress,) = progress_of(load_campaign(Path("campaigns/again.yaml"), BENCHES))
     assert (progress.state, progress.done) == ("to resume", 1)
-    words = command(progress, campaign, Settings(BENCHES, Path("calibrations")))
-    assert words[words.index("--again") + 1] == "7"
+    assert progress.again == (7,)
     assert bench.send(json.dumps({"session": MOON, "again": []}))["again"] == []
     assert not Path("campaigns/again.yaml").exists()
 

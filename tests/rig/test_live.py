@@ -328,7 +328,7 @@ def test_a_session_without_a_signal_cannot_be_watched(tmp_path: Path) -> None:
 def test_wrong_options_end_before_anything_is_started(
     options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["live", "--model", str(tmp_path), "--benches", str(BENCHES), *options]
+    arguments = ["live", "--model", str(tmp_path), *options]
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 import multiprocessing
@@ -24,7 +23,7 @@ from rig.acquire.calibration.signal_onset import Way, onset_of, surface_of
 from rig.acquire.calibration.store import bench_hash, now_utc
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
-from rig.bench.bench import Bench, bench_from
+from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.bench.guards import guards_of
 from rig.bench.no_gauge import (
     SURFACE_WIDTH,
@@ -33,6 +32,7 @@ from rig.bench.no_gauge import (
     slowed,
     without_gauge,
 )
+from rig.cli.recording import Recording
 from rig.cli.without_gauge import prepare
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.config import read_yaml
@@ -319,14 +319,13 @@ def test_a_mock_bench_searches_its_surface_unless_it_was_found_lately(
     asked: list[str] = []
     monkeypatch.setattr(no_gauge, "find_surface", lambda *_: asked.append("search") or fresh)
     monkeypatch.setattr(no_gauge, "press_in_steps", lambda *_: asked.append("press") or pressed)
-    options = argparse.Namespace(calibrations=tmp_path)
-    stages: Any = SimpleNamespace(file=SimpleNamespace(bench=bench, content=content))
-    found = prepare(options, stages, Calibration(home=home), 1e-3)
+    recording = Recording(BenchFile(Path("bench.yaml"), content, bench), tmp_path)
+    found = prepare(recording, tmp_path, Calibration(home=home), 1e-3)
     assert asked == (["search", "press"] if searched else ["press"])
     assert found.home == (fresh if searched else home)
     # The first press of a bench that was set up is remembered, as that of a lab's.
     asked.clear()
-    prepare(options, stages, Calibration(home=home), 1e-3)
+    prepare(recording, tmp_path, Calibration(home=home), 1e-3)
     assert asked == (["search", "press"] if searched else [])
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import pty
 import select
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,10 +18,10 @@ import pytest
 from recorder import Session
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
-from rig.acquire.campaign import run_rig
 from rig.acquire.doctor import Finding
 from rig.bench.bench import BenchFile
 from rig.cli import setup
+from rig.cli.home import find_by_force
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
 
@@ -214,7 +215,6 @@ def test_steps_of_benches_with_and_without_a_gauge() -> None:
     from rig.bench.no_gauge import without_gauge
 
     file = BenchFile.read(BENCH)
-
     bench, content = file.bench, file.content
     bare = bench_from(without_gauge(content, "bench"), "bench")
     names = [{step.name for step in setup.STEPS if step.needed(each)} for each in (bench, bare)]
@@ -227,18 +227,20 @@ def test_steps_of_benches_with_and_without_a_gauge() -> None:
 def test_a_command_that_stopped_is_a_fault_with_a_cure_by_its_exit_code(
     code: int, cure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ran: list[list[str]] = []
+    ran: list[tuple[Any, ...]] = []
 
-    def run_rig(arguments: list[str]) -> int:
-        ran.append(arguments)
+    def apart(*called: Any) -> int:
+        ran.append(called)
         return code
 
-    monkeypatch.setattr(setup, "run_rig", run_rig)
+    monkeypatch.setattr(setup, "apart", apart)
     at = setup.AtBench(parsed(tmp_path, "--yes", "--indenter", "sphere"), {})
     (found,) = setup.home(at, {})
     assert found.state == "FAULT"
     assert cure in found.cures[0]
-    assert ran[0][:5] == ["home", "--bench", str(BENCH), "--indenter", "sphere"]
+    ((command, recording),) = ran
+    assert command is find_by_force
+    assert (recording.file.path, recording.bench.indenter) == (BENCH, "sphere")
 
 
 @pytest.mark.slow
@@ -248,10 +250,13 @@ def test_a_command_that_stopped_is_a_fault_with_a_cure_by_its_exit_code(
 def test_a_mock_bench_is_set_up_to_the_end(
     more: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def run(*words: str) -> int:
+        return subprocess.run([sys.executable, "-m", "tactile", *words], check=False).returncode
+
     monkeypatch.chdir(tmp_path)
-    assert run_rig(["setup", *more, "--yes"]) == 0
+    assert run("setup", *more, "--yes") == 0
     assert list(Path("calibrations").glob("*.acceptance.html"))
-    assert run_rig(["collect", *more, "--targets", "1", "--out", "x.zarr"]) == 0
+    assert run("collect", *more, "--targets", "1", "--out", "x.zarr") == 0
     accepted = Session("x.zarr").attrs["calibration"]["acceptance"]
     assert accepted["result"] == "accepted"
     assert set(accepted["steps"].values()) <= {"well", "note"}
