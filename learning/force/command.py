@@ -23,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
     add_settings(
         parser,
-        "half",
-        "a preset, or your own YAML file (half)",
+        "tiny",
+        "a preset, or your own YAML file (tiny)",
         example="e.g. sequences.batch=32",
     )
     parser.add_argument(

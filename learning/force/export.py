@@ -6,9 +6,7 @@ import copy
 import logging
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -153,47 +151,3 @@ def _difference(model: ForceModel, file: Path) -> float:
             return np.inf
         largest = max(largest, float(np.abs((one - other)[known] / box[known]).max()))
     return largest
-
-
-# Quantisation of an exported model's convolutions to 8-bit integers, by ONNX Runtime.
-
-
-def quantise(exported: Path, out: Path, inputs: Iterable[Mapping[str, Any]]) -> None:
-    """Quantise a model's convolutions to int8: weights per channel, activations per tensor.
-
-    Args:
-        exported: The exported float model.
-        out: Path of the quantised model.
-        inputs: Step inputs by name, to calibrate the ranges of activations.
-
-    Raises:
-        LearningError: The package `onnx` is not installed.
-    """
-    try:
-        from onnxruntime import quantization
-    except ImportError:
-        raise LearningError("onnx: not installed; pip install onnx") from None
-    reader = _reader(quantization.CalibrationDataReader, iter(inputs))
-    quiet = logging.getLogger()
-    level = quiet.level
-    quiet.setLevel(logging.ERROR)  # it recommends a preprocessing step that needs another package
-    try:
-        quantization.quantize_static(
-            str(exported),
-            str(out),
-            reader,
-            quant_format=quantization.QuantFormat.QDQ,
-            per_channel=True,
-            op_types_to_quantize=["Conv"],
-        )
-    finally:
-        quiet.setLevel(level)
-
-
-def _reader(base: Any, inputs: Iterator[Mapping[str, Any]]) -> Any:
-    class Reader(base):  # type: ignore[misc]
-        def get_next(self) -> dict[str, Any] | None:
-            found = next(inputs, None)
-            return None if found is None else dict(found)
-
-    return Reader()

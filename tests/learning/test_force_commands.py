@@ -54,7 +54,6 @@ def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
         ("torch", "fp32"),
         ("torch", "bf16"),
         ("onnxruntime", "fp32"),
-        ("onnxruntime", "int8"),
     ]
     assert all(float(row["mae_n"]) > 0 for row in rows)
 

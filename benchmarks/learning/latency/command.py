@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from benchmarks.learning.latency.costs import Cost, Sample
     from learning.force.model import ForceModel
 
-PRESETS = "paper,half,quarter,tiny,displacement"
+PRESETS = "paper,tiny,displacement"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

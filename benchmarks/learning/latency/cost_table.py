@@ -13,7 +13,7 @@ from recorder.pages import render
 
 # Target rate of a live model.
 LIVE_HZ = 60
-MARKS = {"fp32": "o", "bf16": "s", "int8": "^"}
+MARKS = {"fp32": "o", "bf16": "s"}
 
 
 def markdown(rows: Sequence[Cost]) -> str:

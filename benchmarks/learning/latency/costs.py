@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from learning.force.export import (
     OneFrame,
     export_onnx,
     made_up_frames,
-    quantise,
     stepped_by,
     torch_stream,
 )
@@ -42,7 +41,6 @@ VARIANTS = (
     Variant("torch.compile", "fp32"),
     Variant("torch.compile", "bf16"),
     Variant("onnxruntime", "fp32"),
-    Variant("onnxruntime", "int8"),
     Variant("openvino", "fp32"),
     Variant("openvino", "bf16"),
 )
@@ -163,10 +161,6 @@ def _stream(
             torch.compiler.reset()
             one.compile(dynamic=False)
         return stepped_by(one, model)
-    if variant.precision == "int8":
-        quantised = exported.with_suffix(".int8.onnx")
-        quantise(exported, quantised, _inputs_along(open_exported(exported), sample))
-        return open_exported(quantised, runtime=variant.runtime, threads=threads)
     narrow = variant.precision == "bf16"
     return open_exported(exported, runtime=variant.runtime, threads=threads, bf16=narrow)
 
@@ -187,20 +181,6 @@ def _forces(stream: ForceStream, sample: Sample) -> NDArray[np.float64]:
         stream.reset(None if sample.references is None else sample.references[press])
         found += [stream.step(frame) for frame in sample.frames[first:end]]
     return np.array(found)
-
-
-def _inputs_along(
-    stream: ForceStream, sample: Sample, count: int = 24
-) -> Iterator[dict[str, NDArray[np.generic]]]:
-    """Yield the inputs of some steps while processing a sample."""
-    places = np.linspace(0, len(sample.frames) - 1, min(count, len(sample.frames))).astype(int)
-    for press, (first, end) in enumerate(zip(sample.starts, sample.starts[1:], strict=False)):
-        stream.reset(None if sample.references is None else sample.references[press])
-        for row in range(first, end):
-            given = stream.given(sample.frames[row])
-            if row in places:
-                yield given
-            stream.step(sample.frames[row])
 
 
 def _times(stream: ForceStream, sample: Sample, least_frames: int) -> NDArray[np.float64]:

@@ -9,12 +9,12 @@ from typing import Any
 
 from sim.result import ContactTier
 
-# The paper's force net, its smaller versions, and the net that reads marker displacement.
-NETS = ("paper", "displacement", "half", "quarter", "tiny")
+# The paper's force net, a small one, and the net that reads marker displacement.
+NETS = ("paper", "displacement", "tiny")
 # Method of nets that see each frame without earlier ones.
 ALONE = "own labels of frames alone"
 # The paper's SGD of 0.1 does not leave its start in seconds (R2 -20 after 8 s of a GPU): its net is
-# trained as its smaller versions are, from the mean label on.
+# trained as the others are, from the mean label on.
 RECIPES: dict[str, tuple[str, ...]] = {
     "paper": (
         "optimiser={name: adamw, weight_decay: 0.01, clip: 1.0}",
