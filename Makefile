@@ -170,7 +170,7 @@ translate: $(VENV)/.learning  ## Translate frames of one sensor into frames of a
 compensate: $(VENV)/.learning  ## Fit material priors and choose how labels are scaled between skins
 	@$(PY) -m tactile compensate $(ARCHIVE) --out $(OUT) $(ARGS)
 
-#: ARCHIVE= SENSOR= OUT=runs/x [SPLIT=split.json] [PRESET=half] [GPUS=4] [ARGS="--compensation file.json"]
+#: ARCHIVE= SENSOR= OUT=runs/x [SPLIT=split.json] [PRESET=paper] [GPUS=4] [ARGS="--labels file.json"]
 train-force: $(VENV)/.learning  ## Train a force model
 	@$(LAUNCH) -m tactile train force $(ARCHIVE) --sensor $(SENSOR) $(if $(SPLIT),--split $(SPLIT)) --out $(OUT) $(if $(PRESET),--preset $(PRESET)) $(ARGS)
 

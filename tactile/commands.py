@@ -184,8 +184,6 @@ LEARN = (
         "learning.cli.score_transfer",
         "compare such a model and its intervals with true forces",
     ),
-    Command("export-onnx", "learning.cli.export_onnx", "write one step of a force model as ONNX"),
-    Command("models", "learning.cli.models", "take trained models, or publish one"),
 )
 LAB = (
     Command("init", "tactile.init", "create the folder of a lab"),

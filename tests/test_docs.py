@@ -195,7 +195,6 @@ TESTED = {
     "init": ("tests/tactile/test_init.py", '"init"'),
     "markers-fit": ("tests/learning/test_markers_fit.py", '"markers-fit"'),
     "mock": ("tests/rig/test_lab_bench.py", '"mock"'),
-    "models": ("tests/learning/test_models_command.py", "run_module(command"),
     "page": ("tests/support/lab_page.py", '"page"'),
     "schema": ("tests/tactile/test_schema.py", "schema"),
     "score-transfer": ("tests/learning/test_transfer.py", "run_module(score_transfer"),

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from learning.errors import LearningError
-from learning.evaluation.predictions import METHODS, TRANSLATED, Predictions
+from learning.evaluation.predictions import Predictions
 from learning.metrics import axis_means, force_errors
 from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
+
+if TYPE_CHECKING:
+    from recorder import MarkerArchive
 
 ROLES = "new_indenter,new_press"
 AXES = ("Fx", "Fy", "Fz")
@@ -26,11 +30,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "with the labels [N], if it has any, for `evaluate`. A model of `transfer` has intervals, "
         "which are written too."
     )
-    parser.add_argument("model", type=Path, metavar="MODEL", help="folder of a trained force model")
+    parser.add_argument(
+        "model",
+        metavar="MODEL",
+        help="folder of a trained force model, its web address, demo, or the name of one that an "
+        "installed package offers",
+    )
     parser.add_argument(
         "archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr, with labels or without"
     )
-    parser.add_argument("--sensor", required=True, metavar="NAME", help="target sensor")
+    parser.add_argument(
+        "--sensor", metavar="NAME", help="target sensor (that of the model, or the only one)"
+    )
     parser.add_argument("--split", type=Path, metavar="JSON", help="roles of presses (the model's)")
     parser.add_argument(
         "--role",
@@ -39,18 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ROLE,...",
         help=f"which presses of the split ({ROLES})",
     )
-    parser.add_argument(
-        "--source", metavar="NAME", help="sensor of its training labels (from the model)"
-    )
-    parser.add_argument(
-        "--method",
-        choices=METHODS[:-1],
-        help="how it was trained (target if source and sensor are the same, transferred if the "
-        "model was trained on translated frames, else source-only)",
-    )
-    parser.add_argument(
-        "--translator", default="", metavar="NAME", help="translator of its training images (none)"
-    )
     add_device(parser)
     parser.add_argument("--out", type=Path, required=True, metavar="NPZ", help="file to write")
 
@@ -58,47 +57,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.data.presses import load_presses
-    from learning.data.splits import SPLIT, read_split
+    from learning.data.splits import SPLIT, training_split
     from learning.evaluation.predictions import predictions_of
     from learning.force import load_force_model
+    from learning.force.folder import model_name
     from learning.force.intervals import read_intervals
-    from learning.training.checkpoint import read_model_folder
+    from learning.training.checkpoint import CONFIG, read_config
+    from learning.translation.loading import hash_of
     from recorder import MarkerArchive
 
-    folder = read_model_folder(options.model, "force")
-    card = folder.config.metadata.get("transfer", {})
-    options.method = options.method or card.get("method")
-    options.translator = options.translator or card.get("translator", "")
-    source, method = _trained_on(options, folder.config.metadata.get("sensors", []))
-    archive = MarkerArchive(options.archive)
-    if options.sensor not in archive:
-        known = ", ".join(archive)
-        raise LearningError(f"--sensor: found {options.sensor!r}; known: {known}")
-    sensor, split = archive[options.sensor], read_split(options.split or folder.path / SPLIT)
-    split.check(archive)
+    name = model_name(options.model)
+    folder, archive = Path(name), MarkerArchive(options.archive)
+    metadata = read_config(folder).metadata if (folder / CONFIG).is_file() else {}
+    origin = _origin(metadata, archive, options.sensor)
+    sensor = archive[origin.target]
+    path = options.split or (folder / SPLIT if (folder / SPLIT).is_file() else None)
+    split = training_split(archive, path)
     rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in options.role]))
     if not len(rows):
-        raise LearningError(
-            f"--role: found no frames of {','.join(options.role)} of {options.sensor}"
-        )
-    model = load_force_model(options.model, options.device)
+        raise LearningError(f"--role: found no frames of {','.join(options.role)} of {sensor.name}")
+    model = load_force_model(name, options.device)
     form = model.inputs.stored_form
     with ItemProgress("frames", sys.stderr) as progress:
         presses = load_presses(sensor, rows, device=options.device, form=form, progress=progress)
     with ItemProgress("forces", sys.stderr) as progress:
         predicted = model.predict(presses, progress=progress)
     rows = presses.rows.numpy()
-    intervals = read_intervals(options.model)
+    intervals = read_intervals(folder)
     made = predictions_of(
         sensor,
         archive.indenters,
         rows,
         split.role(sensor.table["location"][rows]),
         predicted,
-        source=source,
-        method=method,
-        translator=options.translator,
-        model=folder.hash(),
+        source=origin.source,
+        method=origin.method,
+        translator=origin.translator,
+        model=hash_of(name),
         interval=None if intervals is None else intervals.of(predicted),
     )
     made.write(options.out)
@@ -143,36 +138,37 @@ def _covered(made: Predictions) -> str:
     return f"90 % intervals, in the mean: {', '.join(shares)}"
 
 
-def _trained_on(options: argparse.Namespace, sensors: Sequence[str]) -> tuple[str, str]:
-    """Return the source of a model's labels and its method, from options and training sensors."""
-    message, to, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
-    source = options.source or message
-    if not source:
-        listed = ", ".join(sensors) or "none"
-        raise LearningError(
-            f"--source: missing; allowed: a name, as the model was trained on {listed}"
-        )
-    if to and target != options.sensor:
-        raise LearningError(
-            f"--sensor: found {options.sensor!r}; allowed: {target!r}, as the model was trained on "
-            "frames translated to it"
-        )
-    usual = "target" if source == options.sensor else "source-only"
-    method = str(options.method or ("transferred" if to else usual))
-    _require_fitting(method, source, options.sensor, options.translator)
-    return source, method
+class Origin(NamedTuple):
+    """Where the labels of a model come from, and the sensor that it predicts."""
+
+    source: str
+    """Sensors of its training labels."""
+    target: str
+    """Sensor whose forces are predicted."""
+    method: str
+    """Kind of its training, one of `METHODS`."""
+    translator: str
+    """Translator of its training images; empty if none."""
 
 
-def _require_fitting(method: str, source: str, sensor: str, translator: str) -> None:
-    translated = method in TRANSLATED
-    if translated and not translator:
-        raise LearningError(f"--translator: missing; allowed: a name, as --method is {method}")
-    if translator and not translated:
+def _origin(metadata: Mapping[str, Any], archive: MarkerArchive, sensor: str | None) -> Origin:
+    """Return the origin of a model, by what its training or transfer wrote of it."""
+    sensors = metadata.get("sensors", [])
+    source, to, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
+    source = source or "+".join(sensors) or "another package"
+    if sensor is None:
+        usual = [name for name in (target, source, *archive) if name in archive]
+        if len(archive) > 1 and usual[0] not in (target, source):
+            raise LearningError(f"--sensor: missing; known: {', '.join(archive)}")
+        sensor = usual[0]
+    if sensor not in archive:
+        raise LearningError(f"--sensor: found {sensor!r}; known: {', '.join(archive)}")
+    if to and target != sensor:
         raise LearningError(
-            f"--translator: found {translator!r}; allowed: none, as --method is {method}"
+            f"--sensor: found {sensor!r}; allowed: {target!r}, as the model was trained on frames "
+            "translated to it"
         )
-    if (method == "target") != (source == sensor):
-        raise LearningError(
-            f"--method: found {method} from {source} to {sensor}; allowed: target where they are "
-            "the same sensor, another method where they differ"
-        )
+    made = {**metadata, **metadata.get("transfer", {})}
+    usual_method = "transferred" if to else "target" if source == sensor else "source-only"
+    method, translator = made.get("method", usual_method), made.get("translator", "")
+    return Origin(source, sensor, method, translator or ("unknown" if to else ""))

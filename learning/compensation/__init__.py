@@ -4,7 +4,12 @@ A prior is the force with which a flat indenter presses a sensor to a given dept
 priors scales the labels on which a force model of the target is trained.
 """
 
-from learning.compensation.fit import PairCompensation, StoredCompensation, read_stored
+from learning.compensation.fit import (
+    CHOICE_OF_METHOD,
+    PairCompensation,
+    StoredCompensation,
+    read_stored,
+)
 from learning.compensation.prior import (
     DEFAULT_D0,
     DEFAULT_WEIGHT,
@@ -28,6 +33,7 @@ from learning.compensation.simulated import (
 )
 
 __all__ = [
+    "CHOICE_OF_METHOD",
     "DEFAULT_D0",
     "DEFAULT_WEIGHT",
     "SIMULATED",

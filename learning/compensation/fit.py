@@ -49,6 +49,8 @@ from recorder.store import replace_file
 FORMAT, FORMAT_VERSION = "tactile-rig compensation", 1
 # Names of choices: fixed; by the fit of the priors; by the target's labels.
 CHOICES = ("default", "priors", "oracle")
+# Choices that models are trained by, by their method in evaluations.
+CHOICE_OF_METHOD = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
 CRITERIA = {
     "default": "d0 0, lambda 0.75, whatever the sensors",
     "priors": "least expected error of the compensated force-depth curve, from the fits' residuals",

@@ -46,8 +46,6 @@ METHODS = (
 TRANSLATED = METHODS[1:6]
 # Those that need no label of the target, in order of the knowledge of the skins that they use.
 LABEL_FREE = TRANSLATED[:4]
-# Names of methods' choices in compensation files.
-CHOICES = {"compensated": "default", "priors": "priors", "oracle": "oracle"}
 
 _TEXTS = ("source", "target", "method", "translator", "model")
 _WIDTHS = {"true": 3, "predicted": 3, "label_std": 4, "label_range": 4, "low": 3, "high": 3}

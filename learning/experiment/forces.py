@@ -13,6 +13,7 @@ import torch
 
 from learning.archive_writer import archive_fingerprint
 from learning.compensation import (
+    CHOICE_OF_METHOD,
     SIMULATED,
     SimulatedLabels,
     StoredCompensation,
@@ -23,7 +24,6 @@ from learning.data.presses import Presses
 from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.evaluation.predictions import (
-    CHOICES,
     Predictions,
     predictions_of,
     read_predictions,
@@ -40,8 +40,9 @@ from learning.experiment.parts import (
 )
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.translating import flow_fields, translate_presses, warp_presses
+from learning.force.labels import Relabelling
 from learning.force.model import KIND, ForceModel, load_force_model
-from learning.force.train import PRESETS, ForceSettings, Relabelling, train_force
+from learning.force.train import PRESETS, ForceSettings, train_force
 from learning.metrics import force_errors
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator
@@ -212,7 +213,9 @@ class Forces:
             if (each.source, each.target) == (pair.source, pair.target)
             for choice in each.choices
         }
-        return [method for method in asked if method == SIMULATED or CHOICES[method] in choices]
+        return [
+            method for method in asked if method == SIMULATED or CHOICE_OF_METHOD[method] in choices
+        ]
 
     def _predicted(
         self,
@@ -417,6 +420,6 @@ def relabelling(
     """
     if method == SIMULATED:
         return simulated_labels(archive[pair.source], archive[pair.target])
-    if compensation is None or method not in CHOICES:
+    if compensation is None or method not in CHOICE_OF_METHOD:
         return None
-    return compensation.pair(pair.source, pair.target, CHOICES[method]).applied
+    return compensation.pair(pair.source, pair.target, CHOICE_OF_METHOD[method]).applied

@@ -19,8 +19,9 @@ from learning.errors import LearningError
 from learning.experiment.parts import Pair
 from learning.experiment.settings import ExperimentSettings, ModelChoice
 from learning.force.batched import train_batched
+from learning.force.labels import Relabelling
 from learning.force.model import ForceModel
-from learning.force.train import ForceSettings, Relabelling
+from learning.force.train import ForceSettings
 from learning.training.run import RunFolder, Stop
 from learning.translation.archive import Model
 from learning.translation.field import train as field

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import torch
 
-from learning.compensation import SIMULATED, read_stored, twin_forces
+from learning.compensation import CHOICE_OF_METHOD, SIMULATED, read_stored, twin_forces
 from learning.compensation.fit import Curves, gather_priors, write_compensation
 from learning.data.splits import read_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import MarkerGrid
-from learning.evaluation.predictions import CHOICES, Predictions
+from learning.evaluation.predictions import Predictions
 from learning.evaluation.translation import TranslationScores, read_scores, score_translation
 from learning.experiment.forces import Forces
 from learning.experiment.models import Places, open_translator, train_translator
@@ -206,7 +206,7 @@ class Worker:
 
 def _by_formulae(settings: ExperimentSettings) -> bool:
     """Return True if labels are compensated by the paper's formulae."""
-    return bool(CHOICES.keys() & set(settings.compensation))
+    return bool(CHOICE_OF_METHOD.keys() & set(settings.compensation))
 
 
 # Execution of the tasks, sequentially or in parallel.

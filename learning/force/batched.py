@@ -19,21 +19,18 @@ from torch.func import functional_call, stack_module_state
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
+from learning.force.labels import Relabelling, labels_of, variances_of, weights_of
 from learning.force.model import ForceModel, prepared_rows, require_form
 from learning.force.train import (
     ForceSettings,
-    Relabelling,
     begun_model,
     epoch_of,
     error,
-    labels_of,
     mirrored,
     optimiser_of,
     schedule_of,
     signs,
     superposed,
-    variances_of,
-    weights_of,
 )
 from learning.training.optim import set_rate
 from learning.training.run import seed_torch

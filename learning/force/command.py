@@ -3,62 +3,277 @@
 from __future__ import annotations
 
 import argparse
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from learning.command import add_resume, add_settings, add_split
+from learning.errors import LearningError
 from recorder.command_line.options import names
+from recorder.progress import ItemProgress
+
+if TYPE_CHECKING:
+    import torch
+
+    from learning.data.presses import Presses
+    from learning.data.splits import Role, Split
+    from learning.force.labels import LabelSource
+    from learning.force.model import ForceModel
+    from learning.force.train import ForceSettings
+    from learning.training.run import Session
+    from recorder import MarkerArchive
+    from recorder.archive import ArchivedSensor
+
+# Card and exported step of a trained model, in its folder.
+CARD, ONNX = "card.md", "model.onnx"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, "
-        "or of a translated one (A-to-B). Ctrl-C saves a checkpoint; --resume continues from it."
+        "Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, or of a "
+        "translated one (A-to-B), and writes its ONNX and card. Ctrl-C saves a checkpoint; "
+        "--resume continues from it. --set plugin=NAME trains another package's model. Several "
+        "GPUs: torchrun --nproc-per-node N -m tactile train force ..."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     parser.add_argument(
-        "--sensor", type=names, metavar="NAME,...", required=True, help="sensors to train on"
+        "--sensor", type=names, metavar="NAME,...", help="sensors to train on (the only one)"
     )
     add_split(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", required=True, help="the run's folder")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="the run's folder (runs/force-SENSOR)"
+    )
     add_settings(
         parser,
-        "tiny",
-        "a preset, or your own YAML file (tiny)",
+        "",
+        "a preset, or your own YAML file (shading for shading, else tiny)",
         example="e.g. sequences.batch=32",
     )
     parser.add_argument(
-        "--start-from", type=Path, metavar="MODEL", help="start from the weights of this model"
+        "--start-from", metavar="MODEL", help="start from the weights of this model"
     )
     parser.add_argument(
         "--labels",
-        type=Path,
-        metavar="CSV",
-        help="labels in place of the archive's, as readings typed in: columns indenter, target, "
-        "frame (none: where the press is held), fx_n, fy_n, fz_n [N]",
+        metavar="SOURCE",
+        help="labels in place of the archive's: a CSV of readings (columns indenter, target, frame "
+        "(none: where the press is held), fx_n, fy_n, fz_n [N]); FILE.json or FILE.json:CHOICE of "
+        "`tactile compensate`; twin: by forces of twins (tactile sim labels) of both sensors of "
+        "the pair, or those of the sensor's own; Y.markers.zarr: the same, if it holds the target",
     )
     parser.add_argument(
-        "--compensation",
-        type=Path,
-        metavar="FILE",
-        help="compensate labels for another material; with --choice simulated, the archive of the "
-        "pair's target, if it is another",
-    )
-    parser.add_argument(
-        "--pair", metavar="A-to-B", help="the compensated pair (default: that of --sensor)"
-    )
-    parser.add_argument(
-        "--choice",
-        default="default",
-        metavar="NAME",
-        help="its choice of d0 and lambda (default); simulated: by forces of twins (tactile sim "
-        "labels) of both sensors of the pair, or those of the sensor's own twin",
+        "--pair", metavar="A-to-B", help="labels of A are made for B (default: that of --sensor)"
     )
     add_resume(parser, "continue the run in --out")
 
 
 def run(options: argparse.Namespace) -> int:
     """Train, and return the exit code."""
-    from learning.force.train import run as train
+    from learning.archive_writer import archive_fingerprint
+    from learning.data.presses import press_table
+    from learning.force.folder import model_name
+    from learning.force.labels import label_source, labels_of
+    from learning.force.model import KIND, load_force_model
+    from learning.force.train import read_force_settings, train_force
+    from learning.markers.segment import kept_preset
+    from learning.train_command import open_data, run_training
+    from learning.translation.loading import hash_of
+    from recorder.archive import SHADING
 
-    return train(options)
+    archive, split = open_data(options)
+    sensors = _sensors(options.sensor, archive, split)
+    out = options.out or Path("runs") / f"force-{'-'.join(sensors)}"
+    usual = "shading" if archive[sensors[0]].representation == SHADING else "tiny"
+    settings = read_force_settings(options.preset or usual, options.set)
+    source = label_source(options.labels, archive, sensors, options.pair)
+    data = [archive_fingerprint(archive), split.fingerprint, *sensors, *source.data]
+    start_from = None
+    if options.start_from is not None:
+        begun = model_name(options.start_from)
+        start_from = load_force_model(begun)
+        data.append(hash_of(begun))
+    # A run that could learn nothing is not begun.
+    for name in sensors:
+        if len(rows := split.rows(archive[name].table, "train")):
+            labels_of(source.given_to(press_table(archive[name], rows)), source.relabelling)
+
+    def train(session: Session) -> Iterator[str]:
+        presses, validation = (
+            [
+                each
+                for name in sensors
+                if len(
+                    each := _presses(archive[name], split, role, settings, source, session.device)
+                )
+            ]
+            for role in ("train", "validation")
+        )
+        with session.stop:
+            model = train_force(
+                presses,
+                settings,
+                session,
+                validation=validation,
+                start_from=start_from,
+                compensation=source.relabelling,
+            )
+        if not session.run.writes:
+            return iter(())
+        trained = Trained(out, archive, split, settings, source, model)
+        return trained.written(presses, validation)
+
+    # By these, a live stream is read as the pictures were from which the model learned.
+    made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
+    presets = {name: kept for name, each in made_by.items() if each and (kept := kept_preset(each))}
+    metadata = {
+        "sensors": sensors,
+        **({"presets": presets} if presets else {}),
+        **_origin(archive[sensors[0]], source),
+    }
+    run_training(
+        out, KIND, settings, data, train, resume=options.resume, split=split, metadata=metadata
+    )
+    return 0
+
+
+def _sensors(asked: Sequence[str] | None, archive: MarkerArchive, split: Split) -> list[str]:
+    known = ", ".join(archive)
+    sensors = [*(asked or archive)]
+    if asked is None and len(sensors) > 1:
+        raise LearningError(f"--sensor: missing; known: {known}")
+    if unknown := [name for name in sensors if name not in archive]:
+        raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {known}")
+    if held_out := [name for name in sensors if name in split.held_out_sensors]:
+        raise LearningError(
+            f"--sensor: found {', '.join(held_out)}, which the split holds out; allowed: "
+            f"{', '.join(split.trained_sensors(archive))}"
+        )
+    return sensors
+
+
+def _origin(sensor: ArchivedSensor, source: LabelSource) -> dict[str, str]:
+    """Return translator and method of a model that is trained on translated frames."""
+    if "-to-" not in sensor.name:
+        return {}
+    return {"method": source.method, "translator": str(sensor.attrs.get("model", "unknown"))}
+
+
+def _presses(
+    sensor: ArchivedSensor,
+    split: Split,
+    role: Role,
+    settings: ForceSettings,
+    source: LabelSource,
+    device: torch.device,
+) -> Presses:
+    from learning.data.presses import load_presses
+
+    rows, form = split.rows(sensor.table, role), settings.input.stored_form
+    with ItemProgress("frames", sys.stderr) as frames:
+        presses = load_presses(sensor, rows, device=device, form=form, progress=frames)
+    return source.given_to(presses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trained:
+    """A model that was trained, and what it was trained on."""
+
+    out: Path
+    archive: MarkerArchive
+    split: Split
+    settings: ForceSettings
+    source: LabelSource
+    model: ForceModel
+
+    def written(self, presses: list[Presses], validation: list[Presses]) -> Iterator[str]:
+        """Write ONNX, intervals and card beside the model; yield the lines that report it.
+
+        Args:
+            presses: Training presses of each sensor.
+            validation: Validation presses.
+        """
+        from learning.force.export import export_onnx
+        from recorder.pages import render
+        from recorder.store import replace_file
+
+        yield f"{self.out}: trained on {sum(map(len, presses)):,} presses"
+        yield from self._partly_labelled(presses)
+        errors = [*self._errors(validation)]
+        yield from errors
+        if self.source.own_twin:
+            yield from self._with_intervals(presses[0].sensor)
+        difference = export_onnx(self.model, self.out / ONNX)
+        card = render(
+            Path(__file__).with_name(CARD),
+            sensors=[each.sensor for each in presses],
+            axes=self.model.axes,
+            description=self.settings.description,
+            seed=self.settings.seed,
+            millions=sum(weight.numel() for weight in self.model.parameters()) / 1e6,
+            archive=self.archive.name,
+            presses=sum(map(len, presses)),
+            frames=sum(each.frames for each in presses),
+            indenters=self._indenters("train"),
+            tested=self._indenters("new_indenter"),
+            errors=errors,
+            difference=difference,
+        )
+        replace_file(self.out / CARD, card.encode())
+        yield f"{self.out / ONNX}, {self.out / CARD}: written"
+
+    def _indenters(self, role: Role) -> list[str]:
+        return sorted({press.indenter for press in self.split.presses if press.role == role})
+
+    def _partly_labelled(self, presses: Sequence[Presses]) -> Iterator[str]:
+        """Yield lines on axes and frames without a label, of which the loss knows nothing."""
+        from learning.force.model import AXES
+
+        for each in presses:
+            counts = each.wrench[:, : len(AXES)].isfinite().sum(dim=0).tolist()
+            if min(counts) < each.frames:
+                listed = ", ".join(f"{n} {k:,}" for n, k in zip(AXES, counts, strict=True))
+                yield f"{each.sensor}: labels in {each.frames:,} frames: {listed}"
+        if len(self.model.axes) < len(AXES):
+            axes = ", ".join(self.model.axes)
+            yield f"the model predicts {axes} only; forces on other axes are NaN"
+
+    def _errors(self, validation: Sequence[Presses]) -> Iterator[str]:
+        import numpy as np
+
+        from learning.force.labels import labels_of
+        from learning.force.model import AXES
+        from learning.metrics import axis_means
+
+        for each in validation:
+            if not each.is_labelled:
+                yield f"{each.sensor}: no label in validation"
+                continue
+            true = labels_of(each, self.source.relabelling).cpu().numpy().astype(np.float64)
+            off = axis_means(abs(self.model.predict(each) - true)).tolist()
+            by = "  ".join(
+                f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"
+                for axis, off_n in zip(AXES, off, strict=True)
+            )
+            yield f"{each.sensor}: off in validation by {by} N"
+
+    def _with_intervals(self, sensor: str) -> Iterator[str]:
+        """Write intervals beside a model of its own twin's forces, and yield lines about them."""
+        from learning.force.calibrate import calibrated_by_twin, told
+
+        try:
+            calibration = calibrated_by_twin(self.archive, sensor, self.split, self.model)
+        except LearningError as error:
+            # The model is trained all the same.
+            yield f"no intervals: {error}"
+            return
+        if calibration is None:
+            yield (
+                "no intervals: the split has no unseen indenter, whose frames would show how far "
+                "off the model is (--unseen NAME,...)"
+            )
+            return
+        calibration.intervals.write(self.out)
+        yield from told(calibration)

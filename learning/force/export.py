@@ -49,7 +49,7 @@ class OneFrame(nn.Module):
             state: State (n, channels, h, w).
             reference: Image (n, 256, 256) uint8 without contact, if the model needs it.
         """
-        kind = self.model.head.weight.dtype
+        kind = next(self.model.parameters()).dtype
         prepared = prepare(frame, reference, self.model.inputs)
         normalised, after = self.model.step(prepared.to(kind), state.to(kind))
         return self.model.denormalise(normalised), after.float()

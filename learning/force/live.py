@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from learning.data.images import shrink
 from learning.errors import LearningError
+from learning.force.folder import model_name
 from learning.force.intervals import Intervals, read_intervals
 from learning.force.learned import edge_length, shapes_of
 from learning.force.stream import ForceStream, open_exported
@@ -396,9 +397,9 @@ def open_live(
     """Return the predictor of a finished force model.
 
     Args:
-        model: Folder of the model; its intervals are read, if it has any.
-        before: Folder of another model, whose forces are shown beside.
-        runtime: One of `RUNTIMES`; `tactile export-onnx` exports a model.
+        model: As for `load_force_model`; intervals in its folder are read.
+        before: Another model, whose forces are shown beside.
+        runtime: One of `RUNTIMES`; a model of another package without a folder needs torch.
         sensor: Name of the sensor, which determines the preset of a model of markers.
         preset_name: Name or YAML file of the preset, instead of `sensor`.
         threads: Number of threads; 0: default of the runtime.
@@ -407,11 +408,12 @@ def open_live(
         LearningError: The model or preset does not exist, or the sensor has no preset.
     """
     one_thread()
-    network = _stream(model, runtime, threads)
+    folder = Path(model_name(os.fspath(model)))
+    network = _stream(folder, runtime, threads)
     return LivePredictor(
         network,
-        preset(preset_name) if preset_name else _preset_for(network, sensor, Path(model)),
-        intervals=read_intervals(Path(model)),
+        preset(preset_name) if preset_name else _preset_for(network, sensor, folder),
+        intervals=read_intervals(folder),
         before=None if before is None else _stream(before, runtime, threads),
     )
 
@@ -447,7 +449,8 @@ def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset
     return preset(name) if isinstance(name, str) else built_preset(name, where)
 
 
-def _stream(model: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:
+def _stream(name: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:
+    model = model_name(os.fspath(name))
     if runtime == "auto":
         runtime = "onnx" if (Path(model) / "model.onnx").is_file() else "torch"
     if runtime == "onnx":

@@ -22,7 +22,9 @@ from torch.nn import functional
 from learning.config import require
 from learning.data.presses import ForceRange, Presses, Progress
 from learning.errors import LearningError
-from learning.training.checkpoint import read_model_folder
+from learning.force.folder import model_folder
+from learning.plugins import load_plugin, plugin_names
+from learning.training.checkpoint import read_config, read_model_folder
 from recorder.archive import SHADING, SHADING_SIDE, SHADING_ZERO
 
 # Kind of a force model's folder.
@@ -269,6 +271,10 @@ class ForceModel(nn.Module):
     Outputs are forces normalised to the force range (a box), 0 to 1; `denormalise` converts them to
     N. The box is a buffer, so it is stored with the weights. It is NaN for axes that no training
     label had, and so are forces on these axes.
+
+    A model of another package (`learning.plugins`) is a subclass that replaces `encoder`, `memory`,
+    `tail` or `head`, or overrides `forward` and `step`; all that trains, exports or runs ours then
+    does so with it.
     """
 
     low: Tensor
@@ -304,7 +310,7 @@ class ForceModel(nn.Module):
 
     def initial_state(self, batch: int) -> Tensor:
         """Return the initial state (batch, channels, h, w)."""
-        return self.head.weight.new_zeros(batch, *self.state_shape)
+        return next(self.parameters()).new_zeros(batch, *self.state_shape)
 
     def forward(
         self,
@@ -543,16 +549,48 @@ def _reduced(images: Tensor, inputs: InputSettings) -> Tensor:
     return functional.avg_pool2d(grey, factor) if factor > 1 else grey
 
 
-def load_force_model(
-    folder: str | os.PathLike[str], device: str | torch.device = "cpu"
+def new_force_model(
+    plugin: str | None, network: NetworkSettings, inputs: InputSettings
 ) -> ForceModel:
-    """Load the model of a finished run, in evaluation mode.
+    """Return an untrained model: ours, or that of another package, which has its own settings.
+
+    Raises:
+        LearningError: No package offers it.
+    """
+    if plugin is None:
+        return ForceModel(network, inputs)
+    model: ForceModel = load_plugin(plugin, ForceModel)
+    return model
+
+
+def load_force_model(
+    name_or_folder: str | os.PathLike[str], device: str | torch.device = "cpu"
+) -> ForceModel:
+    """Load a trained model, in evaluation mode: ours, or one of another package.
+
+    Args:
+        name_or_folder: The folder of a finished run, its web address, `demo`, or the name of an
+            installed package's model that needs no folder.
+        device: Device of the model.
 
     Raises:
         LearningError: Not such a folder, a model of another kind, or weights that do not fit.
     """
-    found = read_model_folder(Path(folder), KIND)
-    model = ForceModel(
-        found.settings(NetworkSettings, "network"), found.settings(InputSettings, "input")
+    name, offered = os.fspath(name_or_folder), plugin_names()
+    if name in offered:
+        return _foreign(name, None, device)
+    folder = model_folder(name)
+    if (kind := read_config(folder).kind) != KIND and kind in offered:
+        return _foreign(kind, folder, device)
+    found = read_model_folder(folder, KIND)
+    model = new_force_model(
+        found.config.settings.get("plugin"),
+        found.settings(NetworkSettings, "network"),
+        found.settings(InputSettings, "input"),
     )
     return found.load(model, device)
+
+
+def _foreign(name: str, folder: Path | None, device: str | torch.device) -> ForceModel:
+    model: ForceModel = load_plugin(name, ForceModel, folder=folder, device=str(device))
+    return model.to(device).eval()

@@ -126,7 +126,7 @@ def open_exported(
     file = file / "model.onnx" if file.is_dir() else file
     if not file.is_file():
         raise LearningError(
-            f"{file}: no such file; tactile export-onnx makes it, --runtime torch needs none"
+            f"{file}: no such file; `tactile train force` writes it, --runtime torch needs none"
         )
     if runtime == "openvino":
         return _openvino(file, threads, bf16)
@@ -193,6 +193,6 @@ def _inputs(file: Path, shapes: Mapping[str, tuple[Any, ...]], images: set[str])
     if not {FRAME, STATE} <= shapes.keys() <= {FRAME, STATE, REFERENCE}:
         raise LearningError(
             f"{file}: found inputs {', '.join(shapes)}; allowed: {FRAME}, {STATE}, {REFERENCE}, as "
-            "tactile export-onnx makes them"
+            "`tactile train force` writes them"
         )
     return StepInputs(shapes[FRAME], FRAME in images, shapes[STATE], REFERENCE in shapes)

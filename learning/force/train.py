@@ -1,18 +1,13 @@
-"""Training of a force model, from settings to command.
-
-    tactile train force X.markers.zarr --sensor array-i --out run
-    torchrun --nproc-per-node 4 -m tactile train force ... --preset paper
+"""Training of a force model: settings, sequences, range, loss and loop, from top to bottom.
 
 `train_force` takes presses in memory and does not require a run folder, so that it can be called
-repeatedly for a table of many sensor pairs.
+repeatedly for a table of many sensor pairs. The command is in `command`, the network in `model`.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -23,35 +18,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from learning.archive_writer import archive_fingerprint
-from learning.compensation import (
-    SIMULATED,
-    SimulatedLabels,
-    own_twin_labels,
-    read_stored,
-    simulated_labels,
-)
 from learning.config import read_settings, require
-from learning.data.labels import read_labels
-from learning.data.presses import AUTHORS, ForceRange, Presses, load_presses, press_table
-from learning.data.splits import Role, Split
+from learning.data.presses import AUTHORS, ForceRange, Presses
 from learning.errors import LearningError
-from learning.force.calibrate import calibrated_by_twin
-from learning.force.calibrate import told as told_intervals
+from learning.force.labels import Relabelling, labels_of, variances_of, weights_of
 from learning.force.model import (
     AXES,
-    KIND,
     ForceModel,
     InputSettings,
     NetworkSettings,
-    load_force_model,
+    new_force_model,
     prepared_rows,
     require_form,
 )
-from learning.markers.segment import kept_preset
-from learning.metrics import axis_means
-from learning.train_command import open_data, run_training
-from learning.training.checkpoint import load_weights, read_weights, weights_hash
+from learning.training.checkpoint import load_weights, read_weights
 from learning.training.optim import Constant, Cosine, Ema, InversePower, Schedule, set_rate
 from learning.training.run import (
     LaunchSettings,
@@ -61,9 +41,6 @@ from learning.training.run import (
     generator,
     seed_torch,
 )
-from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
-from recorder.progress import ItemProgress
 
 State = dict[str, Tensor]
 
@@ -144,6 +121,9 @@ class ForceSettings:
     stages: tuple[StageSettings, ...]
     optimiser: OptimiserSettings
     sequences: SequenceSettings
+    plugin: str | None = None
+    """Name of another package's model to train (`learning.plugins`), whose network and input count
+    instead of these; none: ours."""
     force_range: Literal["training", "authors"] = "training"
     """Force range (a box) that the sigmoid spans: of the training labels, or of authors' code."""
     range_margin: float = 0.0
@@ -178,6 +158,23 @@ class ForceSettings:
                 "sequences.flips: found true; allowed: false for shading, whose colours follow the "
                 "places of the lamps"
             )
+
+
+def read_force_settings(preset: str, overrides: Sequence[str] = ()) -> ForceSettings:
+    """Return the settings of a preset; with `plugin`, network and input are that model's.
+
+    Args:
+        preset: Name of a preset, or a YAML file.
+        overrides: `key=value` or `key.sub=value`, the value in YAML.
+
+    Raises:
+        LearningError: A preset or value is invalid, or no package offers the model.
+    """
+    settings = read_settings(ForceSettings, PRESETS, preset, overrides)
+    if settings.plugin is None:
+        return settings
+    model = new_force_model(settings.plugin, settings.network, settings.input)
+    return replace(settings, network=model.network, input=model.inputs)
 
 
 # Data: selection of a step's frames, a pure function of seed, stage, epoch and step.
@@ -372,58 +369,7 @@ def _gathered(values: Sequence[Tensor], sequences: Sequences, device: torch.devi
     return torch.stack(rows)
 
 
-# Training targets: labels, optionally compensated for another material, and their range (a box).
-
-# Function from forces (N, 3) N, depth (N,) m and phase (N,) to forces for the target's material and
-# the number of limited ones: `learning.compensation` with its sensors and parameters bound.
-Compensation = Callable[
-    [NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]],
-    tuple[NDArray[np.float64], int],
-]
-# Other labels than the source's own.
-Relabelling = SimulatedLabels | Compensation
-# Spread of a label, as a fraction of the force range, at which it weighs half.
-HALF = 0.05
-
-
-def labels_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor:
-    """Return the training labels (N, 3) N of presses, on their device; NaN is no label.
-
-    Raises:
-        LearningError: No frame has a label, or compensation changes which labels are finite.
-    """
-    presses.require_wrench()
-    if compensation is None:
-        return presses.wrench[:, :3]
-    if isinstance(compensation, SimulatedLabels):
-        known = torch.from_numpy(compensation.force[presses.rows.numpy()]).float()
-        if not known.isfinite().any():
-            raise LearningError(
-                f"{presses.sensor}: found no press that both sensors of the pair have; allowed: "
-                "one or more to label"
-            )
-        return known.to(presses.device)
-    forces = presses.wrench[:, :3].double().cpu().numpy()
-    changed, _ = compensation(forces, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
-    if changed.shape != forces.shape or (np.isfinite(changed) != np.isfinite(forces)).any():
-        raise LearningError(
-            f"compensation of {presses.sensor}: found forces {changed.shape} that are not finite "
-            f"where the labels are; allowed: {forces.shape}, finite"
-        )
-    return torch.from_numpy(changed).float().to(presses.device)
-
-
-def variances_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor | None:
-    """Return the variance of each training label (N, 3) N^2; None if all are equally certain."""
-    if not isinstance(compensation, SimulatedLabels):
-        return None
-    spread = torch.from_numpy(compensation.spread[presses.rows.numpy()]).float()
-    return spread.nan_to_num().square().to(presses.device)
-
-
-def weights_of(variance: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return weights of labels (..., 3), 1 if certain, for forces in the range low to high (3,)."""
-    return 1 / (1 + variance / (HALF * (high - low)).square())
+# Range of the forces (a box) that a model's output spans.
 
 
 def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange:
@@ -653,7 +599,7 @@ def begun_model(
         LearningError: `start_from` has another network.
     """
     seed_torch(settings.seed, "force", "weights")
-    model = ForceModel(settings.network, settings.input).to(device)
+    model = new_force_model(settings.plugin, settings.network, settings.input).to(device)
     if start_from is not None:
         load_weights(model, start_from.state_dict(), "start_from")
         for key in ("encoder_norm", "tail_norm", "tail_block"):
@@ -745,228 +691,3 @@ def _resumed(
         return state, None
     device = next(model.parameters()).device
     return state, {name: value.to(device) for name, value in read_weights(best).items()}
-
-
-# Command
-
-
-def run(options: argparse.Namespace) -> int:
-    """Train as the options of `train force` say; return the exit code."""
-    settings = read_settings(ForceSettings, PRESETS, options.preset, options.set)
-    archive, split = open_data(options)
-    sensors = _sensors(options, archive, split)
-    compensation = _compensation(options, archive, sensors)
-    start_from = None if options.start_from is None else load_force_model(options.start_from)
-    labels = _labels(options, archive, sensors, compensation)
-    data = [archive_fingerprint(archive), split.fingerprint, *sensors]
-    if options.start_from is not None:
-        data.append(weights_hash(options.start_from / "model.safetensors"))
-    if isinstance(compensation, SimulatedLabels):
-        data.append(compensation.made_from)
-    elif options.compensation is not None:
-        data += [weights_hash(options.compensation), options.pair or "", options.choice]
-    if options.labels is not None:
-        data.append(weights_hash(options.labels))
-    # A run that could learn nothing is not begun.
-    for name in sensors:
-        if len(rows := split.rows(archive[name].table, "train")):
-            labels_of(_labelled(press_table(archive[name], rows), labels), compensation)
-
-    def train(session: Session) -> Iterator[str]:
-        device = session.device
-        presses, validation = (
-            [
-                found
-                for name in sensors
-                if len(found := _presses(archive[name], split, role, settings, labels, device))
-            ]
-            for role in ("train", "validation")
-        )
-        with session.stop:
-            model = train_force(
-                presses,
-                settings,
-                session,
-                validation=validation,
-                start_from=start_from,
-                compensation=compensation,
-            )
-        return told(model, presses, validation) if session.run.writes else iter(())
-
-    def told(model: ForceModel, presses: list[Presses], validation: list[Presses]) -> Iterator[str]:
-        yield f"{options.out}: trained on {sum(map(len, presses)):,} presses"
-        yield from _partly_labelled(model, presses)
-        for each in validation:
-            if not each.is_labelled:
-                yield f"{each.sensor}: no label in validation"
-                continue
-            wanted = labels_of(each, compensation).cpu().numpy().astype(np.float64)
-            off = axis_means(abs(model.predict(each) - wanted)).tolist()
-            by = "  ".join(
-                f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"
-                for axis, off_n in zip(AXES, off, strict=True)
-            )
-            yield f"{each.sensor}: off in validation by {by} N"
-        if isinstance(compensation, SimulatedLabels) and _is_own_twin(options, sensors):
-            yield from with_intervals(model)
-
-    def with_intervals(model: ForceModel) -> Iterator[str]:
-        """Write intervals beside a model of its own twin's forces, and yield lines about them."""
-        try:
-            found = calibrated_by_twin(archive, sensors[0], split, model)
-        except LearningError as error:
-            # The model is trained all the same.
-            yield f"no intervals: {error}"
-            return
-        if found is None:
-            yield (
-                "no intervals: the split has no unseen indenter, whose frames would show how far "
-                "off the model is (--unseen NAME,...)"
-            )
-            return
-        found.intervals.write(options.out)
-        yield from told_intervals(found)
-
-    # By these, a live stream is read as the pictures were from which the model learned.
-    made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
-    presets = {name: kept for name, each in made_by.items() if each and (kept := kept_preset(each))}
-    metadata = {"sensors": sensors, **({"presets": presets} if presets else {})}
-    run_training(
-        options.out,
-        KIND,
-        settings,
-        data,
-        train,
-        resume=options.resume,
-        split=split,
-        metadata=metadata,
-    )
-    return 0
-
-
-def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:
-    """Yield lines on axes and frames without a label, of which the loss knows nothing."""
-    for each in presses:
-        counts = each.wrench[:, : len(AXES)].isfinite().sum(dim=0).tolist()
-        if min(counts) < each.frames:
-            shown = ", ".join(f"{n} {k:,}" for n, k in zip(AXES, counts, strict=True))
-            yield f"{each.sensor}: labels in {each.frames:,} frames: {shown}"
-    if len(model.axes) < len(AXES):
-        yield f"the model predicts {', '.join(model.axes)} only; forces on other axes are NaN"
-
-
-def _sensors(options: argparse.Namespace, archive: MarkerArchive, split: Split) -> list[str]:
-    sensors: list[str] = [*options.sensor]
-    if unknown := [name for name in sensors if name not in archive]:
-        raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {', '.join(archive)}")
-    if held_out := [name for name in sensors if name in split.held_out_sensors]:
-        raise LearningError(
-            f"--sensor: found {', '.join(held_out)}, which the split holds out; allowed: "
-            f"{', '.join(split.trained_sensors(archive))}"
-        )
-    return sensors
-
-
-def _labels(
-    options: argparse.Namespace,
-    archive: MarkerArchive,
-    sensors: Sequence[str],
-    compensation: Relabelling | None,
-) -> Tensor | None:
-    """Return forces in place of the archive's for all rows of the sensor (n, 3) [N]; None if none.
-
-    They are those of --labels, or of the twin of a sensor that may have no labels.
-    """
-    if isinstance(compensation, SimulatedLabels) and _is_own_twin(options, sensors):
-        return torch.from_numpy(compensation.force).float()
-    if options.labels is None:
-        return None
-    if len(sensors) > 1:
-        raise LearningError(
-            f"--sensor: found {', '.join(sensors)}; allowed with --labels: one, whose they are"
-        )
-    read = read_labels(options.labels, archive, sensors[0])
-    return torch.from_numpy(read.of_all(len(archive[sensors[0]])).astype(np.float32))
-
-
-def _presses(
-    sensor: ArchivedSensor,
-    split: Split,
-    role: Role,
-    settings: ForceSettings,
-    labels: Tensor | None,
-    device: torch.device,
-) -> Presses:
-    rows = split.rows(sensor.table, role)
-    with ItemProgress("frames", sys.stderr) as frames:
-        presses = load_presses(
-            sensor, rows, device=device, form=settings.input.stored_form, progress=frames
-        )
-    return _labelled(presses, labels)
-
-
-def _labelled(presses: Presses, labels: Tensor | None) -> Presses:
-    """Return presses with these labels of all rows (n, 3), in place of the archive's."""
-    if labels is None:
-        return presses
-    return replace(presses, wrench=labels[presses.rows].to(presses.wrench.device))
-
-
-def _compensation(
-    options: argparse.Namespace, archive: MarkerArchive, sensors: list[str]
-) -> Relabelling | None:
-    by_twins = options.choice == SIMULATED
-    if options.compensation is None and not by_twins:
-        if options.pair is not None:
-            raise LearningError("--pair: found without --compensation; allowed: both")
-        return None
-    if by_twins and _is_own_twin(options, sensors):
-        return _by_own_twin(options, archive[sensors[0]])
-    source, to, target = (options.pair or sensors[0]).partition("-to-")
-    if not to or (options.pair is None and len(sensors) > 1):
-        raise LearningError(
-            f"--pair: found {options.pair or ','.join(sensors)}; allowed: A-to-B, of one pair"
-        )
-    if by_twins:
-        return _by_twins(options, archive, sensors, target)
-    return read_stored(options.compensation).pair(source, target, options.choice).applied
-
-
-def _is_own_twin(options: argparse.Namespace, sensors: Sequence[str]) -> bool:
-    """True if labels by simulation are those of the sensor's own twin: it is no translated one."""
-    return options.pair is None and len(sensors) == 1 and "-to-" not in sensors[0]
-
-
-def _by_own_twin(options: argparse.Namespace, sensor: ArchivedSensor) -> SimulatedLabels:
-    """Return the forces of a sensor's own twin as labels of its frames."""
-    for name in ("compensation", "labels"):
-        if (given := getattr(options, name)) is not None:
-            raise LearningError(
-                f"--{name}: found {given} with --choice {SIMULATED} and a sensor that is not "
-                "translated; allowed: nothing, as its labels are the forces of its own twin"
-            )
-    return own_twin_labels(sensor)
-
-
-def _by_twins(
-    options: argparse.Namespace, archive: MarkerArchive, sensors: list[str], target: str
-) -> SimulatedLabels:
-    """Return labels by simulation for a target, whose twin's forces another archive may hold."""
-    if len(sensors) > 1:
-        raise LearningError(
-            f"--sensor: found {', '.join(sensors)}; allowed with --choice {SIMULATED}: one, as "
-            "each has its own twin"
-        )
-    where = options.compensation
-    if where is not None and where.is_file():
-        raise LearningError(
-            f"--compensation: found the file {where}; allowed with --choice {SIMULATED}: the "
-            f"archive of {target}, or nothing if it is {options.archive}"
-        )
-    other = archive if where is None else MarkerArchive(where)
-    if target not in other:
-        raise LearningError(
-            f"{other.name}: has no sensor {target!r}; allowed: --compensation ARCHIVE, which holds "
-            f"{target} with forces of its twin"
-        )
-    return simulated_labels(archive[sensors[0]], other[target])

@@ -1,1 +1,1 @@
-"""Models that are installed with the package: an index, and a folder for each; no code."""
+"""Models that are installed with the package: a folder for each; no code."""

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from learning.compensation import SimulatedLabels
 from learning.force.calibrate import Calibration, Wanted, calibrated, presses_of_rows
 from learning.force.intervals import Scale
+from learning.force.labels import Compensation, Relabelling
 from learning.force.model import ForceModel
-from learning.force.train import Compensation, Relabelling
 from learning.transfer.pairs import labels_by_place
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import SIMULATED, twin_forces
+from learning.compensation import CHOICE_OF_METHOD, SIMULATED, twin_forces
 from learning.compensation.fit import Curves, gather_priors, read_stored, write_compensation
 from learning.data.labels import read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
-from learning.evaluation.predictions import CHOICES, LABEL_FREE, after, read_predictions
+from learning.evaluation.predictions import LABEL_FREE, after, read_predictions
 from learning.experiment.forces import adopt_model, relabelling
 from learning.experiment.models import Places
 from learning.experiment.parts import Pair
@@ -153,7 +153,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     # intervals; the scale is what is known of it.
     translator = settings.translators[0]
     trained = places.model(f"force-{source}-to-{target}.{method}.{translator}")
-    stored = read_stored(places.compensation) if method in CHOICES else None
+    stored = read_stored(places.compensation) if method in CHOICE_OF_METHOD else None
     labels_as = relabelling(archive, Pair(source, target), method, stored)
     trained = tune_by_place(
         archive, source, target, split, trained, settings, labels_as, asked.device

@@ -20,8 +20,9 @@ from learning.data.presses import load_presses
 from learning.data.splits import Split
 from learning.experiment.forces import force_settings
 from learning.experiment.settings import ExperimentSettings
+from learning.force.labels import Relabelling
 from learning.force.model import KIND, load_force_model
-from learning.force.train import Relabelling, train_force
+from learning.force.train import train_force
 from learning.training.run import RunFolder, Session, Stop, accelerator
 from learning.transfer.calibrate import wanted_forces
 from recorder import MarkerArchive

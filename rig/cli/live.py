@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recorder import models
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.command_line.options import positive
 from rig.acquire.control import InterruptFlag
@@ -36,14 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--model",
-        metavar="NAME",
-        help="folder of a trained force model, or a name that `tactile models list` shows, such as "
-        "demo (the one that `tactile models use` chose)",
+        required=True,
+        metavar="MODEL",
+        help="folder of a trained force model, its web address, demo, or the name of one that an "
+        "installed package offers",
     )
     parser.add_argument(
         "--before",
-        type=Path,
-        metavar="DIR",
+        metavar="MODEL",
         help="show forces of this model beside, such as the source's before a transfer",
     )
     parser.add_argument("--session", type=Path, help="replay this session instead of a bench")
@@ -60,9 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--runtime",
         choices=("auto", "onnx", "openvino", "openvino-bf16", "torch"),
         default="auto",
-        help="runtime of the model (%(default)s: onnx if the model was exported by `tactile "
-        "export-onnx`, which openvino needs too, else torch; openvino-bf16 is the fastest on CPUs "
-        "that support it)",
+        help="runtime of the model (%(default)s: onnx if its folder has one, which openvino needs "
+        "too, else torch; openvino-bf16 is the fastest on CPUs that support it)",
     )
     parser.add_argument(
         "--preset", metavar="NAME", help="marker detection preset (default: that of the sensor)"
@@ -143,20 +141,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Reject options before any library is loaded, or a device opened; find the model."""
-    folder = models.find(options.model)
-    if folder is None:
-        name = "none" if options.model is None else f"{options.model}; no such folder"
-        raise ConfigError(
-            f"MODEL, --model: found {name}; allowed: the folder of a trained force model, or a "
-            "name of `tactile models list`"
-        )
-    options.model = folder
-    if options.before is not None and not options.before.is_dir():
-        raise ConfigError(
-            f"--before: found {options.before}; no such folder; allowed: the folder of a trained "
-            "force model"
-        )
+    """Reject options before any library is loaded, or a device opened; find the models."""
+    from rig.monitor.predictor import force_model
+
+    options.model = force_model(options.model)
+    if options.before is not None:
+        options.before = force_model(options.before)
     check_page("--page", options.page)
     bench = (options.sensor, options.bench, options.world, options.indenter)
     if options.session is not None and any(bench):

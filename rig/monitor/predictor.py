@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigError
@@ -13,14 +12,32 @@ if TYPE_CHECKING:
     from learning.markers import Segmenter as Segmenter
 
 
+def force_model(name: str) -> str:
+    """Return the folder of a force model, or the name of an installed package's, as it is.
+
+    Args:
+        name: A folder, the web address of one, `demo`, or such a name.
+
+    Raises:
+        ConfigError: There is no such model.
+    """
+    from learning.errors import LearningError
+    from learning.force.folder import model_name
+
+    try:
+        return model_name(name)
+    except LearningError as error:
+        raise ConfigError(str(error)) from None
+
+
 def open_predictor(
-    model: Path, *, before: Path | None, runtime: str, sensor: str, preset: str | None
+    model: str, *, before: str | None, runtime: str, sensor: str, preset: str | None
 ) -> LivePredictor:
     """Open a trained force model.
 
     Args:
-        model: Folder of the model.
-        before: Folder of the source's model, whose forces are shown beside.
+        model: A model of `force_model`.
+        before: The source's model, whose forces are shown beside.
         runtime: auto, onnx, openvino, openvino-bf16 or torch.
         sensor: Name of the sensor, which selects the marker detection preset.
         preset: Name or file of a preset to use instead.

@@ -775,13 +775,11 @@ LEARNING_CASES = (
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} "
             "--role train,validation,new_indenter --out {out}/results/r6.npz",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor r18 --split {SPLIT} "
-            "--role train,validation,new_indenter --source r6 --out {out}/results/r18.npz",
+            "--role train,validation,new_indenter --out {out}/results/r18.npz",
             "tactile evaluate {out}/results --out {out}/report --title Golden",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor digit --split {SPLIT} --out {{out}}/a.npz",
             f"tactile predict {MODELS}/field {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/a.npz",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {{out}}/none.json --out {{out}}/a.npz",
-            f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {SPLIT} --method transferred "
-            "--out {out}/a.npz",
             "tactile evaluate {out}/none --out {out}/report2",
             f"tactile evaluate {{out}}/results --archive {ARCHIVE} --out {{out}}/report2",
         ),
@@ -803,15 +801,6 @@ LEARNING_CASES = (
         look=("results/*.npz", "report", "report2"),
         slow=True,
     ),
-    Case(
-        "learning-export-onnx",
-        (
-            f"tactile export-onnx {MODELS}/force --out {{out}}/model.onnx",
-            f"tactile export-onnx {MODELS}/field --out {{out}}/other.onnx",
-            "tactile export-onnx {out}/none --out {out}/other.onnx",
-        ),
-        look=("model.onnx",),
-    ),
     _trained("train-force", f"tactile train force {ARCHIVE} --sensor r6 {FORCE}"),
     Case(
         "learning-train-force-compensated",
@@ -819,9 +808,9 @@ LEARNING_CASES = (
             f"tactile compensate {ARCHIVE} --out {{out}}/c.json --pairs r6:r18",
             f"tactile translate {ARCHIVE} {TRANSLATED}",
             f"tactile train force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
-            f"--compensation {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
+            f"--labels {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
             f"tactile train force {{out}}/x.markers.zarr --sensor r6-to-r18 {FORCE} "
-            f"--compensation {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
+            f"--labels {{out}}/c.json --start-from {MODELS}/force --out {{out}}/x",
         ),
         look=("x/model.safetensors",),
         rtol_elsewhere=0.05,
@@ -852,7 +841,7 @@ LEARNING_CASES = (
             f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --set nonsense --out {{out}}/x",
             f"tactile train force {ARCHIVE} --sensor r6 --split {SPLIT} --preset huge --out {{out}}/x",
             f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --start-from {MODELS}/field --out {{out}}/x",
-            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --compensation {SPLIT} --out {{out}}/x",
+            f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --labels {SPLIT} --out {{out}}/x",
             f"tactile train force {ARCHIVE} --sensor r6 {FORCE} --out {{out}}/force",
             f"tactile train force {GELSIGHT} --sensor r6 {FORCE} --out {{out}}/x",
             f"tactile train field {ARCHIVE} --split {SPLIT} --preset cpu_smoke --sensors digit --out {{out}}/x",

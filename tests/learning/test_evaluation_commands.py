@@ -31,11 +31,15 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     make_split(archive, validation=0.2, new_press=0.2).write(folder / "split.json")
     torch.manual_seed(0)
-    for name, sensors in (("own", ["grid"]), ("translated", ["grid-to-dots"]), ("all", ["a", "b"])):
+    by_flow = {"method": "priors", "translator": "flow"}
+    for name, sensors, made in (
+        ("own", ["grid"], {}),
+        ("translated", ["grid-to-dots"], by_flow),
+        ("all", ["a", "b"], {}),
+    ):
         model = ForceModel(TOY.network, TOY.input)
-        with RunFolder.open(
-            folder / name, KIND, TOY, "data", False, metadata={"sensors": sensors}
-        ) as run:
+        metadata = {"sensors": sensors, **made}
+        with RunFolder.open(folder / name, KIND, TOY, "data", False, metadata=metadata) as run:
             run.finish(1, {"model": model})
     return folder
 
@@ -59,29 +63,28 @@ def test_predict_writes_what_a_model_says_of_whole_held_out_presses(
     assert f"{len(found)} frames, MAE [N]" in capsys.readouterr().out
 
 
-def test_a_model_of_translated_frames_is_transferred(lab: Path, tmp_path: Path) -> None:
-    out = str(tmp_path / "p.npz")
-    with pytest.raises(LearningError, match="--translator: missing"):
-        run(lab, "translated", "--out", out)
-    assert run(lab, "translated", "--translator", "flow", "--out", out) == 0
-    assert read_predictions(Path(out)).key == ("grid", "dots", "transferred", "flow")
-    with pytest.raises(LearningError, match="allowed: 'dots'"):
-        run(lab, "translated", "--translator", "flow", "--out", out, sensor="grid")
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--role", "test"], "role: found 'test'"),
-        (["--method", "target"], "found target from grid to dots"),
-        (["--translator", "flow"], "allowed: none, as --method is source-only"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(
-    lab: Path, tmp_path: Path, words: list[str], message: str
+def test_a_model_of_translated_frames_is_of_their_translator_and_labels(
+    lab: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(LearningError, match=message):
-        run(lab, "own", *words, "--out", str(tmp_path / "p.npz"))
+    out = str(tmp_path / "p.npz")
+    assert run(lab, "translated", "--out", out) == 0
+    assert read_predictions(Path(out)).key == ("grid", "dots", "priors", "flow")
+    with pytest.raises(LearningError, match="allowed: 'dots'"):
+        run(lab, "translated", "--out", out, sensor="grid")
+
+
+def test_the_target_of_a_model_is_the_usual_sensor(lab: Path, tmp_path: Path) -> None:
+    places = [str(lab / "own"), str(lab / "x.markers.zarr"), "--split", str(lab / "split.json")]
+    assert run_module(predict, *places, "--out", str(tmp_path / "p.npz")) == 0
+    assert read_predictions(tmp_path / "p.npz").key == ("grid", "grid", "target", "")
+    places[0] = str(lab / "all")
+    with pytest.raises(LearningError, match="--sensor: missing; known: dots, grid"):
+        run_module(predict, *places, "--out", str(tmp_path / "q.npz"))
+
+
+def test_a_role_that_is_not_there_is_refused(lab: Path, tmp_path: Path) -> None:
+    with pytest.raises(LearningError, match="role: found 'test'"):
+        run(lab, "own", "--role", "test", "--out", str(tmp_path / "p.npz"))
     assert not (tmp_path / "p.npz").exists()
 
 
@@ -124,6 +127,6 @@ def test_a_sensor_that_is_not_there_is_refused(lab: Path, tmp_path: Path) -> Non
         run(lab, "own", "--out", str(tmp_path / "p.npz"), sensor="dense")
 
 
-def test_a_model_of_several_sensors_has_to_be_told_its_source(lab: Path, tmp_path: Path) -> None:
-    with pytest.raises(LearningError, match="trained on a, b"):
-        run(lab, "all", "--out", str(tmp_path / "p.npz"))
+def test_a_model_of_several_sensors_names_them_all(lab: Path, tmp_path: Path) -> None:
+    assert run(lab, "all", "--out", str(tmp_path / "p.npz")) == 0
+    assert read_predictions(tmp_path / "p.npz").key == ("a+b", "dots", "source-only", "")

@@ -42,7 +42,11 @@ def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
     assert _learning(*train, *SMALL).returncode == 2, "a run that is there is not begun anew"
     again = _learning(*train, *SMALL, "--resume")
     assert "is finished" in again.stdout, again.stderr
-    assert _learning("export-onnx", model).returncode == 0
+    assert f"{model / 'model.onnx'}, {model / 'card.md'}: written" in done.stdout
+    card = (model / "card.md").read_text()
+    assert "# Force model of dots" in card
+    assert "4 presses with " in card
+    assert "off in validation by" in card
     shown = ["--archive", archive.path, "--sensor", "grid", "--split", split]
     few = ["--frames", 2, "--presses", 1, "--threads", 1, "--runtimes", "torch,onnxruntime"]
     table = ["--model", model, *shown, *few, "--out", tmp_path / "bench"]
@@ -65,13 +69,12 @@ def test_labels_by_simulation_are_learned_from_translated_frames(
     make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
     made = made_up_archive(tmp_path / "made.markers.zarr", ("dots",), frames_per_phase=1)
     words = ["train", "force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
-    words += ["--choice", "simulated", "--pair", "dots-to-grid", "--out", str(tmp_path / "run")]
+    words += ["--pair", "dots-to-grid", "--out", str(tmp_path / "run")]
     words += ["--set", "range_margin=0"]
     one, both = ["--sensor", "dots"], ["--sensor", "dots,grid"]
-    far = ["--compensation", str(made.path)]
 
-    def refused(*more: str) -> str:
-        assert main([*words, *more]) == 2
+    def refused(*more: str, labels: object = "twin") -> str:
+        assert main([*words, *more, "--labels", str(labels)]) == 2
         assert not (tmp_path / "run").exists()
         return capsys.readouterr().err
 
@@ -79,14 +82,15 @@ def test_labels_by_simulation_are_learned_from_translated_frames(
     wrench = archive["dots"].table["wrench"][:, :3]
     write_simulated(archive["dots"], 0.9 * wrench, np.full(wrench.shape, 0.1), "twin of dots")
     assert "grid: found no forces of a twin; allowed: tactile sim labels" in refused(*one)
-    assert "--sensor: found dots, grid; allowed with --choice simulated: one" in refused(*both)
-    assert "has no sensor 'grid'; allowed: --compensation ARCHIVE" in refused(*one, *far)
-    file = ["--compensation", str(tmp_path / "split.json")]
-    assert "--compensation: found the file" in refused(*one, *file)
+    assert "--sensor: found dots, grid; allowed with --labels twin: one" in refused(*both)
+    far = refused(*one, labels=made.path)
+    assert "has no sensor 'grid'; allowed: --labels Y.markers.zarr" in far
+    file = refused(*one, labels=tmp_path / "split.json")
+    assert "split.json.format: found 'tactile-rig split'" in file
     # Forces of the target's twin from another archive, at the same locations.
     apart = made_up_archive(tmp_path / "apart.markers.zarr", ("grid",), frames_per_phase=1)
     write_simulated(apart["grid"], 3 * wrench, np.full(wrench.shape, 0.1), "twin of grid")
-    assert main([*words, *one, "--compensation", str(apart.path)]) == 0
+    assert main([*words, *one, "--labels", str(apart.path)]) == 0
     model = load_force_model(tmp_path / "run")
     located = archive["dots"].table["location"] >= 0
     deepest = (3 / 0.9) * wrench[located & archive["dots"].table["seen"], 2].min()
@@ -103,7 +107,7 @@ def test_a_sensor_without_a_label_learns_the_forces_of_its_own_twin(
     )
     make_split(archive, validation=0.0, new_press=0.0).write(tmp_path / "split.json")
     words = ["train", "force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
-    words += ["--choice", "simulated", "--sensor", "dots", "--out", str(tmp_path / "run")]
+    words += ["--labels", "twin", "--sensor", "dots", "--out", str(tmp_path / "run")]
     words += ["--set", "range_margin=0"]
     assert main(words) == 2
     assert "dots: found no forces of a twin; allowed: tactile sim labels" in capsys.readouterr().err
@@ -111,8 +115,6 @@ def test_a_sensor_without_a_label_learns_the_forces_of_its_own_twin(
     # A press without a solution has no force.
     wrench[np.flatnonzero(labelled.table["location"] == 0)] = np.nan
     write_simulated(archive["dots"], wrench, np.full(wrench.shape, 0.1), "twin of dots")
-    assert main([*words, "--labels", str(tmp_path / "typed.csv")]) == 2
-    assert "--labels: found " in capsys.readouterr().err
     assert main(words) == 0
     model = load_force_model(tmp_path / "run")
     assert model.axes == ("Fx", "Fy", "Fz")
@@ -143,7 +145,7 @@ def test_a_model_of_a_twins_forces_has_no_intervals_if_it_learned_from_all_inden
     wrench = archive["dots"].table["wrench"][:, :3]
     write_simulated(archive["dots"], wrench, np.full(wrench.shape, 0.1), "twin of dots")
     words = ["train", "force", str(archive.path), "--split", str(tmp_path / "split.json"), *SMALL]
-    words += ["--choice", "simulated", "--sensor", "dots", "--out", str(tmp_path / "run")]
+    words += ["--labels", "twin", "--sensor", "dots", "--out", str(tmp_path / "run")]
     assert main(words) == 0
     assert "no intervals: " in capsys.readouterr().out
     assert read_intervals(tmp_path / "run") is None
@@ -179,7 +181,7 @@ def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
     assert "sensor dots: found no label of Fx, Fy or Fz" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
     assert main([*words, "--sensor", "dots,grid", "--labels", str(typed)]) == 2
-    assert "--sensor: found dots, grid; allowed with --labels: one" in capsys.readouterr().err
+    assert "--sensor: found dots, grid; allowed with --labels " in capsys.readouterr().err
 
     assert main([*words, *one, "--labels", str(typed)]) == 0
     told = capsys.readouterr().out
@@ -201,7 +203,7 @@ def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
     [
         (["--sensor", "other"], "--sensor: found other; known: dots, grid"),
         (["--set", "input.sides=3"], "unknown sides"),
-        (["--pair", "dots-to-grid"], "--pair: found without --compensation"),
+        (["--pair", "dots-to-grid"], "--pair: found without --labels"),
         (["--start-from", "nowhere"], "nowhere: found no config.yaml"),
     ],
 )

@@ -15,6 +15,7 @@ from learning.data.presses import AUTHORS, Presses
 from learning.errors import LearningError
 from learning.force import load_force_model
 from learning.force.batched import train_batched
+from learning.force.labels import labels_of
 from learning.force.model import KIND, ForceModel, InputSettings
 from learning.force.train import (
     ForceSettings,
@@ -27,7 +28,6 @@ from learning.force.train import (
     force_range,
     forces_of,
     frames_of,
-    labels_of,
     superposed,
     train_force,
 )

@@ -1,4 +1,4 @@
-"""A package outside the repository that offers a translator by an entry point."""
+"""A package outside the repository that offers a translator and a force model by entry points."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 FOREIGN = """
 import torch
 
+from learning.force.model import ForceModel, InputSettings, NetworkSettings
+from learning.training.checkpoint import read_model_folder
 from learning.translation import require_masks
 
 
@@ -27,10 +29,28 @@ def load(folder, device):
 
 def load_nothing(folder, device):
     return 3
+
+
+class MeanForce(ForceModel):
+    # An encoder of its own: means of 8 x 8 pixels.
+    def __init__(self):
+        network = NetworkSettings(encoder=(4, 4, 8), blocks=1, memory=8, tail=(8, 8))
+        super().__init__(network, InputSettings(form="image", side_px=32))
+        self.encoder = torch.nn.Sequential(
+            torch.nn.AvgPool2d(8), torch.nn.Conv2d(1, 8, 1), torch.nn.ReLU()
+        )
+
+
+def load_force(folder, device):
+    model = MeanForce()
+    if folder is not None:
+        read_model_folder(folder).load(model, device)
+    return model
 """
 ENTRY_POINTS = """[tactile.models]
 still = foreign_still:load
 nothing = foreign_still:load_nothing
+mean-force = foreign_still:load_force
 missing = foreign_still:absent
 """
 

@@ -46,15 +46,9 @@ from learning.data.splits import Split, make_split
 from learning.errors import LearningError
 from learning.experiment.parts import look_of
 from learning.experiment.translating import translate_presses
+from learning.force.labels import Compensation, Relabelling, labels_of
 from learning.force.model import ForceModel
-from learning.force.train import (
-    PRESETS,
-    Compensation,
-    ForceSettings,
-    Relabelling,
-    labels_of,
-    train_force,
-)
+from learning.force.train import PRESETS, ForceSettings, train_force
 from learning.metrics import r_squared
 from learning.training.run import generator
 from learning.translation.loading import load_translator

@@ -92,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
     complete = run_on(due, Machine(gpus, options.per_gpu), out, options.stop_after)
     page.write(out, size)
     if "weights" in done_in(out):
-        print(f"nets of the sensors' own labels: tactile models list --from {out / 'weights'}")
+        print(f"nets of the sensors' own labels, for --model: {out / 'weights'}")
     print(page.last_line(out, size))
     return int(not complete)
 

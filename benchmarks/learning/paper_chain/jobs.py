@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import fcntl
 import json
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -50,11 +51,12 @@ from learning.evaluation.translation import (
 )
 from learning.experiment.parts import frames_of_a_press, look_of
 from learning.experiment.translating import translate_presses
+from learning.force.export import export_onnx
+from learning.force.labels import Compensation
 from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
-from learning.force.publish import publish
 from learning.force.train import PRESETS as NET_PRESETS
-from learning.force.train import Compensation, ForceSettings, StageSettings, train_force
+from learning.force.train import ForceSettings, StageSettings, train_force
 from learning.metrics import r_squared, r_squared_of_sums
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
@@ -72,7 +74,6 @@ from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
 from recorder.markers import pack
-from recorder.models import INDEX, listed
 
 Floats = NDArray[np.float64]
 TRANSLATORS = ("m2m", "field")
@@ -761,15 +762,21 @@ def latency(chain: Chain) -> None:
 
 
 def weights(chain: Chain) -> None:
-    """Publish the nets of the sensors' own labels, with cards, in `weights` of the folder."""
-    place = chain.out / "weights"
-    known = {each.name for each in listed(place)} if (place / INDEX).exists() else set()
+    """Copy the nets of the sensors' own labels, with ONNX and cards, to `weights` of the folder."""
     for row in chain.rows("forces"):
         preset, sensor = row["net"], row["target"]
-        name = f"{sensor}-{preset}"
-        if row["method"] == "own labels" and name not in known:
-            known.add(name)
-            publish(chain.model(f"{preset}-{sensor}"), place, name, _card(chain, row))
+        out = chain.out / "weights" / f"{sensor}-{preset}"
+        if row["method"] != "own labels" or out.exists():
+            continue
+        folder = chain.model(f"{preset}-{sensor}")
+        part = out.with_name(f".{out.name}")
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        for name in ("config.yaml", "model.safetensors"):
+            shutil.copyfile(folder / name, part / name)
+        export_onnx(load_force_model(folder), part / "model.onnx")
+        (part / "card.md").write_text(_card(chain, row), encoding="utf-8")
+        part.rename(out)
 
 
 def _card(chain: Chain, row: dict[str, str]) -> str:

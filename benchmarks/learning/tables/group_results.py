@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from learning.compensation import SIMULATED, StoredCompensation, read_stored
+from learning.compensation import CHOICE_OF_METHOD, SIMULATED, StoredCompensation, read_stored
 from learning.errors import LearningError
 from learning.evaluation.paper_figures import Beside, beside_the_paper
 from learning.evaluation.predictions import (
-    CHOICES,
     UNSEEN,
     ForceRow,
     Predictions,
@@ -97,7 +96,7 @@ class Group:
         """Return R2 of the training labels compared with the target's own, by pair."""
         if self.labels is None or self.after == SIMULATED:
             return []
-        name = CHOICES.get(self.after)
+        name = CHOICE_OF_METHOD.get(self.after)
         pairs = self.labels.pairs
         chosen = [pair.choices.get(name) if name else pair.before for pair in pairs]
         return [one.r2 for one in chosen if one is not None and one.r2 is not None]

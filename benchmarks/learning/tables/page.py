@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.learning.tables.group_results import NO_TRANSLATOR, Group, mean
-from learning.compensation import Choice, StoredCompensation
+from learning.compensation import CHOICE_OF_METHOD, Choice, StoredCompensation
 from learning.evaluation.charts import heatmaps
 from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
 from learning.evaluation.predictions import (
     BEFORE,
-    CHOICES,
     TARGET,
     ForceRow,
     csv_text,
@@ -143,7 +142,7 @@ def _labels(labels: StoredCompensation) -> list[tuple[str, ...]]:
     for pair in labels.pairs:
         for name, choice in {"as they are": pair.before, **pair.choices}.items():
             found.setdefault(name, {})[f"{pair.source} to {pair.target}"] = choice
-    methods = {choice: method for method, choice in CHOICES.items()}
+    methods = {choice: method for method, choice in CHOICE_OF_METHOD.items()}
     lines: list[tuple[str, ...]] = []
     for name, choices in found.items():
         fits = {pair: one.r2 for pair, one in choices.items() if one.r2 is not None}
