@@ -154,7 +154,7 @@ simulate-sensors: $(VENV)/.sim  ## Write an archive of real trajectories with fo
 
 ##@ Learn
 
-#: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME --rate"]
+#: SESSIONS="a.zarr b.zarr" OUT=x.markers.zarr [ARGS="--preset NAME"]
 markers: $(VENV)/.markers  ## Make a marker archive of recorded sessions
 	@$(PY) -m tactile markers $(SESSIONS) --out $(OUT) --sheet $(OUT:.zarr=.png) $(ARGS)
 

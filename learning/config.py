@@ -79,6 +79,15 @@ def read_settings(
         raise LearningError(f"{error} (with --set {keys})" if keys else str(error)) from None
 
 
+def read_one_of(kinds: Sequence[type], path: Path) -> Any:
+    """Read a YAML file whose `kind` names one of some dataclasses; return it built.
+
+    Raises:
+        LearningError: The file is missing, is not YAML, or has an invalid key or value.
+    """
+    return READER.build_one_of(tuple(kinds), READER.read(path), str(path))
+
+
 def require(
     settings: Any,
     *names: str,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,23 +27,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="SESSION",
-        help="NAME.zarr, or a folder of pictures, each a contact of its own",
+        help="NAME.zarr",
     )
     parser.add_argument(
-        "--no-contact",
-        metavar="PICTURE",
-        help="name of the picture without contact in a folder of pictures (ref.png or the like)",
+        "--out", type=Path, required=True, metavar="PATH", help="archive to write, X.markers.zarr"
     )
-    parser.add_argument("--out", type=Path, metavar="PATH", help="archive to write, X.markers.zarr")
     parser.add_argument(
         "--preset", metavar="NAME", help="preset of marker detection: a name or a YAML file"
     )
     parser.add_argument("--sensor", metavar="NAME", help="name of the sensor in the archive")
     parser.add_argument("--mm-per-px", type=float, help="size of a pixel [mm] (the preset's)")
     parser.add_argument("--sheet", type=Path, metavar="PNG", help="draw a contact sheet as well")
-    parser.add_argument(
-        "--rate", action="store_true", help="only print the frames per second of one core"
-    )
     parser.add_argument(
         "--irregular",
         action="store_true",
@@ -57,20 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.markers import archive_sessions
-    from learning.markers.build import draw_sheet, rates
-    from learning.markers.recording import read_group
 
-    sessions = _sessions(options)
+    _require_sessions(options.sessions)
     sam = _sam(options)
-    if options.rate:
-        for line in rates(sessions, preset_name=options.preset, sensor=options.sensor, sam=sam):
-            print(line)
-        return 0
-    if options.out is None:
-        raise LearningError("--out: missing; allowed: where the archive goes, or --rate")
     with ItemProgress("frames", sys.stderr) as progress:
         built = archive_sessions(
-            sessions,
+            options.sessions,
             options.out,
             preset_name=options.preset,
             sensor=options.sensor,
@@ -83,45 +70,27 @@ def run(options: argparse.Namespace) -> int:
     for line in built.lines:
         print(line)
     if options.sheet is not None:
-        draw_sheet(options.out, read_group(sessions, options.sensor), options.sheet)
+        from learning.markers.recording import read_group
+        from learning.markers.sheet import draw_sheet
+
+        draw_sheet(options.out, read_group(options.sessions, options.sensor), options.sheet)
         print(f"{options.sheet}: written")
     print(f"{options.out}: {built.made:,} frames made")
     return 0
 
 
-def _sessions(options: argparse.Namespace) -> list[Path]:
-    """Return the sessions; a folder of pictures becomes one, beside the archive."""
-    from learning.markers.fit import ENDINGS
-    from recorder.convert import Answers, draft_recordings, write_sessions
+def _require_sessions(paths: Sequence[Path]) -> None:
+    """Reject files and folders of pictures.
 
-    found: list[Path] = []
-    for path in options.sessions:
-        if path.is_file():
+    Raises:
+        LearningError: Names the command that makes a session of them.
+    """
+    for path in paths:
+        if path.is_file() or (path.is_dir() and not (path / "zarr.json").exists()):
             raise LearningError(
                 f"{path}: is no session; allowed: what `tactile import {path} --out NAME.zarr` "
-                "makes of it"
+                "makes of it (--stills if each picture is a contact of its own)"
             )
-        if not path.is_dir() or not any(one.suffix.lower() in ENDINGS for one in path.iterdir()):
-            found.append(path)
-            continue
-        if options.out is None:
-            raise LearningError(f"--out: missing; allowed: where the archive of {path} goes")
-        session = options.out.with_name(f"{options.out.name.split('.')[0]}.{path.name}.zarr")
-        found.append(session)
-        if session.exists():
-            print(f"{session}: exists already, used for {path}", file=sys.stderr)
-            continue
-        answers = Answers(
-            sensor=options.sensor or path.resolve().parent.name,
-            indenter=path.resolve().name,
-            stills=True,
-            no_contact=() if options.no_contact is None else (options.no_contact,),
-        )
-        drafts = draft_recordings([path], [], answers)
-        with ItemProgress("pictures", sys.stderr) as progress:
-            write_sessions(drafts, session, answers, progress)
-        print(f"{session}: session of the pictures in {path}", file=sys.stderr)
-    return found
 
 
 def _sam(options: argparse.Namespace) -> EfficientSam | None:

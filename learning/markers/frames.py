@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.archive_writer import CHUNK_ROWS, FLAG, INVALID, UNIT_ROWS, Flagger, Frames
+from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
-from learning.markers.efficient_sam import EfficientSam
+from learning.markers.flags import FLAG, INVALID, Flagger
 from learning.markers.lattice import Lattice, with_reference
 from learning.markers.recording import Placed, Recording, SensorGroup
 from learning.markers.regular import spread_of
@@ -28,6 +28,9 @@ from learning.markers.segment import (
 from learning.markers.shading import cells_of, shading_of
 from recorder.archive import MASKS, SHADING, MarkerCount, SensorPlan
 from recorder.markers import HEIGHT, WIDTH, draw_discs, find_blobs, pack
+
+if TYPE_CHECKING:
+    from learning.markers.efficient_sam import EfficientSam
 
 # Marker images of taxels: counts minus those without contact, drawn as discs.
 

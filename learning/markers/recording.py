@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,9 @@ from learning.indenters import coded
 from recorder import Session, Stream
 from recorder.session import quaternion, surface_heights
 from recorder.spec import AXES, PHASES
-from trajectories.press_shear import PressShear
-from trajectories.stored import plan_from_json
+
+if TYPE_CHECKING:
+    from trajectories import PressShear
 
 Integers = NDArray[np.int64]
 Kind = Literal["camera", "taxels"]
@@ -104,6 +105,8 @@ class Recording:
         Raises:
             LearningError: The stored plan is invalid.
         """
+        from trajectories import PressShear, plan_from_json  # all kinds of plans
+
         stored = self.session.attrs.get("plan")
         if not isinstance(stored, dict) or stored.get("kind") != PressShear.KIND:
             return None
@@ -369,7 +372,7 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
     if not paths:
         raise LearningError("sessions: found none; allowed: one or more")
     recordings = [read_recording(path, sensor) for path in paths]
-    indenters = coded(one.indenter for one in recordings)
+    indenters = coded({one.indenter for one in recordings})
     _require_different(recordings)
     _require_alike(recordings)
     located = [one for one in recordings if one.located]

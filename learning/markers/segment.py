@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.config import READER, preset_names, preset_path
+from learning.config import READER, preset_names, preset_path, read_one_of
 from learning.errors import LearningError
 from recorder.markers import HEIGHT, SMALLEST_PX, WIDTH, find_blobs
 
@@ -533,7 +533,8 @@ def read_preset(path: Path) -> Preset:
     Raises:
         LearningError: The file is missing, is not YAML, or has an invalid key or value.
     """
-    return built_preset(READER.read(path), str(path))
+    made: Preset = read_one_of(get_args(Preset), path)
+    return made
 
 
 def built_preset(content: Any, where: str) -> Preset:

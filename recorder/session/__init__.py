@@ -1,14 +1,18 @@
 """Sessions: writing, reading, alignment, recovery and windows of synchronised rows."""
 
-from recorder.session.accounts import Account, accounts_of, loss_lines
-from recorder.session.align import EXPOSURE, captured, linear, quaternion
-from recorder.session.clocks import clock_lines, fit_clocks
-from recorder.session.columns import Stream
-from recorder.session.frames import in_frame, surface_heights
-from recorder.session.press_curve import press_curves, save_curves
-from recorder.session.sheet import contact_sheet, thumbnails
-from recorder.session.tail import ImageTail, open_tail
-from recorder.session.uncertainty import PRIOR, sigmas_of, time_lines
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from recorder.session.accounts import Account, accounts_of, loss_lines
+    from recorder.session.align import EXPOSURE, captured, linear, quaternion
+    from recorder.session.clocks import clock_lines, fit_clocks
+    from recorder.session.columns import Stream
+    from recorder.session.frames import in_frame, surface_heights
+    from recorder.session.press_curve import press_curves, save_curves
+    from recorder.session.sheet import contact_sheet, thumbnails
+    from recorder.session.tail import ImageTail, open_tail
+    from recorder.session.uncertainty import PRIOR, sigmas_of, time_lines
 
 __all__ = [
     "EXPOSURE",
@@ -33,3 +37,34 @@ __all__ = [
     "thumbnails",
     "time_lines",
 ]
+
+# Module of each name; imported on demand, as a reader needs neither tails nor drawings.
+_MODULES = {
+    "EXPOSURE": "align",
+    "PRIOR": "uncertainty",
+    "Account": "accounts",
+    "ImageTail": "tail",
+    "Stream": "columns",
+    "accounts_of": "accounts",
+    "captured": "align",
+    "clock_lines": "clocks",
+    "contact_sheet": "sheet",
+    "fit_clocks": "clocks",
+    "in_frame": "frames",
+    "linear": "align",
+    "loss_lines": "accounts",
+    "open_tail": "tail",
+    "press_curves": "press_curve",
+    "quaternion": "align",
+    "save_curves": "press_curve",
+    "sigmas_of": "uncertainty",
+    "surface_heights": "frames",
+    "thumbnails": "sheet",
+    "time_lines": "uncertainty",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

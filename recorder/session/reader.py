@@ -150,12 +150,12 @@ class Session:
     @property
     def columns(self) -> dict[str, str]:
         """Column of `frames` and `reference` by stream, in order; see `spec.frame_columns`."""
-        return frame_columns((name, self.streams[name].traits) for name in self.order)
+        return frame_columns([(name, self.streams[name].traits) for name in self.order])
 
     @property
     def signal(self) -> str | None:
         """Name of the stream that the others are aligned to; None without a signal."""
-        return signal_of((name, self.streams[name].traits) for name in self.order)
+        return signal_of([(name, self.streams[name].traits) for name in self.order])
 
     def of_kind(self, kind: str) -> list[str]:
         """Return the names of the streams of a kind, in order."""

@@ -16,16 +16,17 @@ from support.marker_truth import VIEWS
 from support.sessions import reseal
 
 import sim.indenters
-from learning.archive_writer import FLAG, INVALID
 from learning.errors import LearningError
 from learning.indenters import NAMES
 from learning.markers import Segmenter, archive_sessions, find_centres, grey, preset, taxel_masks
+from learning.markers.flags import FLAG, INVALID
 from learning.markers.recording import read_group
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs
 from recorder.markers import unpack
 from rig.mock.world.picture import MarkerCamera
 from tactile.__main__ import main
+from trajectories import PressShear, plan_to_json
 
 OWN = "dark-markers"
 
@@ -271,7 +272,8 @@ def test_sessions_that_do_not_belong_together_are_refused_by_name(
 def with_plan(source: Path, path: Path, sensor: str, **changes: Any) -> Path:
     """Copy a session with directions 0 and 1, the plan changed."""
     lengths = {"step_x": 4e-3, "step_y": 4e-3, "depth_step": 1e-3, "depth_max": 1e-3, "shear": 1e-3}
-    plan = {"kind": "press_shear", **lengths, "angle_step": math.radians(30), **changes}
+    shear = PressShear(**lengths, angle_step=math.radians(30), order="quadrants")
+    plan = plan_to_json(shear) | changes
     arrays = {"targets/direction": np.arange(TARGETS), "targets/point": 2}
     return altered(source, path, arrays, sensor=sensor, plan=plan)
 
@@ -384,8 +386,6 @@ def test_the_command_makes_an_archive_and_a_sheet(
     red, green, blue = pixels.T
     assert np.sum((red > 200) & (green > 100) & (green < 190) & (blue < 110)) > 500  # outlines
     assert np.sum((red > 190) & (green < 90) & (blue < 80)) > 500  # borders of flagged frames
-    assert main(["markers", str(camera), "--rate"]) == 0
-    assert "frames/s of one core (reading" in capsys.readouterr().out
 
 
 def test_the_command_says_what_is_wrong_and_exits_with_2(
@@ -393,7 +393,7 @@ def test_the_command_says_what_is_wrong_and_exits_with_2(
 ) -> None:
     out = str(tmp_path / "a.markers.zarr")
     for arguments, message in (
-        ([str(camera)], "--out: missing"),
+        ([str(camera)], "arguments are required: --out"),
         ([str(camera), "--out", out, "--preset", OWN], "mm_per_px: not in preset"),
         ([str(tmp_path / "none.zarr"), "--out", out], "none.zarr"),
         ([str(camera), "--out", out, "--sam-encoder", "x.onnx"], "both or neither"),

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from learning.archive_writer import CHUNK_ROWS, FLAG, UNIT_ROWS, Flagger, Frames
+from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames
 from learning.errors import LearningError
+from learning.markers.flags import FLAG, Flagger
 from recorder.archive import NO_PHASE, MarkerCount, SensorPlan
 from recorder.convert import FORCE_COLUMNS, POSE_COLUMNS
 from recorder.markers import HEIGHT, PACKED, WIDTH, pack, unpack
