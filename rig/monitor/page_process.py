@@ -7,7 +7,6 @@ per second; if the page's process hangs or dies, only that thread is affected.
 from __future__ import annotations
 
 import asyncio
-import http.client
 import multiprocessing
 import os
 import signal
@@ -19,7 +18,7 @@ from typing import Any
 
 from rig.core.clock import Clock, SystemClock
 from rig.core.errors import ConfigError
-from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, urls_of
+from rig.monitor.access import AccessPolicy, urls_of
 from rig.monitor.lab import Folders
 from rig.monitor.live_view import LiveView
 from rig.monitor.server import LINGER, PATIENCE, PageServer
@@ -86,7 +85,7 @@ class PageProcess:
         return urls_of(self._settings.access, self.port)
 
     def start(self) -> None:
-        """Start the process, and wait until the page answers.
+        """Start the process, and wait until it serves the page.
 
         Raises:
             ConfigError: The port or the address cannot be used.
@@ -103,7 +102,6 @@ class PageProcess:
             self._stop_process()
             raise ConfigError(f"{self._settings.option}: {answer}")
         self.port = answer
-        self._await_answer()
         self._thread.start()
 
     def close(self) -> None:
@@ -114,21 +112,6 @@ class PageProcess:
         if not self._thread.is_alive():
             self._process.join(LINGER + 2.0)
         self._stop_process()
-
-    def _await_answer(self) -> None:
-        """Wait until the page answers a request, so that its address works when it is printed."""
-        access, host = self._settings.access, self._settings.access.host
-        at = LOOPBACK_HOST if host == "0.0.0.0" else "::1" if host == "::" else host
-        client = http.client.HTTPConnection(at, self.port, timeout=_START_TIMEOUT)
-        try:
-            client.request("GET", f"/?token={access.token}")
-            client.getresponse().read()
-        except (OSError, http.client.HTTPException) as error:
-            self._stop_process()
-            option = self._settings.option
-            raise ConfigError(f"{option}: {at}:{self.port} does not answer: {error}") from error
-        finally:
-            client.close()
 
     def _stop_process(self) -> None:
         if self._process.is_alive():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import http.client
 import ipaddress
 import re
 import urllib.parse
@@ -18,7 +17,6 @@ from recorder.command_line.errors import CommandError
 from recorder.command_line.options import Parser
 from rig.acquire.request import CollectRequest
 from rig.cli.options import add_page, benches_option, calibration_options, opened_page
-from rig.core.errors import ConfigError
 from rig.monitor.collection import CollectionJob
 from rig.monitor.collection_page import CollectionPage
 from trajectories import ForceDepth
@@ -99,40 +97,6 @@ def test_the_address_is_printed_and_a_remote_one_has_the_token(
         assert page is not None
         assert f":{page.port}/?token=" in printed
         assert "not encrypted" in printed
-
-
-def test_the_page_answers_before_its_address_is_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    printed: list[str] = []
-    answer = http.client.HTTPConnection.getresponse
-
-    def noted(connection: http.client.HTTPConnection) -> http.client.HTTPResponse:
-        response = answer(connection)
-        printed.append(capsys.readouterr().out)
-        assert response.status == 200
-        return response
-
-    monkeypatch.setattr(http.client.HTTPConnection, "getresponse", noted)
-    with contextlib.ExitStack() as stack:
-        assert opened(parse("--watch", "0"), tmp_path, stack) is not None
-        assert printed == [""]
-        assert "watch it at" in capsys.readouterr().out
-
-
-def test_the_address_of_a_page_that_does_not_answer_is_not_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def silent(connection: http.client.HTTPConnection) -> None:
-        raise TimeoutError("timed out")
-
-    monkeypatch.setattr(http.client.HTTPConnection, "getresponse", silent)
-    with (
-        contextlib.ExitStack() as stack,
-        pytest.raises(ConfigError, match=r"--watch: 127\.0\.0\.1:\d+ does not answer: timed out"),
-    ):
-        opened(parse("--watch", "0"), tmp_path, stack)
-    assert capsys.readouterr().out == ""
 
 
 def test_the_map_of_a_press_without_shear_has_one_direction(tmp_path: Path) -> None:
