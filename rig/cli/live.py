@@ -197,8 +197,8 @@ def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator
         with mock_bench(file, folder, clock, rate_hz=options.rate_hz) as watched:
             yield watched
         return
-    for name, given in (("--rate-hz", options.rate_hz), ("--indenter", options.indenter)):
-        if given is not None:
+    for name, value in (("--rate-hz", options.rate_hz), ("--indenter", options.indenter)):
+        if value is not None:
             raise ConfigError(f"{name}: {path} is a lab bench; allowed: a mock bench")
     print(f"LAB BENCH ({path}): nothing moves", flush=True)
     with lab_bench(bench, clock, say=lambda line: print(line, flush=True)) as watched:

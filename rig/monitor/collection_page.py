@@ -15,7 +15,7 @@ from typing import Any
 
 from recorder import OUTCOMES, Session
 from rig.acquire.control import Control
-from rig.core.clock import SECOND_NS, Clock, SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 from rig.monitor.collection import COMMANDS, ENDED, CollectionJob, CollectionView, Snapshot
 from rig.monitor.finished import LETTERS
 from rig.monitor.lab import ADDRESS
@@ -49,14 +49,11 @@ class CollectionPage(PageProcess):
     Args:
         settings: Settings of the page.
         job: The collection.
-        clock: Clock.
     """
 
-    def __init__(
-        self, settings: PageSettings, job: CollectionJob, clock: Clock | None = None
-    ) -> None:
+    def __init__(self, settings: PageSettings, job: CollectionJob) -> None:
         super().__init__(settings, CollectionView, job)
-        self._clock = clock or SystemClock()
+        self._clock = SystemClock()
         self._start_ns = self._clock.now_ns()
         self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.spots))
         self._outcomes = list(self._snapshot.outcomes)

@@ -21,7 +21,7 @@ from rig.core.errors import ConfigError
 from rig.monitor.access import AccessPolicy, urls_of
 from rig.monitor.lab import Folders
 from rig.monitor.live_view import LiveView
-from rig.monitor.server import LINGER, PATIENCE, PageServer
+from rig.monitor.server import LINGER, PageServer
 
 # Interval between messages to the page [s]; commands are received immediately.
 _PERIOD = 0.2
@@ -39,8 +39,6 @@ class PageSettings:
     """Folders of the lab; without one of sessions, only the live view is served."""
     option: str = "--watch"
     """Option of the command, for error messages."""
-    patience: float = PATIENCE
-    """Time after which a client that reads nothing is disconnected [s]."""
 
 
 class PageProcess:
@@ -154,9 +152,8 @@ def run_page(
         view.start()
 
     folders = settings.folders if settings.folders.sessions.is_dir() else None
-    patience = settings.patience
     try:
-        server = PageServer(settings.access, folders, clock, view, pipe, patience=patience)
+        server = PageServer(settings.access, folders, clock, view, pipe)
         asyncio.run(server.run(ready))
     except ConfigError as error:
         pipe.send(str(error))

@@ -133,7 +133,6 @@ class PageServer:
         clock: Clock.
         view: The live view.
         pipe: Connection to the command, which ends the server; None: a signal does.
-        patience: Time after which a client that reads nothing is disconnected [s].
     """
 
     def __init__(
@@ -143,8 +142,6 @@ class PageServer:
         clock: Clock,
         view: LiveView | None = None,
         pipe: Connection | None = None,
-        *,
-        patience: float = PATIENCE,
     ) -> None:
         self._access = access
         self._site = Site(access)
@@ -152,7 +149,6 @@ class PageServer:
         self._clock = clock
         self._view = view
         self._pipe = pipe
-        self._patience = patience
         self._reader = ThreadPoolExecutor(1, "lab", initializer=os.nice, initargs=(5,))
         self._clients: set[ServerConnection] = set()
         self._most = MAX_READERS if view is None else MAX_WATCHERS
@@ -285,7 +281,7 @@ class PageServer:
             await client.close(1008, reason)
 
     async def _send(self, client: ServerConnection, message: dict[str, Any] | bytes) -> None:
-        async with asyncio.timeout(self._patience):
+        async with asyncio.timeout(PATIENCE):
             await client.send(message if isinstance(message, bytes) else json.dumps(message))
 
     async def _listen_to(self, client: ServerConnection) -> str:

@@ -50,7 +50,7 @@ class Running:
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
     watched_bench, access = WatchedBench(tmp_path_factory.mktemp("page")), AccessPolicy(port=0)
-    with watched_bench.page(access, patience=0.5) as page:
+    with watched_bench.page(access) as page:
         yield Running(watched_bench, page, access)
     watched_bench.close()
 

@@ -72,12 +72,11 @@ class WatchedBench:
         request = CollectRequest(self.session, targets=TARGETS)
         return CollectionJob.of(BENCH, self.folder, request, BENCH.trajectory, TARGETS)
 
-    def settings(self, access: AccessPolicy | None = None, **others: Any) -> PageSettings:
-        folders = Folders(self.folder, BENCHES)
-        return PageSettings(access or AccessPolicy(port=0), folders, **others)
+    def settings(self, access: AccessPolicy | None = None) -> PageSettings:
+        return PageSettings(access or AccessPolicy(port=0), Folders(self.folder, BENCHES))
 
-    def page(self, access: AccessPolicy | None = None, **others: Any) -> CollectionPage:
-        return CollectionPage(self.settings(access, **others), self.job())
+    def page(self, access: AccessPolicy | None = None) -> CollectionPage:
+        return CollectionPage(self.settings(access), self.job())
 
     def writer(self) -> SessionWriter:
         """Return a writer of the session, to add segments."""
