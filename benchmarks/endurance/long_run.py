@@ -16,7 +16,7 @@ from recorder.strict_yaml import yaml_text
 from rig.bench.bench import BenchFile
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError
-from trajectories import PressShear, dry_run
+from trajectories import PressShear
 
 # Interval between observations [s].
 _EVERY = 5.0
@@ -55,9 +55,7 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
 
     def length(directions: int) -> float:
         longer = replace(plan, angle_step=2 * pi / directions)
-        return dry_run(
-            longer, bench.plan_limits, speed=bench.arm.speed, acceleration=bench.arm.acceleration
-        ).duration
+        return bench.dry_run(longer).duration
 
     most = length(_MOST_DIRECTIONS)
     if most < seconds:

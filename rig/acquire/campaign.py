@@ -21,7 +21,7 @@ from rig.bench.indenter import find_indenter
 from rig.core.config import build, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.packaged import CAMPAIGNS, packaged
-from trajectories import Plan, dry_run, plan_from_json
+from trajectories import Plan, plan_from_json
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
@@ -147,9 +147,7 @@ def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
     plan: Plan | None = bench.trajectory if entry.plan == "press_shear" else bench.force_depth
     if plan is None or plan.kind != entry.plan:
         raise ConfigError(f"{where}.plan: found {entry.plan!r}; {bench_path} has none")
-    walked = dry_run(
-        plan, bench.plan_limits, speed=bench.arm.speed, acceleration=bench.arm.acceleration
-    )
+    walked = bench.dry_run(plan)
     if walked.broken:
         raise ConfigError(f"{where}: the plan breaks a limit: {'; '.join(walked.broken)}")
     return bench_path, bench, plan, walked.duration

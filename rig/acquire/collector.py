@@ -50,7 +50,7 @@ from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
-from trajectories import Plan, dry_run, plan_to_json
+from trajectories import Plan, plan_to_json
 
 logger = logging.getLogger(__name__)
 
@@ -387,8 +387,7 @@ def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseExceptio
 
 def seconds_per_target(bench: Bench, plan: Plan) -> float:
     """Return the predicted mean duration of a target [s], with travel and references."""
-    arm = bench.arm
-    moving = dry_run(plan, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
+    moving = bench.dry_run(plan)
     points = len({target.point for target in plan.targets()})
     held = 3 * bench.hold * len(plan)
     return (moving.duration + held + points * bench.preflight.point_window) / len(plan)

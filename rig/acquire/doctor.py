@@ -22,7 +22,7 @@ from recorder.progress import duration
 from rig.acquire.control import Control
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.preflight import rate_window
-from rig.acquire.preview import draw, summary
+from rig.acquire.preview import draw
 from rig.acquire.streams import StreamHandle, Streams
 from rig.bench.bench import Bench, BenchStream
 from rig.bench.stream_kinds import expected_rate
@@ -31,7 +31,6 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose, invert
 from rig.core.realtime import RIG_PRIORITY, may_have_priority
 from rig.devices import registry
-from trajectories import dry_run
 
 State = Literal["well", "note", "FAULT"]
 
@@ -101,19 +100,15 @@ def examine(
 
 def plan(bench: Bench, sessions: Path) -> Finding:
     """Draw the bench's plan in a folder, and examine it against the bench's limits."""
-    arm = bench.arm
-    walked = dry_run(
-        bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
-    )
+    walked = bench.dry_run(bench.trajectory)
     text = (
         f"{walked.targets} targets, {1e3 * walked.depth:.3f} mm deep, about {walked.force:.1f} N, "
-        f"{duration(walked.duration + walked.moves * arm.settle)}"
+        f"{duration(walked.duration + walked.moves * bench.arm.settle)}"
     )
     picture = sessions / f"{bench.sensor}-plan.png"
     try:
         sessions.mkdir(parents=True, exist_ok=True)
-        lines = summary(bench, walked)
-        draw(bench, list(bench.trajectory.targets()), lines, bool(walked.broken)).save(picture)
+        draw(bench, walked).save(picture)
         text += f"; drawn in {picture}"
     except OSError as error:
         text += f"; not drawn: {picture}: {error.strerror or error}"

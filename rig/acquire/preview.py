@@ -43,8 +43,9 @@ def summary(bench: Bench, walked: DryRun) -> list[str]:
     return lines + [f"BREAKS A LIMIT: {text}" for text in walked.broken]
 
 
-def draw(bench: Bench, targets: list[Target], lines: list[str], broken: bool) -> Image.Image:
-    """Draw the plan from above and from the side, with its summary."""
+def draw(bench: Bench, walked: DryRun) -> Image.Image:
+    """Draw a bench's plan from above and from the side, with the summary of its dry run."""
+    targets = list(bench.trajectory.targets())
     image = Image.new("RGB", _SIZE, _PAPER)
     canvas = ImageDraw.Draw(image)
     title = ImageFont.load_default(24)
@@ -56,10 +57,10 @@ def draw(bench: Bench, targets: list[Target], lines: list[str], broken: bool) ->
     colours = {depth: _colour(k, len(depths)) for k, depth in enumerate(depths)}
     _draw_top(canvas, bench, targets, colours, small)
     _draw_side(canvas, bench, targets, colours, small)
-    for k, line in enumerate(lines):
+    for k, line in enumerate(summary(bench, walked)):
         colour = _WARN if line.startswith("BREAKS") else _INK
         canvas.text((620, 380 + 26 * k), line, colour, font=ImageFont.load_default(16))
-    if broken:
+    if walked.broken:
         canvas.rectangle((2, 2, _SIZE[0] - 3, _SIZE[1] - 3), outline=_WARN, width=4)
     return image
 

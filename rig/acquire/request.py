@@ -14,7 +14,7 @@ from recorder import OUTCOMES, Session, SessionError
 from rig.acquire.calibration.calibration import Calibration
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
-from trajectories import Plan, Target, dry_run, plan_from_json
+from trajectories import Plan, Target, plan_from_json
 
 if TYPE_CHECKING:
     from rig.acquire.streams import Streams
@@ -88,9 +88,7 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
         raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")
     if unknown := [index + 1 for index in request.again if not 0 <= index < total]:
         raise ConfigError(f"AGAIN, --again: found {unknown[0]}; allowed: targets 1 to {total}")
-    walked = dry_run(
-        plan, bench.plan_limits, speed=bench.arm.speed, acceleration=bench.arm.acceleration
-    )
+    walked = bench.dry_run(plan)
     if walked.broken:
         raise ConfigError(f"{bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")
     return plan, total

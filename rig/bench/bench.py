@@ -37,7 +37,7 @@ from rig.devices.force.settings import ForceSettings
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import TaxelSettings
-from trajectories import ForceDepth, Limits, PressShear
+from trajectories import DryRun, ForceDepth, Limits, Plan, PressShear, dry_run
 
 # Least cosine between the tool's axis and the direction into the sensor.
 _POINTS_INTO_SENSOR = 0.7
@@ -332,6 +332,11 @@ class Bench:
     def plan_limits(self) -> Limits:
         """Limits that a plan is checked against before anything moves."""
         return self.limits.for_plan(self.force_rating[2], self.dome_radius)
+
+    def dry_run(self, plan: Plan) -> DryRun:
+        """Return a dry run of a plan with the arm's speed, against the limits of the bench."""
+        arm = self.arm
+        return dry_run(plan, self.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
 
     @property
     def force_rating(self) -> tuple[float, ...]:

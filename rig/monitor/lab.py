@@ -17,7 +17,7 @@ from recorder.command_line.options import next_command
 from rig.acquire.again import marked, write_marks
 from rig.acquire.calibration.store import FOLDER, SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, progress_of
-from rig.acquire.preview import draw, summary
+from rig.acquire.preview import draw
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.indenter import find_indenter, indenter_names
 from rig.core.clock import Clock
@@ -25,7 +25,6 @@ from rig.core.config import from_si
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS
 from rig.monitor.finished import Finished
-from trajectories import dry_run
 
 # File beside a session with the port of its page, as long as the page is served.
 ADDRESS = ".tactile-page.json"
@@ -182,14 +181,8 @@ class Lab:
             KeyError: No bench of `state` has that name.
             ConfigError: The bench file is wrong.
         """
-        bench = self._named(sensor)
-        arm = bench.arm
-        walked = dry_run(
-            bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
-        )
-        lines = summary(bench, walked)
-        png = io.BytesIO()
-        draw(bench, list(bench.trajectory.targets()), lines, bool(walked.broken)).save(png, "PNG")
+        bench, png = self._named(sensor), io.BytesIO()
+        draw(bench, bench.dry_run(bench.trajectory)).save(png, "PNG")
         return png.getvalue()
 
     def indenter_picture(self, name: str) -> bytes:

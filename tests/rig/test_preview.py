@@ -12,7 +12,6 @@ from rig.acquire.preview import summary
 from rig.bench.bench import BenchFile
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
-from trajectories import dry_run
 
 
 @pytest.mark.parametrize(
@@ -29,10 +28,7 @@ def test_every_plan_is_drawn_and_described(
     sensor: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
     bench = BenchFile.read(BENCHES / f"{sensor}.yaml").bench
-    arm = bench.arm
-    walked = dry_run(
-        bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
-    )
+    walked = bench.dry_run(bench.trajectory)
     described = "\n".join(summary(bench, walked))
     for word in (*words, "soft limit", "paper: 20 to 60"):
         assert word in described
