@@ -59,7 +59,6 @@ VENDORS = {
     "pyarrow": {"recorder/convert"},
     "fsspec": {"recorder/store"},
     "trimesh": {"sim/indenters"},
-    "distributed": {"sim/dataset"},
 }
 # Imports that a module may make only inside its functions.
 LAZY = {"rig/mock/world/simulated.py": {"sim"}, "rig/monitor/predictor.py": {"learning"}}

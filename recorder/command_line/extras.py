@@ -7,7 +7,6 @@ LIBRARIES = {
     "accelerate": ("learning",),
     "cv2": ("rig", "markers", "learning"),
     "diffusers": ("diffusion",),
-    "distributed": ("cluster",),
     "foxglove_schemas_protobuf": ("export",),
     "fsspec": ("remote",),
     "grpc": ("nidaq",),

@@ -100,9 +100,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="worker processes (2); with fem on a GPU, those that render images "
         f"(at most {RENDERERS})",
     )
-    group.add_argument(
-        "--scheduler", metavar="tcp://...", help="a Dask cluster whose workers share --out (none)"
-    )
     group.add_argument("--no-check", action="store_true", help="do not count markers at the end")
     group.add_argument(
         "--sheet", type=Path, metavar="PNG", help="draw every sensor and indenter at the end (no)"
@@ -147,11 +144,11 @@ def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
     from sim.dataset import begin
     from sim.device import ready_device
 
-    ready_device("cpu" if options.scheduler else options.device)
+    ready_device(options.device)
     if options.device != "cpu":
         solving = replace(plan.solving, one_topology=plan.solving.tier == "fem")
         plan = replace(plan, batch_size=BATCH_SIZE_GPU, solving=solving)
-    return _fill(options, begin(out, plan, "cpu" if options.scheduler else options.device))
+    return _fill(options, begin(out, plan, options.device))
 
 
 def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
@@ -172,7 +169,7 @@ def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
     from sim.device import ready_device
 
     go_on = _go_on(opened)
-    kernels = ready_device("cpu" if options.scheduler else options.device)
+    kernels = ready_device(options.device)
     processes = _processes(options)
     missing = opened.missing()
     _tell_cost(opened, missing, processes, options)
@@ -237,13 +234,7 @@ def _go_on(opened: OpenArchive) -> str:
 def _maker(
     options: argparse.Namespace, opened: OpenArchive, processes: int, stop: Stop
 ) -> partial[Iterator[UnitStats]]:
-    """Return the function that makes units: in this process, in several or on a cluster."""
-    if options.scheduler:
-        from sim.dataset.run import make_on_cluster
-
-        return partial(
-            make_on_cluster, opened, address=options.scheduler, device=options.device, stop=stop
-        )
+    """Return the function that makes units, in this process or in several."""
     from sim.dataset.run import make_here, make_in_processes
 
     if options.device == "cpu":
@@ -259,11 +250,10 @@ def _tell_cost(
     from recorder.progress import duration
     from sim.dataset.run import cost
 
-    device = options.device
     if not missing:
         print(f"{opened.path}: nothing is missing")
         return
-    taken = cost(opened.plan, missing, "cluster" if options.scheduler else device)
+    taken = cost(opened.plan, missing, options.device)
     print(
         f"{opened.path}: {taken.presses:,} presses ({'; '.join(taken.how)}), "
         f"{taken.frames:,} frames, {taken.images:,} images, about {taken.size / 1e6:,.0f} MB"
@@ -283,8 +273,6 @@ def _processes(options: argparse.Namespace) -> int:
     from sim.tiers import check_processes
 
     processes: int | None = options.processes
-    if options.scheduler and processes is not None:
-        raise SceneError(f"--processes: {processes} with --scheduler; allowed: either")
     if processes is None:
         processes = 2 if options.device == "cpu" else max(1, min(RENDERERS, cores() // 2))
     check_processes(processes)

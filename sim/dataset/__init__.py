@@ -26,7 +26,6 @@ from sim.dataset.run import (
     found,
     make_here,
     make_in_processes,
-    make_on_cluster,
 )
 
 __all__ = [
@@ -48,7 +47,6 @@ __all__ = [
     "gel",
     "make_here",
     "make_in_processes",
-    "make_on_cluster",
     "make_unit",
     "units",
 ]

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
-from uuid import uuid4
 
 import numpy as np
 from scipy.special import gammainc
@@ -23,7 +22,7 @@ from recorder import SessionError
 from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCount, SensorPlan
 from recorder.command_line.options import next_command
 from recorder.markers import count_markers, unpack
-from recorder.processes import WorkerLost, Workers
+from recorder.processes import Workers
 from sim.dataset.generate import LATTICE, Packed, Reader, UnitStats, make_unit, reader
 from sim.dataset.plan import (
     DatasetPlan,
@@ -401,115 +400,6 @@ def _one_thread() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-# Units made by the workers of a Dask cluster, which write them to a shared file system.
-#
-# If a worker is killed, its unit runs again elsewhere. If two workers write a unit, both write the
-# same data.
-
-# Timeout for the first worker to connect [s].
-WORKERS_WITHIN = 30.0
-# Held while a unit is made: one at a time, even in a worker with several threads.
-_ONE_AT_A_TIME = threading.Lock()
-
-
-def make_on_cluster(
-    opened: OpenArchive,
-    units: Sequence[Unit],
-    inside: object = None,
-    *,
-    address: str,
-    device: str,
-    stop: Stop,
-) -> Iterator[UnitStats]:
-    """Make units on a Dask cluster and yield each when it is done.
-
-    Args:
-        opened: The archive; its path is the same for every worker.
-        units: Its missing units.
-        inside: Not called, because several units are in progress.
-        address: Address of the scheduler, such as `tcp://host:8786`.
-        device: Device of each worker.
-        stop: Request to stop, after which no further units are submitted.
-
-    Raises:
-        SceneError: Dask is not installed, or the scheduler or its workers do not respond; or as
-            `make_unit`.
-        OSError: As `make_unit`.
-        WorkerLost: Several workers were killed by the same unit, so Dask stopped retrying it.
-    """
-    distributed = _distributed()
-    try:
-        client = distributed.Client(address, timeout=WORKERS_WITHIN, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise SceneError(f"--scheduler: {address!r}: {error}; allowed: one that runs") from error
-    path, run = opened.path.resolve(), uuid4().hex
-    rest = iter(units)
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=WORKERS_WITHIN)
-        except TimeoutError as error:
-            raise SceneError(
-                f"--scheduler: {address!r} has no workers; allowed: one that has"
-            ) from error
-        done = distributed.as_completed(loop=client.loop)
-        flying: dict[str, Any] = {}
-        try:
-            while True:
-                # Keep two units per thread submitted, so that no worker idles.
-                room = 2 * max(1, sum(client.nthreads().values()))
-                while len(flying) < room and not stop.asked:
-                    unit = next(rest, None)
-                    if unit is None:
-                        break
-                    future = client.submit(
-                        make_there,
-                        path,
-                        opened.plan,
-                        unit,
-                        device,
-                        key=f"unit-{run}-{unit.number}",
-                        pure=False,
-                    )
-                    flying[future.key] = future
-                    done.add(future)
-                if not flying:
-                    return
-                future = next(done)
-                del flying[future.key]
-                yield _result(distributed, future)
-        finally:
-            client.cancel(list(flying.values()), force=True)
-
-
-def make_there(path: Path, plan: DatasetPlan, unit: Unit, device: str) -> UnitStats:
-    """Make a unit in a worker of the cluster."""
-    with _ONE_AT_A_TIME:
-        ready_device(device)
-        return make_unit(path, plan, unit, device)
-
-
-def _result(distributed: Any, future: Any) -> UnitStats:
-    try:
-        made: UnitStats = future.result()
-    except distributed.KilledWorker as error:
-        raise WorkerLost(
-            f"{future.key}: every worker that ran it was killed, most likely for lack of memory; "
-            "allowed: more memory per worker, or fewer presses together"
-        ) from error
-    return made
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError as error:
-        raise SceneError(
-            "--scheduler: dask.distributed is not installed; allowed: "
-            "pip install 'tactile-rig[cluster]'"
-        ) from error
-    return distributed
 
 
 # Cost estimate of an archive, printed before it is begun.
