@@ -315,7 +315,7 @@ def page(done: Sequence[Ran]) -> str:
 
 Every command from the wheel to live forces, in a new environment and an empty folder, on the mock
 bench: {len(done)} commands in {took}. One run on {cores()} cores, made by
-`python -m benchmarks first-hour --page FILE` (`make first-hour` runs it).
+`python -m benchmarks first-hour --page FILE`.
 
 | command | time [s] | tries |
 |---|---|---|

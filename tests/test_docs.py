@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 import yaml
+from support.make_names import variables_of
 from support.tutorials import TUTORIALS, blocks
 
 from benchmarks.__main__ import BENCHMARKS
@@ -168,19 +169,13 @@ def test_commands_have_the_options_that_pages_give_them(page: Path) -> None:
 
 
 def test_make_targets_have_the_variables_that_pages_give_them() -> None:
-    text = (ROOT / "Makefile").read_text()
-    rules = re.findall(r"(?:^#: (.*)\n)?^([a-z][a-z -]*):.*  ## ", text, flags=re.M)
-    known = {
-        name: set(re.findall(r"\b([A-Z_]+)=", options))
-        for options, names in rules
-        for name in names.split()
-    }
+    makefile = (ROOT / "Makefile").read_text()
     wrong = []
     for page in PAGES:
         for line, _ in _commands(page):
             if matched := re.match(r"make ([a-z][a-z-]*)(.*)", line):
                 given = set(re.findall(r" \[?([A-Z_]+)=", matched[2]))
-                if given - known.get(matched[1], given):
+                if given - (variables_of(matched[1], makefile) or given):
                     wrong.append(f"{_name(page)}: {line}")
     assert not wrong
 
@@ -282,7 +277,7 @@ def test_make_targets_that_are_named_are_there() -> None:
     targets = set(re.findall(r"^([a-z][a-z -]*):", makefile, flags=re.M))
     known = {name for line in targets for name in line.split()}
     named = {target for page in PAGES for target in _MAKE.findall(page.read_text())}
-    assert {name for name in named if not name.startswith("help-")} <= known
+    assert named <= known
 
 
 def _is_there(dotted: str) -> bool:

@@ -1,4 +1,4 @@
-"""Make variables that a target does not read are refused: make itself ignores them."""
+"""The Makefile hands variables over whole, and refuses names that nothing reads."""
 
 from __future__ import annotations
 
@@ -8,46 +8,55 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from support.make_names import variables_of
+
+from tactile.commands import COMMANDS
 
 ROOT = Path(__file__).parent.parent
 TEXT = (ROOT / "Makefile").read_text()
-# The line of options, the names of targets, and the rest of the rule.
-RULES = list(
-    re.finditer(
-        r"(?:^#: (?P<options>.*)\n)?^(?P<names>[a-z][a-z -]*):(?P<recipe>.*  ## .*\n(?:\t.*\n)*)",
-        TEXT,
-        re.MULTILINE,
-    )
-)
+# Target, and its line in the list.
+TARGETS = dict(re.findall(r"^([a-z-]+):.*  ## (.*)$", TEXT, re.MULTILINE))
 
 
-def make(*arguments: str) -> subprocess.CompletedProcess[str]:
+def make(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     # Under `make test`, its own variables would make this one a sub-make, which prints more.
     plain = {name: value for name, value in os.environ.items() if "MAKE" not in name}
     plain.pop("MFLAGS", None)
     return subprocess.run(
-        ["make", "-n", *arguments],
+        ["make", *arguments],
         cwd=ROOT,
-        env=plain,
+        env=plain | environment,
         capture_output=True,
         text=True,
         check=False,
     )
 
 
+def test_it_is_short() -> None:
+    lines = TEXT.splitlines()
+    assert len(lines) <= 120
+    assert max(map(len, lines)) <= 110
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("collect", "sensor=uskin"), "sensor: unknown; did you mean SENSOR? allowed for collect"),
+        (("collect", "sensor=uskin"), "sensor: unknown; did you mean SENSOR? allowed: ARGS, BENCH"),
         (("collect", "TARGET=8"), "TARGET: unknown; did you mean TARGETS?"),
-        (("collect", "GPUS=4"), "GPUS: unknown; allowed for collect: SENSOR, TARGETS,"),
-        (("resume", "SESSION=x", "SENSOR=uskin"), "SENSOR: unknown; allowed for resume: SESSION,"),
-        (("test", "SENSOR=uskin"), "allowed for test: none"),
+        (("collect", "GPUS=4"), "GPUS: unknown; allowed: ARGS, BENCH, FORCE"),
+        (("resume", "SESSION=x", "SENSOR=uskin"), "SENSOR: unknown; "),
+        (("docs", "SENSOR=uskin"), "allowed: SERVE"),
+        (("test", "SENSOR=uskin"), "allowed: none"),
+        (("collect", "SENSOR=tacplam"), "SENSOR=tacplam: unknown; did you mean tacpalm? known: "),
+        (("campaign", "FILE=campaigns/dya.yaml"), "did you mean campaigns/day.yaml?"),
     ],
 )
-def test_an_unknown_variable_is_refused(arguments: tuple[str, ...], words: str) -> None:
-    ran = make(*arguments)
+def test_an_unknown_name_is_refused_before_anything_is_installed(
+    arguments: tuple[str, ...], words: str
+) -> None:
+    ran = make("-n", *arguments)
     assert ran.returncode == 2
+    assert f"wrong input: {arguments[-1].partition('=')[0]}" in ran.stderr
     assert words in ran.stderr
     assert ran.stdout == ""
 
@@ -55,38 +64,57 @@ def test_an_unknown_variable_is_refused(arguments: tuple[str, ...], words: str) 
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("collect", "SENSOR=uskin", "TARGETS=2", "WATCH=0.0.0.0:8765"),
-        ("collect", "PYTHON=python3.12"),
+        ("collect", "SENSOR=uskin", "TARGETS=2", "ARGS=--watch 0.0.0.0:8765"),
+        ("collect", "PYTHON=python3", "SENSOR=uskin"),
         ("check", "test"),
-        ("experiment", "ARCHIVE=x", "OUT=y", "ARGS=--pairs a:b"),
+        ("campaign", "FILE=campaigns/day.yaml"),
+        ("campaign", "FILE=rig/bench/campaigns/day.yaml"),
+        ("demo-learning", "OUT=runs/here"),
     ],
 )
-def test_known_variables_are_taken(arguments: tuple[str, ...]) -> None:
-    assert make(*arguments).returncode == 0
+def test_known_names_are_accepted(arguments: tuple[str, ...]) -> None:
+    assert make("-n", *arguments).returncode == 0
 
 
-def test_nothing_given_is_dropped() -> None:
+def test_values_are_handed_over_whole() -> None:
     """Which option wins is for the command to say, not for make."""
-    both = make("collect", "BENCH=b.yaml", "SENSOR=uskin").stdout
-    assert "--bench b.yaml" in both
-    assert "--sensor uskin" in both
-    assert "--sensor" not in make("collect", "BENCH=b.yaml").stdout
-    assert "--watch 0.0.0.0:80" in make("collect", "WATCH=0.0.0.0:80").stdout
-    assert "--operator 'Ada L'" in make("collect", "OPERATOR=Ada L").stdout
+    both = make("-n", "collect", "BENCH=my own.yaml", "SENSOR=uskin").stdout
+    assert "--bench 'my own.yaml'" in both
+    assert "--sensor 'uskin'" in both
+    assert r"--operator 'O'\''Hara'" in make("-n", "collect", "OPERATOR=O'Hara").stdout
+    assert "--operator '$HOME; `id`'" in make("-n", "collect", "OPERATOR=$HOME; `id`").stdout
+    resumed = make("-n", "resume", "SESSION=a b.zarr", "AGAIN=3,7").stdout
+    assert "--resume 'a b.zarr' --again '3,7'" in resumed
+    assert "out='my runs'" in make("-n", "demo-transfer", "OUT=my runs").stdout
+    more = make("-n", "collect", "SENSOR=uskin", "ARGS=--still").stdout
+    assert "collect --sensor 'uskin' --still" in " ".join(more.split())
 
 
-# Variables of the Makefile itself.
-INTERNAL = {"PY", "VENV", "MAKEFILE", "MAKECMDGOALS", "DEMO", "LAUNCH", "GIVEN"}
-SHARED = {
-    name: set(re.findall(r"\$\(([A-Z_]+)", value)) - INTERNAL
-    for name, value in re.findall(r"^([A-Z_]+) *:= (.*)$", TEXT, re.M)
-}
+def test_the_environment_gives_no_options() -> None:
+    plain = make("-n", "collect", "SENSOR=uskin").stdout
+    others = {"OPERATOR": "me", "ARGS": "--still", "HOST": "x"}
+    assert make("-n", "collect", "SENSOR=uskin", **others).stdout == plain
+    assert "serve" not in make("-n", "docs", SERVE="1").stdout
 
 
-@pytest.mark.parametrize("rule", RULES, ids=[rule["names"] for rule in RULES])
-def test_the_options_of_a_target_are_the_variables_that_it_reads(rule: re.Match[str]) -> None:
-    stated = set(re.findall(r"\b([A-Z_]+)=", rule["options"] or ""))
-    read = set(re.findall(r"\$\(([A-Z_]+)", rule["recipe"]))
-    while shared := read & set(SHARED):
-        read = (read - shared).union(*(SHARED[name] for name in shared))
-    assert read - INTERNAL == stated
+def test_all_targets_are_listed_with_variables_that_they_read() -> None:
+    (phony,) = re.findall(r"^\.PHONY: ((?:.*\\\n)*.*)$", TEXT, re.MULTILINE)
+    assert {*TARGETS, "help"} == set(phony.replace("\\", " ").split())
+    for target, line in TARGETS.items():
+        read = variables_of(target, TEXT)
+        assert read is not None
+        assert set(re.findall(r"\b([A-Z]+)=", line)) <= read
+
+
+def test_make_lists_its_targets_in_groups_of_short_lines() -> None:
+    listed = make("--no-print-directory").stdout.splitlines()
+    assert max(map(len, listed)) < 100
+    assert [line.split()[0] for line in listed if line.startswith("  ")] == list(TARGETS)
+    groups = [line.split()[0] for line in listed[1:] if line[:1].strip()]
+    assert groups == ["Record", "Demos", "Develop"]
+
+
+def test_its_commands_exist() -> None:
+    run = re.findall(r"\$\(TACTILE\) ([a-z-]+)(?: ([a-z-]+))?", TEXT)
+    assert run
+    assert all(first in COMMANDS or f"{first} {second}" in COMMANDS for first, second in run)

@@ -1,4 +1,4 @@
-"""What the commands of all packages share: errors and exit codes, options, extras.
+"""Errors, exit codes, options and extras that the commands of all packages share.
 
 Imports only the standard library, so that help is fast; see docs/decisions/0029.
 """

@@ -69,7 +69,7 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
         attrs = session.attrs
         if attrs["sensor"] != bench.sensor:
             raise ConfigError(
-                f"SENSOR: found {bench.sensor!r}; {request.path} was recorded with "
+                f"--sensor: found {bench.sensor!r}; {request.path} was recorded with "
                 f"{attrs['sensor']!r}"
             )
         recorded, present = set(session.streams), {row.name for row in bench.rows}
@@ -85,9 +85,9 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
             raise ConfigError(f"{request.path}: {error}") from None
         total = int(attrs["targets_wanted"])
     if not 1 <= total <= len(plan):
-        raise ConfigError(f"TARGETS: found {total}; allowed: 1 to {len(plan)}")
+        raise ConfigError(f"--targets: found {total}; allowed: 1 to {len(plan)}")
     if unknown := [index + 1 for index in request.again if not 0 <= index < total]:
-        raise ConfigError(f"AGAIN, --again: found {unknown[0]}; allowed: targets 1 to {total}")
+        raise ConfigError(f"--again: found {unknown[0]}; allowed: targets 1 to {total}")
     walked = bench.dry_run(plan)
     if walked.broken:
         raise ConfigError(f"{bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")

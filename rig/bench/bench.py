@@ -239,13 +239,13 @@ class Bench:
     """Holds the indenter; watched while the arm moves."""
     pedal: PedalConfig | None = None
     jog: SpaceMouseConfig | None = None
-    """SpaceMouse for moving the arm by hand; only for `make jog`."""
+    """SpaceMouse for moving the arm by hand; only for `tactile jog`."""
     force_depth: ForceDepth | None = None
     """The press that `force-depth` records; None if the sensor has none."""
     world: AnalyticSpec | SimulatedSpec | None = None
     """Sensor and contact of a mock bench; None on a lab bench."""
     simulated: SimulatedSpec | None = None
-    """Replaces `world` with WORLD=sim."""
+    """Replaces `world` with `--world sim`."""
     world_frame: tuple[float, ...] | None = field(
         default=None, metadata={"pose": True, "plausible": REACH_MM}
     )
@@ -408,7 +408,7 @@ def _check_streams(rows: Sequence[BenchStream]) -> None:
         raise ValueError(f"streams: {error}") from None
 
 
-def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "SENSOR") -> Path:
+def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "--sensor") -> Path:
     """Return the lab's bench file of `sensor` if it exists, else the mock bench's.
 
     Args:

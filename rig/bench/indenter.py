@@ -93,7 +93,7 @@ def indenter_names(folder: Path = OWN) -> list[str]:
     return [*paper_indenters(), *sorted(own - set(paper_indenters()))]
 
 
-def find_indenter(name: str, where: str = "INDENTER", folder: Path = OWN) -> Indenter:
+def find_indenter(name: str, where: str = "--indenter", folder: Path = OWN) -> Indenter:
     """Return the indenter of that name; the lab's own has precedence.
 
     Args:

@@ -85,11 +85,11 @@ def run(options: argparse.Namespace) -> int:
             "--resume: neither --out, --targets nor --indenter go with it: the session has them"
         )
     if options.again and not options.resume:
-        raise ConfigError("AGAIN, --again: goes with RESUME, --resume, only")
+        raise ConfigError("--again: goes with --resume only")
     recording = recording_of(options)
     sources = sources_of(options, recording.file)
     if not recording.bench.mock and options.truth:
-        raise ConfigError(f"TRUTH: {recording.file.path} is a lab bench; allowed: a mock bench")
+        raise ConfigError(f"--truth: {recording.file.path} is a lab bench; allowed: a mock bench")
     check_page("--watch", options.watch)
     return collect(
         recording,

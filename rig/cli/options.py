@@ -203,20 +203,20 @@ def sources_of(options: argparse.Namespace, file: BenchFile) -> Sources:
     """
     path, bench = file.path, file.bench
     for option, given, device in (
-        ("CAMERA", options.camera, bench.of_kind("camera")),
-        ("TAXELS", options.taxels, bench.of_kind("taxels")),
+        ("--camera", options.camera, bench.of_kind("camera")),
+        ("--taxels", options.taxels, bench.of_kind("taxels")),
     ):
         if given is None:
             continue
         if not bench.mock:
             raise ConfigError(f"{option}: {path} is a lab bench; allowed: a mock bench")
         if not device:
-            lacks = "camera" if option == "CAMERA" else "taxels"
+            lacks = "camera" if option == "--camera" else "taxels"
             raise ConfigError(
                 f"{option}: found {given}; {path} has no {lacks}: nothing would play it"
             )
     if options.still and options.camera is None:
-        raise ConfigError("STILL: goes with CAMERA only")
+        raise ConfigError("--still: goes with --camera only")
     motion = "still" if options.still else "moving"
     return Sources(camera=options.camera, camera_motion=motion, taxels=options.taxels)
 

@@ -36,7 +36,7 @@ logger = logging.getLogger(__name__)
 # What an emulator sends: bytes or text.
 M = TypeVar("M")
 
-# Port for injecting faults into a running emulator, used by `make faults` and the tests.
+# Port for injecting faults into a running emulator, used by `benchmarks faults` and the tests.
 #
 # One JSON object per line, {"fault": NAME, ...}. Each is answered by one line: {"ok": true, ...}
 # with the device's state, or {"ok": false, "error": TEXT}. The port is separate from the device's

@@ -22,7 +22,7 @@ class Sources:
 
     def __post_init__(self) -> None:
         """Reject a missing path before anything is started."""
-        for name, path in (("CAMERA", self.camera), ("TAXELS", self.taxels)):
+        for name, path in (("--camera", self.camera), ("--taxels", self.taxels)):
             if path is not None and not path.exists():
                 raise ConfigError(f"{name}: {path}: no such file or folder")
 

@@ -104,7 +104,7 @@ def write_units(writer: ArchiveWriter, name: str, units: Sequence[int]) -> None:
 
 
 def make_archive(path: Path, made_from: ArchivePlan = PLAN) -> Path:
-    """Write the missing units of an archive, as `make simulate` does."""
+    """Write the missing units of an archive, as `tactile sim archive states` does."""
     writer = ArchiveWriter.begin(path, made_from)
     for name, units in writer.missing().items():
         write_units(writer, name, units)

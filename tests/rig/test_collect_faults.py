@@ -43,7 +43,7 @@ def stopped_in_order(run: Collection) -> Session:
 
 @pytest.mark.parametrize(
     "device",
-    # The other devices take the same path through the collector; `make faults` tests all of them.
+    # The other devices take the same path through the collector; `benchmarks faults` tests them.
     [
         pytest.param(device, marks=() if device == "force" else pytest.mark.slow)
         for device in EMULATORS

@@ -29,7 +29,7 @@ def test_the_papers_are_known_by_name_with_size_and_drawing() -> None:
 def test_another_name_is_refused_with_the_likely_one(
     name: str, likely: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigError, match=rf"INDENTER: found '{name}'; did you mean {likely}\?"):
+    with pytest.raises(ConfigError, match=rf"--indenter: found '{name}'; did you mean {likely}\?"):
         find_indenter(name, folder=tmp_path)
     with pytest.raises(ConfigError, match=r"known in the paper .*: cone, cylinder,"):
         find_indenter("bananna", folder=tmp_path)

@@ -320,7 +320,7 @@ def test_a_session_without_a_signal_cannot_be_watched(tmp_path: Path) -> None:
         (["--sensor", "uskin", "--rate-hz", "-1"], "--rate-hz: found '-1'"),
         (["--sensor", "uskin", "--page", "x"], "--page: found 'x'; allowed: PORT or HOST:PORT"),
         (["--sensor", "uskin"], "found no config.yaml; allowed: the folder of a training run"),
-        (["--sensor", "nothing"], "SENSOR: found 'nothing'"),
+        (["--sensor", "nothing"], "--sensor: found 'nothing'"),
         (["--session", "x.zarr", "--indenter", "cone"], "--session: goes without"),
         ([], "--sensor, --bench: both missing"),
     ],

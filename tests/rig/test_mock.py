@@ -42,9 +42,9 @@ def test_a_bench_has_the_emulators_of_its_devices_at_one_address_of_its_own(
 
 
 def test_sources_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="CAMERA"):
+    with pytest.raises(ConfigError, match="--camera"):
         Sources(camera=tmp_path / "none")
-    with pytest.raises(ConfigError, match="TAXELS"):
+    with pytest.raises(ConfigError, match="--taxels"):
         Sources(taxels=tmp_path / "none.npy")
     # The session names the content served, not its path.
     description = Sources(camera=tmp_path, camera_motion="still").description()

@@ -198,35 +198,6 @@ def test_the_pages_of_reference_are_those_of_the_table_and_the_packages() -> Non
         assert written == page(), f"docs/reference/{name} is old: make reference"
 
 
-def test_make_lists_its_targets_in_groups_of_short_lines() -> None:
-    ran = subprocess.run(
-        ["make", "--no-print-directory"],
-        cwd=reference.ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout.splitlines()
-    assert max(map(len, ran)) < 100
-    titles = [line.split(" (")[0] for line in ran[1:] if line and not line.startswith(" ")]
-    assert titles == ["Record", "Simulate", "Learn", "Measure", "Develop"]
-    listed = {line.split()[0] for line in ran if line.startswith("  ")}
-    makefile = Path(reference.ROOT, "Makefile").read_text()
-    (phony,) = (line for line in makefile.splitlines() if line.startswith(".PHONY:"))
-    assert listed == set(phony.split()[1:]) - {"help"}
-
-
-def test_make_tells_the_options_of_a_target() -> None:
-    ran = subprocess.run(
-        ["make", "--no-print-directory", "help-collect"],
-        cwd=reference.ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert "make collect SENSOR=tacpalm [TARGETS=8]" in ran.stdout
-    assert max(map(len, ran.stdout.splitlines())) <= 100
-
-
 def _imported() -> set[str]:
     """Return the libraries that the packages import anywhere, by the names of their modules."""
     found = set()

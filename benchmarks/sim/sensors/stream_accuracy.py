@@ -72,7 +72,7 @@ def recorded(session: Session) -> Recorded:
     if world.get("kind") != "simulated":
         raise SceneError(
             f"session.bench.world.kind: {world.get('kind')!r}; allowed: 'simulated', a session "
-            "that was recorded with WORLD=sim"
+            "that was recorded with --world sim"
         )
     name = str(world["sensor"])
     row = sensor_of(name)

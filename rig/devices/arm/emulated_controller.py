@@ -1,6 +1,6 @@
 """The emulated UR controller: registers, program, safety, and the 2 ms cycle. No sockets here.
 
-Faults are methods, called by the fault port (for `make faults`) or by a test in the same process.
+Faults are methods, called by the fault port (`benchmarks faults`) or by a test in the process.
 """
 
 from __future__ import annotations

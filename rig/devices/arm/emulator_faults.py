@@ -1,4 +1,4 @@
-"""Faults to inject into a running arm emulator, used by `make faults` and the tests.
+"""Faults to inject into a running arm emulator, used by `benchmarks faults` and the tests.
 
 The fault port (rig.core.emulation) accepts the faults of the controller below, and those of its
 line in rig.core.fault_injection (freeze is the controller's own: it stops reading too).

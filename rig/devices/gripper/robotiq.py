@@ -388,7 +388,7 @@ class GripWatch:
         if why is not None:
             raise DeviceLost(
                 f"gripper at {self._config.port}: does not hold the indenter: {why} "
-                f"({status.text}); put it between the fingers, then run: make grip"
+                f"({status.text}); put it between the fingers, then run: tactile grip"
             )
         description = self._driver.describe()
         logger.info("preflight  gripper %s", status.text)

@@ -57,7 +57,7 @@ from rig.devices.gripper.settings import RobotiqConfig
 
 # Behaviour of the emulated gripper: activation, movement, the object, faults. No I/O.
 #
-# Faults are methods, called by the fault port (for `make faults`) or by a test in the same process.
+# Faults are methods, called by the fault port (`benchmarks faults`) or by a test in the process.
 
 # The first open and close takes this long [s].
 ACTIVATION = 1.5
