@@ -103,7 +103,6 @@ SESSIONS = (
         extra="export",
     ),
     Command("session sheet", "recorder.cli.sheet", "draw a session on one page"),
-    Command("session view", "recorder.cli.view", "view a session in Rerun", extra="view"),
     Command(
         "import",
         "tactile.import_recording",

@@ -40,7 +40,6 @@ VENDORS = {
         "learning/translation/flow",
     },
     "websockets": {"rig/devices/taxels", "rig/monitor"},
-    "rerun": {"recorder/convert"},
     "h5py": {"recorder/convert"},
     "mcap": {"recorder/convert"},
     "torch": {"learning"},

@@ -195,7 +195,6 @@ TESTED = {
     "score-transfer": ("tests/learning/test_transfer.py", "run_module(score_transfer"),
     "session list": ("tests/recorder/test_catalogue.py", '"list"'),
     "session seal": ("tests/recorder/test_integrity.py", '"seal"'),
-    "session view": ("tests/recorder/test_view.py", '"view"'),
     "setup": ("tests/rig/test_setup.py", '"setup"'),
     "sim labels": ("tests/sim/test_labels.py", '"labels"'),
     "transfer": ("tests/learning/test_transfer.py", "run_module(transfer"),

@@ -164,7 +164,7 @@ def test_a_missing_library_is_named_with_its_extra(
 
 def test_the_recorder_alone_imports_no_extra() -> None:
     # fsspec is not listed: zarr-python imports it if it is installed.
-    heavy = {"pyarrow", "h5py", "s3fs", "mcap", "google.protobuf", "pandas", "rerun", "torch"}
+    heavy = {"pyarrow", "h5py", "s3fs", "mcap", "google.protobuf", "pandas", "torch"}
     heavy |= {"matplotlib"}
     code = f"import sys, recorder, tactile.__main__; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run(
