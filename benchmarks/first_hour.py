@@ -138,7 +138,7 @@ def steps(*, clicks: bool) -> Iterator[Step]:
         chosen = ("--sensor", SENSOR, "--indenter", indenter, "--targets", str(TARGETS))
         yield Step(("collect", *chosen, "--out", session), at_bench=True)
     yield Step(("session", "info", sessions[0]))
-    yield Step(("session", "sheet", sessions[0], "--output", "sphere.png"))
+    yield Step(("session", "info", sessions[0], "--picture", "sphere.png"))
     if clicks:
         yield Step(("page", "--port", "0"), by_clicks=True)
         yield Step(("campaign", "--file", "campaigns/again.yaml", "--yes"), at_bench=True)

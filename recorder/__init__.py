@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from recorder.archive import MarkerArchive
     from recorder.checks.check import check
-    from recorder.convert.repack import repack
+    from recorder.checks.recover import recover
     from recorder.errors import SessionError
     from recorder.findings import Finding, faults
     from recorder.session.columns import Stream
     from recorder.session.reader import Session
-    from recorder.session.recover import recover
     from recorder.session.sheet import contact_sheet
     from recorder.session.stream_writer import StreamWriter
     from recorder.session.tables import to_pandas, to_xarray
@@ -72,7 +71,6 @@ __all__ = [
     "joints_spec",
     "pose_spec",
     "recover",
-    "repack",
     "taxels_spec",
     "to_pandas",
     "to_xarray",
@@ -91,8 +89,7 @@ _MODULES = {
     "check": "checks.check",
     "contact_sheet": "session.sheet",
     "faults": "findings",
-    "recover": "session.recover",
-    "repack": "convert.repack",
+    "recover": "checks.recover",
     "to_pandas": "session.tables",
     "to_xarray": "session.tables",
 }

@@ -76,7 +76,9 @@ SESSIONS = (
         "list the sessions below a folder, by sensor, indenter, date, status, faults",
     ),
     Command(
-        "session info", "recorder.cli.info", "show the contents of a session or a marker archive"
+        "session info",
+        "recorder.cli.info",
+        "show the contents of a session or a marker archive; draw a session",
     ),
     Command(
         "session check",
@@ -84,25 +86,16 @@ SESSIONS = (
         "check a session or a marker archive for problems; exit 1 if any is found",
     ),
     Command(
-        "session recover", "recorder.cli.recover", "close a session whose recording was killed"
-    ),
-    Command(
-        "session seal",
-        "recorder.cli.seal",
-        "make the manifest of a closed session again after it was lost",
-    ),
-    Command(
-        "session repack",
-        "recorder.cli.repack",
-        "copy a session, storing its images in another encoding",
+        "session recover",
+        "recorder.cli.recover",
+        "close a session that was killed, or make its lost manifest again",
     ),
     Command(
         "session export",
         "recorder.cli.export",
-        "write a session as LeRobot, MCAP, HDF5 or GenForce",
+        "write a session as Zarr, LeRobot, MCAP, HDF5 or GenForce",
         extra="export",
     ),
-    Command("session sheet", "recorder.cli.sheet", "draw a session on one page"),
     Command(
         "import",
         "tactile.import_recording",

@@ -194,7 +194,6 @@ TESTED = {
     "schema": ("tests/tactile/test_schema.py", "schema"),
     "score-transfer": ("tests/learning/test_transfer.py", "run_module(score_transfer"),
     "session list": ("tests/recorder/test_catalogue.py", '"list"'),
-    "session seal": ("tests/recorder/test_integrity.py", '"seal"'),
     "setup": ("tests/rig/test_setup.py", '"setup"'),
     "sim labels": ("tests/sim/test_labels.py", '"labels"'),
     "transfer": ("tests/learning/test_transfer.py", "run_module(transfer"),

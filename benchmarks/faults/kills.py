@@ -19,8 +19,7 @@ from benchmarks.faults.collection_run import EMULATORS, CollectionRun, Hangs
 from benchmarks.faults.judge import arm_in_words, complaints, left_in, losses
 from benchmarks.faults.processes import kill, wait_gone
 from benchmarks.faults.quick import quick_bench
-from recorder import Session, SessionError
-from recorder.session.recover import recover
+from recorder import Session, SessionError, recover
 from rig.core.clock import SECOND_NS, SystemClock
 
 _SENSOR = "tacpalm"

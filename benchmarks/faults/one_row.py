@@ -9,7 +9,7 @@ from benchmarks.faults.collection_run import CollectionRun, Hangs
 from benchmarks.faults.judge import FaultResult, arm_in_words, complaints, left_in, losses, readable
 from benchmarks.faults.quick import quick_bench
 from benchmarks.faults.rows import Row
-from recorder.session.recover import recover
+from recorder import recover
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.devices.hid.shim import build

@@ -15,10 +15,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_session(parser, remote=True)
     parser.add_argument("destination", type=Path, help="file or folder to make; must not exist")
-    known = "; ".join(f"{name}: {content}" for name, content in FORMATS.items())
+    known = "; ".join(f"{name}: {row.content}" for name, row in FORMATS.items())
     parser.add_argument("--to", choices=FORMATS, required=True, help=known)
     parser.add_argument(
-        "--decode", action="store_true", help="hdf5: pixels instead of the camera's JPEG bytes"
+        "--images",
+        choices=("stored", "pixels"),
+        default="stored",
+        help="zarr, hdf5: images as stored, such as the camera's JPEG bytes, or lossless pixels, "
+        "which every reader understands (default: %(default)s)",
     )
     parser.add_argument(
         "--valid-only",
@@ -30,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the file or folder."""
-    choices = Options(decode=options.decode, valid_only=options.valid_only)
+    choices = Options(images=options.images, valid_only=options.valid_only)
     with ItemProgress("rows", sys.stderr) as progress:
         omitted = export(
             options.session, options.destination, options.to, options=choices, progress=progress

@@ -1,11 +1,11 @@
-"""`tactile session recover`: close a session whose recording was killed."""
+"""`tactile session recover`: close a session whose recording was killed, or seal it again."""
 
 from __future__ import annotations
 
 import argparse
 
+from recorder.checks.recover import recover
 from recorder.cli.options import add_session
-from recorder.session.recover import recover
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +23,9 @@ def run(options: argparse.Namespace) -> int:
             line += f", {stream.recovered_rows} of them brought back"
             line += f", {stream.torn_bytes} torn bytes and {stream.dropped_rows} half rows dropped"
         print(line)
+    if recovery.lost_manifests:
+        runs = ", ".join(map(str, recovery.lost_manifests))
+        print(f"the manifest of run {runs} was lost and made again; earlier changes cannot be seen")
     done = "recovered" if recovery.touched else "nothing to do"
     print(f"{options.session}: {done}, status {recovery.status}")
     return 0

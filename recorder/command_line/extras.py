@@ -22,7 +22,6 @@ LIBRARIES = {
     "openvino": ("openvino",),
     "peft": ("diffusion",),
     "pyarrow": ("export",),
-    "rerun": ("view",),
     "rtde_control": ("rig",),
     "s3fs": ("remote",),
     "rosbags": ("export",),

@@ -4,7 +4,7 @@ The library of a format is imported only when the format is used;
 docs/how-to/export-and-import.md describes the content of each format.
 """
 
-from recorder.convert.export import FORMATS, Options, building, export, file_name
+from recorder.convert.export import FORMATS, Format, Options, building, export, file_name
 from recorder.convert.genforce_archive import DEPTH_UNKNOWN
 from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
 from recorder.convert.import_find import Answers
@@ -26,6 +26,7 @@ __all__ = [
     "Answers",
     "As",
     "Draft",
+    "Format",
     "MissingAnswer",
     "Options",
     "building",

@@ -1,4 +1,4 @@
-"""Implementation of `tactile session export`."""
+"""Write a session, or a marker archive, in a format of other programs: a row a format."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import errno
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any, Literal
 
+from recorder.archive import FORMAT as ARCHIVE
 from recorder.archive import MarkerArchive
-from recorder.archive.plan import FORMAT as ARCHIVE
 from recorder.errors import SessionError
 from recorder.session.reader import Session
 from recorder.store.durable import sync_directory
@@ -30,8 +31,8 @@ Progress = Callable[[int, int], None]
 class Options:
     """Options of an export; a format ignores those that do not apply to it."""
 
-    decode: bool = False
-    """hdf5: store images as pixels instead of the camera's JPEG bytes."""
+    images: Literal["stored", "pixels"] = "stored"
+    """zarr, hdf5: images as they are stored, or decoded to lossless pixels."""
     valid_only: bool = False
     """lerobot, genforce: leave out rows that have no sample near enough."""
 
@@ -88,13 +89,38 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-# Export formats with their descriptions.
-FORMATS: Mapping[str, str] = {
-    "lerobot": "LeRobot dataset v3.0, one episode per target (a folder)",
-    "mcap": "MCAP with Foxglove's schemas, every sample at its own time (a file)",
-    "hdf5": "HDF5, the whole session with names, types and attributes (a file)",
-    "genforce": "the folders of the GenForce recordings, four phases per point (a folder); of a "
-    "marker archive, of their training",
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A row of `FORMATS`."""
+
+    content: str
+    """Content of the export, and `(a file)` or `(a folder)`."""
+    session: str = ""
+    """Module whose `write(session, path, options, progress)` writes a session; empty if none."""
+    archive: str = ""
+    """The same for a marker archive."""
+
+
+# Export formats by name. Other packages may add rows, or the archive to a row.
+FORMATS: dict[str, Format] = {
+    "zarr": Format("a copy of the session, verified (a folder)", "recorder.convert.zarr_format"),
+    "lerobot": Format(
+        "LeRobot dataset v3.0, one episode per target (a folder)", "recorder.convert.lerobot_format"
+    ),
+    "mcap": Format(
+        "MCAP with Foxglove's schemas, every sample at its own time (a file)",
+        "recorder.convert.mcap_format",
+    ),
+    "hdf5": Format(
+        "HDF5, the whole session with names, types and attributes (a file)",
+        "recorder.convert.hdf5_format",
+    ),
+    "genforce": Format(
+        "the folders of the GenForce recordings, four phases per point (a folder); of a marker "
+        "archive, of their training",
+        "recorder.convert.genforce_format",
+        archive="recorder.convert.genforce_archive",
+    ),
 }
 
 
@@ -106,57 +132,59 @@ def export(
     options: Options | None = None,
     progress: Progress | None = None,
 ) -> tuple[str, ...]:
-    """Write a finished session in another format. The source is only read.
-
-    A marker archive becomes GenForce's training folders; what they cannot hold is returned.
+    """Write a finished session or a marker archive in another format. The source is only read.
 
     The destination is created atomically. Rows are streamed: memory does not grow with the length
     of the session, except for the frames view (up to 0.6 kB per row) and the times.
 
     Args:
-        source: A session, or path or URL of a session or a marker archive.
+        source: A session, or the path or URL of a session or of a marker archive.
         destination: File or folder to create; must not exist.
         to: One of `FORMATS`.
         options: Options of the format.
         progress: Called with the number of rows done and the total.
 
+    Returns:
+        Notes on what the format cannot hold of a marker archive.
+
     Raises:
-        SessionError: An unknown format, an unfinished or corrupt source, an existing destination,
-            a missing library, or a session that the format cannot represent.
+        SessionError: An unknown format, or none for such a source; an unfinished or corrupt
+            source, an existing destination, a missing library, or a session that the format cannot
+            represent.
         OSError: The disk is full, or not writable.
     """
     if to not in FORMATS:
         raise SessionError(f"found format {to!r}; known: {', '.join(FORMATS)}")
-    told = progress or ignored
-    if not isinstance(source, Session) and _is_archive(source):
-        if to != "genforce":
-            raise SessionError(f"found format {to!r}; allowed for a marker archive: genforce")
-        write_archive: Callable[[MarkerArchive, Path, Progress], tuple[str, ...]]
-        write_archive = import_module("recorder.convert.genforce_archive").write
-        with building(destination) as beside:
-            return write_archive(MarkerArchive(source), beside, told)
-    session = source if isinstance(source, Session) else Session(source)
-    if session.warning:
-        raise SessionError(session.warning)
-    write: Callable[[Session, Path, Options, Progress], None]
+    opened = source if isinstance(source, Session) else _opened(source)
+    of_archive = isinstance(opened, MarkerArchive)
+    modules = {name: row.archive if of_archive else row.session for name, row in FORMATS.items()}
+    if not (module := modules[to]):
+        kind = "a marker archive" if of_archive else "a session"
+        known = ", ".join(name for name, each in modules.items() if each) or "nothing"
+        raise SessionError(f"{source}: {to} is not for {kind}; allowed: {known}")
+    write: Callable[[Any, Path, Options, Progress], Iterable[str] | None]
     try:
-        write = import_module(f"recorder.convert.{to}_format").write
+        write = import_module(module).write
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith("recorder"):
+        if error.name is None or error.name.partition(".")[0] == module.partition(".")[0]:
             raise
         raise SessionError(f"{to} needs {error.name}: pip install 'tactile-rig[export]'") from error
     with building(destination) as beside:
         try:
-            write(session, beside, options or Options(), told)
+            return tuple(write(opened, beside, options or Options(), progress or ignored) or ())
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise
             # Libraries report this at length, and for the temporary file.
             where = os.fspath(destination)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), where) from error
-    return ()
 
 
-def _is_archive(source: str | os.PathLike[str]) -> bool:
-    files, place = locate(source)
-    return says_it_is(place, files, ARCHIVE)
+def _opened(source: str | os.PathLike[str]) -> Session | MarkerArchive:
+    files, path = locate(source)
+    if says_it_is(path, files, ARCHIVE):
+        return MarkerArchive(source)
+    session = Session(source)
+    if session.warning:
+        raise SessionError(session.warning)
+    return session

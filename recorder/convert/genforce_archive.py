@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.archive import ArchivedSensor, MarkerArchive
-from recorder.convert.export import Progress, file_name
+from recorder.convert.export import Options, Progress, file_name
 from recorder.convert.genforce_format import FORCE_COLUMNS, write_csv
 from recorder.errors import SessionError
 from recorder.spec import AXES, PHASES
@@ -28,7 +28,9 @@ DEPTH_UNKNOWN = "unknown: 0"
 LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
 
 
-def write(archive: MarkerArchive, root: Path, progress: Progress) -> tuple[str, ...]:
+def write(
+    archive: MarkerArchive, root: Path, _options: Options, progress: Progress
+) -> tuple[str, ...]:
     """Write an archive in the layout of the authors' training; return descriptions of omissions.
 
     Contact points are numbered from 1 by target; frames are numbered through all phases. The layout

@@ -107,7 +107,7 @@ def _write_images(
     total: int,
 ) -> None:
     count = len(stream)
-    as_bytes = column.codec == "jpeg" and not options.decode
+    as_bytes = column.codec == "jpeg" and options.images == "stored"
     if as_bytes:
         kind = h5py.vlen_dtype(np.uint8)
         out = group.create_dataset(column.name, (count,), kind, **_chunked(64, ()))

@@ -97,7 +97,7 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
     except FileNotFoundError:
         raise SessionError(
             f"{where}: missing, so run {run} cannot be verified (if nothing else is lost, "
-            "tactile session seal makes it again)"
+            "tactile session recover makes it again)"
         ) from None
     stated = data[-67:-3]
     body = data[:-67] + data[-3:]

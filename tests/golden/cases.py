@@ -268,12 +268,9 @@ RECORDER_CASES = (
         (
             *(
                 f"tactile session {command} {{out}}/none.zarr"
-                for command in ("info", "check", "recover", "sheet")
+                for command in ("info", "check", "recover")
             ),
-            *(
-                f"tactile session {command} {{out}}/text.zarr"
-                for command in ("info", "check", "sheet")
-            ),
+            *(f"tactile session {command} {{out}}/text.zarr" for command in ("info", "check")),
             *(
                 f"tactile session {command} {{out}}/newer.zarr"
                 for command in ("info", "check", "recover")
@@ -282,10 +279,9 @@ RECORDER_CASES = (
             "tactile session info {out}/bare.zarr",
             "tactile session info {out}/newer.markers.zarr",
             "tactile session info {out}/broken.zarr",
-            f"tactile session sheet {ARCHIVE} --output {{out}}/x.png",
-            f"tactile session sheet {GELSIGHT} --count 0 --output {{out}}/x.png",
-            f"tactile session repack {GELSIGHT} {{out}}/newer.zarr",
-            f"tactile session repack {GELSIGHT} {{out}}/x.zarr --profile smaller",
+            f"tactile session info {ARCHIVE} --picture {{out}}/x.png",
+            f"tactile session export {GELSIGHT} {{out}}/newer.zarr --to zarr",
+            f"tactile session export {GELSIGHT} {{out}}/x.zarr --to zarr --images smaller",
             f"tactile session export {GELSIGHT} {{out}}/newer.zarr --to hdf5",
             f"tactile session export {GELSIGHT} {{out}}/x --to word",
             f"tactile session export {ARCHIVE} {{out}}/x --to hdf5",
@@ -334,14 +330,17 @@ RECORDER_CASES = (
         look=("x.zarr",),
     ),
     Case(
-        "recorder-repack-portable",
-        (f"tactile session repack {GELSIGHT} {{out}}/x.zarr", "tactile session info {out}/x.zarr"),
+        "recorder-export-zarr-pixels",
+        (
+            f"tactile session export {GELSIGHT} {{out}}/x.zarr --to zarr --images pixels",
+            "tactile session info {out}/x.zarr",
+        ),
         portable=True,
         look=("x.zarr",),
     ),
     Case(
-        "recorder-repack-camera",
-        (f"tactile session repack {GELSIGHT} {{out}}/x.zarr --profile camera",),
+        "recorder-export-zarr",
+        (f"tactile session export {GELSIGHT} {{out}}/x.zarr --to zarr",),
         portable=True,
         look=("x.zarr",),
     ),
@@ -350,7 +349,7 @@ RECORDER_CASES = (
         (
             f"tactile session export {USKIN} {{out}}/x.h5 --to hdf5",
             f"tactile session export {GELSIGHT} {{out}}/y.h5 --to hdf5",
-            f"tactile session export {GELSIGHT} {{out}}/z.h5 --to hdf5 --decode",
+            f"tactile session export {GELSIGHT} {{out}}/z.h5 --to hdf5 --images pixels",
         ),
         one_process=True,
         portable=True,
@@ -387,10 +386,10 @@ RECORDER_CASES = (
         look=("x", "y"),
     ),
     Case(
-        "recorder-sheet",
+        "recorder-picture",
         (
-            f"tactile session sheet {GELSIGHT} --output {{out}}/x.png --count 5",
-            f"tactile session sheet {USKIN} --output {{out}}/y.png",
+            f"tactile session info {GELSIGHT} --picture {{out}}/x.png",
+            f"tactile session info {USKIN} --picture {{out}}/y.png",
         ),
         one_process=True,
         look=("*.png",),

@@ -148,7 +148,7 @@ BODY = f"{PLAN}.sensors.0.body"
 # are left; None deletes), or the only file of a new folder.
 FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
     "session": (
-        "tactile session sheet {} --output {out}/x.png",
+        "tactile session info {} --picture {out}/x.png",
         SESSION,
         ".zarr",
         {

@@ -586,7 +586,7 @@ def test_the_commands_import_and_export_with_coefficients(
     with pytest.raises(LearningError, match="expected one of the layouts training, states, raw"):
         import_folder(tmp_path, out)
     assert main(["session", "export", str(out), str(tmp_path / "y"), "--to", "mcap"]) == 2
-    assert "allowed for a marker archive: genforce" in capsys.readouterr().err
+    assert "not for a marker archive; allowed: genforce" in capsys.readouterr().err
     assert main(["import", str(folder), "--out", str(out), "--mm-per-px", "b"]) == 2
     assert "--mm-per-px: found 'b'; allowed: NAME=NUMBER" in capsys.readouterr().err
 

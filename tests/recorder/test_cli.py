@@ -73,18 +73,19 @@ def test_recover_prints_what_it_brought_back(
     assert capsys.readouterr().out.endswith("nothing to do, status recovered\n")
 
 
-def test_repack_writes_a_copy_or_says_why_not(
+def test_export_writes_a_copy_or_says_why_not(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     copy = tmp_path / "p.zarr"
-    assert main(["session", "repack", str(recorded), str(copy), "--profile", "portable"]) == 0
-    assert main(["session", "repack", str(recorded), str(copy)]) == 2
+    command = ["session", "export", str(recorded), str(copy), "--to", "zarr"]
+    assert main([*command, "--images", "pixels"]) == 0
+    assert main(command) == 2
     captured = capsys.readouterr()
-    assert captured.out == f"{copy}: written, profile portable\n"
+    assert captured.out == f"{copy}: written, zarr\n"
     assert captured.err == f"wrong input: {copy}: exists already\n"
 
 
-@pytest.mark.parametrize("command", ["info", "check", "recover", "sheet"])
+@pytest.mark.parametrize("command", ["info", "check", "recover"])
 def test_wrong_input_is_one_line_and_no_traceback(command: str, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tactile", "session", command, str(tmp_path / "nowhere")],
@@ -100,10 +101,7 @@ def test_wrong_input_is_one_line_and_no_traceback(command: str, tmp_path: Path) 
 @pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force"), ("camera",)])
 def test_a_sheet_shows_frames_and_curves(names: tuple[str, ...], tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", names=names)
-    assert (
-        main(["session", "sheet", str(path), "--output", str(tmp_path / "s.png"), "--count", "7"])
-        == 0
-    )
+    assert main(["session", "info", str(path), "--picture", str(tmp_path / "s.png")]) == 0
     with Image.open(tmp_path / "s.png") as image:
         pixels = np.asarray(image.convert("RGB")).astype(int)
     assert pixels.shape[1] == 1600

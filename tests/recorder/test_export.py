@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import builtins
 import json
+import shutil
 import subprocess
 import sys
+import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.sessions import make_session, set_attrs
 
-from recorder import SessionError
-from recorder.convert import FORMATS, export
-from recorder.convert.export import building, file_name
+from recorder import MarkerArchive, SessionError
+from recorder.convert import FORMATS, Options, export
+from recorder.convert.export import Progress, building, file_name
 from recorder.convert.runs import parse_utc
 from tactile.__main__ import main
 
@@ -115,7 +118,7 @@ def test_a_full_disk_is_told_by_the_name_of_the_export(
 
 
 def test_wrong_input_is_one_clear_error(recorded: Path, tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match="known: lerobot, mcap, hdf5, genforce"):
+    with pytest.raises(SessionError, match="known: zarr, lerobot, mcap, hdf5, genforce"):
         export(recorded, tmp_path / "out", "rosbag")
     with pytest.raises(SessionError, match="no such directory"):
         export(recorded, tmp_path / "nowhere" / "out", "mcap")
@@ -160,6 +163,25 @@ def test_a_missing_library_is_named_with_its_extra(
         export(recorded, tmp_path / "out", "hdf5")
     with pytest.raises(SessionError, match=r"pip install 'tactile-rig\[remote\]'"):
         export("memory://nowhere", tmp_path / "out", "hdf5")
+
+
+def test_a_row_of_the_table_writes_archives_of_another_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = tmp_path / "a.markers.zarr"
+    shutil.copytree(ROOT / "tests/golden/data/skins.markers.zarr", archive)
+    with pytest.raises(SessionError, match="hdf5 is not for a marker archive; allowed: genforce"):
+        export(archive, tmp_path / "out", "hdf5")
+    module = types.ModuleType("elsewhere")
+
+    def write(source: MarkerArchive, path: Path, options: Options, progress: Progress) -> None:
+        path.write_text(f"{', '.join(source)} {options.valid_only}")
+
+    module.write = write  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "elsewhere", module)
+    monkeypatch.setitem(FORMATS, "mcap", replace(FORMATS["mcap"], archive="elsewhere"))
+    export(archive, tmp_path / "out", "mcap", options=Options(valid_only=True))
+    assert (tmp_path / "out").read_text() == "r6, r18, uskin True"
 
 
 def test_the_recorder_alone_imports_no_extra() -> None:

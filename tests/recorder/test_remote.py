@@ -20,7 +20,7 @@ from fsspec.asyn import get_loop
 from fsspec.implementations.memory import MemoryFileSystem
 from support.sessions import make_session, set_attrs
 
-from recorder import Session, SessionError, check, contact_sheet, repack
+from recorder import Session, SessionError, check, contact_sheet
 from recorder.convert import export
 from recorder.store.files import join_ranges
 from recorder.store.shard import end_bytes
@@ -318,8 +318,8 @@ def test_secrets_are_never_said(recorded: Path) -> None:
 
 def test_nothing_is_written_to_a_url(counted: str, tmp_path: Path) -> None:
     with pytest.raises(SessionError, match="remote stores are only read"):
-        repack(counted, tmp_path / "copy.zarr")
-    for command in (["recover", counted], ["repack", counted, str(tmp_path / "c")]):
+        export(counted, tmp_path / "copy.zarr", "zarr")
+    for command in (["recover", counted], ["export", counted, str(tmp_path / "c"), "--to", "zarr"]):
         assert main(["session", *command]) == 2
     with pytest.raises(SessionError, match="storage options are for URLs"):
         Session(tmp_path, storage_options={"anon": True})

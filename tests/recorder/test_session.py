@@ -31,9 +31,9 @@ from recorder import (
     camera_spec,
     force_spec,
     recover,
-    repack,
 )
 from recorder.checks.check import check
+from recorder.convert import Options, export
 from recorder.findings import faults
 from recorder.session.frames import grid, in_frame, write_frames
 from recorder.store.tables import Table
@@ -383,13 +383,18 @@ def test_zarr_python_reads_camera_bytes_through_the_registered_codec(recorded: P
         np.testing.assert_array_equal(np.asarray(array[row]), image)
 
 
+def portable(session: Path, copy: Path) -> None:
+    export(session, copy, "zarr", options=Options(images="pixels"))
+
+
 def test_a_portable_copy_holds_the_same_pixels_for_everybody(
     recorded: Path, tmp_path: Path
 ) -> None:
     done: list[tuple[int, int]] = []
     path = tmp_path / "portable.zarr"
-    repack(recorded, path, "portable", progress=lambda *state: done.append(state))
-    assert done[-1] == (216, 216)
+    pixels_of = Options(images="pixels")
+    export(recorded, path, "zarr", options=pixels_of, progress=lambda *state: done.append(state))
+    assert done[-1][0] == done[-1][1] > 216
     assert faults(check(path)) == []
     source, copy = Session(recorded), Session(path)
     rows = range(216)
@@ -401,23 +406,24 @@ def test_a_portable_copy_holds_the_same_pixels_for_everybody(
         np.testing.assert_array_equal(source.frames[name], copy.frames[name])
 
 
-def test_a_camera_copy_keeps_the_bytes_and_is_refused_without_them(
+def test_a_copy_keeps_the_bytes_of_images_as_they_are_stored(
     recorded: Path, tmp_path: Path
 ) -> None:
-    repack(recorded, tmp_path / "same.zarr", "camera")
+    export(recorded, tmp_path / "same.zarr", "zarr")
     same, source = (
         Stream(tmp_path / "same.zarr/streams/camera"),
         Stream(recorded / "streams/camera"),
     )
     assert [same.jpeg(row) for row in range(216)] == [source.jpeg(row) for row in range(216)]
-    repack(recorded, tmp_path / "portable.zarr")
-    with pytest.raises(SessionError, match="without the camera's JPEG bytes"):
-        repack(tmp_path / "portable.zarr", tmp_path / "back.zarr", "camera")
+    portable(recorded, tmp_path / "portable.zarr")
+    export(tmp_path / "portable.zarr", tmp_path / "again.zarr", "zarr")
+    copies = [Stream(tmp_path / f"{name}.zarr/streams/camera") for name in ("portable", "again")]
+    np.testing.assert_array_equal(*(stream.images(range(216)) for stream in copies))
+    profiles = {e.name: Session(e).attrs["profile"] for e in tmp_path.iterdir()}
+    known = {"same.zarr": "camera", "portable.zarr": "portable", "again.zarr": "portable"}
+    assert profiles == known
     with pytest.raises(SessionError, match="exists already"):
-        repack(recorded, tmp_path / "portable.zarr")
-    with pytest.raises(SessionError, match="known: portable, camera"):
-        repack(recorded, tmp_path / "other.zarr", "tiny")
-    assert {entry.name for entry in tmp_path.iterdir()} == {"same.zarr", "portable.zarr"}
+        export(recorded, tmp_path / "portable.zarr", "zarr")
 
 
 def test_imagecodecs_reads_camera_bytes_under_the_same_name(recorded: Path) -> None:
@@ -440,7 +446,7 @@ def test_tensorstore_reads_the_numbers_and_the_portable_images(
         spec = {"driver": "zarr3", "kvstore": {"driver": "file", "path": str(path)}}
         return tensorstore.open(spec).result().read().result()
 
-    repack(recorded, tmp_path / "p.zarr")
+    portable(recorded, tmp_path / "p.zarr")
     assert_reads_like_ours(read, recorded, tmp_path / "p.zarr")
 
 
@@ -454,7 +460,7 @@ def test_zarrs_reads_the_numbers_and_the_portable_images(recorded: Path, tmp_pat
             assert type(pipeline).__module__.startswith("zarrs")
             return array[:]
 
-    repack(recorded, tmp_path / "p.zarr")
+    portable(recorded, tmp_path / "p.zarr")
     assert_reads_like_ours(read, recorded, tmp_path / "p.zarr")
 
 

@@ -29,10 +29,9 @@ from recorder import (
     force_spec,
     pose_spec,
     recover,
-    repack,
     taxels_spec,
 )
-from recorder.convert.export import export
+from recorder.convert.export import Options, export
 from recorder.info import describe, digests
 from recorder.spec import KINDS
 from tests.support.few import few
@@ -235,7 +234,7 @@ def _genforce(path: Path, out: Path) -> None:
 def test_a_portable_copy_keeps_depth_and_all_cameras(tmp_path: Path) -> None:
     names = ("camera", "camera_2", "depth_1", "force")
     path = make_session(tmp_path / "s.zarr", names=names, seconds=0.8, shape=(16, 24))
-    repack(path, tmp_path / "p.zarr", "portable")
+    export(path, tmp_path / "p.zarr", "zarr", options=Options(images="pixels"))
     ours, copy = Session(path), Session(tmp_path / "p.zarr")
     for name in names[:3]:
         np.testing.assert_array_equal(

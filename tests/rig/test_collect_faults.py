@@ -65,7 +65,7 @@ def test_a_killed_device_ends_the_session_with_everything_kept(device: str, tmp_
 
 @pytest.mark.slow
 def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path: Path) -> None:
-    from recorder.session.recover import recover
+    from recorder import recover
 
     run = pressing(tmp_path, "tacpalm")
     os.kill(run.stream("camera"), signal.SIGKILL)
