@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from recorder.command_line.errors import EXIT_WRONG_INPUT, ended
-from tactile.run import HELP, run_module
+from recorder.command_line.errors import EXIT_WRONG_INPUT
+from tactile.run import HELP, ended, run_module
 
 # The module of each benchmark, and its line of help.
 BENCHMARKS = {

@@ -8,11 +8,11 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any
 
-from recorder.command_line.errors import EXIT_WRONG_INPUT, ended
+from recorder.command_line.errors import EXIT_WRONG_INPUT, failure
 from recorder.command_line.extras import extra_of
 from tactile.commands import COMMANDS, EXTRAS, FAMILIES, GROUPS, INTERRUPTED, Command
 
@@ -89,6 +89,16 @@ def run_module(
         return int(module.run(parser.parse_args(joined(argv))))
 
     return ended(call, interrupted)
+
+
+def ended(call: Callable[[], int], interrupted: str = "") -> int:
+    """Return the exit code of `call`; print the line of a known error or of Ctrl-C."""
+    try:
+        code = call()
+        sys.stdout.flush()
+    except BaseException as error:
+        return failure(error, interrupted)
+    return code
 
 
 def joined(argv: Iterable[str]) -> list[str]:

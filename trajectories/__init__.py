@@ -3,15 +3,11 @@
 A spec is stored as JSON in the session recorded with it; its moves are derived again when needed.
 """
 
-from trajectories.first_press import FirstPress
-from trajectories.force_depth import ForceDepth
-from trajectories.limits import DryRun, Limits, dry_run
+from trajectories.limits import DryRun, Limits, dry_run, move_duration
 from trajectories.moves import PHASES, Move, Plan, Point, Target, dome_height
 from trajectories.press_shear import PressShear
-from trajectories.profile import move_duration
+from trajectories.presses import FirstPress, ForceDepth, Taps, Touch
 from trajectories.stored import plan_from_json, plan_to_json
-from trajectories.taps import Taps
-from trajectories.touch import Touch
 
 __all__ = [
     "PHASES",

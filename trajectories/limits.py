@@ -1,11 +1,11 @@
-"""Dry run of a plan without hardware: workspace box, depth, force and duration."""
+"""Dry run of a plan without hardware: workspace box, depth, force and duration of its moves."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from trajectories.moves import Plan, Point, dome_height
-from trajectories.profile import distance, move_duration
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,22 @@ class DryRun:
     """Description of each limit that would be exceeded; empty if the plan may run."""
 
 
+def move_duration(length: float, speed: float, acceleration: float) -> float:
+    """Return the duration of a move from rest to rest [s].
+
+    Speed rises at `acceleration`, stays at `speed` and falls at `acceleration`; a move shorter than
+    speed^2 / acceleration never reaches `speed`.
+
+    Args:
+        length: Length of the move [m].
+        speed: Highest speed [m/s].
+        acceleration: Acceleration and deceleration [m/s^2].
+    """
+    if length <= speed * speed / acceleration:
+        return 2 * math.sqrt(length / acceleration)
+    return length / speed + speed / acceleration
+
+
 def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> DryRun:
     """Dry-run `plan` and compare every point with `limits`.
 
@@ -71,9 +87,9 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
     for target in plan.targets():
         path = plan.moves(target)
         if places:
-            unrecorded += move_duration(distance(places[-1], path[0].start), speed, acceleration)
+            unrecorded += move_duration(math.dist(places[-1], path[0].start), speed, acceleration)
         for move in path:
-            recorded += move_duration(distance(move.start, move.end), speed, acceleration)
+            recorded += move_duration(math.dist(move.start, move.end), speed, acceleration)
             places += [move.start, move.end]
             moves += 1
     low = tuple(min(place[axis] for place in places) for axis in range(3))

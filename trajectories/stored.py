@@ -5,12 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from trajectories.first_press import FirstPress
-from trajectories.force_depth import ForceDepth
 from trajectories.moves import Plan
 from trajectories.press_shear import PressShear
-from trajectories.taps import Taps
-from trajectories.touch import Touch
+from trajectories.presses import FirstPress, ForceDepth, Taps, Touch
 
 # All specs, by kind.
 KINDS: dict[str, type[Any]] = {

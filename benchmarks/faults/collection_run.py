@@ -20,6 +20,7 @@ from benchmarks.faults.processes import family, kill, stream_process, wait_gone
 from recorder import OUTCOMES, Session
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.mock_names import PORTS
 
 # Emulator of each device, as `rig.mock.emulate` names it.
 EMULATORS = {
@@ -216,7 +217,7 @@ class CollectionRun:
         Raises:
             OSError, ValueError: See `rig.core.emulation.inject`.
         """
-        port = emulation.PORTS[_LINES.get(device, device)]
+        port = PORTS[_LINES.get(device, device)]
         return emulation.inject(self.host, port, what, **values)
 
     def until_said(self, words: str, after: str = "") -> None:

@@ -12,6 +12,7 @@ from benchmarks.faults.rows import Row
 from recorder import recover
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.mock_names import PORTS
 from rig.devices.hid.shim import build
 
 # Maximum time to wait for a temporary fault to end, so that all its effects are counted [s].
@@ -51,7 +52,7 @@ def _with_fault(row: Row, collection: CollectionRun) -> int:
     row.act(collection)
     if row.counts is None:
         return 0
-    clock, port = SystemClock(), emulation.PORTS[row.device]
+    clock, port = SystemClock(), PORTS[row.device]
     deadline_ns = clock.now_ns() + round(_CLEARING * SECOND_NS)
     while True:
         state = emulation.inject(collection.host, port, "state")

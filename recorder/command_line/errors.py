@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
 
 EXIT_DONE = 0
 EXIT_WRONG_INPUT = 2
@@ -28,21 +27,24 @@ class CommandError(Exception):
         return f"{self.label}: {self}"
 
 
-def ended(call: Callable[[], int], interrupted: str = "") -> int:
-    """Return the exit code of `call`; print the line of a known error or of Ctrl-C."""
-    try:
-        code = call()
-        sys.stdout.flush()
-        return code
-    except CommandError as error:
+def failure(error: BaseException, interrupted: str = "") -> int:
+    """Print the line of a known error or of Ctrl-C, and return the exit code of the command.
+
+    Args:
+        error: The error; one that is a fault of the program is raised again.
+        interrupted: Consequence of Ctrl-C.
+    """
+    if isinstance(error, CommandError):
         line, code = error.report(), error.exit_code
-    except OSError as error:
+    elif isinstance(error, OSError):
         if _nobody_reads(error):
             return EXIT_BROKEN_PIPE
         reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         line, code = f"cannot read or write: {reason}", EXIT_WRONG_INPUT
-    except KeyboardInterrupt:
+    elif isinstance(error, KeyboardInterrupt):
         line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED
+    else:
+        raise error
     print(line, file=sys.stderr)
     return code
 

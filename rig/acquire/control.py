@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import logging
 import multiprocessing
 import os
@@ -17,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError, ended
+from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError, failure
 
 logger = logging.getLogger(__name__)
 
@@ -129,7 +128,11 @@ def apart(function: Callable[..., int], *arguments: object) -> int:
 def _at_terminal(function: Callable[..., int], arguments: tuple[object, ...]) -> None:
     """Call the function in its process, with this terminal's input, which `spawn` has put aside."""
     with open(0, closefd=False) as sys.stdin:
-        sys.exit(ended(functools.partial(function, *arguments), "nothing was recorded"))
+        try:
+            code = function(*arguments)
+        except BaseException as error:
+            code = failure(error, "nothing was recorded")
+        sys.exit(code)
 
 
 class Control:

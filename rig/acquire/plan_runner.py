@@ -370,7 +370,7 @@ def _reference(
         name: np.full(column.shape, np.nan) if column.shape else -1
         for name, column in columns.items()
     }
-    for name, place in frame_columns((row.name, row.traits) for row in bench.rows).items():
+    for name, place in frame_columns([(row.name, row.traits) for row in bench.rows]).items():
         kind = KINDS[bench.row(name).kind]
         if kind.name == "camera":
             latest = streams[name].latest()

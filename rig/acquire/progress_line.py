@@ -6,6 +6,7 @@ for which rich takes about 0.4 ms (500 redraws, 5 runs).
 
 from __future__ import annotations
 
+import functools
 import logging
 import sys
 from collections.abc import Iterable
@@ -55,7 +56,7 @@ class LiveLine:
             out or sys.stdout,
             _ON_TERMINAL_NS,
             _IN_LOG_NS,
-            lambda text: logger.info("%s", text),
+            functools.partial(logger.info, "%s"),
         )
         order = range(total) if pressing is None else pressing
         # Number of targets before a target, in this run.

@@ -320,7 +320,7 @@ class Bench:
     @property
     def signal(self) -> BenchStream | None:
         """Stream that the others are aligned to; None on a bench without a sensor."""
-        name = signal_of((row.name, row.traits) for row in self.rows)
+        name = signal_of([(row.name, row.traits) for row in self.rows])
         return None if name is None else self.row(name)
 
     @property

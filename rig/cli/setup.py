@@ -41,6 +41,7 @@ from rig.core.clock import SystemClock, file_stamp
 from rig.core.config import from_si, to_si
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose
+from rig.core.mock_names import PORTS
 
 Answers = dict[str, float | str]
 Point = tuple[float, float, float]
@@ -127,7 +128,7 @@ class AtBench:
             _read(f"  {text}; then Enter: ")
             return
         print(f"  {text} (done by the mock bench)", flush=True)
-        bench, ports = self.ready, emulation.PORTS
+        bench, ports = self.ready, PORTS
         host = self.ready.arm.host
         emulation.inject(host, ports["world"], "hand", force=force)
         frame = bench.world_frame or bench.contact_frame

@@ -43,18 +43,6 @@ M = TypeVar("M")
 # own protocol, so it answers while the device is unplugged or frozen, and it is open only on the
 # emulator's own loopback address.
 
-# Fault port of each device of a mock bench, at the bench's loopback address.
-PORTS = {
-    "arm": 31000,
-    "force": 31001,
-    "camera": 31002,
-    "taxels": 31003,
-    "gripper": 31004,
-    "pedal": 31005,
-    "spacemouse": 31006,
-    "world": 31007,
-}
-
 # Called with the name of a fault and its values; returns the device's state.
 #
 # Raises ValueError, KeyError or TypeError if the fault is unknown or a value is missing.

@@ -23,17 +23,15 @@ from rig.bench.bench import Bench, BenchFile
 from rig.bench.worlds import Noise, SimulatedSpec
 from rig.core.clock import SystemClock
 from rig.core.config import from_si
-from rig.core.emulation import PORTS
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose
+from rig.core.mock_names import ARM_FILE, PORTS, PRESS_FILE, WORLD_FILE
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
 from rig.core.stream_settings import StreamSettings
 from rig.devices import registry
 from rig.mock.processes import ProcessGroup, StartedOrClosed
-from rig.mock.world import ARM_FILE, WORLD_FILE
-from rig.mock.world.simulated import PRESS_FILE
 
 logger = logging.getLogger(__name__)
 

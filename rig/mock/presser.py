@@ -18,12 +18,12 @@ from rig.bench.bench import Bench, BenchFile
 from rig.core.clock import SECOND_NS, Clock, Pacer, SystemClock
 from rig.core.errors import DeviceLost
 from rig.core.geometry import transform
+from rig.core.mock_names import ARM_FILE, WORLD_FILE
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.taxels.settings import XelaConfig
 from rig.mock.bench import MockBench
-from rig.mock.world import ARM_FILE, WORLD_FILE
 from rig.mock.world.truth import Truth
 from trajectories import Point
 

@@ -21,6 +21,7 @@ from rig.acquire.request import first_open_target
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
+from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
 from rig.devices.gripper.robotiq import GripWatch, judge
 from rig.devices.gripper.robotiq_emulator import Fingers, RobotiqEmulator
@@ -322,7 +323,7 @@ def inject(run: Collection, device: str, fault: str, **values: float) -> int:
     """Inject a fault and return the time just before [ns of the monotonic clock]."""
     host = run.host()
     now_ns = SystemClock().now_ns()
-    emulation.inject(host, emulation.PORTS[device], fault, **values)
+    emulation.inject(host, PORTS[device], fault, **values)
     return now_ns
 
 

@@ -21,6 +21,7 @@ from rig.acquire.jog import REACH, origin_text, planned
 from rig.bench.bench import BenchFile
 from rig.core import emulation
 from rig.core.clock import SystemClock
+from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
 from rig.devices.arm import emulator_faults
 
@@ -116,7 +117,7 @@ jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
             clock.sleep_until(clock.now_ns() + 10_000_000)
 
     def move(self, fault: str, **values: float) -> None:
-        emulation.inject(self.host, emulation.PORTS["spacemouse"], fault, **values)
+        emulation.inject(self.host, PORTS["spacemouse"], fault, **values)
 
     def place(self) -> np.ndarray:
         return np.array(emulator_faults.inject(self.host, "state")["pose"][:3])

@@ -27,10 +27,10 @@ from support.collecting import ROOT, quick_bench
 from recorder import Session
 from rig.bench.bench import BenchFile
 from rig.core.geometry import invert, transform
+from rig.core.mock_names import ARM_FILE
 from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.mock.bench import MockBench
-from rig.mock.world import ARM_FILE
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 

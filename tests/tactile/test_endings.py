@@ -10,12 +10,12 @@ import pytest
 
 from learning.errors import LearningError
 from recorder import SessionError
-from recorder.command_line.errors import CommandError, ended
+from recorder.command_line.errors import CommandError
 from recorder.processes import WorkerLost
 from rig.acquire.control import Interrupted
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from sim.errors import SceneError, SimulationDiverged
-from tactile.run import joined
+from tactile.run import ended, joined
 
 
 def raised(error: BaseException) -> int:

@@ -24,9 +24,10 @@ import numpy as np
 
 from rig.core import emulation
 from rig.core.fault_injection import FAULTS
+from rig.core.mock_names import PORTS
 from rig.devices.arm.emulated_controller import Controller
 
-PORT = emulation.PORTS["arm"]
+PORT = PORTS["arm"]
 
 _OF_THE_LINE = (*(fault for fault in FAULTS if fault != "freeze"), "replug", "clear")
 

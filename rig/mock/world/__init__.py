@@ -16,8 +16,6 @@ from rig.mock.world.picture import MarkerCamera
 from rig.mock.world.simulated import SimulatedView, SimulatedWorld
 
 __all__ = [
-    "ARM_FILE",
-    "WORLD_FILE",
     "AnalyticSpec",
     "AnalyticWorld",
     "SimulatedSpec",
@@ -27,9 +25,6 @@ __all__ = [
     "build_world",
     "load_view",
 ]
-
-# Records in a run folder: the arm's motion, and the World's states.
-ARM_FILE, WORLD_FILE = "arm.state", "world.state"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,10 @@ import numpy as np
 
 from rig.core.clock import Clock, SystemClock
 from rig.core.emulation import Served, ThreadedEmulator
+from rig.core.mock_names import ARM_FILE, WORLD_FILE
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
-from rig.mock.world import ARM_FILE, WORLD_FILE, WorldConfig, build_world
+from rig.mock.world import WorldConfig, build_world
 from rig.mock.world.analytic import World
 from rig.mock.world.truth import TruthLog
 

@@ -18,6 +18,7 @@ from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SECOND_NS
 from rig.core.errors import ConfigError
 from rig.core.geometry import matrix_from_vector
+from rig.core.mock_names import PRESS_FILE, SURFACE_FILE
 from rig.core.samples import PRESS_STATE, WORLD_STATE, surface_state
 from rig.core.shared_memory import AwaitedRecord, SharedLatest
 from rig.mock.world.picture import MarkerPicture
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from sim.stream import LiveMarkers as LiveMarkers
     from sim.stream import LiveSensor as LiveSensor
 
-# Records that the solver writes, in the run folder.
-PRESS_FILE, SURFACE_FILE = "press.state", "surface.state"
 # Limit of extrapolating images, relative to the distance of the last two deformations.
 _AHEAD = 1.5
 # Tips closer to each other than this [m] define no direction of extrapolation.

@@ -23,11 +23,12 @@ from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import Served
 from rig.core.errors import ConfigError
+from rig.core.mock_names import ARM_FILE, PRESS_FILE, SURFACE_FILE
 from rig.core.realtime import SOLVER_PRIORITY
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, surface_state
 from rig.core.shared_memory import SharedLatest
-from rig.mock.world import ARM_FILE, WorldConfig
-from rig.mock.world.simulated import PRESS_FILE, SURFACE_FILE, ContactFrame, live_sensor, note_on
+from rig.mock.world import WorldConfig
+from rig.mock.world.simulated import ContactFrame, live_sensor, note_on
 
 if TYPE_CHECKING:
     from rig.mock.world.simulated import LiveSensor
