@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sim.fem.mesh import Mesh
 
 # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
-# the paper's method, costlier and less exact than `fem`, for comparison and for waves.
+# the paper's method, costlier and less exact than `fem`, for comparison.
 Tier = Layer | Fem | Mpm
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fem.contact import contact_kernels, face_rule
+from sim.fem.contact import POINTS, STICK, contact_kernels, face_rule
 from sim.fem.crossing import MAY_CROSS, Crossing
 from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
 from sim.fem.graphs import Graphs
@@ -455,7 +455,7 @@ class Assembly:
         self.effects = scenes[0].effects.key
         self.environments = len(scenes)
         vec3, mat33 = vector_of(real), matrix_of(real)
-        shape, rule = face_rule(numerics.contact_points)
+        shape, rule = face_rule(POINTS)
         self.points = len(rule)
 
         poisson = np.array([scene.body.poisson for scene in scenes])
@@ -497,7 +497,7 @@ class Assembly:
         self._overlap = overlap_kernel(real, table.traits)
         self._work = work_kernel(real, "friction" in self.effects)
         self._penalty = real(numerics.penalty)
-        self._stick = real(numerics.stick)
+        self._stick = real(STICK)
         self._convex = wp.zeros(len(scenes), dtype=wp.int32, device=device)
 
         environments, count = self.environments, len(mesh.nodes)
@@ -556,7 +556,7 @@ class Assembly:
             self._array([each.node_volume for each in variants], wp.float64),
             self._variant,
             numerics.penalty,
-            numerics.stick * numerics.penalty,
+            STICK * numerics.penalty,
             self._array(
                 [getattr(scene.effects.friction, "coefficient", 0.0) for scene in scenes],
                 wp.float64,
@@ -568,18 +568,19 @@ class Assembly:
 
     def evaluate(self, active, u, direction) -> Sums:
         """Compute forces at `u` and return their sums; the slope is along `direction` (B, N)."""
-
-        def work() -> None:
-            self._launch_elements(active, u)
-            self._launch_contact(active, u, direction)
-
-        self._graphs.run(("elements", active.ptr, u.ptr, direction.ptr), work)
+        key = "elements", active.ptr, u.ptr, direction.ptr
+        if not self._graphs.launched(key):
+            with self._graphs.recorded(key):
+                self._launch_elements(active, u)
+                self._launch_contact(active, u, direction)
         return self._sum()
 
     def evaluate_contact(self, active, u, direction) -> Sums:
         """Evaluate again after only the friction limit has changed."""
         key = "contact", active.ptr, u.ptr, direction.ptr
-        self._graphs.run(key, lambda: self._launch_contact(active, u, direction))
+        if not self._graphs.launched(key):
+            with self._graphs.recorded(key):
+                self._launch_contact(active, u, direction)
         return self._sum()
 
     def _sum(self) -> Sums:
@@ -850,18 +851,18 @@ class Assembly:
             self._shift.assign(shift)
             self._shift_now = shift
 
-        def work() -> None:
-            self.block_matrix.assemble(
-                active,
-                u,
-                (self._inverse, self._weight, self._node_mass, self._variant),
-                (self._shear, self._bulk, *self.state.viscous),
-                (self.shape, self.touched, self._matrix),
-                self._shift,
-                self._convex,
-            )
-
-        self._graphs.run(("tangent", active.ptr, u.ptr), work)
+        key = "tangent", active.ptr, u.ptr
+        if not self._graphs.launched(key):
+            with self._graphs.recorded(key):
+                self.block_matrix.assemble(
+                    active,
+                    u,
+                    (self._inverse, self._weight, self._node_mass, self._variant),
+                    (self._shear, self._bulk, *self.state.viscous),
+                    (self.shape, self.touched, self._matrix),
+                    self._shift,
+                    self._convex,
+                )
         self.preconditioner.factor(active, self.block_matrix.matrix)
 
     def settle_volume(self, active, direction) -> Sums:

@@ -237,11 +237,18 @@ class ConjugateGradient:
         self._gather(running, renew=True)
         self._accuracy.assign(accuracy)
         grids = self._preconditioner.choose(running)
-        self._repeat(functools.partial(self._begin, residual), 1, residual.ptr)
+        begins = "begin", residual.ptr, len(self._which), grids
+        if not self._graphs.launched(begins):
+            with self._graphs.recorded(begins):
+                self._begin(residual)
         kind, done = "cuda" if self._device.is_cuda else "cpu", 0
         while len(running) and done < most:
             look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
-            self._repeat(self._once, look, None)
+            goes_on = "go on", len(self._which), grids
+            if not self._graphs.launched(goes_on):
+                with self._graphs.recorded(goes_on):
+                    for _time in range(look):
+                        self._once()
             if meanwhile is not None and self._launched is not None:
                 wp.record_event(self._launched)
                 meanwhile(lambda: not self._launched.is_complete)
@@ -277,11 +284,6 @@ class ConjugateGradient:
             found[: len(running)] = running
             self._which = self._all_rows[:rows]
             self._which.assign(found)
-
-    def _repeat(self, work, times: int, begins) -> None:
-        """Do `work` some times as one graph, recorded once for all that it depends on."""
-        key = begins, len(self._which), self._preconditioner.grids
-        self._graphs.run(key, lambda: [work() for _time in range(times)])
 
     def _begin(self, residual) -> None:
         start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)

@@ -25,6 +25,11 @@ from sim.scalars import matrix_of, vector_of
 
 # Step of the finite difference of the normal, in thicknesses.
 REACH = 2e-3
+# Gauss points along each edge of a face.
+POINTS = 2
+# Stiffness of sticking over the penalty: the springs that hold a point before it slips stretch by
+# 1/100 of the thickness when the shear traction equals the modulus.
+STICK = 0.5
 
 
 def face_rule(points: int) -> tuple[np.ndarray, np.ndarray]:

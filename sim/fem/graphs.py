@@ -7,7 +7,8 @@ To launch a kernel costs Python 50 us or more, a graph of many of them about as 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+import contextlib
+from collections.abc import Hashable, Iterator
 
 import warp as wp
 
@@ -24,20 +25,26 @@ class Graphs:
         self._device, self._records = device, record
         self._graphs = {}
 
-    def run(self, key: Hashable, work: Callable[[], None]) -> None:
-        """Do `work`, which only launches kernels; it is recorded the second time.
+    def launched(self, key: Hashable) -> bool:
+        """Launch the graph of `key`, if it is recorded; else do its launches inside `recorded`."""
+        graph = self._graphs.get(key)
+        if graph is None:
+            return False
+        wp.capture_launch(graph)
+        return True
+
+    @contextlib.contextmanager
+    def recorded(self, key: Hashable) -> Iterator[None]:
+        """Context of launches of kernels, and of nothing else; they are recorded the second time.
 
         The first time compiles kernels, which a recording must not.
         """
-        if not self._records:
-            work()
+        if not self._records or key not in self._graphs:
+            yield
+            if self._records:
+                self._graphs[key] = None
             return
-        if key not in self._graphs:
-            self._graphs[key] = None
-            work()
-            return
-        if self._graphs[key] is None:
-            with wp.ScopedCapture(self._device) as capture:
-                work()
-            self._graphs[key] = capture.graph
-        wp.capture_launch(self._graphs[key])
+        with wp.ScopedCapture(self._device) as capture:
+            yield
+        self._graphs[key] = capture.graph
+        wp.capture_launch(capture.graph)

@@ -24,8 +24,8 @@ from sim.fem.volume import SETTLINGS, STIFFER
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
-# Least determinant of the deformation gradient of a trial state.
-DET_TRIAL = 0.02
+# Least determinant of the deformation gradient of a trial state, and of an accepted one.
+DET_TRIAL, DET_FLOOR = 0.02, 0.05
 # Most step lengths tried along one direction.
 TRIALS = 12
 
@@ -221,7 +221,7 @@ class Newton:
         spent |= self.iterations - np.maximum(self._best_at, self._far_at) >= PATIENCE
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)
-        self.crushed = self.failed & (assembly.sums.det <= assembly.numerics.det_floor)
+        self.crushed = self.failed & (assembly.sums.det <= DET_FLOOR)
 
     def _switch(self, chosen: np.ndarray) -> bool:
         """Switch tangents of the chosen (B,) between convex and exact; return True if any."""
@@ -245,7 +245,7 @@ class Newton:
             moved = balanced.copy()
             balanced = self._balance(balanced)[1]
             self._renew(moved & ~balanced)
-        good = assembly.sums.det > assembly.numerics.det_floor
+        good = assembly.sums.det > DET_FLOOR
         self.converged |= balanced & good
         self.failed |= (chosen & ~is_valid) | (balanced & ~good)
 

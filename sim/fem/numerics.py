@@ -92,18 +92,11 @@ class Fem:
     augmentations: int = 2
     """Times that a waypoint is solved again with updated multipliers, which reduces penetration:
     with 0 the force is up to 5 % low, with 2 it is within 0.4 %."""
-    stick: float = 0.5
-    """Stiffness of sticking over `penalty`: the springs that hold a point before it slips stretch
-    by 1/100 of the thickness when the shear traction equals the modulus."""
-    contact_points: int = 2
-    """Gauss points along each edge of a contact face, 1 to 6."""
     newton_max: int = 60
     """Newton iterations after which a step is halved; six times as many after an update of the
     multipliers, which a shorter step would not avoid."""
     cg_max: int = 4000
     """Most conjugate-gradient iterations per Newton step."""
-    det_floor: float = 0.05
-    """Smallest accepted determinant of the deformation gradient."""
     step_travel: float | None = None
     """Longest step of the tip [m]; at most half the sharpest radius of the indenter (or a fiftieth
     of the thickness), because a longer one may put skin on the wrong side of an edge. None: with
@@ -127,7 +120,7 @@ class Fem:
             )
         if self.grading is not None:
             check_kind("fem.grading", self.grading, Grading, "a Grading or None")
-        for name in ("augmentations", "contact_points", "newton_max", "cg_max", "halvings"):
+        for name in ("augmentations", "newton_max", "cg_max", "halvings"):
             check_kind(f"fem.{name}", getattr(self, name), int, "a whole number")
         for name in ("spacing", "step_travel"):
             value = getattr(self, name)
@@ -140,9 +133,6 @@ class Fem:
             check_range("fem", "path_tolerance", self.path_tolerance, 1e-15, 0.1)
         check_range("fem", "augmentations", self.augmentations, 0, 20)
         check_range("fem", "penalty", self.penalty, 1.0, 1e6)
-        check_range("fem", "stick", self.stick, 1e-6, 1.0)
-        check_range("fem", "det_floor", self.det_floor, 0.0, 1.0)
-        check_range("fem", "contact_points", self.contact_points, 1, 6)
         check_range("fem", "newton_max", self.newton_max, 1, 10_000)
         check_range("fem", "cg_max", self.cg_max, 1, 1_000_000)
         check_range("fem", "halvings", self.halvings, 0, 60)

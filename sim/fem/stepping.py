@@ -21,7 +21,15 @@ from sim.contact_size import width_of
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.frames import Collector, Spent
-from sim.fem.newton import NEARLY_CRUSHED, PATIENCE, ROUNDING, Newton, Path, path_of
+from sim.fem.newton import (
+    DET_FLOOR,
+    NEARLY_CRUSHED,
+    PATIENCE,
+    ROUNDING,
+    Newton,
+    Path,
+    path_of,
+)
 from sim.fem.overlap import COLUMNS
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import Sizes, finer_at
@@ -365,7 +373,7 @@ class Batch:
             self._collectors[i].moved(float(work[i]), way[i])
             self._deepest[i] = way[i, 0]
             frame = path.segment
-            floor = NEARLY_CRUSHED * self._numerics.det_floor
+            floor = NEARLY_CRUSHED * DET_FLOOR
             if path.accept(self._share[i], nearly_crushed=bool(assembly.sums.det[i] < floor)):
                 kept[i] = frame
         if kept:

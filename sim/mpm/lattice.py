@@ -157,13 +157,11 @@ def same_body(scenes: Sequence[Scene]) -> Body:
 
 # Mass of the body, duration of a time step, and the step of each waypoint.
 
-# Tip speed over wave speed above which a press without inertia does not count as quasi-static.
+# Tip speed over wave speed above which a press does not count as quasi-static.
 QUASI_STATIC = 0.03
-# Time for which the tip stands still in a scene without inertia, where its motion has a hold
-# [slowest periods of the layer].
+# Time for which the tip stands still where its motion has a hold, by our settings [slowest periods
+# of the layer].
 STANDING = 4.0
-# Time for a body to come to rest under its weight, with critical damping [periods].
-SETTLING = 6.0
 # Speed of the tip if its motion has none [m/s].
 ENTRY_SPEED = 10e-3
 # Most steps: the readings of this many take 360 MB.
@@ -187,11 +185,9 @@ class Pace:
     corners: Array
     """Start and waypoints in the contact frame (F + 1, 3) [m]."""
     at: NDArray[np.int64]
-    """Step after which the tip is at each corner (F + 1,); the body settles until the first."""
+    """Step after which the tip is at each corner (F + 1,)."""
     window: int
     """Number of steps to which a frame's force is fitted."""
-    settling: float
-    """Fraction of its velocity that the body loses per step until the first corner."""
 
     @property
     def steps(self) -> int:
@@ -208,8 +204,8 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
     """Return the mass and the schedule of a scene on a grid with cells of this size [m].
 
     Raises:
-        SceneError: The published time step is unstable in the body, the published mass meets an
-            effect's, or the motion has more steps than allowed.
+        SceneError: The published time step is unstable in the body, or the motion has more steps
+            than allowed.
     """
     body = scene.body
     corners = _corners(scene)
@@ -217,22 +213,20 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
     durations = np.diff(np.asarray(scene.motion.time))
     speeds = lengths[1:] / durations
     tip_speed = float(speeds.max(initial=0.0)) or ENTRY_SPEED
-    scaling = _mass_scaling(scene, numerics, tip_speed)
+    scaling = (SPEED_RATIO * wave_speed(body) / tip_speed) ** 2
+    if numerics.published is not None:
+        scaling = AUTHORS_DENSITY / body.density
     speed = wave_speed(body, scaling)
     step = _time_step(numerics, cell, speed)
     entry = [lengths[0] / tip_speed]
     period = 4 * body.thickness / math.sqrt(body.shear_modulus / (body.density * scaling))
-    timeless = scene.effects.inertia is None and numerics.published is None
-    if timeless:
+    if numerics.published is None:
         durations = np.where(lengths[1:] > 0, lengths[1:] / tip_speed, STANDING * period)
-    settling = 0
-    if scene.effects.gravity is not None:
-        settling = math.ceil(SETTLING * period / step)
     moments = np.concatenate([[0.0], np.cumsum(np.concatenate([entry, durations]))])
-    if moments[-1] / step + settling > STEPS_MOST:
+    if moments[-1] / step > STEPS_MOST:
         raise SceneError(
             f"motion: {moments[-1]:.3g} s are {moments[-1] / step:.3g} steps of {step:.3g} s; "
-            f"allowed: {STEPS_MOST:,} steps (scale the mass, or leave inertia out)"
+            f"allowed: {STEPS_MOST:,} steps"
         )
     at = np.round(moments / step).astype(np.int64)
     for index in range(1, len(at)):
@@ -245,10 +239,8 @@ def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
         courant=speed * step / cell,
         tip_speed=tip_speed,
         corners=corners,
-        at=at + settling,
+        at=at,
         window=math.ceil(WINDOW * body.thickness / speed / step),
-        # Critical damping of the slowest shear wave, a quarter wave through the thickness.
-        settling=min(1.0, 4 * math.pi / period * step),
     )
 
 
@@ -264,25 +256,6 @@ def _corners(scene: Scene) -> Array:
     start = tip[0].copy()
     start[2] = max(start[2], 0.0)
     return np.concatenate([start[None], tip])
-
-
-def _mass_scaling(scene: Scene, numerics: Mpm, tip_speed: float) -> float:
-    inertia = scene.effects.inertia
-    if inertia is None:
-        if numerics.published is not None:
-            return AUTHORS_DENSITY / scene.body.density
-        return (SPEED_RATIO * wave_speed(scene.body) / tip_speed) ** 2
-    if numerics.published is not None:
-        raise SceneError(
-            f"mpm.published: {numerics.published!r} with effects.inertia.scale {inertia.scale!r}; "
-            "allowed: None, the effect says how heavy the body is"
-        )
-    if inertia.scale < 1e-12:
-        raise SceneError(
-            f"inertia.scale: {inertia.scale!r}; allowed by tier 'mpm': 1e-12 or more, it moves "
-            "masses"
-        )
-    return inertia.scale
 
 
 def _time_step(numerics: Mpm, cell: float, speed: float) -> float:

@@ -50,9 +50,8 @@ class Frames:
     """Frames of one press, filled as they are reached; results are in SI units.
 
     `residual` and `slip_excess` stay NaN: no equations are solved, and Coulomb's law holds at each
-    node. `balance` is the rate of momentum over the force: the imbalance of a press without
-    inertia. With inertia that is no error, and it is NaN; it is also NaN if fixed particles take
-    the reaction.
+    node. `balance` is the rate of momentum over the force, and NaN if fixed particles take the
+    reaction.
     """
 
     def __init__(self, scene: Scene, pace: Pace, state: ParticleState, env: int) -> None:
@@ -87,7 +86,6 @@ class Frames:
         self._steps[frame] = end - (before if frame else 0)
         push, base = np.zeros(6), np.zeros(3)
         if end > 0:
-            # A settled start counts as one stretch with the settling before it.
             first = max(end - max(pace.window, 1), min(before, end - 1))
             fitted = end_of_line(self._readings[first:end])
             push, base = fitted[:6], fitted[6:]
@@ -95,8 +93,8 @@ class Frames:
         self._wrench[frame, 3:] = push[3:] * units.force * units.length
         self._surface[frame] = surface * units.length
         size = float(np.linalg.norm(push[:3]))
-        if self._scene.effects.inertia is None and not self._lattice.held and size > 0:
-            total = push[:3] + base + self._weight()
+        if not self._lattice.held and size > 0:
+            total = push[:3] + base
             quality["balance"][frame] = float(np.linalg.norm(total)) / size
         quality["contact"][frame] = self._penetration(frame)
         quality["det_f_min"][frame] = means.det_min
@@ -104,7 +102,7 @@ class Frames:
 
     def _count_energy(self, frame: int, end: int, means: Means) -> None:
         volume = self._lattice.volume.sum()
-        energy = (means.stored + means.kinetic) * volume - self._weight() @ means.displacement
+        energy = (means.stored + means.kinetic) * volume
         forces = self._readings[:end, :3]
         spent = np.concatenate([[0.0], np.cumsum((forces * self._velocity[:end]).sum(axis=1))])
         if self._start is None:
@@ -115,14 +113,6 @@ class Frames:
         self._quality["energy_gap"][frame] = lost / most if most > 0 else 0.0
         if means.stored > 0:
             self._kinetic_share = max(self._kinetic_share, means.kinetic / means.stored)
-
-    def _weight(self) -> np.ndarray:
-        """Return the body's weight (3,), as an impulse per step."""
-        gravity = self._scene.effects.gravity
-        if gravity is None:
-            return np.zeros(3)
-        mass = self._scene.body.density * self._lattice.volume.sum() * self._units.length**3
-        return np.array(gravity.acceleration) * mass / self._units.force
 
     def _penetration(self, frame: int) -> float:
         """Return the largest depth of the top inside the indenter, over the depth of the press."""
@@ -197,8 +187,8 @@ def simulate_mpm(
         progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        SceneError: A scene has viscosity, the scenes cannot share a lattice, or the lattice or the
-            time step is not possible.
+        SceneError: A scene has an effect other than friction, the scenes cannot share a lattice, or
+            the lattice or the time step is not possible.
     """
     scenes = list(scenes)
     if not scenes:
@@ -318,7 +308,7 @@ def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]
             f"{numerics.per_cell:.3g} particles per cell and dimension: below {COUPLED:g} the "
             "material comes apart into loose columns; allowed without this warning: 1, better 2"
         )
-    if scene.effects.inertia is None and pace.speed_ratio > QUASI_STATIC:
+    if pace.speed_ratio > QUASI_STATIC:
         found.append(
             f"the tip moves at {pace.speed_ratio:.3g} of the wave speed of {pace.wave_speed:.3g} "
             f"m/s: not quasi-static; allowed without this warning: up to {QUASI_STATIC:g}"
@@ -354,11 +344,12 @@ def _check_bodies(scenes: Sequence[Scene]) -> None:
 def _same_effects(scenes: Sequence[Scene]) -> None:
     first = scenes[0].effects
     for index, scene in enumerate(scenes):
-        if scene.effects.viscosity is not None:
-            raise SceneError(
-                f"scenes[{index}].effects.viscosity: {scene.effects.viscosity!r}; allowed: None, "
-                "tier 'mpm' has no relaxing material"
-            )
+        for name in ("viscosity", "inertia", "gravity"):
+            effect = getattr(scene.effects, name)
+            if effect is not None:
+                raise SceneError(
+                    f"scenes[{index}].effects.{name}: {effect!r}; allowed with tier 'mpm': None"
+                )
         if scene.effects.key != first.key:
             raise SceneError(
                 f"scenes[{index}].effects: {scene.effects.key}; allowed: {first.key}, as in the "

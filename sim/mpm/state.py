@@ -76,7 +76,7 @@ READINGS = 9
 IMPULSE_UNIT = 2.0**40
 
 
-# Time step of a grid node: velocity from momentum, weight, the bonded base, the rigid indenter.
+# Time step of a grid node: velocity from momentum, the bonded base, the rigid indenter.
 #
 # The base: inside the body the velocity field is extended below the base plane as an odd function,
 # so that a spline over nodes on both sides of it vanishes there. The first node below is tied to
@@ -84,14 +84,12 @@ IMPULSE_UNIT = 2.0**40
 
 
 @functools.cache
-def node_kernel(
-    real, sticky: bool, friction: bool, gravity: bool, bonded: bool, traits: Traits = PLAIN
-):
+def node_kernel(real, sticky: bool, friction: bool, bonded: bool, traits: Traits = PLAIN):
     """Return the kernel of a node's time step for one precision, contact law, base and traits."""
     vec3 = vector_of(real)
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
-    zero, one, unit = real(0.0), real(1.0), real(FIXED_POINT)
+    zero, unit = real(0.0), real(FIXED_POINT)
     impulse_unit = real(IMPULSE_UNIT)
     base = BASE_NODE
 
@@ -110,8 +108,6 @@ def node_kernel(
         # Environments:
         active: wp.array(dtype=wp.int32),
         step: wp.array(dtype=wp.int32),
-        weight: wp.array(dtype=vec3),
-        damping: wp.array(dtype=real),
         # In, and cleared for the next step:
         sums: wp.array3d(dtype=wp.int64),
         # Out:
@@ -150,11 +146,6 @@ def node_kernel(
         slot = step[env] % history_out.shape[1]
         if mass + below > zero:
             v = momentum / (mass + below)
-            if wp.static(gravity):
-                # The tied pair falls as one with the upper node: their weights nearly cancel.
-                v += weight[env] * ((mass - below) / (mass + below))
-                before += weight[env] * (mass + below)
-            v = v * (one - damping[env])
             pushed = vec3()
             if wp.static(bonded) and k <= base:
                 v = vec3()
@@ -254,7 +245,6 @@ def tip_kernel(real):
         # Schedule: corners [cells], and the numbers of the steps that end there
         corners: wp.array2d(dtype=vec3),
         at: wp.array2d(dtype=wp.int32),
-        settling: wp.array(dtype=real),
         # In:
         status: wp.array(dtype=wp.int32),
         # In and out: steps taken
@@ -263,7 +253,6 @@ def tip_kernel(real):
         active_out: wp.array(dtype=wp.int32),
         tip_out: wp.array(dtype=vec3),
         velocity_out: wp.array(dtype=vec3),
-        damping_out: wp.array(dtype=real),
     ):
         env = wp.tid()
         last = at.shape[1] - 1
@@ -276,7 +265,6 @@ def tip_kernel(real):
         if now <= at[env, 0]:
             tip_out[env] = corners[env, 0]
             velocity_out[env] = vec3()
-            damping_out[env] = settling[env]
             return
         segment = wp.int32(0)
         while segment < last - 1 and now > at[env, segment + 1]:
@@ -286,7 +274,6 @@ def tip_kernel(real):
         left = real(at[env, segment + 1] - now)
         tip_out[env] = corners[env, segment + 1] - travel * (left / steps)
         velocity_out[env] = travel / steps
-        damping_out[env] = real(0.0)
 
     return begin_step
 
@@ -439,7 +426,7 @@ def reading_kernels(real):
         velocity: wp.array2d(dtype=vec3),
         shift: wp.array2d(dtype=vec3),
         gradient: wp.array2d(dtype=mat33),
-        # Out: means over the body of stored and kinetic energy and displacement (5 numbers),
+        # Out: means over the body of stored and kinetic energy,
         # and the smallest determinant
         sums_out: wp.array2d(dtype=wp.int64),
         det_out: wp.array(dtype=real),
@@ -448,9 +435,7 @@ def reading_kernels(real):
         if status[env] != 0:
             return
         h = gradient[env, p]
-        u = shift[env, p]
-        x = rest[p] + u
-        first, offset = first_node(x)
+        first, offset = first_node(rest[p] + shift[env, p])
         first += corner
         w = weights(offset)
         v = vec3()
@@ -463,8 +448,6 @@ def reading_kernels(real):
         stored = energy(h, shear[env], bulk[env]) * fraction
         wp.atomic_add(sums_out, env, 0, wp.int64(stored))
         wp.atomic_add(sums_out, env, 1, wp.int64(half * wp.length_sq(v) * fraction))
-        for c in range(3):
-            wp.atomic_add(sums_out, env, 2 + c, wp.int64(u[c] * fraction))
         wp.atomic_min(det_out, env, one + dilatation(h))
 
     return surface, body
@@ -505,8 +488,6 @@ class Means:
     stored: float
     """Elastic energy per rest volume."""
     kinetic: float
-    displacement: np.ndarray
-    """Displacement (3,)."""
     det_min: float
 
 
@@ -536,7 +517,7 @@ class ParticleState:
         self.rest = self.array(lattice.rest, vec3)
         self.volume = self.array(lattice.volume, real)
         self._to_surface = self.array(lattice.to_surface, vec3)
-        self._fill_environments(scenes, paces, numerics)
+        self._fill_environments(scenes, numerics)
         self._fill_schedules(paces)
 
         def zeros(shape, dtype):
@@ -548,12 +529,11 @@ class ParticleState:
         self.sums = zeros((count, nodes, 4), wp.int64)
         self.history = zeros((count, ROUND, READINGS), wp.int64)
         self._surface = zeros((count, len(lattice.to_surface)), vec3)
-        self._means = zeros((count, 5), wp.int64)
+        self._means = zeros((count, 2), wp.int64)
         self._det = zeros(count, real)
         self.active = wp.full(count, 1, dtype=wp.int32, device=self.device)
         self.status, self.step = zeros(count, wp.int32), zeros(count, wp.int32)
         self.tip, self.tip_velocity = zeros(count, vec3), zeros(count, vec3)
-        self.damping = zeros(count, real)
         self.nodes, self._corner = wp.vec3i(*lattice.nodes), wp.vec3i(*lattice.corner)
         self._held, self._det_floor = lattice.held, real(DET_FLOOR)
         self._origin, self._reach = (
@@ -564,8 +544,8 @@ class ParticleState:
         # Initial sums of the grid: a time step of particles at rest changes nothing else.
         self.move_particles()
 
-    def _fill_environments(self, scenes, paces, numerics) -> None:
-        """Set the parameters of each environment: material, contact, weight."""
+    def _fill_environments(self, scenes, numerics) -> None:
+        """Set the parameters of each environment: material and contact."""
         real, units = self.real, self.units
         stress = np.array([unit.stress for unit in units])
         self.shear = self.array([one.body.shear_modulus for one in scenes] / stress, real)
@@ -576,18 +556,10 @@ class ParticleState:
         friction = [one.effects.friction for one in scenes]
         given = [0.0 if one is None else one.coefficient for one in friction]
         self._coefficient = self.array(given, real)
-        weight = np.zeros((len(scenes), 3))
-        for env, (scene, unit, pace) in enumerate(zip(scenes, units, paces, strict=True)):
-            if scene.effects.gravity is not None:
-                # Weight is that of the real mass, so a scaled one falls more slowly.
-                fall = np.array(scene.effects.gravity.acceleration) / pace.mass_scaling
-                weight[env] = fall * unit.time**2 / unit.length
-        self._weight = self.array(weight, self.vec3)
         self._node_kernel = node_kernel(
             real,
             numerics.published is not None,
             friction[0] is not None,
-            scenes[0].effects.gravity is not None,
             numerics.published is None,
             self._table.traits,
         )
@@ -601,7 +573,6 @@ class ParticleState:
         at = np.stack([np.pad(pace.at, (0, longest - len(pace.at)), "edge") for pace in paces])
         self._corners = self.array(corners / self.lattice.cell, self.vec3)
         self._at = self.array(at, wp.int32)
-        self._settling = self.array([pace.settling for pace in paces], self.real)
 
     def array(self, values, dtype) -> wp.array:
         """Return values as an array on the device."""
@@ -653,8 +624,8 @@ class ParticleState:
         wp.launch(
             tip_kernel(self.real),
             self._count,
-            [self._corners, self._at, self._settling, self.status, self.step],
-            [self.active, self.tip, self.tip_velocity, self.damping],
+            [self._corners, self._at, self.status, self.step],
+            [self.active, self.tip, self.tip_velocity],
             device=self.device,
         )
 
@@ -666,7 +637,7 @@ class ParticleState:
             [
                 self.nodes, self._corner, self._origin, self._reach,
                 self._table.struct, self._coefficient, self.tip, self.tip_velocity,
-                self.active, self.step, self._weight, self.damping, self.sums,
+                self.active, self.step, self.sums,
             ],
             [self.velocity, self.history],
             device=self.device,
@@ -700,7 +671,7 @@ class ParticleState:
         return self._surface.numpy().reshape(self._count, nx, ny, 3).astype(float)
 
     def means(self) -> list[Means]:
-        """Return energies, displacement and smallest determinant of every environment."""
+        """Return energies and smallest determinant of every environment."""
         _, kernel = reading_kernels(self.real)
         whole = self.real(self.lattice.volume.sum())
         self._means.zero_()
@@ -717,6 +688,6 @@ class ParticleState:
         )  # fmt: skip
         means, det = self._means.numpy() / FIXED_POINT, self._det.numpy().astype(float)
         return [
-            Means(float(one[0]), float(one[1]), one[2:], float(least))
+            Means(float(one[0]), float(one[1]), float(least))
             for one, least in zip(means, det, strict=True)
         ]

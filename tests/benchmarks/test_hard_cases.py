@@ -15,7 +15,7 @@ from benchmarks.sim.stability.page import page
 from benchmarks.sim.stability.planted import DETECTING_CASES, WHAT, fully_integrated, planted
 from benchmarks.sim.stability.runner import Report, run_case, run_cases
 from sim.errors import SimulationDiverged
-from sim.fem import assembly, matrix, solver
+from sim.fem import assembly, matrix, stepping
 from tests.support.few import few
 
 QUICK = (
@@ -76,7 +76,7 @@ def _solver_parts() -> dict[str, object]:
         "element_rows_kernel": matrix.element_rows_kernel,
         "forces_kernel": assembly.forces_kernel,
         "blocks_kernel": matrix.blocks_kernel,
-        "Newton": solver.Newton,
+        "Newton": stepping.Newton,
     }
 
 

@@ -96,9 +96,11 @@ def test_nothing_unconverged_is_returned() -> None:
 
 @pytest.mark.parametrize("precision", ["auto", "float64"])
 def test_a_body_flatter_than_allowed_is_not_returned_nor_tried_in_ever_smaller_steps(
-    precision: Precision,
+    precision: Precision, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    never_flat = Fem(spacing=SPACING, precision=precision, det_floor=0.99)
+    monkeypatch.setattr("sim.fem.newton.DET_FLOOR", 0.99)
+    monkeypatch.setattr("sim.fem.stepping.DET_FLOOR", 0.99)
+    never_flat = Fem(spacing=SPACING, precision=precision)
     with pytest.raises(SimulationDiverged, match="waypoint 1: elements are crushed") as caught:
         simulate(SCENE, never_flat)
     assert len(caught.value.tried) == CRUSHED_MOST
@@ -261,7 +263,6 @@ def test_meshes_that_are_too_coarse_too_fine_or_nonsense_are_refused(spacing: fl
         ("precision", "half"),
         ("tolerance", float("nan")),
         ("penalty", -1.0),
-        ("contact_points", 0),
         ("newton_max", 0),
         ("halvings", -1),
         ("step_travel", 0.0),

@@ -11,7 +11,7 @@ import warp as wp
 
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulate_many
 from sim.fem.assembly import Assembly
-from sim.fem.contact import face_rule
+from sim.fem.contact import STICK, face_rule
 from sim.fem.numerics import Fem
 from sim.fem.reading import reading_kernels
 from sim.fem.vectors import LANES
@@ -42,7 +42,7 @@ def _alone(assembly: Any, env: int, tip: np.ndarray) -> tuple[dict[str, Any], np
     deep = np.where(pressure > 0, pressure - of(state.multiplier)[rows], 0.0) / FEM.penalty
     excess = np.linalg.norm(traction, axis=2) - 0.8 * pressure
     weight, volume = of(state.weight), mesh.node_volume[:, None]
-    springs = (np.square(traction).sum(axis=2) * area).sum() / (2 * FEM.stick * FEM.penalty)
+    springs = (np.square(traction).sum(axis=2) * area).sum() / (2 * STICK * FEM.penalty)
     ahead = volume * (u - of(state.predicted))
     overlap = of(assembly.face_overlap)
     columns = len(mesh.x) * len(mesh.y)

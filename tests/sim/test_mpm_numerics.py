@@ -24,13 +24,12 @@ from sim import (
 )
 from sim.indenters import sphere
 from sim.mpm import Mpm
-from sim.mpm.lattice import build_lattice, pace_of, wave_speed
+from sim.mpm.lattice import build_lattice, pace_of
 from sim.mpm.numerics import AUTHORS_CELL, STABLE
 from sim.mpm.solver import simulate_mpm
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
 CELL = 0.5e-3
-INERTIA = Effects(inertia=Inertia())
 
 
 @pytest.mark.parametrize(
@@ -79,7 +78,7 @@ def test_a_lattice_that_is_no_lattice_or_too_large_is_refused() -> None:
         build_lattice([SCENE], Mpm(cell=0.01e-3))
 
 
-def test_without_inertia_the_mass_follows_from_the_speed_of_the_tip() -> None:
+def test_the_mass_follows_from_the_speed_of_the_tip() -> None:
     numerics = Mpm(cell=CELL)
     pace = pace_of(SCENE, numerics, CELL)
     assert pace.speed_ratio == pytest.approx(0.01)
@@ -90,16 +89,7 @@ def test_without_inertia_the_mass_follows_from_the_speed_of_the_tip() -> None:
     np.testing.assert_array_equal(fast.at, pace.at)
 
 
-def test_with_inertia_the_mass_is_the_effects_and_time_is_the_motions() -> None:
-    pace = pace_of(replace(SCENE, effects=INERTIA), Mpm(cell=CELL), CELL)
-    body = SCENE.body
-    assert pace.wave_speed == pytest.approx(22.67, abs=0.01)
-    assert pace.wave_speed == wave_speed(body)
-    assert pace.time_step == pytest.approx(0.5 * CELL / pace.wave_speed)
-    assert pace.steps * pace.time_step == pytest.approx(0.1, rel=1e-4)
-
-
-def test_a_hold_without_inertia_takes_a_few_periods_whatever_it_lasts() -> None:
+def test_a_hold_takes_a_few_periods_whatever_it_lasts() -> None:
     short, long = (
         pace_of(Scene(sphere(4e-3), ramp_hold(1e-3, ramp=0.1, hold=hold)), Mpm(), CELL)
         for hold in (0.1, 1e5)
@@ -128,23 +118,23 @@ def test_a_time_step_above_the_stability_limit_is_refused() -> None:
             pace_of(scene, numerics, AUTHORS_CELL)
 
 
-def test_a_mass_asked_for_twice_or_no_mass_at_all_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"mpm\.published: 'tacchi' with .*allowed: None"):
-        pace_of(replace(SCENE, effects=INERTIA), Mpm.authors(), AUTHORS_CELL)
-    massless = Effects(inertia=Inertia(scale=0.0))
-    with pytest.raises(SceneError, match=r"inertia\.scale: 0\.0; allowed"):
-        pace_of(replace(SCENE, effects=massless), Mpm(), CELL)
-
-
 def test_a_motion_of_too_many_steps_is_refused() -> None:
-    slow = Scene(sphere(4e-3), ramp_hold(1e-3, ramp=1e4, hold=1.0), effects=INERTIA)
+    slow = Scene(sphere(4e-3), ramp_hold(1e-3, ramp=1e4, hold=1.0))
     with pytest.raises(SceneError, match=r"motion.*allowed: 5,000,000 steps"):
-        pace_of(slow, Mpm(), CELL)
+        pace_of(slow, Mpm.authors(), AUTHORS_CELL)
 
 
-def test_viscosity_is_refused() -> None:
-    scene = replace(SCENE, effects=Effects(viscosity=Viscosity((0.5,), (0.1,))))
-    with pytest.raises(SceneError, match=r"effects\.viscosity.*allowed: None, tier 'mpm'"):
+@pytest.mark.parametrize(
+    "effects",
+    [
+        Effects(viscosity=Viscosity((0.5,), (0.1,))),
+        Effects(inertia=Inertia()),
+        Effects(gravity=Gravity()),
+    ],
+)
+def test_effects_other_than_friction_are_refused(effects: Effects) -> None:
+    scene = replace(SCENE, effects=effects)
+    with pytest.raises(SceneError, match=rf"effects\.{effects.key[0]}: .*tier 'mpm': None"):
         simulate_mpm([scene])
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -18,16 +17,10 @@ from sim.mpm.state import FIXED_POINT, ParticleState
 Array = NDArray[np.float64]
 
 
-def state_of(
-    scenes: Sequence[Scene], numerics: Mpm, *, free: bool = False, settle: bool = True
-) -> tuple[ParticleState, Lattice, list[Pace]]:
-    """Return a batch before its first step; `free` releases every held particle."""
+def state_of(scenes: Sequence[Scene], numerics: Mpm) -> tuple[ParticleState, Lattice, list[Pace]]:
+    """Return a batch before its first step."""
     lattice = build_lattice(scenes, numerics)
-    if free:
-        lattice = replace(lattice, held=0)
     paces = [pace_of(scene, numerics, lattice.cell) for scene in scenes]
-    if not settle:
-        paces = [replace(pace, at=pace.at - pace.at[0]) for pace in paces]
     return ParticleState(lattice, scenes, paces, numerics, "cpu"), lattice, paces
 
 

@@ -155,7 +155,7 @@ def numerics_not_a_number(solver: Solver) -> list[Law]:
 
         return make
 
-    names = ("spacing", "tolerance", "penalty", "stick", "det_floor", "step_travel")
+    names = ("spacing", "tolerance", "penalty", "step_travel")
     laws = _refusals([(name, with_field(name)) for name in names], math.nan)
     return [*laws, at_most("steps that were taken", len(steps), 0)]
 
