@@ -64,7 +64,7 @@ demo-transfer: $(VENV)/.learning-sim  ## newtons on a simulated sensor without a
 	$(TACTILE) transfer --source "$$out/gauge.markers.zarr:gauge" --target "$$bare" --out "$$out" && \
 	rm -rf "$$out/weighed" && $(TACTILE) calibrate-force "$$out/model" \
 	  $$($(PY) $(BARE)/weigh.py "$$bare" 50,200,400) --out "$$out/weighed" && \
-	$(TACTILE) score-transfer "$$out/weighed" "$$bare"
+	$(TACTILE) evaluate "$$out/weighed" "$$bare"
 
 demo-twin: $(VENV)/.rig-sim  ## a mock sensor is recorded and its twin identified
 	@$(PY) -m benchmarks twin-demo $(call options,OUT)

@@ -147,14 +147,11 @@ LEARN = (
         "learning.compensation.command",
         "fit material priors and choose how labels are scaled between skins",
     ),
-    Command(
-        "cross-validate",
-        "learning.cli.cross_validate",
-        "score a force model of one sensor on indenters that were left out",
-    ),
     Command("predict", "learning.cli.predict", "predict the forces of frames"),
     Command(
-        "evaluate", "learning.cli.evaluate", "write the report of predictions and translations"
+        "evaluate",
+        "learning.cli.evaluate",
+        "report on predictions, translations, indenters left out, a transfer",
     ),
     Command(
         "experiment",
@@ -170,11 +167,6 @@ LEARN = (
         "calibrate-force",
         "learning.cli.calibrate_force",
         "set the scale of such a model by weights laid on the sensor",
-    ),
-    Command(
-        "score-transfer",
-        "learning.cli.score_transfer",
-        "compare such a model and its intervals with true forces",
     ),
 )
 LAB = (

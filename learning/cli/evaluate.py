@@ -1,110 +1,207 @@
-"""`tactile evaluate`: report on predictions and translations."""
+"""`tactile evaluate`: report on predictions, translations, indenters left out, and transfers."""
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from learning.cli.archive_join import chosen_sensors
+from learning.command import add_settings
 from learning.errors import LearningError
-from recorder.command_line.options import add_device, add_seed, names, whole
+from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
+if TYPE_CHECKING:
+    from learning.data.matching import Chosen
+    from learning.evaluation.predictions import Predictions
+    from learning.evaluation.translation import TranslationScores
+    from recorder import MarkerArchive
+
 ROLES = "new_indenter"
+# An archive, or some of its sensors.
+_ARCHIVE = re.compile(r"\.markers\.zarr/?(:[^/]*)?$")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Collects results of `predict`, and scores of translated frames, in one HTML "
-        "page with CSV tables. With --archive and --translated, translated frames are scored first "
-        "(Dice, SSIM, markers [px, mm], distances) and the scores are kept in FOLDER."
+        "Decides by what it is given. Results of `predict`: one HTML page with CSV tables. An "
+        "archive and others that `translate` made of it, with results or without: translated "
+        "frames are scored as well (Dice, SSIM, markers [px, mm], distances), and the scores are "
+        "kept with the results. An archive alone: each indenter is left out in turn, a force model "
+        "is trained on the others and predicts it; for shading beside a ridge regression on 11 "
+        "features of colours. A force model and an archive: its forces, and the intervals of a "
+        "model of `transfer`, are compared with labels, on indenters that it did not learn from."
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of .npz results")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="report folder")
-    parser.add_argument("--title", default="What was gained", help="title of the page")
-    scoring = parser.add_argument_group("scoring translated frames")
-    scoring.add_argument("--archive", type=Path, metavar="ARCHIVE", help="with the real frames")
-    scoring.add_argument(
-        "--translated",
+    parser.add_argument(
+        "given",
+        nargs="+",
+        metavar="PATH",
+        help="folder of .npz results, X.markers.zarr or X.markers.zarr:SENSOR, a force model",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("report"), metavar="DIR", help="report folder (report)"
+    )
+    parser.add_argument(
+        "--split",
         type=Path,
-        action="append",
-        default=[],
-        metavar="ARCHIVE",
-        help="translated from it by `translate`; repeatable",
+        metavar="JSON",
+        help="split.json of a training (the one that a training of the archive makes)",
     )
-    scoring.add_argument("--split", type=Path, metavar="JSON", help="split.json of a training")
-    scoring.add_argument(
+    parser.add_argument(
         "--role",
         type=names,
         default=ROLES,
         metavar="ROLE,...",
         help=f"which presses are scored ({ROLES})",
     )
-    scoring.add_argument(
+    parser.add_argument(
         "--features",
         default="marker-grid",
         metavar="NAME|PATH",
         help="features for distances: marker-grid, the folder of a marker VAE, or "
         "pt_inception-2015-12-05-6726825d.pth, for FID and KID (marker-grid)",
     )
-    scoring.add_argument(
-        "--frames", type=whole(), default=1000, help="maximum pairs per role (1000)"
-    )
-    add_device(scoring, "device of the features")
-    add_seed(parser)
+    add_settings(parser, "", "of the force models, or a YAML file (shading for shading, else tiny)")
+    add_device(parser)
+
+
+@dataclass(slots=True)
+class Given:
+    """What a call is given, by its nature."""
+
+    results: Path | None = None
+    model: str | None = None
+    sensors: list[Chosen] = field(default_factory=list)
+    """Sensors with real frames."""
+    translated: list[MarkerArchive] = field(default_factory=list)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.evaluation.report import read_folder, write_report
+    given = _sorted(options.given)
+    if given.model is not None:
+        return _of_model(given, options)
+    if given.translated or given.results is not None:
+        return _of_results(given, options)
+    return _left_out(_only(given.sensors), options)
 
-    if options.translated or options.archive:
-        _score(options)
-    if not options.folder.is_dir():
-        raise LearningError(f"{options.folder}: is no folder; allowed: one of what `predict` wrote")
-    predictions, scores = read_folder(options.folder)
-    with ItemProgress("parts", sys.stderr) as progress:
-        report = write_report(
-            predictions,
-            scores,
-            options.out,
-            title=options.title,
-            seed=options.seed,
-            progress=progress,
+
+def _sorted(texts: Sequence[str]) -> Given:
+    from learning.plugins import plugin_names
+    from learning.training.checkpoint import CONFIG
+
+    given = Given()
+    for text in texts:
+        if _ARCHIVE.search(text):
+            sensors = [*chosen_sensors(text)]
+            if all("-to-" in each.sensor for each in sensors):
+                given.translated.append(sensors[0].archive)
+            else:
+                given.sensors += sensors
+        elif (Path(text) / CONFIG).is_file() or text in plugin_names():
+            given.model = text
+        elif Path(text).is_dir():
+            given.results = Path(text)
+        else:
+            raise LearningError(
+                f"{text}: found no folder; allowed: results of `predict`, X.markers.zarr, a model"
+            )
+    return given
+
+
+def _only(sensors: Sequence[Chosen]) -> Chosen:
+    if len(sensors) != 1:
+        listed = ", ".join(each.sensor for each in sensors) or "none"
+        raise LearningError(f"ARCHIVE: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
+    return sensors[0]
+
+
+def _of_model(given: Given, options: argparse.Namespace) -> int:
+    """Compare the forces of a model with labels."""
+    from learning.cli.predict import predicted
+    from learning.force.intervals import read_intervals
+    from learning.transfer.score import score
+
+    model, sensor = str(given.model), _only(given.sensors)
+    if read_intervals(Path(model)) is not None:
+        lines = [*score(Path(model), sensor).lines()]
+    else:
+        _, lines = predicted(
+            model, sensor.archive, sensor.sensor, options.split, options.role, options.device
         )
-    for line in report.lines:
-        print(line)
-    print(f"{report.files[0]}: written, beside {len(report.files) - 1} tables")
+    print("\n".join(lines))
     return 0
 
 
-def _score(options: argparse.Namespace) -> None:
-    from learning.data.splits import read_split
+def _of_results(given: Given, options: argparse.Namespace) -> int:
+    """Write the report of predictions, and of translated frames, which are scored first."""
+    from learning.evaluation.report import read_folder
+
+    folder = given.results or options.out
+    if given.translated:
+        _score_translated(given, folder, options)
+    _report(*read_folder(folder), options.out, "What was gained")
+    return 0
+
+
+def _score_translated(given: Given, folder: Path, options: argparse.Namespace) -> None:
+    from learning.data.splits import training_split
     from learning.evaluation.distribution import load_extractor
     from learning.evaluation.translation import score_translation
-    from recorder import MarkerArchive
 
-    for name in ("archive", "translated", "split"):
-        if not getattr(options, name):
-            raise LearningError(
-                f"--{name}: missing; allowed: --archive, --translated and --split together"
-            )
-    archive, split = MarkerArchive(options.archive), read_split(options.split)
+    if not given.sensors:
+        raise LearningError("ARCHIVE: found none of real frames; allowed: the one translated from")
+    archive = given.sensors[0].archive
+    split = training_split(archive, options.split)
     extractor = load_extractor(options.features, options.device)
-    for path in options.translated:
-        for name, sensor in MarkerArchive(path).items():
-            print(f"scoring {name} of {path.name}", file=sys.stderr)
+    for made in given.translated:
+        for name, sensor in made.items():
+            print(f"scoring {name} of {made.name}", file=sys.stderr)
             with ItemProgress("frames", sys.stderr) as progress:
                 scores = score_translation(
-                    archive,
-                    sensor,
-                    split,
-                    options.role,
-                    extractor,
-                    frames=options.frames,
-                    seed=options.seed,
-                    progress=progress,
+                    archive, sensor, split, options.role, extractor, progress=progress
                 )
             features = extractor.name.split(":")[-1].split(",")[0]
-            scores.write(options.folder / f"{name}.{scores.translator}.{features}.npz")
+            scores.write(folder / f"{name}.{scores.translator}.{features}.npz")
+
+
+def _left_out(chosen: Chosen, options: argparse.Namespace) -> int:
+    """Train without each indenter in turn, and write the report of its predictions."""
+    from learning.experiment.cross_validation import folds
+    from learning.force.train import read_force_settings
+    from recorder.archive import SHADING
+
+    archive, sensor = chosen.archive, chosen.sensor
+    usual = "shading" if archive[sensor].representation == SHADING else "tiny"
+    settings = read_force_settings(options.preset or usual, options.set)
+    made: list[Predictions] = []
+    with ItemProgress("indenters", sys.stderr) as progress:
+        for fold in folds(archive, sensor, settings, progress):
+            print(fold, flush=True)
+            made += fold.predictions
+            for one in fold.predictions:
+                indenter = fold.indenter.replace("/", "_")
+                one.write(options.out / f"{sensor}.{indenter}.{one.method}.npz")
+    _report(made, [], options.out, f"{sensor}: indenters never seen")
+    return 0
+
+
+def _report(
+    predictions: Sequence[Predictions],
+    scores: Sequence[TranslationScores],
+    out: Path,
+    title: str,
+) -> None:
+    from learning.evaluation.report import write_report
+
+    with ItemProgress("parts", sys.stderr) as progress:
+        report = write_report(predictions, scores, out, title=title, progress=progress)
+    for line in report.lines:
+        print(line)
+    print(f"{report.files[0]}: written, beside {len(report.files) - 1} tables")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,6 +17,7 @@ from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
+    from learning.data.splits import Role
     from recorder import MarkerArchive
 
 ROLES = "new_indenter,new_press"
@@ -56,6 +57,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
+    from recorder import MarkerArchive
+
+    archive = MarkerArchive(options.archive)
+    made, lines = predicted(
+        options.model, archive, options.sensor, options.split, options.role, options.device
+    )
+    made.write(options.out)
+    print("\n".join([f"{options.out}: {lines[0]}", *lines[1:]]))
+    return 0
+
+
+def predicted(
+    model_given: str,
+    archive: MarkerArchive,
+    sensor_name: str | None,
+    split_file: Path | None,
+    roles: Sequence[Role],
+    device: str,
+) -> tuple[Predictions, list[str]]:
+    """Return the forces that a model predicts on some presses of a sensor, and lines about them.
+
+    Args:
+        model_given: As for `load_force_model`.
+        archive: Frames of the sensor.
+        sensor_name: Name of the sensor; None: the model's target, or the only one.
+        split_file: Roles of presses; None: those of the model's training, else of the archive.
+        roles: Roles of the presses.
+        device: Device of the model.
+
+    Raises:
+        LearningError: There is no such model or sensor, or no press of the roles.
+        SessionError: The archive is corrupt.
+    """
     from learning.data.presses import load_presses
     from learning.data.splits import SPLIT, training_split
     from learning.evaluation.predictions import predictions_of
@@ -64,24 +98,23 @@ def run(options: argparse.Namespace) -> int:
     from learning.force.intervals import read_intervals
     from learning.training.checkpoint import CONFIG, read_config
     from learning.translation.loading import hash_of
-    from recorder import MarkerArchive
 
-    name = model_name(options.model)
-    folder, archive = Path(name), MarkerArchive(options.archive)
+    name = model_name(model_given)
+    folder = Path(name)
     metadata = read_config(folder).metadata if (folder / CONFIG).is_file() else {}
-    origin = _origin(metadata, archive, options.sensor)
+    origin = _origin(metadata, archive, sensor_name)
     sensor = archive[origin.target]
-    path = options.split or (folder / SPLIT if (folder / SPLIT).is_file() else None)
-    split = training_split(archive, path)
-    rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in options.role]))
+    own = folder / SPLIT
+    split = training_split(archive, split_file or (own if own.is_file() else None))
+    rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in roles]))
     if not len(rows):
-        raise LearningError(f"--role: found no frames of {','.join(options.role)} of {sensor.name}")
-    model = load_force_model(name, options.device)
+        raise LearningError(f"--role: found no frames of {','.join(roles)} of {sensor.name}")
+    model = load_force_model(name, device)
     form = model.inputs.stored_form
     with ItemProgress("frames", sys.stderr) as progress:
-        presses = load_presses(sensor, rows, device=options.device, form=form, progress=progress)
+        presses = load_presses(sensor, rows, device=device, form=form, progress=progress)
     with ItemProgress("forces", sys.stderr) as progress:
-        predicted = model.predict(presses, progress=progress)
+        forces = model.predict(presses, progress=progress)
     rows = presses.rows.numpy()
     intervals = read_intervals(folder)
     made = predictions_of(
@@ -89,20 +122,20 @@ def run(options: argparse.Namespace) -> int:
         archive.indenters,
         rows,
         split.role(sensor.table["location"][rows]),
-        predicted,
+        forces,
         source=origin.source,
         method=origin.method,
         translator=origin.translator,
         model=hash_of(name),
-        interval=None if intervals is None else intervals.of(predicted),
+        interval=None if intervals is None else intervals.of(forces),
     )
-    made.write(options.out)
-    print(f"{options.out}: {len(made):,} frames, {_told(made)}")
+    lines = [f"{len(made):,} frames, {_told(made)}"]
     if intervals is not None:
-        print(_covered(made))
+        lines.append(_covered(made))
     if len(model.axes) < len(AXES):
-        print(f"the model predicts {', '.join(model.axes)} only; forces on other axes are NaN")
-    return 0
+        axes = ", ".join(model.axes)
+        lines.append(f"the model predicts {axes} only; forces on other axes are NaN")
+    return made, lines
 
 
 def _told(made: Predictions) -> str:

@@ -775,12 +775,11 @@ LEARNING_CASES = (
             "--role train,validation,new_indenter --out {out}/results/r6.npz",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor r18 --split {SPLIT} "
             "--role train,validation,new_indenter --out {out}/results/r18.npz",
-            "tactile evaluate {out}/results --out {out}/report --title Golden",
+            "tactile evaluate {out}/results --out {out}/report",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor digit --split {SPLIT} --out {{out}}/a.npz",
             f"tactile predict {MODELS}/field {ARCHIVE} --sensor r6 --split {SPLIT} --out {{out}}/a.npz",
             f"tactile predict {MODELS}/force {ARCHIVE} --sensor r6 --split {{out}}/none.json --out {{out}}/a.npz",
             "tactile evaluate {out}/none --out {out}/report2",
-            f"tactile evaluate {{out}}/results --archive {ARCHIVE} --out {{out}}/report2",
         ),
         one_process=True,
         prepare=(("write", "{out}/results/.keep", ""),),
@@ -790,11 +789,10 @@ LEARNING_CASES = (
         "learning-evaluate-translated",
         (
             f"tactile translate {ARCHIVE} {TRANSLATED}",
-            f"tactile evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
+            f"tactile evaluate {{out}}/results {ARCHIVE} {{out}}/x.markers.zarr "
             f"--split {SPLIT} --role train,new_indenter --out {{out}}/report",
-            f"tactile evaluate {{out}}/results --archive {ARCHIVE} --translated {{out}}/x.markers.zarr "
-            f"--split {SPLIT} --role train --features {{out}}/marker-vae --frames 4 "
-            "--out {out}/report2",
+            f"tactile evaluate {{out}}/results {ARCHIVE} {{out}}/x.markers.zarr "
+            f"--split {SPLIT} --role train --features {{out}}/marker-vae --out {{out}}/report2",
         ),
         prepare=(("write", "{out}/results/.keep", ""), *_based("marker-vae")),
         look=("results/*.npz", "report", "report2"),

@@ -11,7 +11,7 @@ from support.commands import run_module
 from support.force_models import TOY
 from support.made_up_archives import made_up_archive
 
-from learning.cli import predict
+from learning.cli import evaluate, predict
 from learning.data.presses import ForceRange
 from learning.data.splits import make_split
 from learning.errors import LearningError
@@ -130,3 +130,15 @@ def test_a_sensor_that_is_not_there_is_refused(lab: Path, tmp_path: Path) -> Non
 def test_a_model_of_several_sensors_names_them_all(lab: Path, tmp_path: Path) -> None:
     assert run(lab, "all", "--out", str(tmp_path / "p.npz")) == 0
     assert read_predictions(tmp_path / "p.npz").key == ("a+b", "dots", "source-only", "")
+
+
+def test_a_model_and_an_archive_are_compared_without_a_file(
+    lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = [lab / "own", f"{lab / 'x.markers.zarr'}:dots", "--split", lab / "split.json"]
+    assert run_module(evaluate, *given) == 0
+    assert "frames, MAE [N] x " in capsys.readouterr().out
+    assert not [*tmp_path.iterdir()]
+    with pytest.raises(LearningError, match="found sensors dots, grid; allowed: one"):
+        run_module(evaluate, lab / "own", lab / "x.markers.zarr")

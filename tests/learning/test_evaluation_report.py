@@ -247,18 +247,25 @@ def test_evaluate_scores_translations_keeps_them_and_reports(
 ) -> None:
     predictions("source-only", off=1.0).write(tmp_path / "results/a/one.npz")
     split.write(tmp_path / "split.json")
-    places = ["--archive", archive.name, "--translated", translated.name]
-    places += ["--split", str(tmp_path / "split.json")]
+    places = [str(translated.path), str(archive.path), "--split", str(tmp_path / "split.json")]
     folder, out = str(tmp_path / "results"), str(tmp_path / "report")
-    assert run(folder, "--out", out, *places) == 0
+    assert run(folder, *places, "--out", out) == 0
     assert (tmp_path / "results/dots-to-grid.still.marker-grid-8x8.npz").exists()
     assert (tmp_path / "report/distances.csv").exists()
     assert "report.html: written" in capsys.readouterr().out
 
 
-def test_evaluate_without_a_split_says_what_is_missing(tmp_path: Path) -> None:
-    with pytest.raises(LearningError, match="--split: missing"):
-        run(str(tmp_path), "--out", str(tmp_path / "r"), "--archive", "a", "--translated", "b")
+def test_evaluate_says_what_is_missing(
+    tmp_path: Path, archive: MarkerArchive, translated: MarkerArchive
+) -> None:
+    out = ["--out", str(tmp_path / "report")]
+    with pytest.raises(LearningError, match="found none of real frames"):
+        run(str(translated.path), *out)
+    with pytest.raises(LearningError, match="found sensors dots, grid; allowed: one"):
+        run(str(archive.path), *out)
+    with pytest.raises(LearningError, match="nowhere: found no folder; allowed: results"):
+        run(str(tmp_path / "nowhere"), *out)
+    assert not (tmp_path / "report").exists()
 
 
 def test_evaluate_refuses_results_that_are_cut_short(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from support.commands import run_module
 from support.made_up_archives import made_up_archive
 
-from learning.cli import calibrate_force, predict, score_transfer, transfer
+from learning.cli import calibrate_force, evaluate, predict, transfer
 from learning.data.labels import Labels, read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
@@ -417,7 +417,7 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
     card = (weighed / "card.md").read_text()
     assert "**Scale known**: weights laid on the sensor: 4.903 N" in card
     capsys.readouterr()
-    run_module(score_transfer, weighed, f"{other.path}:grid")
+    run_module(evaluate, weighed, f"{other.path}:grid")
     assert capsys.readouterr().out.splitlines()[-1].startswith("unlabelled sensor: R2 ")
     split = ["--sensor", "grid", "--split", out / "split.json"]
     run_module(predict, weighed, out / "pairs.markers.zarr", *split, "--out", tmp_path / "p.npz")

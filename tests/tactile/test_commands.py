@@ -152,7 +152,6 @@ def test_messages_and_exit_codes_are_those_of_the_command(
         ("session check x.zarr --deep", "unrecognized arguments: --deep"),
         ("sim press --hold 0", "--hold: found '0'; allowed: a number above 0"),
         ("sim archive states --indenters cone,", "--indenters: found 'cone,'; allowed: names"),
-        ("evaluate x --out y --frames 1.5", "--frames: found '1.5'; allowed: whole numbers, 1"),
         ("collect --sensor a --bench b", "--bench: not allowed with argument --sensor"),
     ],
 )

@@ -95,7 +95,7 @@ def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
 def test_from_folders_to_scores_on_the_object_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Three commands: import, markers, cross-validate; then `--like` needs no answer again."""
+    """Three commands: import, markers, evaluate; then `--like` needs no answer again."""
     source, out = grasps(tmp_path / "in"), tmp_path / "gel"
     answers = ["--sensor", "gel", "--by-name", "--units", "N", "--fps", FPS]
     assert run("import", source, "--out", out, *answers, "--yes") == 0
@@ -128,7 +128,7 @@ def test_from_folders_to_scores_on_the_object_left_out(
     quick = "stages=[{epochs: 2, learning_rate: 0.002}]"
     small = ["--set", "input.side_px=32", "--set", "network.encoder=[4,4,4]"]
     report = tmp_path / "report"
-    assert run("cross-validate", archive, "--out", report, "--set", quick, *small) == 0
+    assert run("evaluate", archive, "--out", report, "--set", quick, *small) == 0
     told = capsys.readouterr().out
     assert "ball left out: target R2 (Fz)" in told
     assert "baseline R2 (Fz)" in told
