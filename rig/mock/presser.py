@@ -21,8 +21,7 @@ from rig.core.geometry import transform
 from rig.core.mock_names import ARM_FILE, WORLD_FILE
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
-from rig.devices.camera.settings import CameraConfig
-from rig.devices.taxels.settings import XelaConfig
+from rig.devices import registry
 from rig.mock.bench import MockBench
 from rig.mock.world.truth import Truth
 from trajectories import Point
@@ -32,7 +31,6 @@ _RATE_HZ = 125
 # Step between the targets pressed: consecutive ones differ little, these in depth and direction.
 _STRIDE = 37
 _SENSORS = ("camera", "taxels")
-_DEVICES = (CameraConfig.KIND, XelaConfig.KIND)
 # Longest time for the World's process to end [s].
 _END_TIMEOUT = 5.0
 # Longest time for the World's first state [s].
@@ -157,7 +155,9 @@ def _at_rate(file: BenchFile, rate_hz: float | None) -> BenchFile:
     }
     if isinstance(streams := content.get("streams"), dict):
         faster["streams"] = {
-            name: {**section, "rate_hz": rate_hz} if section.get("kind") in _DEVICES else section
+            name: {**section, "rate_hz": rate_hz}
+            if registry.device(section["kind"]).stream in _SENSORS
+            else section
             for name, section in streams.items()
         }
     return BenchFile.of({**content, **faster}, file.path)

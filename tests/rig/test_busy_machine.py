@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 from support.collecting import Collection, quick_bench
+from support.mock_errors import compare
 
 from recorder import Session
-from rig.mock.world.compare import compare
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
 

@@ -100,8 +100,5 @@ def test_the_collector_and_the_drivers_import_neither_mock_nor_page() -> None:
                 for name in names
                 if re.match(r"rig\.(mock|monitor|replay|cli)\b", name)
             ]
-    # Exceptions: the emulated camera draws the World, and the type of a picture's surface is there.
-    assert wrong == [
-        "rig/devices/camera/mjpeg_emulator.py: rig.mock.world",
-        "rig/bench/worlds.py: rig.mock.world.picture",
-    ]
+    # The emulated camera draws the World.
+    assert wrong == ["rig/devices/camera/mjpeg_emulator.py: rig.mock.world"]

@@ -17,7 +17,6 @@ import logging
 import re
 import selectors
 import socket
-import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,7 +26,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import Served, SharedWorld
+from rig.core.emulation import Served, SharedWorld, ThreadedEmulator
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.geometry import compose
@@ -269,8 +268,10 @@ _CYCLE_NS = round(CYCLE * SECOND_NS)
 _LATE_CYCLES = 25
 
 
-class ArmEmulator:
+class ArmEmulator(ThreadedEmulator):
     """Serves a `Controller` at 500 Hz against absolute deadlines, on a background thread.
+
+    `missed` counts cycles of host time for which the emulated controller's clock stood still.
 
     Args:
         host: Loopback address to listen on.
@@ -291,6 +292,7 @@ class ArmEmulator:
         world: SharedWorld | None = None,
         playback: Playback | None = None,
     ) -> None:
+        super().__init__()
         self._host = host
         self._controller = controller
         self._clock = clock
@@ -303,13 +305,9 @@ class ArmEmulator:
         self._owners: dict[str, RtdeClient] = {}
         # select(2) waits to the microsecond; epoll, in Python, rounds up to the millisecond.
         self._selector = selectors.SelectSelector()
-        self._stopping = threading.Event()
-        self._thread: threading.Thread | None = None
         self._frozen_until_ns = 0
         # For the plug and for future clients; each client's packages have their own injector.
         self._line = FaultInjector[bytes](clock, spoil=corrupted_bytes, on_change=self._on_plug)
-        self.missed = 0
-        """Cycles of host time for which the emulated controller's clock stood still."""
 
     @property
     def address(self) -> str:
@@ -329,21 +327,12 @@ class ArmEmulator:
             for port in SCRIPT_PORTS:
                 self._listen(port, lambda peer: ScriptClient(peer, self._controller.start_program))
         except OSError:
-            self._close_sockets()
+            self._release()
             raise
         run = self._run if self._playback is None else partial(self._play, self._playback)
-        self._thread = threading.Thread(target=run, name="arm emulator", daemon=True)
-        self._thread.start()
+        self._run_threads(run)
 
-    def close(self) -> None:
-        """Stop and close every connection; may be called twice."""
-        self._stopping.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        self._close_sockets()
-
-    def _close_sockets(self) -> None:
+    def _release(self) -> None:
         for key in list((self._selector.get_map() or {}).values()):
             key.fileobj.close()  # type: ignore[union-attr]
         self._selector.close()
@@ -417,7 +406,7 @@ class ArmEmulator:
 
     def _run(self) -> None:
         due_ns = self._clock.now_ns() + _CYCLE_NS
-        while not self._stopping.is_set():
+        while not self._ending.is_set():
             wait = (due_ns - self._clock.now_ns()) / SECOND_NS
             for key, _ in self._selector.select(max(wait, 0.0)):
                 if self._clock.now_ns() < self._frozen_until_ns and self._is_rtde(key.fileobj):
@@ -462,7 +451,7 @@ class ArmEmulator:
             for client in self._clients:
                 client.say_waiting()
 
-        playback.run(send, window=_WINDOW, ending=self._stopping, idle=idle)
+        playback.run(send, window=_WINDOW, ending=self._ending, idle=idle)
 
     def _is_rtde(self, fileobj: Any) -> bool:
         return any(client.peer is fileobj for client in self._clients)

@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 import select
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import Inbox, Receiver
+from rig.core.driver import ReceivingDriver
 from rig.core.errors import DeviceLost
 from rig.devices.arm import rtde
 from rig.devices.arm.settings import ArmConfig, ListenedConfig
@@ -51,6 +51,8 @@ _REACH = 3.0
 # Above the length of any rotation vector: a pose beyond this is not in radians [rad].
 _TURN = 4 * math.pi
 
+# Samples kept for a late consumer.
+_CAPACITY = 10_000
 _CHECK = "is the controller on, its network cable in, and no firewall between?"
 
 
@@ -234,32 +236,28 @@ def _require_plausible(pose: tuple[float, ...]) -> None:
         )
 
 
-class RtdePoseDriver:
+class RtdePoseDriver(ReceivingDriver):
     """Pose stream of a recording: an `RtdeLink` read by a dedicated thread.
+
+    Its columns are those of `RtdeLink`.
 
     Args:
         config: Controller address, and packages per second.
         clock: Timestamps the arrivals.
-        capacity: Number of samples kept for a late consumer.
     """
 
     MORE: ClassVar[Mapping[str, str]] = {}
     """Further variables to stream, and the names of their columns."""
 
-    def __init__(
-        self, config: ArmConfig | ListenedConfig, clock: Clock, *, capacity: int = 10_000
-    ) -> None:
-        self._host = config.host
-        self._rate_hz = config.rate_hz
+    def __init__(self, config: ArmConfig | ListenedConfig, clock: Clock) -> None:
+        super().__init__(f"arm at {config.host}", clock, _CAPACITY)
+        self._config = config
         self._link = RtdeLink(config.host, config.rate_hz, clock, self.MORE)
-        self._new_inbox: Callable[[], Inbox] = lambda: Inbox(clock, capacity)
-        self._inbox: Inbox | None = None
-        self._receiver: Receiver | None = None
 
     @property
     def dropped(self) -> int:
         """Packages missing by the controller's clock, plus those not read in time."""
-        return self._link.dropped + (self._inbox.overflowed if self._inbox else 0)
+        return self._link.dropped + self._inbox.overflowed
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -272,39 +270,22 @@ class RtdePoseDriver:
         Raises:
             DeviceLost: Refused, silent, or not an RTDE server that knows our variables.
         """
+        self._reset()
         self._link.open(timeout)
-        inbox = self._inbox = self._new_inbox()
-
-        def receive() -> None:
-            for sample in self._link.receive(0.1):
-                inbox.put(sample, sample["t_ns"])
-
-        self._receiver = Receiver(f"pose {self._host}", receive, inbox)
-
-    def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return every sample since the last call, waiting up to `timeout` [s] for one.
-
-        Columns as in `RtdeLink`. Empty when none arrived in time.
-
-        Raises:
-            DeviceLost: The stream is over and everything received has been read.
-        """
-        if self._inbox is None:
-            raise DeviceLost(f"arm at {self._host}: the pose stream is not open")
-        return self._inbox.take(timeout)
+        self._start_receiving(f"pose {self._config.host}")
 
     def describe(self) -> dict[str, Any]:
         """Return properties that the controller gave on opening."""
         return {
             "model": "UR e-Series, RTDE",
-            "address": self._host,
+            "address": self._config.host,
             "controller_version": ".".join(map(str, self._link.version)),
-            "rate_hz": self._rate_hz,
+            "rate_hz": self._config.rate_hz,
         }
 
-    def close(self) -> None:
-        """Stop receiving and close the connection; may be called twice."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+    def _receive(self) -> None:
+        for sample in self._link.receive(0.1):
+            self._inbox.put(sample, sample["t_ns"])
+
+    def _release(self) -> None:
         self._link.close()
