@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from recorder import Session
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.command_line.options import positive
 from rig.acquire.control import InterruptFlag
@@ -27,7 +30,15 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    bench_options(parser)
+    mock = bench_options(parser, session=True)
+    mock.add_argument(
+        "--rate-hz", type=positive, help="frames per second (default: the bench file's)"
+    )
+    mock.add_argument(
+        "--indenter",
+        metavar="NAME",
+        help="indenter of the emulated finger (default: the bench file's)",
+    )
     parser.description = (
         "Read the sensor, print Fx, Fy, Fz for every frame, and finally the latency. "
         "No arm moves; on a mock bench an emulated finger presses along its trajectory. "
@@ -45,16 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MODEL",
         help="show forces of this model beside, such as the source's before a transfer",
     )
-    parser.add_argument("--session", type=Path, help="replay this session instead of a bench")
     parser.add_argument("--seconds", type=positive, help="duration [s] (default: until Ctrl-C)")
-    parser.add_argument(
-        "--rate-hz", type=positive, help="mock bench: frames per second (default: the bench file's)"
-    )
-    parser.add_argument(
-        "--indenter",
-        metavar="NAME",
-        help="mock bench: indenter of the emulated finger (default: the bench file's)",
-    )
     parser.add_argument(
         "--runtime",
         choices=("auto", "onnx", "openvino", "openvino-bf16", "torch"),
@@ -90,17 +92,18 @@ def run(options: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         stop = stack.enter_context(InterruptFlag())
-        sensor, source = _sensor(options)
+        source = _source(options)
         # Load the model first: an emulator would be late if it had to wait for it.
         predictor = open_predictor(
             options.model,
             before=options.before,
             runtime=options.runtime,
-            sensor=sensor,
+            sensor=source.sensor,
             preset=options.preset,
         )
-        page = _opened_page(options, sensor, source, stack)
-        watched = stack.enter_context(_opened(options, folder, clock))
+        page = _opened_page(options, source, stack)
+        print(f"{source.kind} ({source.name}): no arm moves", flush=True)
+        watched = stack.enter_context(source.open(folder, clock))
         line = ForceLine(clock, sys.stdout)
         summary = Summary()
 
@@ -148,25 +151,50 @@ def _check(options: argparse.Namespace) -> None:
     if options.before is not None:
         options.before = force_model(options.before)
     check_page("--page", options.page)
-    bench = (options.sensor, options.bench, options.world, options.indenter)
-    if options.session is not None and any(bench):
-        raise ConfigError("--session: goes without --sensor, --bench, --world and --indenter")
     if options.out is not None and options.out.exists():
         raise ConfigError(f"{options.out}: exists; allowed: a new file")
 
 
-def _sensor(options: argparse.Namespace) -> tuple[str, str]:
-    """Return the name of the sensor to watch, and the kind of its source."""
-    from recorder import Session
+class _Source(NamedTuple):
+    """A sensor to watch."""
 
-    if options.session is not None:
-        return str(Session(options.session).attrs.get("sensor", "")), "REPLAY"
-    bench = chosen_bench(options).bench
-    return bench.sensor, "MOCK BENCH" if bench.mock else "LAB BENCH"
+    sensor: str
+    kind: str
+    name: Path
+    """The session, or the bench file."""
+    open: Callable[[Path, Clock], AbstractContextManager[Watched]]
+    """Opens it, with a folder for the files of a mock bench."""
+
+
+def _source(options: argparse.Namespace) -> _Source:
+    """Return the chosen sensor.
+
+    Raises:
+        ConfigError: An option of a mock bench goes with something else.
+        SessionError: The session cannot be read.
+    """
+    from rig.monitor import watched
+
+    session = options.session
+    file = None if session is not None else chosen_bench(options)
+    if file is not None and file.bench.mock:
+        file = file.with_indenter(options.indenter or "")
+        mock = functools.partial(watched.mock_bench, file, rate_hz=options.rate_hz)
+        return _Source(file.bench.sensor, "MOCK BENCH", file.path, mock)
+    name = session if file is None else file.path
+    for option in ("world", "force", "rate_hz", "indenter"):
+        if getattr(options, option) is not None:
+            raise ConfigError(f"--{option.replace('_', '-')}: {name} is no mock bench")
+    if file is None:
+        sensor = str(Session(session).attrs.get("sensor", ""))
+        return _Source(sensor, "REPLAY", name, lambda _, clock: watched.replayed(session, clock))
+    bench, say = file.bench, functools.partial(print, flush=True)
+    open_lab = functools.partial(watched.lab_bench, bench, say=say)
+    return _Source(bench.sensor, "LAB BENCH", name, lambda _, clock: open_lab(clock))
 
 
 def _opened_page(
-    options: argparse.Namespace, sensor: str, source: str, stack: contextlib.ExitStack
+    options: argparse.Namespace, source: _Source, stack: contextlib.ExitStack
 ) -> ForcesPage | None:
     """Serve the page of --page until the end of the stack, and print its address."""
     if options.page is None:
@@ -175,31 +203,8 @@ def _opened_page(
     from rig.monitor.lab import Folders
     from rig.monitor.page_process import PageSettings
 
-    settings = PageSettings(options.page, Folders(Path("sessions"), options.benches), "--page")
-    page = stack.enter_context(ForcesPage(settings, ForcesJob(sensor, source)))
+    settings = PageSettings(options.page, Folders(Path("sessions")), "--page")
+    job = ForcesJob(source.sensor, source.kind)
+    page = stack.enter_context(ForcesPage(settings, job))
     print("\n".join(page_lines(options.page, page.urls, "see the forces")), flush=True)
     return page
-
-
-@contextlib.contextmanager
-def _opened(options: argparse.Namespace, folder: Path, clock: Clock) -> Iterator[Watched]:
-    """Open the requested sensor and print a first line that identifies it."""
-    from rig.monitor.watched import lab_bench, mock_bench, replayed
-
-    if options.session is not None:
-        print(f"REPLAY of {options.session}: nothing moves", flush=True)
-        yield replayed(options.session, clock)
-        return
-    file = chosen_bench(options)
-    path, bench = file.path, file.bench
-    if bench.mock:
-        print(f"MOCK BENCH ({path}): an emulated finger presses an emulated sensor", flush=True)
-        with mock_bench(file, folder, clock, rate_hz=options.rate_hz) as watched:
-            yield watched
-        return
-    for name, value in (("--rate-hz", options.rate_hz), ("--indenter", options.indenter)):
-        if value is not None:
-            raise ConfigError(f"{name}: {path} is a lab bench; allowed: a mock bench")
-    print(f"LAB BENCH ({path}): nothing moves", flush=True)
-    with lab_bench(bench, clock, say=lambda line: print(line, flush=True)) as watched:
-        yield watched

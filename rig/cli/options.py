@@ -40,6 +40,7 @@ def bench_options(
     mock: bool = True,
     sources: bool = False,
     gauge: bool = False,
+    session: bool = False,
 ) -> argparse._ArgumentGroup:
     """Add --sensor, --bench and those of a mock bench, whose group is returned.
 
@@ -48,6 +49,7 @@ def bench_options(
         mock: Add --world and --force.
         sources: Add the options for real recordings that a mock bench plays.
         gauge: The command needs a gauge: --force is left out.
+        session: Add --session, in place of a bench.
     """
     bench = parser.add_argument_group("bench")
     chosen = bench.add_mutually_exclusive_group()
@@ -57,6 +59,10 @@ def bench_options(
         help="name of a bench file, searched in benches/lab/, benches/ and the package",
     )
     chosen.add_argument("--bench", type=Path, metavar="FILE", help="path of a bench file")
+    if session:
+        chosen.add_argument(
+            "--session", type=Path, metavar="PATH", help="read this session in place of a bench"
+        )
     group = parser.add_argument_group("mock bench only")
     if mock:
         group.add_argument(
@@ -372,7 +378,7 @@ def opened_page(
     from rig.monitor.lab import Folders
     from rig.monitor.page_process import PageSettings
 
-    folders = Folders(request.path.parent, BENCHES_FOLDER, options.calibrations)
+    folders = Folders(request.path.parent, calibrations=options.calibrations)
     settings = PageSettings(access, folders, "--watch")
     job = CollectionJob.of(bench, folder, request, plan, total)
     with CollectionPage(settings, job) as page:

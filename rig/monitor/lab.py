@@ -18,7 +18,7 @@ from rig.acquire.again import marked, write_marks
 from rig.acquire.calibration.store import FOLDER, SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, progress_of
 from rig.acquire.preview import draw
-from rig.bench.bench import Bench, BenchFile
+from rig.bench.bench import BENCHES_FOLDER, Bench, BenchFile
 from rig.bench.indenter import find_indenter, indenter_names
 from rig.core.clock import Clock
 from rig.core.config import from_si
@@ -41,7 +41,7 @@ class Folders:
     """Folders of a lab."""
 
     sessions: Path
-    benches: Path
+    benches: Path = BENCHES_FOLDER
     calibrations: Path = FOLDER
     campaigns: Path = Path("campaigns")
 

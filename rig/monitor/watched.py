@@ -274,15 +274,16 @@ class RecordedSignal:
         return linear(force.t_ns[rows], value, recorded_ns).value
 
 
-def replayed(path: Path, clock: Clock) -> Watched:
-    """Return the sensor of a recorded session, played at the recorded times.
+@contextlib.contextmanager
+def replayed(path: Path, clock: Clock) -> Iterator[Watched]:
+    """Open the sensor of a recorded session, played at the recorded times.
 
     Raises:
         SessionError: The session cannot be played.
     """
     signal = RecordedSignal(path, clock)
     no_contact, over, wrench = signal.no_contact(), signal.over, signal.wrench
-    return Watched(signal.sensor, signal.name, signal, no_contact, over=over, wrench=wrench)
+    yield Watched(signal.sensor, signal.name, signal, no_contact, over=over, wrench=wrench)
 
 
 def _stamped(sample: dict[str, Any]) -> int:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import csv
 import io
 import json
 import signal
 import subprocess
 import sys
+import urllib.request
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +25,9 @@ from support.watching import watch as connected
 
 from learning.force.live import LiveForce, LivePredictor
 from recorder import Session, SessionError
+from recorder.command_line.options import Parser
 from rig.bench.bench import BenchFile, find_bench
+from rig.cli import live
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
@@ -277,11 +282,11 @@ def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
     source = altered(made, tmp_path / "s.zarr", {"reference/t_ns": taken_ns})
     recorded = Session(source)
     clock, predictor, summary = SystemClock(), Stub(first=0), Summary()
-    watched = replayed(source, clock)
-    assert (watched.sensor, watched.stream) == ("wedge", "taxels")
-    watch(watched, predictor, clock, summary=summary)
-    assert watched.wrench is not None
-    wrench = watched.wrench(np.array(summary.shows_ns))
+    with replayed(source, clock) as watched:
+        assert (watched.sensor, watched.stream) == ("wedge", "taxels")
+        watch(watched, predictor, clock, summary=summary)
+        assert watched.wrench is not None
+        wrench = watched.wrench(np.array(summary.shows_ns))
     rows = len(recorded.streams["taxels"])
     assert np.array_equal(predictor.no_contact, recorded.streams["taxels"].array("value")[:5])
     assert summary.frames + summary.skipped == rows
@@ -297,7 +302,8 @@ def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
 def test_pictures_stored_as_pixels_can_be_watched(tmp_path: Path) -> None:
     source = make_session(tmp_path / "s.zarr", seconds=0.3, names=("camera",), codec="zstd")
     clock, predictor, summary = SystemClock(), Stub(first=0), Summary()
-    watch(replayed(source, clock), predictor, clock, summary=summary)
+    with replayed(source, clock) as watched:
+        watch(watched, predictor, clock, summary=summary)
     stream = Session(source).streams["camera"]
     assert summary.frames + summary.skipped == len(stream)
     assert np.array_equal(predictor.seen[-1], stream.images([len(stream) - 1])[0])
@@ -305,14 +311,17 @@ def test_pictures_stored_as_pixels_can_be_watched(tmp_path: Path) -> None:
 
 def test_a_session_without_a_signal_cannot_be_watched(tmp_path: Path) -> None:
     source = make_session(tmp_path / "s.zarr", seconds=0.2, names=("force", "pose"))
-    with pytest.raises(SessionError, match="neither camera nor taxels"):
-        replayed(source, SystemClock())
+    with (
+        pytest.raises(SessionError, match="neither camera nor taxels"),
+        replayed(source, SystemClock()),
+    ):
+        pass
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--sensor", "uskin", "--session", "x.zarr"], "--session: goes without"),
+        (["--sensor", "uskin", "--session", "x.zarr"], "--session: not allowed with"),
         (
             ["--sensor", "uskin", "--seconds", "0"],
             "--seconds: found '0'; allowed: a number",
@@ -321,7 +330,7 @@ def test_a_session_without_a_signal_cannot_be_watched(tmp_path: Path) -> None:
         (["--sensor", "uskin", "--page", "x"], "--page: found 'x'; allowed: PORT or HOST:PORT"),
         (["--sensor", "uskin"], "found no config.yaml; allowed: the folder of a training run"),
         (["--sensor", "nothing"], "--sensor: found 'nothing'"),
-        (["--session", "x.zarr", "--indenter", "cone"], "--session: goes without"),
+        (["--session", "x.zarr", "--indenter", "cone"], "--indenter: x.zarr is no mock bench"),
         ([], "--sensor, --bench: both missing"),
     ],
 )
@@ -331,6 +340,39 @@ def test_wrong_options_end_before_anything_is_started(
     arguments = ["live", "--model", str(tmp_path), *options]
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
+
+
+def live_options(*words: str) -> argparse.Namespace:
+    parser = Parser()
+    live.add_arguments(parser)
+    return parser.parse_args(["--model", "demo", *words])
+
+
+def test_the_finger_of_a_mock_bench_has_the_named_indenter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+
+    def mock(file: BenchFile, folder: Path, clock: Any, *, rate_hz: float | None) -> Any:
+        opened.append(file.bench.indenter)
+
+    monkeypatch.setattr("rig.monitor.watched.mock_bench", mock)
+    for words in ((), ("--indenter", "cone")):
+        live._source(live_options("--sensor", "gelsight", *words)).open(tmp_path, SystemClock())
+    assert opened == [BenchFile.read(BENCHES / "gelsight.yaml").bench.indenter, "cone"]
+
+
+def test_the_page_of_live_is_served_at_the_address_that_is_printed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    options = live_options("--sensor", "uskin", "--page", "0")
+    with contextlib.ExitStack() as stack:
+        page = live._opened_page(options, live._source(options), stack)
+        assert page is not None
+        address = capsys.readouterr().out.removeprefix("watch it at ").strip()
+        assert address == f"http://127.0.0.1:{page.port}/"
+        with urllib.request.urlopen(address, timeout=10) as answer:
+            assert answer.status == 200
 
 
 @pytest.mark.serial
