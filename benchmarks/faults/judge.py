@@ -95,13 +95,13 @@ def _steps(session: Session, name: str, run: int) -> np.ndarray:
     rows = session.rows_of_run(name, run)
     if name == "pose":
         rate_hz = float(stream.attrs.get("device", {}).get("rate_hz", stream.rate_hz))
-        device_t = np.asarray(stream.column("device_t"))[rows]
+        device_t = np.asarray(stream.array("device_t"))[rows]
         return np.rint(np.diff(device_t) * rate_hz).astype(np.int64)
     if name == "camera":
         first, last = rows.start or 0, len(stream) if rows.stop is None else rows.stop
         stamps = [frame_stamp(stream.jpeg(row) or b"") for row in range(first, last)]
         return np.diff([stamp[0] for stamp in stamps if stamp is not None])
-    return np.diff(np.asarray(stream.column("seq"))[rows])
+    return np.diff(np.asarray(stream.array("seq"))[rows])
 
 
 def losses(path: Path, seen: Seen) -> tuple[int, int]:

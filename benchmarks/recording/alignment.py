@@ -31,9 +31,9 @@ Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 
 WINDOW = 16
-FORCE = ("held", "nearest", "linear", "mean_exposure")
-POSE = ("held", "nearest", "slerp")
-IMAGE = ("held", "nearest")
+FORCE = ("latest", "nearest", "interpolated", "mean")
+POSE = ("latest", "nearest", "interpolated")
+IMAGE = ("latest", "nearest")
 # Camera latencies that are left uncalibrated [s].
 UNCORRECTED = (0.008, 0.055)
 _REPEATS = 200
@@ -188,11 +188,12 @@ def measure_latency(
 def force_error(window: Window, motion: Motion, recorded: Recorded) -> dict[str, Floats]:
     """Return the distance (n,) from the mean true force over the true exposure [N]."""
     true, rows = _true_capture(window, recorded)
-    if window.wrench is None or window.wrench_valid is None:
+    wrench = window.of("wrench")
+    if wrench is None or wrench.value is None:
         return {"N": np.zeros(0)}
     truth = motion.mean_wrench(true - EXPOSURE, true)
-    off = np.linalg.norm(window.wrench[rows, :3] - truth[:, :3], axis=1)
-    return {"N": off[window.wrench_valid[rows]]}
+    off = np.linalg.norm(wrench.value[rows, :3] - truth[:, :3], axis=1)
+    return {"N": off[wrench.valid[rows]]}
 
 
 def pose_errors(
@@ -200,9 +201,10 @@ def pose_errors(
 ) -> dict[str, Floats]:
     """Return distance [mm] and angle [deg] (n,) from the true pose at the true capture."""
     true, rows = _true_capture(window, recorded)
-    if poses is None or window.pose_valid is None:
+    pose = window.of("pose")
+    if poses is None or pose is None:
         return {"mm": np.zeros(0), "deg": np.zeros(0)}
-    truth, valid = motion.pose(true), window.pose_valid[rows]
+    truth, valid = motion.pose(true), pose.valid[rows]
     off = 1e3 * np.linalg.norm(poses[rows, :3] - truth[:, :3], axis=1)
     angle = np.degrees(np.linalg.norm(rotation_between(truth, poses[rows]), axis=1))
     return {"mm": off[valid], "deg": angle[valid]}

@@ -155,7 +155,7 @@ def of_cameras(found: Sequence[Cameras]) -> list[Criterion]:
 def of_alignment(found: Alignment) -> list[Criterion]:
     """Check that the default methods are the most accurate ones."""
     criteria = []
-    for stream, default, unit in (("force", "mean_exposure", "N"), ("pose", "slerp", "deg")):
+    for stream, default, unit in (("force", "mean", "N"), ("pose", "interpolated", "deg")):
         errors = {
             one.method: one.errors[unit].rms
             for one in found.methods

@@ -61,11 +61,12 @@ def errors_of(session: Session, truth: Truth) -> tuple[Method, ...]:
     found = []
     for method in FORCE:
         window = align_window(ticks, sources, {"force": method})
-        if window.wrench is None or window.wrench_valid is None:
+        wrench = window.of("wrench")
+        if wrench is None or wrench.value is None:
             continue
-        rows = np.flatnonzero(window.wrench_valid & (window.signal_row >= 0))
+        rows = np.flatnonzero(wrench.valid & (window.signal_row >= 0))
         when = np.array([_state_ns(session, int(row)) for row in window.signal_row[rows]], np.int64)
-        off = window.wrench[rows] + bias - truth.wrench(when)
+        off = wrench.value[rows] + bias - truth.wrench(when)
         error = np.linalg.norm(off[:, :3], axis=1)
         found.append(Method("force", method, len(rows), {"N": Error.of(error)}, float("nan")))
     return tuple(found)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
@@ -130,17 +129,6 @@ class Stream:
         if found is None:
             found = self._columns.put(name, self.rows_between(name, 0, self._rows))
         return found
-
-    def column(self, name: str) -> Array | zarr.Array[Any]:
-        """Return a column: in memory, or the Zarr array for images (possibly longer than `len`).
-
-        Raises:
-            SessionError: No such column, or a corrupt chunk.
-        """
-        reader = self._reader(name)
-        if reader.layout.column.is_image:
-            return reader.layout.files.array(reader.layout.path)
-        return self.array(name)
 
     def rows_between(self, name: str, start: int, stop: int) -> Array:
         """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.

@@ -19,7 +19,7 @@ from recorder.session.window import align_window
 from recorder.spec import PHASES
 from recorder.store.durable import sync_directory
 from recorder.store.layout import merge_attrs
-from recorder.store.tables import write_table
+from recorder.store.tables import declared_rows, write_table
 
 Array = np.ndarray[Any, Any]
 
@@ -154,8 +154,8 @@ def surface_heights(session: Session) -> Floats:
 def has_targets(session: Session) -> bool:
     """Return True if the session has targets; imported sessions have neither them nor segments."""
     # Use the declared lengths: a table with corrupt chunks still has targets.
-    arrays = (session.files.array(session.path / "targets" / name) for name in session.targets)
-    return any(array.shape[0] for array in arrays)
+    columns = (session.path / "targets" / name for name in session.targets)
+    return any(declared_rows(column, session.files) for column in columns)
 
 
 def whole_run(session: Session, run: int, rate_hz: float) -> Times:

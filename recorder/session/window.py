@@ -39,8 +39,8 @@ class AlignedStream:
 class Window:
     """`n` synchronised rows. Rows before the start of a run or after its end are invalid.
 
-    The first stream of each kind has fields of its own (`image`, `wrench`, `pose`, `taxels`), which
-    are None if the session has no such stream.
+    The values of the first stream of each kind are fields (`image`, `wrench`, `pose`, `taxels`),
+    which are None if the session has no such stream; `of("wrench")` has its ages and validity.
     """
 
     t_ns: Times
@@ -67,35 +67,9 @@ class Window:
         return _value(self.of("image"))
 
     @property
-    def image_row(self) -> NDArray[np.int64] | None:
-        """Rows of the first camera (n,); -1 if there is none."""
-        found = self.of("image")
-        return None if found is None else found.row
-
-    @property
-    def image_age(self) -> Floats | None:
-        """Tick minus capture (n,) [s]; NaN if there is none."""
-        return _age(self.of("image"))
-
-    @property
-    def image_valid(self) -> Bools | None:
-        """True if the image exists and is recent enough (n,)."""
-        return _valid(self.of("image"))
-
-    @property
     def wrench(self) -> Floats | None:
         """Force and torque of the first gauge at the capture (n, 6) [N, N m], as in its stream."""
         return _value(self.of("wrench"))
-
-    @property
-    def wrench_age(self) -> Floats | None:
-        """Distance from capture to the nearest sample used (n,) [s]."""
-        return _age(self.of("wrench"))
-
-    @property
-    def wrench_valid(self) -> Bools | None:
-        """True if all samples used are near enough (n,)."""
-        return _valid(self.of("wrench"))
 
     @property
     def pose(self) -> Floats | None:
@@ -103,29 +77,9 @@ class Window:
         return _value(self.of("pose"))
 
     @property
-    def pose_age(self) -> Floats | None:
-        """Distance from capture to the nearest sample used (n,) [s]."""
-        return _age(self.of("pose"))
-
-    @property
-    def pose_valid(self) -> Bools | None:
-        """True if all samples used are near enough (n,)."""
-        return _valid(self.of("pose"))
-
-    @property
     def taxels(self) -> Floats | None:
         """Counts of the first taxels (n, 16, 3): at the capture, or the signal itself."""
         return _value(self.of("taxels"))
-
-    @property
-    def taxels_age(self) -> Floats | None:
-        """Distance from capture to nearest sample used (n,) [s]; of the signal, age at the tick."""
-        return _age(self.of("taxels"))
-
-    @property
-    def taxels_valid(self) -> Bools | None:
-        """True if all samples used are near enough (n,)."""
-        return _valid(self.of("taxels"))
 
     @property
     def valid(self) -> Bools:
@@ -250,11 +204,3 @@ def _taken(source: Source, picked: Picked, moments: Times) -> AlignedStream:
 
 def _value(stream: AlignedStream | None) -> NDArray[Any] | None:
     return None if stream is None else stream.value
-
-
-def _age(stream: AlignedStream | None) -> Floats | None:
-    return None if stream is None else stream.age
-
-
-def _valid(stream: AlignedStream | None) -> Bools | None:
-    return None if stream is None else stream.valid

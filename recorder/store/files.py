@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
-import zarr
-
 from recorder.errors import SessionError
 
 # Offset and length in a file [bytes].
@@ -68,10 +66,6 @@ class Files(Protocol):
 
     def sizes(self, path: Path) -> dict[Path, int]:
         """Return all files below a directory with their sizes [bytes]."""
-        ...
-
-    def array(self, path: Path) -> zarr.Array[Any]:
-        """Return a Zarr array, read-only."""
         ...
 
     def remembering(self) -> AbstractContextManager[None]:
@@ -141,10 +135,6 @@ class LocalFiles:
             except FileNotFoundError:  # sealed or removed in the meantime by a writer
                 continue
         return found
-
-    def array(self, path: Path) -> zarr.Array[Any]:
-        """Return a Zarr array."""
-        return zarr.open_array(path, mode="r")
 
 
 # The only instance that writers use.
@@ -322,15 +312,6 @@ class RemoteFiles:
             if unknown:  # a web server's listing has no sizes
                 sizes |= zip(unknown, self._system().sizes(unknown), strict=True)
         return {Path(name.removeprefix(self.prefix)): int(size) for name, size in sizes.items()}
-
-    def array(self, path: Path) -> zarr.Array[Any]:
-        """Return a Zarr array."""
-        from fsspec.implementations.asyn_wrapper import AsyncFileSystemWrapper
-
-        with self._said(path):
-            system = AsyncFileSystemWrapper(self._system(), asynchronous=True)
-            store = zarr.storage.FsspecStore(system, read_only=True, path=self._key(path))
-            return zarr.open_array(store, mode="r")
 
     def remembering(self) -> AbstractContextManager[None]:
         """Return a context that changes nothing: metadata is always read only once here."""

@@ -18,8 +18,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import zarr
-
 from recorder.errors import SessionError
 from recorder.store.durable import TEMPORARY, json_bytes, read_json, replace_file, sync_tree
 from recorder.store.files import LOCAL, Files, Range, check_document_size, read_document
@@ -330,22 +328,6 @@ class SealedFiles:
     def sizes(self, path: Path) -> dict[Path, int]:
         """Return all files below a directory with their sizes [bytes]."""
         return self.inner.sizes(path)
-
-    def array(self, path: Path) -> zarr.Array[Any]:
-        """Return a Zarr array, read-only.
-
-        Raises:
-            SessionError: Its metadata or the end of a shard differs from the manifest.
-        """
-        read_document(self, path / "zarr.json")
-        for key, shard in self.manifest.shards.items():
-            if (self.session / key).is_relative_to(path):
-                try:
-                    self.tail(self.session / key, shard.end_bytes)
-                except FileNotFoundError:
-                    name = self.name(self.session / key)
-                    raise SessionError(f"{name}: shard missing") from None
-        return self.inner.array(path)
 
     def remembering(self) -> AbstractContextManager[None]:
         """Read each zarr.json only once as long as this context lasts."""

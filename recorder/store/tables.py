@@ -83,6 +83,18 @@ def _write_column(path: Path, column: Array, attrs: dict[str, Any]) -> None:
         key.write_bytes(data + packed_crc(data))
 
 
+def declared_rows(path: Path, files: Files) -> int:
+    """Return the number of rows that a column declares, whether or not its chunks are there.
+
+    Raises:
+        SessionError: Its metadata is missing, or differs from the manifest.
+    """
+    shape = read_document(files, path / "zarr.json").get("shape")
+    if not isinstance(shape, list) or not shape or type(shape[0]) is not int:
+        raise SessionError(f"{files.name(path)}: found shape {shape!r:.200}, expected a list")
+    return shape[0]
+
+
 def _column(files: Files, path: Path, name: str) -> Array:
     """Return all rows of a column; `SessionError` if a chunk is missing or corrupt."""
     array = path / name

@@ -294,15 +294,15 @@ def test_methods_rank_as_they_must(motion: Motion, recorded: Recorded) -> None:
     force = {
         name: one.errors["N"].rms for (stream, name), one in found.items() if stream == "force"
     }
-    assert min(force, key=lambda name: force[name]) == "mean_exposure"
+    assert min(force, key=lambda name: force[name]) == "mean"
     assert max(force, key=lambda name: force[name]) == "read with the frame"
     pose = {name: one for (stream, name), one in found.items() if stream == "pose"}
-    assert pose["slerp"].errors["mm"].rms < pose["nearest"].errors["mm"].rms
-    assert pose["nearest"].errors["mm"].rms < pose["held"].errors["mm"].rms
+    assert pose["interpolated"].errors["mm"].rms < pose["nearest"].errors["mm"].rms
+    assert pose["nearest"].errors["mm"].rms < pose["latest"].errors["mm"].rms
     # For a tool that points down, the rotation vector changes sign between samples.
     assert pose["component-wise linear"].errors["deg"].rms > 10
-    assert pose["slerp"].errors["deg"].most < 0.2
-    assert found["image", "nearest"].errors["px"].rms < found["image", "held"].errors["px"].rms
+    assert pose["interpolated"].errors["deg"].most < 0.2
+    assert found["image", "nearest"].errors["px"].rms < found["image", "latest"].errors["px"].rms
     for one in found.values():
         assert one.rows > 0.9 * len(ticks(recorded))
         assert one.per_window > 0
@@ -439,14 +439,14 @@ def test_charts_draw_what_is_known_and_say_what_is_not(tmp_path: Path) -> None:
         assert f"<!-- {text} -->" in drawn
     assert drawn.count("<!-- not measured -->") == 2
     methods = (
-        Method("force", "held", 9, {"N": Error(0.2, 0.5)}, 2e-5),
+        Method("force", "latest", 9, {"N": Error(0.2, 0.5)}, 2e-5),
         Method("force", "untimed", 9, {"N": Error(0.2, 0.5)}, math.nan),
-        Method("pose", "slerp", 9, {"deg": Error(0.01, 0.1)}, 1e-4),
+        Method("pose", "interpolated", 9, {"deg": Error(0.01, 0.1)}, 1e-4),
         Method("image", "nearest", 9, {"px": Error(1.0, 4.0)}, 2e-5),
     )
     alignment_chart(tmp_path / "alignment.svg", Alignment(methods, (), 0.0, 0.0, 0.0, 0.0))
     drawn = (tmp_path / "alignment.svg").read_text()
-    for text in ("held", "slerp", "error rms [N]", "error rms [deg]"):
+    for text in ("latest", "interpolated", "error rms [N]", "error rms [deg]"):
         assert f"<!-- {text} -->" in drawn
     assert "untimed" not in drawn
     assert "nearest" not in drawn

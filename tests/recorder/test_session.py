@@ -28,6 +28,7 @@ from recorder import (
     SessionError,
     SessionWriter,
     Stream,
+    Window,
     camera_spec,
     force_spec,
     recover,
@@ -219,22 +220,27 @@ def test_latency_and_the_cameras_own_clock_move_the_capture(
         np.testing.assert_array_equal(source.times, np.round(camera.array("device_t") * 1e9))
 
 
+def rows_of(window: Window) -> np.ndarray[Any, Any]:
+    """Return the rows of the first camera in a window."""
+    row = window.streams["camera"].row
+    assert row is not None
+    return row
+
+
 def test_a_window_holds_images_labels_ages_and_never_clips(recorded: Path) -> None:
     session = Session(recorded)
     end = T0 + 2_000_000_000
     window = session.window(end, 16, rate_hz=60)
     camera = session.streams["camera"]
     assert window.image is not None
-    assert window.image_row is not None
-    np.testing.assert_array_equal(window.image, camera.images(window.image_row))
+    np.testing.assert_array_equal(window.image, camera.images(rows_of(window)))
     assert window.t_ns[-1] == end
     assert window.valid.all()
     np.testing.assert_allclose(np.diff(window.t_ns), 1e9 / 60, atol=1)
     early = session.window(T0 + 50_000_000, 8, rate_hz=60)
     assert len(early.t_ns) == 8
-    assert early.image_row is not None
     assert early.image is not None
-    missing = early.image_row < 0
+    missing = rows_of(early) < 0
     assert missing.sum() >= 4
     assert not early.valid[missing].any()
     assert early.image[missing].max() == 0
@@ -249,8 +255,7 @@ def test_a_window_of_any_method_stays_near_its_samples(recorded: Path) -> None:
         for image in ("latest", "nearest"):
             window = session.window(T0 + 10**9, 5, force=force, pose="nearest", image=image)
             assert window.valid.all()
-            assert window.wrench_age is not None
-            assert np.abs(window.wrench_age).max() < 0.002
+            assert np.abs(window.streams["force"].age).max() < 0.002
     with pytest.raises(
         SessionError, match="found method 'cubic'; known: latest, nearest, interpolated, mean"
     ):
@@ -280,8 +285,7 @@ def test_runs_keep_apart_even_if_the_clock_starts_anew(tmp_path: Path) -> None:
     assert (session.frames["image"][~second] < lengths["camera"]).all()
     assert session.window(5_500_000_000, 3).valid.all()
     at_start = session.window(5_030_000_000, 6)
-    assert at_start.image_row is not None
-    assert set(at_start.image_row) <= {-1, *range(lengths["camera"], lengths["camera"] + 3)}
+    assert set(rows_of(at_start)) <= {-1, *range(lengths["camera"], lengths["camera"] + 3)}
 
 
 def test_a_session_still_recording_opens_and_says_so(tmp_path: Path) -> None:

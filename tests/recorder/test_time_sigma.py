@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zarr
 from support.sessions import T0, make_session, reseal, set_attrs
 
 from recorder import Session, SessionError, check
@@ -53,7 +54,7 @@ def test_a_calibrated_latency_counts_by_its_interval(tmp_path: Path) -> None:
     assert "not calibrated" not in describe(tmp_path / "s.zarr")
     # The exposure of 10 ms, and the priors of gauge and arm, are what remains.
     assert np.median(session.frames["time_sigma"]) < 8e-3
-    stored = session.files.array(session.path / "frames" / "time_sigma").attrs
+    stored = zarr.open_array(session.path / "frames" / "time_sigma", mode="r").attrs
     assert stored["units"] == "s"
 
 

@@ -75,12 +75,12 @@ def test_what_was_recorded_is_what_the_world_felt(
     session, _, path = collected
     truth, force, pose = Truth(path), session.streams["force"], session.streams["pose"]
     inside = force.t_ns < truth.records["t_ns"][-1]
-    raw = np.asarray(force.column("value"))[inside] + np.asarray(force.attrs["bias"])
+    raw = np.asarray(force.array("value"))[inside] + np.asarray(force.attrs["bias"])
     error = raw - truth.wrench(force.t_ns[inside])
     # 0.01 N of noise, and a few milliseconds at a few N/s; robust to a stalled machine.
     assert np.median(np.abs(error[:, :3])) < 0.02
     inside = pose.t_ns < truth.records["t_ns"][-1]
-    place = np.asarray(pose.column("value"))[inside][:, :3]
+    place = np.asarray(pose.array("value"))[inside][:, :3]
     distance = np.linalg.norm(place - truth.position(pose.t_ns[inside]), axis=1)
     assert np.median(distance) < 1e-4
 
@@ -89,7 +89,7 @@ def test_poses_come_at_the_controllers_rate_with_none_skipped(
     collected: tuple[Session, Collection, Path],
 ) -> None:
     pose = collected[0].streams["pose"]
-    cycles = np.round(np.diff(np.asarray(pose.column("device_t"))) / 0.002)
+    cycles = np.round(np.diff(np.asarray(pose.array("device_t"))) / 0.002)
     assert set(cycles.astype(int)) == {1}
 
 
@@ -97,7 +97,7 @@ def test_force_records_come_with_none_dropped(
     collected: tuple[Session, Collection, Path],
 ) -> None:
     force = collected[0].streams["force"]
-    assert set(np.diff(np.asarray(force.column("seq")))) == {1}
+    assert set(np.diff(np.asarray(force.array("seq")))) == {1}
     assert collected[0].attrs["summary"]["force"]["dropped"] == 0
 
 
@@ -143,7 +143,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     assert f"to continue: tactile collect --resume {run.session} --bench {bench}" in run.text
     assert set(session.segments["outcome"]) == {OUTCOMES.index("complete")}
     frame = np.asarray(session.attrs["contact_frame"])
-    last = np.asarray(session.streams["pose"].column("value"))[-1]
+    last = np.asarray(session.streams["pose"].array("value"))[-1]
     assert last[2] - frame[2] > 0.015
     rows = len(session.streams["force"])
 

@@ -59,7 +59,7 @@ def test_a_killed_device_ends_the_session_with_everything_kept(device: str, tmp_
     if device == "arm":
         assert "NOT RETRACTED" in session.attrs["reason"]
     else:
-        height = session.streams["pose"].column("value")[-1][2] - session.attrs["contact_frame"][2]
+        height = session.streams["pose"].array("value")[-1][2] - session.attrs["contact_frame"][2]
         assert height > 0.015
 
 
@@ -88,7 +88,7 @@ def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Pa
     assert "protective" in session.attrs["reason"].lower()
     # Only a person may unlock it, so there is no retract either, and the reason states this.
     assert "NOT RETRACTED" in session.attrs["reason"]
-    heights = np.asarray(session.streams["pose"].column("value"))[-20:, 2]
+    heights = np.asarray(session.streams["pose"].array("value"))[-20:, 2]
     assert np.ptp(heights) < 1e-6
 
 
@@ -105,7 +105,7 @@ def test_the_hard_force_limit_stops_the_session_with_4(tmp_path: Path) -> None:
     *before, last = session.segments["outcome"]
     assert last == OUTCOMES.index("stopped")
     assert set(before) <= {OUTCOMES.index("force_limited")}
-    force = np.asarray(session.streams["force"].column("value"))
+    force = np.asarray(session.streams["force"].array("value"))
     assert 0.2 < -force[:, 2].min() < 0.3
 
 

@@ -361,7 +361,7 @@ def test_a_grip_lost_in_mid_press_halts_retracts_and_exits_with_4(collect: Colle
     assert "grip lost" in session.attrs["reason"]
     assert "NOT RETRACTED" not in session.attrs["reason"]
     assert rows(run.session)[-1][2] == STOPPED
-    height = session.streams["pose"].column("value")[-1][2] - session.attrs["contact_frame"][2]
+    height = session.streams["pose"].array("value")[-1][2] - session.attrs["contact_frame"][2]
     assert height > 0.015
     assert session.runs[0]["devices"]["gripper"]["position"] == 120
     assert faults_of(run.session, stopped=True) == []
@@ -389,7 +389,7 @@ def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: 
     assert gaps[3] > 2.0
     assert gaps.argmax() == 3
     paused = (pose.t_ns > segments["end_ns"][3]) & (pose.t_ns < segments["start_ns"][4])
-    heights = np.asarray(pose.column("value"))[paused, 2] - session.attrs["contact_frame"][2]
+    heights = np.asarray(pose.array("value"))[paused, 2] - session.attrs["contact_frame"][2]
     assert paused.sum() > 500
     assert heights.min() > 0.0
     assert "continuing after a pause" in run.text
@@ -436,7 +436,7 @@ def test_a_pedal_released_in_mid_shear_halts_and_the_target_is_pressed_again(
     # The contact point has a second reference, taken before it was pressed again.
     assert list(session.reference["point"]) == [1, 1]
     pose, segments = session.streams["pose"], session.segments
-    place = np.asarray(pose.column("value"))[:, :3]
+    place = np.asarray(pose.array("value"))[:, :3]
     after = np.flatnonzero(pose.t_ns > released_ns)
     moved = np.linalg.norm(np.diff(place[after], axis=0), axis=1) / 0.002
     before = np.diff(place[pose.t_ns <= released_ns][-10:, :2], axis=0) / 0.002

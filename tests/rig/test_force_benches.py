@@ -189,7 +189,7 @@ def check_against_truth(session: Session, truth: Truth) -> None:
     """Check that the stored wrench is the ground truth at the times of the samples."""
     force = session.streams["force"]
     inside = force.t_ns < truth.records["t_ns"][-1]
-    raw = np.asarray(force.column("value"))[inside] + np.asarray(force.attrs["bias"])
+    raw = np.asarray(force.array("value"))[inside] + np.asarray(force.attrs["bias"])
     error = raw - truth.wrench(force.t_ns[inside])
     assert raw[:, 2].min() < -0.3
     # 0.01 N of noise, and a few milliseconds at a few N/s; robust to a stalled machine.
@@ -203,4 +203,4 @@ def test_two_targets_through_the_ni_card(tmp_path: Path) -> None:
     session, truth = collected(tmp_path, "nidaq")
     check_against_truth(session, truth)
     assert session.streams["force"].attrs["device"]["transducer"] == "FT00000"
-    assert set(np.diff(np.asarray(session.streams["force"].column("seq")))) == {1}
+    assert set(np.diff(np.asarray(session.streams["force"].array("seq")))) == {1}

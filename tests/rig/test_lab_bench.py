@@ -168,7 +168,7 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
     assert not found.attrs["mock"]
     assert found.attrs["indenter_description"]["source"] == "paper"
     # The session holds the retract, and every stream was closed in order.
-    place = np.asarray(found.streams["pose"].column("value"))[-1, :3]
+    place = np.asarray(found.streams["pose"].array("value"))[-1, :3]
     assert 1e3 * transform(invert(found.attrs["contact_frame"]), place)[2] > RETRACTED
 
 

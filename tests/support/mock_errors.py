@@ -60,7 +60,7 @@ def compare(session_path: Path, truth_path: Path) -> list[str]:
     # The emulators end after the streams, but the last states may not have reached the file.
     covered = force.t_ns < truth.records["t_ns"][-1] - 2 * _STEP_NS
     times = force.t_ns[covered]
-    wrench = np.asarray(force.column("value"))[: len(force.t_ns)][covered]
+    wrench = np.asarray(force.array("value"))[: len(force.t_ns)][covered]
     wrench = wrench + np.asarray(force.attrs["bias"])
     true = truth.wrench(times)
     error = wrench - true
@@ -76,7 +76,7 @@ def compare(session_path: Path, truth_path: Path) -> list[str]:
     lag = _lag("force", times, wrench[:, :3], lambda t: truth.wrench(t)[:, :3], 0.5, sigma)
     lines.append(str(lag))
     covered = pose.t_ns < truth.records["t_ns"][-1] - 2 * _STEP_NS
-    position = np.asarray(pose.column("value"))[: len(pose.t_ns)][covered][:, :3]
+    position = np.asarray(pose.array("value"))[: len(pose.t_ns)][covered][:, :3]
     sigma = _stated(session, names["pose"])[covered]
     lines.append(str(_lag("pose", pose.t_ns[covered], position, truth.position, 1e-3, sigma)))
     if names["camera"] is not None:

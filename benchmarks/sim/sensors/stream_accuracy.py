@@ -78,8 +78,8 @@ def recorded(session: Session) -> Recorded:
     row = sensor_of(name)
     pose, force = session.streams["pose"], session.streams["force"]
     frame = np.asarray(session.attrs["contact_frame"])
-    place = np.asarray(pose.column("value"))[: len(pose.t_ns), :3] - frame[:3]
-    wrench = np.asarray(force.column("value"))[: len(force.t_ns)]
+    place = np.asarray(pose.array("value"))[: len(pose.t_ns), :3] - frame[:3]
+    wrench = np.asarray(force.array("value"))[: len(force.t_ns)]
     return Recorded(
         sensor=row,
         indenter=str(session.attrs["indenter"]),
@@ -237,7 +237,7 @@ def _images(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[n
 def _scans(session: Session, pressed: NDArray[np.int64]) -> dict[int, NDArray[np.int32]]:
     """Return scans in contact, by their time of arrival [ns]."""
     stream: Any = session.streams["taxels"]
-    values = np.asarray(stream.column("value"))[: len(stream.t_ns)]
+    values = np.asarray(stream.array("value"))[: len(stream.t_ns)]
     near = np.searchsorted(pressed, stream.t_ns)
     inside = (near > 0) & (near < len(pressed))
     gap = np.full(len(near), np.iinfo(np.int64).max)
