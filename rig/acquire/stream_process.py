@@ -13,12 +13,11 @@ from collections import deque
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from recorder import SessionError, StreamWriter
-from rig.acquire.signal_level import SignalLevel
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import StreamKind, kind_of, make_driver
 from rig.core.clock import SECOND_NS, Clock, SystemClock
@@ -27,6 +26,9 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.core.realtime import Sweeper, enable_realtime
 from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
+
+if TYPE_CHECKING:
+    from rig.acquire.signal_level import SignalLevel
 
 logger = logging.getLogger(__name__)
 
@@ -110,6 +112,8 @@ class _StreamLoop:
         self._level: SignalLevel | None = None
         signal = job.bench.signal
         if job.bench.no_gauge and signal is not None and signal.name == job.name:
+            from rig.acquire.signal_level import SignalLevel
+
             self._level = SignalLevel(is_image=signal.kind == "camera")
             self._signal = SharedLatest.attach(
                 job.folder / f"{job.name}.signal", SIGNAL_LATEST, writable=True

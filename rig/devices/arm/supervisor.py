@@ -14,11 +14,10 @@ import threading
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
-from rig.devices.arm import motion
 from rig.devices.arm.messages import START, Alarm, Command, Reply, Report, Setup, Started
 
 # Interval between two calls of `on_wait` in `ask` [s].
@@ -32,6 +31,13 @@ class HasFileno(Protocol):
 
     def fileno(self) -> int:
         """Return the file descriptor."""
+
+
+def _move_arm(setup: Setup, pipe: Connection) -> NoReturn:
+    """Run the arm's process, which alone loads what moves the arm."""
+    from rig.devices.arm import motion
+
+    motion.run(setup, pipe)
 
 
 class Child:
@@ -78,7 +84,7 @@ class Child:
         ours, theirs = context.Pipe()
         # Daemon: at a normal exit of this process the child gets SIGTERM, halts and retracts.
         self._process = context.Process(
-            target=motion.run, args=(self._setup, theirs), name="arm", daemon=True
+            target=_move_arm, args=(self._setup, theirs), name="arm", daemon=True
         )
         self._pipe, self._numbers = ours, itertools.count(START + 1)
         try:
