@@ -255,11 +255,7 @@ def _progress_again(item: Item) -> Progress:
 
 
 def _targets_left(entry: Entry) -> tuple[int, ...]:
-    """Return the targets to press again that no run since has finished, numbered from 1.
-
-    Raises:
-        SessionError, OSError, KeyError, ValueError: Its session cannot be read.
-    """
+    """Return the targets to press again that no run since has finished, numbered from 1."""
     session = Session(entry.session)
     plan = plan_from_json(session.attrs["plan"])
     later = session.segments["run"] >= entry.runs

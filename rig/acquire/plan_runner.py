@@ -184,12 +184,7 @@ class PlanRunner:
         self._asked()
 
     def _take_reference(self, point: int) -> None:
-        """Store the values of the sensor, having checked that nothing touches it.
-
-        Raises:
-            DeviceLost: A stream gives no samples.
-            SafetyStop: An F/T sensor that guards shows contact.
-        """
+        """Store the values of the sensor, having checked that nothing touches it."""
         bench = self._bench
         found = self._zero(point)
         for gauge in bench.of_kind("force"):
@@ -214,11 +209,7 @@ class PlanRunner:
             )
 
     def _zero(self, point: int) -> dict[str, dict[str, Any]]:
-        """Return the streams' means above a point, and set the zero of guards that stand in.
-
-        Raises:
-            SafetyStop: The signal of a sensor without a gauge shows contact.
-        """
+        """Return the streams' means above a point, and set the zero of guards that stand in."""
         self._check_signal(point)
         averaged = [row.name for row in self._bench.rows if KINDS[row.kind].averaged]
         if self._bench.no_gauge and not averaged:
@@ -231,11 +222,7 @@ class PlanRunner:
         return found
 
     def _check_signal(self, point: int) -> None:
-        """Reject a sensor that shows contact above a point: the next zero would hide it.
-
-        Raises:
-            SafetyStop: It shows contact.
-        """
+        """Reject a sensor that shows contact above a point: the next zero would hide it."""
         signal, given = self._bench.signal, self._bench.stand_ins
         latest = None if signal is None else self._streams[signal.name].signal()
         if latest is None or given is None:
@@ -301,11 +288,7 @@ class PlanRunner:
         return result
 
     def _held(self, place: Point) -> int:
-        """Stay at a place in contact for the bench's `hold`; return the end [ns].
-
-        Raises:
-            SafetyStop, DeviceLost, DeadManReleased: The hold was stopped.
-        """
+        """Stay at a place in contact for the bench's `hold`; return the end [ns]."""
         now_ns = self._clock.now_ns()
         surface = dome_height(self._bench.dome_radius, place[0], place[1])
         end_ns = now_ns + round(self._bench.hold * SECOND_NS) if place[2] < surface else now_ns

@@ -221,11 +221,7 @@ def _measured_axes(gauge: BenchStream) -> list[int]:
 
 
 def _require_numbers(gauge: BenchStream, wrench: np.ndarray, when: str) -> None:
-    """Reject a mean wrench (6,) that is NaN or infinite on an axis that the gauge measures.
-
-    Raises:
-        DeviceLost: Names the axes.
-    """
+    """Reject a mean wrench (6,) that is NaN or infinite on an axis that the gauge measures."""
     if bad := [_AXES[axis] for axis in _measured_axes(gauge) if not np.isfinite(wrench[axis])]:
         raise DeviceLost(
             f"{gauge.name}: {', '.join(bad)} not a number {when}; is a cable loose? An axis that "

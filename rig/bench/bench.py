@@ -19,7 +19,6 @@ from recorder import (
     taxels_spec,
 )
 from recorder.spec import check_streams, signal_of
-from rig.bench import no_gauge
 from rig.bench.indenter import find_indenter, paper_indenters
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.config import READER as PLAIN_READER
@@ -43,6 +42,8 @@ from trajectories import DryRun, ForceDepth, Limits, Plan, PressShear, dry_run
 _POINTS_INTO_SENSOR = 0.7
 # Distances from an arm's base that some UR arm can reach [mm].
 REACH_MM = (50.0, 2000.0)
+# Value of `force` in the file of a bench without a gauge.
+NO_GAUGE = "none"
 # Folder of a lab's bench files.
 BENCHES_FOLDER = Path("benches")
 # Placeholder for the address that the emulators are started on.
@@ -120,6 +121,35 @@ class BenchLimits:
             duration_max=self.duration_max,
             dome_radius=dome_radius,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class StandIns:
+    """Limits of the guards that stand in for a force gauge, as far as they depend on the sensor."""
+
+    stiffness: tuple[float, float] = field(
+        metadata={"unit": "n_per_mm", "plausible": (0.005, 1000)}
+    )
+    """Lowest and highest normal stiffness expected under any indenter that is used [N/m]."""
+    stiffness_source: str
+    """Source of these numbers: a paper, a data sheet, a measurement on another sensor."""
+    signal_max: float = field(metadata={"plausible": (0.05, 70000)})
+    """Largest motion of a marker [px], or deviation of a taxel [counts], from no contact."""
+    stale_signal: float = field(default=0.2, metadata={"unit": "ms", "plausible": (5, 5000)})
+    """Longest time without a sample of the signal that differs from the one before [s]."""
+
+    def __post_init__(self) -> None:
+        """Reject a stiffness that bounds nothing, or one without a source."""
+        low, high = self.stiffness
+        if not 0 < low <= high:
+            raise ValueError(
+                f"stiffness: {list(self.stiffness)!r}; allowed: the lowest, then the highest, both "
+                "above 0"
+            )
+        if not self.stiffness_source.strip():
+            raise ValueError("stiffness_source: empty; allowed: where these numbers are from")
+        if not self.signal_max > 0:
+            raise ValueError(f"signal_max: {self.signal_max!r}; allowed: above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +263,7 @@ class Bench:
     streams with the names of their keys, and the arm's poses are the stream `pose`."""
     hold: float = field(default=0.0, metadata={"unit": "ms", "plausible": (10, 600_000)})
     """Time at rest after each recorded move that ends in contact [s]: for gauges that settle."""
-    stand_ins: no_gauge.StandIns | None = None
+    stand_ins: StandIns | None = None
     """Limits of the guards that stand in for an F/T sensor with `force: none`; otherwise unused."""
     gripper: RobotiqConfig | None = None
     """Holds the indenter; watched while the arm moves."""
@@ -255,7 +285,7 @@ class Bench:
         """Reject contradictions, such as two streams of one name, or an unguarded lab bench."""
         _check_streams(self.rows)
         if self.no_gauge:
-            no_gauge.check_settings(self.limits, self.stand_ins, self.gauges, self.signal)
+            _check_no_gauge(self)
         for row in self.of_kind("force"):
             if self.hold < row.config.hold:
                 raise ValueError(
@@ -285,7 +315,7 @@ class Bench:
     @property
     def no_gauge(self) -> bool:
         """True if the bench file says that there is no F/T sensor."""
-        return self.force == no_gauge.NO_GAUGE
+        return self.force == NO_GAUGE
 
     @property
     def rows(self) -> tuple[BenchStream, ...]:
@@ -384,12 +414,33 @@ class Bench:
         )
 
 
-def _check_streams(rows: Sequence[BenchStream]) -> None:
-    """Reject names and uses that a session could not store.
+def _check_no_gauge(bench: Bench) -> None:
+    """Reject a bench without a gauge that lacks what stands in for one, or that has a gauge."""
+    if bench.gauges:
+        names = ", ".join(gauge.name for gauge in bench.gauges)
+        raise ValueError(
+            f"force: none, but {names} has the role guard; allowed: force: none without an F/T "
+            "sensor that guards"
+        )
+    if bench.limits.sensor_rating is None:
+        raise ValueError(
+            "limits.sensor_rating_n: missing; allowed with force: none: the largest force that the "
+            "sensor withstands"
+        )
+    if bench.stand_ins is None:
+        raise ValueError(
+            "stand_ins: missing; allowed with force: none: stiffness_n_per_mm, stiffness_source "
+            "and signal_max of the sensor"
+        )
+    if bench.signal is None or bench.signal.kind not in ("camera", "taxels"):
+        raise ValueError(
+            "force: none, but the bench has no camera or taxels with the role signal; allowed: "
+            "force: none with a signal, which stops the arm"
+        )
 
-    Raises:
-        ValueError: Names the stream, the value found and the values allowed.
-    """
+
+def _check_streams(rows: Sequence[BenchStream]) -> None:
+    """Reject names and uses that a session could not store."""
     single = {row.name for row in rows if not row.listed}
     for row in rows:
         if row.listed and row.name in single:

@@ -17,17 +17,12 @@ This file has the settings and the rules; `rig.bench.guards` makes the guards, a
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rig.bench.bench import NO_GAUGE, Bench
 from rig.core.errors import ConfigError
 from trajectories import Plan, dome_height
 
-if TYPE_CHECKING:
-    from rig.bench.bench import Bench, BenchLimits, BenchStream
-
-# Value of `force` in the bench file.
-NO_GAUGE = "none"
 # Highest speeds in contact and elsewhere [m/s]. All moves of a session lie below 20 mm.
 CONTACT_SPEED, TRAVEL_SPEED = 2e-3, 10e-3
 # The arm stops this far beyond the planned depth [m].
@@ -38,66 +33,6 @@ FRACTION = 0.5
 SURFACE_WIDTH, SURFACE_HOURS = 50e-6, 24.0
 # Stream of the arm's own wrench on a mock bench that is used without its gauge.
 WRENCH_STREAM = "arm_wrench"
-
-
-@dataclass(frozen=True, slots=True)
-class StandIns:
-    """Limits of the guards that stand in for a force gauge, as far as they depend on the sensor."""
-
-    stiffness: tuple[float, float] = field(
-        metadata={"unit": "n_per_mm", "plausible": (0.005, 1000)}
-    )
-    """Lowest and highest normal stiffness expected under any indenter that is used [N/m]."""
-    stiffness_source: str
-    """Source of these numbers: a paper, a data sheet, a measurement on another sensor."""
-    signal_max: float = field(metadata={"plausible": (0.05, 70000)})
-    """Largest motion of a marker [px], or deviation of a taxel [counts], from no contact."""
-    stale_signal: float = field(default=0.2, metadata={"unit": "ms", "plausible": (5, 5000)})
-    """Longest time without a sample of the signal that differs from the one before [s]."""
-
-    def __post_init__(self) -> None:
-        """Reject a stiffness that bounds nothing, or one without a source."""
-        low, high = self.stiffness
-        if not 0 < low <= high:
-            raise ValueError(
-                f"stiffness: {list(self.stiffness)!r}; allowed: the lowest, then the highest, both "
-                "above 0"
-            )
-        if not self.stiffness_source.strip():
-            raise ValueError("stiffness_source: empty; allowed: where these numbers are from")
-        if not self.signal_max > 0:
-            raise ValueError(f"signal_max: {self.signal_max!r}; allowed: above 0")
-
-
-def check_settings(
-    limits: BenchLimits, given: StandIns | None, gauges: tuple[BenchStream, ...], signal: Any
-) -> None:
-    """Reject a bench without a gauge that lacks what stands in for one, or that has a gauge.
-
-    Raises:
-        ValueError: Names the key.
-    """
-    if gauges:
-        names = ", ".join(gauge.name for gauge in gauges)
-        raise ValueError(
-            f"force: none, but {names} has the role guard; allowed: force: none without an F/T "
-            "sensor that guards"
-        )
-    if limits.sensor_rating is None:
-        raise ValueError(
-            "limits.sensor_rating_n: missing; allowed with force: none: the largest force that the "
-            "sensor withstands"
-        )
-    if given is None:
-        raise ValueError(
-            "stand_ins: missing; allowed with force: none: stiffness_n_per_mm, stiffness_source "
-            "and signal_max of the sensor"
-        )
-    if signal is None or signal.kind not in ("camera", "taxels"):
-        raise ValueError(
-            "force: none, but the bench has no camera or taxels with the role signal; allowed: "
-            "force: none with a signal, which stops the arm"
-        )
 
 
 def without_gauge(content: dict[str, Any], where: str) -> dict[str, Any]:

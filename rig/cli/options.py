@@ -15,14 +15,14 @@ from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
 from rig.bench.bench import (
     BENCHES_FOLDER,
+    NO_GAUGE,
     Bench,
     BenchFile,
     find_bench,
     read_content,
     with_simulated_world,
 )
-from rig.bench.indenter import indenter_names
-from rig.bench.no_gauge import NO_GAUGE, without_gauge
+from rig.bench.no_gauge import without_gauge
 from rig.bench.worlds import SimulatedSpec
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
@@ -190,15 +190,6 @@ def bench_file(
     if force is not None or (began.get("force") == NO_GAUGE and content.get("mock")):
         content = without_gauge(content, str(path))
     return BenchFile.of(content, path)
-
-
-def resumed_indenter(session: Path) -> str:
-    """Return the indenter of the session to resume.
-
-    A name from before indenters had to be known is returned as empty: the bench's own is checked.
-    """
-    name = Session(session).attrs.get("indenter")
-    return name if name in indenter_names() else ""
 
 
 def sources_of(options: argparse.Namespace, file: BenchFile) -> Sources:

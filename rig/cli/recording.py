@@ -20,7 +20,7 @@ from rig.acquire.collector import Collector
 from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.request import CollectRequest, plan_of
 from rig.bench.bench import Bench, BenchFile
-from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to, resumed_indenter
+from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to
 from rig.cli.terminal import confirm
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
@@ -142,7 +142,7 @@ def recording_of(options: argparse.Namespace) -> Recording:
     file = chosen_bench(options)
     print(banner(file), flush=True)
     resumed = getattr(options, "resume", None)
-    indenter = resumed_indenter(resumed) if resumed else options.indenter
+    indenter = str(Session(resumed).attrs["indenter"]) if resumed else options.indenter
     return Recording(
         file.with_indenter(indenter),
         options.calibrations,

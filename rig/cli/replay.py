@@ -57,11 +57,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _speed(text: str) -> float:
-    """Parse a speed; max is returned as 0.
-
-    Raises:
-        argparse.ArgumentTypeError: Neither max nor a number in range.
-    """
+    """Parse a speed; max is returned as 0."""
     if text == "max":
         return 0.0
     try:

@@ -242,11 +242,7 @@ class ReplayedRun:
             self._clock.sleep_until(now_ns + _LOOK_NS)
 
     def _settle(self, interrupt: InterruptFlag) -> None:
-        """Wait until the samples that the drivers needed to open have passed; they hold no row.
-
-        Raises:
-            DeviceLost: A driver shows no sample.
-        """
+        """Wait until the samples that the drivers needed to open have passed; they hold no row."""
         begun_ns = changed_ns = self._clock.now_ns()
         before: dict[str, int] = {}
         while True:

@@ -69,11 +69,15 @@ def test_an_indenter_is_in_content_and_bench_and_an_empty_name_is_that_of_the_fi
         file.with_indenter("prsm")
 
 
-def test_settings_of_worlds_do_not_know_the_emulators_not_even_for_annotations() -> None:
-    source = Path(rig.__file__).parent / "bench" / "worlds.py"
-    imported = {
-        node.module or ""
-        for node in ast.walk(ast.parse(source.read_text()))
-        if isinstance(node, ast.ImportFrom)
-    }
-    assert not {name for name in imported if name.startswith("rig.")}
+def test_settings_of_a_bench_do_not_know_its_rules_nor_its_emulators_not_even_for_annotations() -> (
+    None
+):
+    folder = Path(rig.__file__).parent / "bench"
+    for name, below in (("worlds", set()), ("bench", {"rig.bench.worlds", "rig.bench.indenter"})):
+        imported = {
+            node.module or ""
+            for node in ast.walk(ast.parse((folder / f"{name}.py").read_text()))
+            if isinstance(node, ast.ImportFrom)
+        }
+        above = {each for each in imported if each.startswith(("rig.bench", "rig.mock"))}
+        assert above <= below
