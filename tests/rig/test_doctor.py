@@ -74,7 +74,7 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     bad = found(wrong, tmp_path / "bad")
     states = {part: one.state for part, one in bad.items() if part not in ("disk", "real time")}
     assert states == {
-        "clock": "well",
+        **{"plan": "well", "clock": "well"},
         **dict.fromkeys(("force", "pose", "camera", "gripper", "pedal"), "FAULT"),
     }
     assert bad["force"].cures[0].startswith(f"ping {NOBODY}")
