@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
-from rig.cli.options import add_page, benches_option, calibration_options, check_page, page_lines
+from rig.cli.options import add_page, calibration_options, check_page, page_lines
 from rig.monitor.access import DEFAULT_PORT, AccessPolicy
 
 # Default folder of sessions, which is made if it is missing.
@@ -30,7 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of sessions, searched with its subfolders (%(default)s)",
     )
     add_page(parser, "--port", "address of the page", AccessPolicy(port=DEFAULT_PORT + 1))
-    benches_option(parser)
     calibration_options(parser)
 
 
@@ -59,6 +58,6 @@ def run(options: argparse.Namespace) -> int:
 
     # Recording has priority over all clients.
     os.nice(10)
-    folders = Folders(options.folder, options.benches, options.calibrations)
+    folders = Folders(options.folder, calibrations=options.calibrations)
     asyncio.run(PageServer(access, folders, SystemClock()).run(ready))
     return EXIT_DONE
