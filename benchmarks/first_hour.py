@@ -151,7 +151,6 @@ def steps(*, clicks: bool) -> Iterator[Step]:
     yield Step(("train", "force", *learned, "--preset", "tiny", "--out", "runs/force"))
     yield Step(("predict", "runs/force", *learned, "--out", "results/force.npz"))
     yield Step(("evaluate", "results", "--out", "report"))
-    yield Step(("card", "runs/force", "--out", "force.md"))
     live = ("--sensor", SENSOR, "--model", "runs/force", "--seconds", str(LIVE_S))
     yield Step(("live", *live, "--out", "forces.csv"), at_bench=True)
 

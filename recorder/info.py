@@ -79,6 +79,7 @@ def digests(session: Session, progress: Progress | None = None) -> dict[str, str
 
 # Text summary of a session or an archive.
 
+_PROGRAMS = ("tactile-rig", "python", "zarr")
 _TOLD = ("sensor", "indenter", "operator", "mock", "started_utc", "profile", "reason")
 
 
@@ -98,6 +99,11 @@ def describe(path: str | os.PathLike[str]) -> str:
     if session.warning:
         lines.append(f"warning: {session.warning}")
     told = {key: session.attrs.get(key, "") for key in _TOLD}
+    told["format"] = f"{session.attrs['format']} {session.attrs['format_version']}"
+    software = session.attrs.get("software", {})
+    told["software"] = ", ".join(
+        f"{name} {software[name]}" for name in _PROGRAMS if name in software
+    )
     lines += [f"  {key:12s} {value}" for key, value in told.items() if value != ""]
     lines.append("")
     titles = ("rows", "Hz", "measured", "gap ms", "lost", "MB")

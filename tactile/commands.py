@@ -169,11 +169,7 @@ LEARN = (
         "set the scale of such a model by weights laid on the sensor",
     ),
 )
-LAB = (
-    Command("init", "tactile.init", "create the folder of a lab"),
-    Command("card", "tactile.card", "describe a session, marker archive or model on one page"),
-    Command("schema", "tactile.schema", "write the JSON Schema of bench, campaign or sensor files"),
-)
+LAB = (Command("init", "tactile.init", "create the folder of a lab"),)
 
 GROUPS = {
     "Record": RECORD,

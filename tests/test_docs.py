@@ -184,13 +184,11 @@ def test_make_targets_have_the_variables_that_pages_give_them() -> None:
 TESTED = {
     "archive join": ("tests/learning/test_join.py", "learning.data.join"),
     "calibrate-force": ("tests/learning/test_transfer.py", "run_module(calibrate_force"),
-    "card": ("tests/tactile/test_card.py", '"card"'),
     "doctor": ("tests/rig/test_doctor.py", '"doctor"'),
     "init": ("tests/tactile/test_init.py", '"init"'),
     "markers-fit": ("tests/learning/test_markers_fit.py", '"markers-fit"'),
     "mock": ("tests/rig/test_lab_bench.py", '"mock"'),
     "page": ("tests/support/lab_page.py", '"page"'),
-    "schema": ("tests/tactile/test_schema.py", "schema"),
     "session list": ("tests/recorder/test_catalogue.py", '"list"'),
     "setup": ("tests/rig/test_setup.py", '"setup"'),
     "sim labels": ("tests/sim/test_labels.py", '"labels"'),

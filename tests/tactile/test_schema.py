@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +47,22 @@ def test_wrong_files_do_not_fit(kind: str, content: dict[str, Any], wrong: str) 
     assert wrong in error.message
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_command_writes_a_valid_schema(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_lab_gets_valid_schemas(tmp_path: Path) -> None:
+    assert main(["init", str(tmp_path / "lab")]) == 0
+    for kind in KINDS:
+        text = (tmp_path / "lab" / "schemas" / f"{kind}.schema.json").read_text()
+        Draft202012Validator.check_schema(json.loads(text))
+        assert json.loads(text) == schema_of(kind)
+    day = tmp_path / "lab" / "campaigns" / "day.yaml"
+    _, named = day.read_text().splitlines()[0].split("$schema=")
+    schema = json.loads((day.parent / named).read_text())
+    Draft202012Validator(schema).validate(yaml.safe_load(day.read_text()))
+
+
+def test_a_lab_without_the_simulator_has_the_other_schemas(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert main(["schema", kind]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    Draft202012Validator.check_schema(printed)
-    assert main(["schema", kind, "--out", str(tmp_path / "x.json")]) == 0
-    assert json.loads((tmp_path / "x.json").read_text()) == printed
-    assert "yaml-language-server: $schema=x.json" in capsys.readouterr().out
+    monkeypatch.setitem(sys.modules, "sim.sensors.config", None)
+    assert main(["init", str(tmp_path / "lab")]) == 0
+    names = sorted(path.name for path in (tmp_path / "lab" / "schemas").iterdir())
+    assert names == ["bench.schema.json", "campaign.schema.json"]
