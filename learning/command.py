@@ -53,7 +53,10 @@ def add_settings(
         example: Help text of `--set`.
     """
     parser.add_argument(
-        "--preset", default=preset, metavar="NAME", help=known or f"or a YAML file ({preset})"
+        "--preset",
+        default=preset,
+        metavar="NAME",
+        help=known or f"name of a preset, or a YAML file ({preset})",
     )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=example)
 

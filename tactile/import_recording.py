@@ -69,7 +69,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--operator", metavar="NAME", help="who recorded it")
     files = parser.add_argument_group("files whose kind is stated; all are one recording")
     for name in _FILES:
-        files.add_argument(f"--{name}", action="append", default=[], metavar="[STREAM=]PATH")
+        files.add_argument(
+            f"--{name}",
+            action="append",
+            default=[],
+            metavar="[STREAM=]PATH",
+            help=f"a file of kind {name}; may be repeated, with names of the streams",
+        )
     told = parser.add_argument_group("what files may not tell")
     tell = told.add_argument
     several: dict[str, Any] = {"action": "append", "metavar": "[STREAM=]HZ"}

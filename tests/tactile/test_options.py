@@ -1,0 +1,95 @@
+"""The commands and options of the whole program: how many, and what each says of itself."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import itertools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from recorder.command_line.options import Parser
+from tactile.commands import COMMANDS
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
+PROGRAMS = {"tactile", "rig", "sim", "learning", "recorder", "tactile.run", "tactile.__main__"}
+COMMANDS_MOST, OPTIONS_MOST = 38, 400
+
+
+def parsers(words: str) -> Iterator[argparse.ArgumentParser]:
+    """Yield the parser of a command, and those of its verbs."""
+    module: Any = importlib.import_module(COMMANDS[words].module)
+    parser = Parser(prog=f"tactile {words}")
+    module.add_arguments(parser)
+    waiting: list[argparse.ArgumentParser] = [parser]
+    while waiting:
+        parser = waiting.pop()
+        yield parser
+        for action in parser._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                waiting += action.choices.values()
+
+
+def options(words: str) -> list[argparse.Action]:
+    """Return the options of a command, without --help."""
+    return [
+        action
+        for parser in parsers(words)
+        for action in parser._actions
+        if action.option_strings and action.dest != "help" and action.help != argparse.SUPPRESS
+    ]
+
+
+def test_a_newcomer_can_read_all_of_it() -> None:
+    assert len(COMMANDS) <= COMMANDS_MOST
+    assert sum(len(options(words)) for words in COMMANDS) <= OPTIONS_MOST
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_every_option_says_its_default_and_its_unit_in_words(words: str) -> None:
+    wrong = []
+    for parser in parsers(words):
+        formatter = parser._get_formatter()
+        for action in parser._actions:
+            if action.dest == "help" or action.help == argparse.SUPPRESS:
+                continue
+            name = "/".join(action.option_strings) or str(action.metavar or action.dest)
+            if not action.help:
+                wrong.append(f"{name}: no help")
+                continue
+            text = formatter._expand_help(action)
+            # A default stands in parentheses: lengths [mm] (0.1).
+            stated = "default" in text or re.search(r"\([^)]+\)", text)
+            unset = (None, False, True, argparse.SUPPRESS, (), [], "")
+            if action.option_strings and action.default not in unset and not stated:
+                wrong.append(f"{name}: its default {action.default!r} is not said: {text}")
+            if re.search(r"\[n\]|\[\w+_\w+\]|%%", text):
+                wrong.append(f"{name}: {text}")
+    assert not wrong
+
+
+def test_no_module_builds_a_command_line_of_ours() -> None:
+    """What another command does is a function, which modules call."""
+    found = []
+    for path in [each for package in PACKAGES for each in (ROOT / package).rglob("*.py")]:
+        relative = path.relative_to(ROOT)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.List | ast.Tuple):
+                texts = [each.value for each in node.elts if isinstance(each, ast.Constant)]
+                after = dict(itertools.pairwise(texts))
+                if after.get("-m") in PROGRAMS or texts[:1] == ["tactile"]:
+                    found.append(f"{relative}:{node.lineno}")
+            if isinstance(node, ast.ImportFrom) and node.module == "tactile.run":
+                found.append(f"{relative}:{node.lineno}")
+    # The one list of words that begins with the program is printed, for a person to copy.
+    assert [each for each in found if not each.startswith(EXEMPT)] == []
+
+
+# Where the program itself begins, and where the next command is put into words.
+EXEMPT = ("tactile/__main__.py:", "recorder/command_line/options.py:")
