@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from skimage import metrics
 
 from learning.errors import LearningError
 from learning.evaluation.distribution import (
@@ -100,8 +101,6 @@ def structural_similarity(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> 
     Raises:
         ValueError: The shapes differ, or images are smaller than the window of 11 px.
     """
-    from skimage import metrics
-
     window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     pairs = zip(found, true, strict=True)
     return np.array([metrics.structural_similarity(*pair, **window) for pair in pairs])
@@ -395,11 +394,7 @@ def scores_in(results: Results, path: Path) -> TranslationScores:
             str(reported["target"]),
             str(reported["translator"]),
             str(reported["model"]),
-            # Files of earlier versions have no SSIM.
-            tuple(
-                PairedScore(**_numbers({"ssim": None, **row}, PairedScore))
-                for row in reported["paired"]
-            ),
+            tuple(PairedScore(**_numbers(row, PairedScore)) for row in reported["paired"]),
             tuple(DistanceScore(**_numbers(row, DistanceScore)) for row in reported["distances"]),
             results.arrays,
         )

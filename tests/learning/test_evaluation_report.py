@@ -21,7 +21,6 @@ from learning.evaluation.distribution import MarkerGrid
 from learning.evaluation.paper_figures import PAPER, beside_the_paper, group_of
 from learning.evaluation.predictions import force_rows
 from learning.evaluation.report import write_report
-from learning.evaluation.results_file import read_results
 from learning.evaluation.translation import (
     FLOOR,
     NEAREST,
@@ -34,7 +33,6 @@ from learning.evaluation.translation import (
     read_scores,
     require_alone,
     score_translation,
-    scores_in,
 )
 from learning.translation.archive import Model, Pair, translate_archive
 from recorder import MarkerArchive
@@ -131,22 +129,6 @@ def test_scores_come_back_as_they_were_written(tmp_path: Path, scores: Translati
     assert repr(back.paired) == repr(scores.paired)  # NaN is not equal to itself
     assert back.distances == scores.distances
     assert back.features.keys() == {SOURCE, TRANSLATED, FLOOR}
-
-
-def test_scores_without_a_structural_similarity_still_open(
-    tmp_path: Path, scores: TranslationScores
-) -> None:
-    scores.write(tmp_path / "x.npz")
-    results = read_results(tmp_path / "x.npz")
-    for row in results.reported["paired"]:
-        del row["ssim"]
-    back = scores_in(results, tmp_path / "x.npz")
-    assert np.isnan([row.ssim for row in back.paired]).all()
-    assert [row.iou for row in back.paired] == [row.iou for row in scores.paired]
-    for row in results.reported["paired"]:
-        del row["iou"]
-    with pytest.raises(LearningError, match="found no translation scores"):
-        scores_in(results, tmp_path / "x.npz")
 
 
 def test_other_features_add_distances_and_no_paired_rows(scores: TranslationScores) -> None:

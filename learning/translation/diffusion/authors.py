@@ -1,7 +1,7 @@
 """Import of the authors' checkpoints, with tensors renamed to the names used here.
 
 `model_N.pkl` of the translator holds ranks, names of adapted layers, and the adapters of UNet,
-autoencoder and reference encoder; `checkpoint.pth` of the marker autoencoder holds one adapter. The
+autoencoder and reference encoder; `checkpoint.pth` of the marker VAE holds one adapter. The
 files contain only tensors, numbers and lists, so no code in a file is ever run.
 """
 
@@ -52,7 +52,7 @@ class AuthorsCheckpoint:
     kind: Literal["diffusion", "marker-vae"]
     """Kind of model."""
     tensors: dict[str, torch.Tensor]
-    """State of the translator or of the marker autoencoder, under the names used here."""
+    """State of the translator or of the marker VAE, under the names used here."""
     vae_rank: int
     """Rank of the autoencoder's adapter."""
     unet_rank: int = 0

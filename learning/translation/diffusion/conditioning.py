@@ -1,14 +1,12 @@
 """Tokens for the UNet's cross-attention: the target's reference and, optionally, source.
 
-The paper only states that the reference's latent is the condition of the cross-attention. Three
+The paper only states that the reference's latent is the condition of the cross-attention. Two
 encodings are available:
 
 * `channel_tokens`: one token per channel of the latent, with its pixels as features (authors'
   code). Has no parameters; needs as many pixels as the width of the cross-attention.
-* `pixel_tokens`: one token per pixel of the latent.
-* `patch_tokens`: one token per 2 x 2 pixels of the latent.
-
-The latter two use a linear projection and positional encoding.
+* `patch_tokens`: one token per 2 x 2 pixels of the latent, by a linear projection with positional
+  encoding.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ from torch import nn
 
 from learning.errors import LearningError
 
-Conditioning = Literal["channel_tokens", "patch_tokens", "pixel_tokens"]
+Conditioning = Literal["channel_tokens", "patch_tokens"]
 # Side of a patch [px of the latent].
 PATCH = 2
 
@@ -42,9 +40,8 @@ class ReferenceTokens(nn.Module):
         """
         super().__init__()
         self.kind, self.width, self.source_reference = kind, width, source_reference
-        self.side = {"channel_tokens": 0, "pixel_tokens": 1, "patch_tokens": PATCH}[kind]
-        if self.side:
-            self.projection = nn.Linear(channels * self.side**2, width)
+        if kind == "patch_tokens":
+            self.projection = nn.Linear(channels * PATCH**2, width)
             self.norm = nn.LayerNorm(width)
         if source_reference:
             self.role = nn.Parameter(torch.randn(2, width) * 0.02)
@@ -68,14 +65,14 @@ class ReferenceTokens(nn.Module):
 
     def _tokens(self, latent: torch.Tensor) -> torch.Tensor:
         count, channels, height, width = latent.shape
-        if not self.side:
+        if self.kind == "channel_tokens":
             if height * width != self.width:
                 raise LearningError(
                     f"channel_tokens: found a latent of {height} x {width}; allowed: "
                     f"{self.width} pixels, the width of the cross-attention"
                 )
             return latent.reshape(count, channels, self.width)
-        patches = nn.functional.pixel_unshuffle(latent, self.side)
+        patches = nn.functional.pixel_unshuffle(latent, PATCH)
         rows, columns = patches.shape[2:]
         tokens = self.projection(patches.flatten(2).transpose(1, 2))
         places = sine_places(rows, columns, self.width).to(tokens)

@@ -347,7 +347,7 @@ def train(
         settings: Settings of the training.
         validation: Validation pairs; None: no validation.
         session: Surroundings of the training; None: in memory, on the device of the settings.
-        vae_adapter: Adapter of the marker autoencoder, for encoder, decoder and reference.
+        vae_adapter: Adapter of the marker VAE, for encoder, decoder and reference.
         start_from: State of a trained network with the same settings.
 
     Raises:

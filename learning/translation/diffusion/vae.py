@@ -100,7 +100,7 @@ def load_vae(folder: Path, device: str = "cpu") -> MarkerVae:
 
 
 def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
-    """Return the adapter of a trained marker autoencoder from its folder.
+    """Return the adapter of a trained marker VAE from its folder.
 
     Args:
         folder: Run folder of the autoencoder.
