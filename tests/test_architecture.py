@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import itertools
 from collections.abc import Iterable
 from importlib import import_module
 from importlib.util import find_spec
@@ -134,3 +135,24 @@ def test_names_imported_on_demand_exist_and_are_no_submodules(package: str) -> N
         assert getattr(module, name) is not None
         # A folder that only keeps bytecode of an older version is found without an origin.
         assert getattr(find_spec(f"{package}.{name}"), "origin", None) is None
+
+
+def test_no_module_builds_a_command_line_of_ours_to_run_it() -> None:
+    """A function is called instead, where need be in a process of its own."""
+    ours = {*PACKAGES, "benchmarks"}
+    allowed = {"rig.mock.emulate"}
+    found = []
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.List | ast.Tuple):
+                words = [each.value for each in node.elts if isinstance(each, ast.Constant)]
+                after = [word for flag, word in itertools.pairwise(words) if flag == "-m"]
+                ran = [word for word in after if str(word).partition(".")[0] in ours]
+                found += [f"{path}: {word}" for word in ran if word not in allowed]
+            if (
+                isinstance(node, ast.ImportFrom)
+                and node.module == "tactile.run"
+                and path.parent.name != "tactile"
+            ):
+                found.append(f"{path}: {node.module}")
+    assert found == []

@@ -428,9 +428,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Steps: " + ", ".join(step.name for step in STEPS) + "."
     parser.add_argument("--indenter", help="name of the indenter on the arm")
     parser.add_argument(
-        "--only", action="append", choices=[step.name for step in STEPS], help="only this step"
-    )
-    parser.add_argument(
         "--again", action="append", choices=[step.name for step in STEPS], help="repeat this step"
     )
     parser.add_argument(
@@ -488,9 +485,7 @@ def run(options: argparse.Namespace) -> int:
 def _steps(at: AtBench, repeated: set[str]) -> int | None:
     """Go through the steps that are not done; return the exit code, None to begin again."""
     needed = [step for step in STEPS if step.needed(at.bench)]
-    chosen = [step for step in needed if not at.options.only or step.name in at.options.only]
-    for step in chosen:
-        number = needed.index(step) + 1
+    for number, step in enumerate(needed, 1):
         place = f"{number}/{len(needed)} {step.name}"
         if at.record.done(step.name, step.keys) and step.name not in repeated:
             stored = at.record.steps[step.name]
@@ -517,10 +512,6 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
                 return EXIT_DEVICE_LOST
         at.record.add(step.name, step.keys, answers, found)
         repeated.discard(step.name)
-    missing = [step.name for step in needed if not at.record.done(step.name, step.keys)]
-    if missing:
-        print(f"setup: these steps are open: {', '.join(missing)}")
-        return EXIT_DONE
     if at.record.accepted is None:
         operator = at.options.operator or getpass.getuser()
         at.record.accept([step.name for step in needed], operator)

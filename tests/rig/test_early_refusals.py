@@ -91,7 +91,7 @@ def test_a_busy_port_is_found_early(folder: Path, capsys: pytest.CaptureFixture[
 
 def test_a_model_that_is_no_folder_is_found_early(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["live", "--sensor", "tacpalm", "--model", "nope"]) == 2
-    assert "MODEL, --model: found nope; no such folder" in capsys.readouterr().err
+    assert "model: found 'nope'; no such folder" in capsys.readouterr().err
 
 
 def test_mistakes_are_found_in_less_than_two_seconds(folder: Path) -> None:
