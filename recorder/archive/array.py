@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
+from recorder.store.documents import read_document
 from recorder.store.durable import TEMPORARY, replace_file, write_json
-from recorder.store.files import LOCAL, Files, read_document
+from recorder.store.files import LOCAL, Files
 from recorder.store.images import decompress
 from recorder.store.journal import CRC_BYTES
 from recorder.store.shard import MISSING, Index, packed_index, read_index

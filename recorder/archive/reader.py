@@ -18,7 +18,8 @@ from recorder.archive.representation import MASKS, REPRESENTATIONS
 from recorder.archive.table import COLUMNS, SIMULATED
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
-from recorder.store.files import LOCAL, Files, locate, read_document
+from recorder.store.documents import read_document
+from recorder.store.files import LOCAL, Files, locate
 from recorder.store.layout import read_attrs
 from recorder.store.tables import Table
 

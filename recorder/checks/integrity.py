@@ -23,10 +23,11 @@ from recorder.spec import (
     reference_spec,
     taxels_spec,
 )
-from recorder.store.files import Files, read_document
+from recorder.store.documents import read_document
+from recorder.store.files import Files
 from recorder.store.journal import CRC_BYTES, HEADER, record_matches
 from recorder.store.layout import PARTIAL, Layout, StreamLayout, check_shape
-from recorder.store.manifest import wrong_files
+from recorder.store.sealed import wrong_files
 from recorder.store.shard import MISSING, read_shard_index
 from recorder.store.tables import Table
 

@@ -25,8 +25,8 @@ from recorder.store.manifest import (
     reopen,
     run_of,
     seal,
-    wrong_files,
 )
+from recorder.store.sealed import wrong_files
 
 # Faults of what a device sent, which do not mean that a file was lost or changed.
 _OF_DEVICES = {"time-order", "clock-step", "gap", "dropped", "seq-order", "rate", "frozen"}

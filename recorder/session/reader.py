@@ -21,7 +21,7 @@ from recorder.session.window import Window, align_window, ticks_before
 from recorder.spec import frame_columns, signal_of
 from recorder.store.files import LOCAL, Files, locate
 from recorder.store.layout import read_order, read_session_attrs
-from recorder.store.manifest import sealed_files
+from recorder.store.sealed import sealed_files
 from recorder.store.tables import Table
 
 Array = np.ndarray[Any, Any]

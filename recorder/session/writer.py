@@ -33,7 +33,8 @@ from recorder.store.layout import (
     read_session_attrs,
     write_group,
 )
-from recorder.store.manifest import hold, remove_unfinished, seal
+from recorder.store.manifest import remove_unfinished, seal
+from recorder.store.sealed import hold
 from recorder.store.tables import write_table
 
 _CREATING = ".creating"

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.store.files import LOCAL, read_document
+from recorder.store.documents import read_document
+from recorder.store.files import LOCAL
 
 # Suffix of a file that is still being written and not yet valid.
 TEMPORARY = ".tmp"

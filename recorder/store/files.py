@@ -6,7 +6,6 @@ of an object. Writers always write to a disk and access it directly.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -163,45 +162,6 @@ def locate(
     if storage_options:
         raise SessionError(f"{place}: storage options are for URLs; this is a path")
     return LocalFiles(), Path(place)
-
-
-# Largest file of metadata that is read [bytes]; the manifest of a day has a tenth of it.
-DOCUMENT_MAX = 1 << 28
-
-
-def read_document(files: Files, path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file, whose attributes, if any, are an object as well.
-
-    Raises:
-        SessionError: The file is missing, larger than `DOCUMENT_MAX`, or not a JSON object.
-    """
-    try:
-        check_document_size(files, path)
-        document = json.loads(files.read(path))
-    except FileNotFoundError:
-        raise SessionError(f"{files.name(path)}: missing") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise SessionError(f"{files.name(path)}: not readable as JSON: {error}") from error
-    if not isinstance(document, dict):
-        found = type(document).__name__
-        raise SessionError(f"{files.name(path)}: found {found}, expected a JSON object")
-    if not isinstance(document.get("attributes", {}), dict):
-        attributes = document["attributes"]
-        raise SessionError(
-            f"{files.name(path)}: found attributes {attributes!r:.80}, expected a JSON object"
-        )
-    return document
-
-
-def check_document_size(files: Files, path: Path) -> None:
-    """Reject a local file that is too large for metadata, before it is read.
-
-    Raises:
-        FileNotFoundError: No such file.
-        SessionError: It is larger than `DOCUMENT_MAX`.
-    """
-    if files.local and (size := path.stat().st_size) > DOCUMENT_MAX:
-        raise SessionError(f"{path}: found {size} bytes; allowed for metadata: {DOCUMENT_MAX}")
 
 
 # Reading from object stores and web servers, through fsspec: `s3://`, `https://`, `memory://` ...

@@ -17,8 +17,9 @@ from recorder.errors import SessionError
 from recorder.spec import FORMAT, FORMAT_VERSION, RATE_MAX_HZ, STATUSES, Column, StreamSpec
 from recorder.store import images
 from recorder.store.bounds import check_session_attrs, check_stream_attrs
+from recorder.store.documents import read_document
 from recorder.store.durable import read_json, write_json
-from recorder.store.files import LOCAL, Files, read_document
+from recorder.store.files import LOCAL, Files
 
 # Inner chunks per shard of new columns. Sealing costs the same for every shard; the shards of JPEG
 # images would be small and many otherwise.

@@ -11,8 +11,9 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.documents import read_document
 from recorder.store.durable import sync_tree
-from recorder.store.files import LOCAL, Files, read_document
+from recorder.store.files import LOCAL, Files
 from recorder.store.journal import CRC_BYTES, ends_with_its_crc, packed_crc
 from recorder.store.layout import check_shape, write_group
 from recorder.store.recent import Kept
