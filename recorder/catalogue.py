@@ -130,20 +130,16 @@ class Catalogue:
         listed = (row for row in self._rows.values() if row.is_session or row.status == UNREADABLE)
         return iter(sorted(listed, key=lambda row: (row.started_utc, row.path)))
 
-    def refresh(self, *, rebuild: bool = False) -> None:
-        """Read every session that is new or has changed, and forget those that are gone.
-
-        Args:
-            rebuild: Read all sessions again and forget the findings of their checks.
-        """
-        before = {} if rebuild else self._rows
+    def refresh(self) -> None:
+        """Read every session that is new or has changed, and forget those that are gone."""
+        before = self._rows
         self._rows = {}
         for path, stamp in _found(self.folder, ""):
             row = before.get(path)
             self._rows[path] = (
                 row if row and row.stamp == stamp else _read(self.folder, path, stamp)
             )
-        if rebuild or self._rows != before:
+        if self._rows != before:
             self.save()
 
     def look(self, path: str) -> Row | None:

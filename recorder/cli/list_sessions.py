@@ -49,11 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="check the listed sessions that were not checked since they changed; may take long",
     )
-    parser.add_argument(
-        "--rebuild",
-        action="store_true",
-        help="read every session again and forget earlier checks",
-    )
     parser.add_argument("--json", action="store_true", help="print one JSON object per session")
 
 
@@ -64,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         SessionError: No such folder.
     """
     catalogue = Catalogue(options.folder)
-    catalogue.refresh(rebuild=options.rebuild)
+    catalogue.refresh()
     query = Query(
         sensor=options.sensor,
         indenter=options.indenter,

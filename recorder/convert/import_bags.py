@@ -294,11 +294,7 @@ def _size_of(value: Any) -> tuple[int, int]:
 
 
 def _pixels(value: Any) -> Any:
-    """Return an image message as pixels (h, w, 3) uint8, RGB.
-
-    Raises:
-        SessionError: An encoding that is unknown, or fewer bytes than its size needs.
-    """
+    """Return an image message as pixels (h, w, 3) uint8, RGB."""
     if isinstance(value, bytes):
         with Image.open(io.BytesIO(value)) as picture:
             return np.asarray(picture.convert("RGB"))

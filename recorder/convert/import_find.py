@@ -471,11 +471,7 @@ def _scan(line: str) -> tuple[float | None, list[int]] | None:
 
 
 def _uskin_log(path: Path) -> tuple[NDArray[np.float64], Times]:
-    """Return counts (n, 16, 3) and times (n,) of a log; the server sends x y z of each taxel.
-
-    Raises:
-        SessionError: A line is damaged, or has no time.
-    """
+    """Return counts (n, 16, 3) and times (n,) of a log; the server sends x y z of each taxel."""
     stamps, rows = [], []
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         if not line.strip():

@@ -138,11 +138,7 @@ def find_no_contact(signal: Signal, recording: str) -> Span:
 
 
 def _require_ends(name: str, pressing: Floats) -> None:
-    """Reject forces that press most at both ends of a recording: their sign may be the other one.
-
-    Raises:
-        MissingAnswer: The mean pressing force of the first and the last span is above the middle.
-    """
+    """Reject forces that press most at both ends of a recording: the sign may be the other one."""
     middle = float(pressing.min() + pressing.max()) / 2
     if pressing[0] > middle and pressing[-1] > middle:
         raise MissingAnswer(

@@ -330,11 +330,7 @@ def _span(option: str, text: str) -> Span:
 
 
 def _require_sign(track: Track, no_contact: Span, presses: Sequence[Press]) -> None:
-    """Reject three-axis forces whose Fz rises under contact: a session has negative Fz there.
-
-    Raises:
-        SessionError: Fz has the other sign.
-    """
+    """Reject three-axis forces whose Fz rises under contact: a session has negative Fz there."""
     content = track.content
     if not isinstance(content, Wrenches) or "Fz" not in content.attrs["axes_measured"]:
         return
@@ -512,11 +508,7 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
 
 
 def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
-    """Return the streams of a session.
-
-    Raises:
-        SessionError: Its recordings differ in them.
-    """
+    """Return the streams of a session."""
     first = [_spec(track) for track in drafts[0].take.tracks]
     for draft in drafts[1:]:
         own = [_spec(track) for track in draft.take.tracks]

@@ -116,11 +116,7 @@ def told_order(rows: NDArray[np.float64]) -> tuple[TaxelOrder | None, str]:
 def _order_of(
     name: str, rows: NDArray[np.float64], by_shape: TaxelOrder | None
 ) -> tuple[TaxelOrder, str]:
-    """Return the order of rows (n, 48), and a message on how it is known.
-
-    Raises:
-        SessionError: The resting counts contradict the shape, or tell no order and nor does it.
-    """
+    """Return the order of rows (n, 48), and a message on how it is known."""
     found, counts = told_order(rows)
     if found is None:
         if by_shape is not None:

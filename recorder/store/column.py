@@ -180,9 +180,6 @@ class ColumnReader:
 
         A resumed stream takes its last, short chunk out of the growing shard until the chunk is
         full. The sealed shard has it until the growing one takes its place.
-
-        Raises:
-            SessionError: Neither of them has it.
         """
         layout, fault = self.layout, SessionError(f"{self._where(number)} is missing")
         places = ((layout.partial(shard), index_now), (layout.shard(shard), read_shard_index))

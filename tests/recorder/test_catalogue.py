@@ -33,9 +33,9 @@ def _write(path: Path, **attrs: Any) -> Path:
     return path
 
 
-def _fresh(folder: Path, *, rebuild: bool = False) -> Catalogue:
+def _fresh(folder: Path) -> Catalogue:
     found = Catalogue(folder)
-    found.refresh(rebuild=rebuild)
+    found.refresh()
     return found
 
 
@@ -85,7 +85,8 @@ def test_only_what_changed_is_read_again(day: Path, monkeypatch: pytest.MonkeyPa
     assert sorted(read) == ["b.zarr", "c.zarr"]
     assert _paths(day, status="recovered") == ["c.zarr"]
     read.clear()
-    _fresh(day, rebuild=True)
+    (day / FILE).unlink()
+    _fresh(day)
     assert len(read) == 4  # three sessions and a marker archive
 
 
@@ -134,7 +135,8 @@ def test_a_check_is_remembered_until_the_session_changes(
     assert main(["session", "list", str(tmp_path), "--check", "--faults"]) == 0
     assert "0 of 1 sessions, 0 with faults, 0 not checked" in capsys.readouterr().out
     (session / "streams/force/seq/c/0").unlink()
-    assert main(["session", "list", str(tmp_path), "--rebuild", "--check", "--json"]) == 0
+    (tmp_path / FILE).unlink()
+    assert main(["session", "list", str(tmp_path), "--check", "--json"]) == 0
     row = json.loads(capsys.readouterr().out)
     assert (row["sensor"], row["findings"]) == ("wedge", row["faults"])
     assert "missing-chunk" in row["faults"]
