@@ -71,13 +71,6 @@ def add_sensors(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_resume(
-    parser: argparse.ArgumentParser, help_text: str = "continue the run in that folder"
-) -> None:
-    """Add the option that resumes a run."""
-    parser.add_argument("--resume", action="store_true", help=help_text)
-
-
 def add_unseen(parser: argparse._ActionsContainer) -> None:
     """Add the option for held-out indenters."""
     parser.add_argument(

@@ -39,7 +39,6 @@ def run_training(
     data: Iterable[str],
     train: Callable[[Session], Iterable[str] | None],
     *,
-    resume: bool,
     split: Split | None = None,
     reading: str = "images",
     metadata: Mapping[str, Any] | None = None,
@@ -53,7 +52,6 @@ def run_training(
         data: Words that identify the training data, joined to its fingerprint.
         train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to
             print at the end, or None for the default line.
-        resume: True to continue a run that is in the folder.
         split: Split of the presses; it is written to `split.json` in the run's folder.
         reading: Name of the items that are counted while data is read.
         metadata: Values known before training that are needed to use the model.
@@ -69,7 +67,7 @@ def run_training(
         kind,
         settings,
         " ".join(data),
-        resume,
+        True,
         metadata=metadata,
         writes=writes,
     ) as run:
@@ -87,7 +85,7 @@ def run_training(
         ):
             told = train(Session(launched, run, stop, steps, items))
         if stop.agreed(launched) and not run.finished:
-            print(f"{out}: stopped; continue with --resume", file=sys.stderr)
+            print(f"{out}: stopped; the same command continues", file=sys.stderr)
             raise KeyboardInterrupt
     for line in [f"{out}: trained"] if told is None else told:
         print(line)

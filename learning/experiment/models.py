@@ -128,7 +128,7 @@ def train_translator(
     """
     if (training := training_of(name)) is not None:
         own = training_settings(settings, name, training, f"launch.device={device.type}")
-        training.train_in(places.model(name), archive, split, own, resume=True)
+        training.train_in(places.model(name), archive, split, own)
 
 
 def open_translator(places: Places, name: str, device: torch.device) -> Model:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.command import add_resume, add_settings, add_split
+from learning.command import add_settings, add_split
 from learning.errors import LearningError
 from recorder.command_line.options import names
 from recorder.progress import ItemProgress
@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Trains a model of Fx, Fy, Fz [N] on sequences of marker images of a sensor, or of a "
-        "translated one (A-to-B), and writes its ONNX and card. Ctrl-C saves a checkpoint; "
-        "--resume continues from it. --set plugin=NAME trains another package's model. Several "
+        "translated one (A-to-B), and writes its ONNX and card. After Ctrl-C, the same "
+        "command continues. --set plugin=NAME trains another package's model. Several "
         "GPUs: torchrun --nproc-per-node N -m tactile train force ..."
     )
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
@@ -67,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pair", metavar="A-to-B", help="labels of A are made for B (default: that of --sensor)"
     )
-    add_resume(parser, "continue the run in --out")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -133,9 +132,7 @@ def run(options: argparse.Namespace) -> int:
         **({"presets": presets} if presets else {}),
         **_origin(archive[sensors[0]], source),
     }
-    run_training(
-        out, KIND, settings, data, train, resume=options.resume, split=split, metadata=metadata
-    )
+    run_training(out, KIND, settings, data, train, split=split, metadata=metadata)
     return 0
 
 

@@ -39,8 +39,7 @@ def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
     done = _learning(*train, *SMALL)
     assert done.returncode == 0, done.stderr
     assert "trained on 4 presses" in done.stdout
-    assert _learning(*train, *SMALL).returncode == 2, "a run that is there is not begun anew"
-    again = _learning(*train, *SMALL, "--resume")
+    again = _learning(*train, *SMALL)
     assert "is finished" in again.stdout, again.stderr
     assert f"{model / 'model.onnx'}, {model / 'card.md'}: written" in done.stdout
     card = (model / "card.md").read_text()
@@ -193,7 +192,7 @@ def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
     assert float(model.low[2]) == pytest.approx(-3.0 - max(seen))
     # Other readings are other data, which a run does not continue with.
     typed.write_text(typed.read_text().replace("-1.0", "-1.5"))
-    assert main([*words, *one, "--labels", str(typed), "--resume"]) == 2
+    assert main([*words, *one, "--labels", str(typed)]) == 2
 
 
 @pytest.mark.slow

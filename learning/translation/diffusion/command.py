@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from learning.command import add_inputs, add_resume, add_sensors, add_settings
+from learning.command import add_inputs, add_sensors, add_settings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Trains one translator for all pairs of an archive's sensors, from published "
         "weights that you supply: SD-Turbo, CLIP ViT-B/32, VGG16, LPIPS. First it trains the "
         "marker VAE (settings marker_vae.*), in RUN/marker-vae. After Ctrl-C, the same command "
-        "with --resume continues. Several GPUs: torchrun --nproc-per-node N -m tactile ..."
+        "continues. Several GPUs: torchrun --nproc-per-node N -m tactile ..."
     )
     add_inputs(parser)
     add_settings(
@@ -41,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("supplement", "authors_code"),
         help="rule for pairing frames of a press (%(default)s)",
     )
-    add_resume(parser)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -536,7 +536,6 @@ def run(options: argparse.Namespace) -> int:
         marker_vae=options.marker_vae,
         start_from=options.start_from,
         pairing=options.pairing,
-        resume=options.resume,
     )
     return 0
 
@@ -551,7 +550,6 @@ def train_in(
     marker_vae: Path | None = None,
     start_from: Path | None = None,
     pairing: str = "supplement",
-    resume: bool,
 ) -> None:
     """Train the paper's translator in a folder.
 
@@ -564,7 +562,6 @@ def train_in(
         marker_vae: Folder of the marker VAE to start from; None: it is trained first.
         start_from: Folder of a translator to start from instead.
         pairing: Rule for pairing frames of a press.
-        resume: True to continue a run that is in the folder.
 
     Raises:
         LearningError: Another run is in the folder, or the training was rejected.
@@ -635,6 +632,4 @@ def train_in(
             )
 
     data = [frames, pairing, base, begun]
-    run_training(
-        out, KIND, settings, data, train_it, resume=resume, split=split, metadata={BASE: base}
-    )
+    run_training(out, KIND, settings, data, train_it, split=split, metadata={BASE: base})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from learning.command import add_inputs, add_resume, add_sensors, add_settings
+from learning.command import add_inputs, add_sensors, add_settings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -12,13 +12,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Trains one field translator for all pairs of an archive's sensors: a net "
         "that estimates a sensor's deformation, and a map from one sensor's deformation to "
-        "another's. After Ctrl-C, the same command with --resume continues. Several GPUs: "
+        "another's. After Ctrl-C, the same command continues. Several GPUs: "
         "torchrun --nproc-per-node N -m tactile train field ..."
     )
     add_inputs(parser)
     add_settings(parser)
     add_sensors(parser)
-    add_resume(parser)
 
 
 def run(options: argparse.Namespace) -> int:

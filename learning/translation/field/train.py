@@ -521,7 +521,7 @@ def train_field(
 def run(options: argparse.Namespace) -> int:
     """Train as the options of `train field` say; return the exit code."""
     settings = read_settings(FieldSettings, PRESETS, options.preset, options.set)
-    train_in(options.out, *open_data(options), settings, options.sensors, resume=options.resume)
+    train_in(options.out, *open_data(options), settings, options.sensors)
     return 0
 
 
@@ -531,8 +531,6 @@ def train_in(
     split: Split,
     settings: FieldSettings,
     sensors: Sequence[str] | None = None,
-    *,
-    resume: bool,
 ) -> None:
     """Train a field translator in a folder.
 
@@ -542,7 +540,6 @@ def train_in(
         split: Roles of its presses.
         settings: Settings of model and training.
         sensors: Sensors to learn from; None: all that the split does not hold out.
-        resume: True to continue a run that is in the folder.
 
     Raises:
         LearningError: Another run is in the folder, or the training was rejected.
@@ -572,4 +569,4 @@ def train_in(
         f"archive {archive_fingerprint(archive)}, split {split.fingerprint}, "
         f"sensors {', '.join(sensors)}"
     )
-    run_training(out, KIND, settings, [data], train, resume=resume, split=split, reading="frames")
+    run_training(out, KIND, settings, [data], train, split=split, reading="frames")
