@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from learning.command import add_unseen
 from learning.errors import LearningError
+from recorder.command_line.options import next_command
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
@@ -87,8 +88,9 @@ def _require_sessions(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         if path.is_file() or (path.is_dir() and not (path / "zarr.json").exists()):
+            made = next_command("import", path, out="NAME.zarr")
             raise LearningError(
-                f"{path}: is no session; allowed: what `tactile import {path} --out NAME.zarr` "
+                f"{path}: is no session; allowed: what `{made}` "
                 "makes of it (--stills if each picture is a contact of its own)"
             )
 

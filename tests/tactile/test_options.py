@@ -74,6 +74,27 @@ def test_every_option_says_its_default_and_its_unit_in_words(words: str) -> None
     assert not wrong
 
 
+def test_the_commands_to_continue_with_exist_and_have_their_options() -> None:
+    wrong, calls = [], 0
+    for path in [each for package in PACKAGES for each in (ROOT / package).rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.Call) or ast.unparse(node.func) != "next_command":
+                continue
+            given = [each.value for each in node.args if isinstance(each, ast.Constant)]
+            words = next((text for n in (2, 1) if (text := " ".join(given[:n])) in COMMANDS), None)
+            if given and words is None:
+                wrong.append(f"{path}:{node.lineno}: {given}: no such command")
+            if words is None:
+                continue
+            calls += 1
+            known = {name for option in options(words) for name in option.option_strings}
+            stated = {f"--{key.arg.replace('_', '-')}" for key in node.keywords if key.arg}
+            if stated - known:
+                wrong.append(f"{path}:{node.lineno}: {words}: {sorted(stated - known)}")
+    assert wrong == []
+    assert calls > 10
+
+
 def test_no_module_builds_a_command_line_of_ours() -> None:
     """What another command does is a function, which modules call."""
     found = []

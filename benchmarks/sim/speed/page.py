@@ -132,7 +132,7 @@ def _reached(candidates: Sequence[Candidate], limit: float, error: float) -> str
 
 
 def _left_in_reference(devices: Sequence[Device]) -> float:
-    """Return the mean error of the reference, by the law of `sim.extrapolation`."""
+    """Return the mean error of the reference, by the law of `sim.tolerance`."""
     runs = [one.record.get("reference", "reference") for one in devices]
     run = next((run for run in runs if run), None)
     finest = min(
