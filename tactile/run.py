@@ -74,7 +74,7 @@ def run_module(
     Args:
         name: Name of the module.
         argv: Options of the command.
-        prog: Command in the usage, and `prog` of the options that the module gets.
+        prog: Command in the usage.
         description: Description in the help, unless the module sets another; empty: its docstring.
         interrupted: Consequence of Ctrl-C, printed when it has ended the command.
     """
@@ -85,7 +85,6 @@ def run_module(
         module: Any = import_module(name)
         parser = Parser(prog=prog, description=description or module.__doc__)
         module.add_arguments(parser)
-        parser.set_defaults(prog=prog)
         return int(module.run(parser.parse_args(joined(argv))))
 
     return ended(call, interrupted)

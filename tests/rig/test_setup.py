@@ -32,7 +32,7 @@ def parsed(folder: Path, *more: str, bench: str = f"--bench={BENCH}") -> argpars
     parser = argparse.ArgumentParser()
     setup.add_arguments(parser)
     options = parser.parse_args([bench, "--calibrations", str(folder), *more])
-    options.out, options.prog = folder / "sessions", "tactile setup"
+    options.out = folder / "sessions"
     return options
 
 
