@@ -235,9 +235,6 @@ def _numbered(
     """Return target and location of each press of each sensor, from the numbers of its places.
 
     States of one target, which have a location each, keep a common target.
-
-    Raises:
-        LearningError: One target of a sensor matched several of another; they are named.
     """
     count = 1 + max(int(number.max()) for number in numbers)
     group = np.arange(count)

@@ -188,11 +188,7 @@ def read_array(path: Path) -> NDArray[np.generic]:
 
 
 def _greys(path: Path) -> NDArray[np.uint8]:
-    """Read the pixels (480, 640) of a picture.
-
-    Raises:
-        LearningError: The file is missing, truncated, or of another size.
-    """
+    """Read the pixels (480, 640) of a picture."""
     try:
         with Image.open(path) as picture:
             pixels = np.asarray(picture.convert("L"))

@@ -247,11 +247,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def _points(folder: Path) -> list[Path]:
-    """Return the folders of contact points by number.
-
-    Raises:
-        LearningError: There are none, or a name is not a number from 1.
-    """
+    """Return the folders of contact points by number."""
     points = _folders(folder)
     for point in points:
         if not point.name.isdecimal() or int(point.name) < 1:
