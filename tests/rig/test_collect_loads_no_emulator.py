@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
-from support.collecting import ROOT, enter_pressed, quick_bench
+from support.collecting import ROOT, move_typed, quick_bench
 
 from rig.bench.bench import BenchFile
 from rig.mock.bench import MockBench
@@ -53,7 +53,7 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
         folder.mkdir()
     (hook / "sitecustomize.py").write_text(TELL_AT_EXIT)
     path = quick_bench(tmp_path, sensor)
-    with MockBench(BenchFile.read(path), run) as mock, enter_pressed() as terminal:
+    with MockBench(BenchFile.read(path), run) as mock, move_typed() as terminal:
         lab = tmp_path / "lab.yaml"
         lab.write_text(yaml.safe_dump(lab_content(mock.file.content)))
         session = tmp_path / "s.zarr"

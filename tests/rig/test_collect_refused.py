@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.collecting import Collection, enter_pressed
+from support.collecting import Collection, move_typed
 
 from rig.core.packaged import BENCHES
 
@@ -28,7 +28,7 @@ gripper: {{kind: robotiq_2f, port: {tmp_path}/no-gripper}}
 pedal: {{device: {tmp_path}/no-pedal}}
 """
     )
-    with enter_pressed() as terminal:
+    with move_typed() as terminal:
         run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench), stdin=terminal)
         assert run.wait(30) == 3, run.text
     assert run.lines[0].startswith("LAB BENCH")

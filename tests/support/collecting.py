@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -55,13 +56,23 @@ def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
 
 
 @contextlib.contextmanager
-def enter_pressed() -> Iterator[int]:
-    """Yield a terminal to use as standard input, on which Enter was pressed."""
+def move_typed() -> Iterator[int]:
+    """Yield a terminal to use as standard input, on which `move` is typed until it is read."""
     master, slave = pty.openpty()
+    over = threading.Event()
+
+    def type_on() -> None:
+        # What is typed before a question does not answer it.
+        while not over.wait(0.3):
+            os.write(master, b"move\n")
+
+    typing = threading.Thread(target=type_on)
+    typing.start()
     try:
-        os.write(master, b"\n")
         yield slave
     finally:
+        over.set()
+        typing.join()
         os.close(master)
         os.close(slave)
 
