@@ -203,7 +203,7 @@ def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
         (["--sensor", "other"], "--sensor: found other; known: dots, grid"),
         (["--set", "input.sides=3"], "unknown sides"),
         (["--pair", "dots-to-grid"], "--pair: found without --labels"),
-        (["--start-from", "nowhere"], "nowhere: found no config.yaml"),
+        (["--start-from", "nowhere"], "model: found 'nowhere'; no such folder"),
     ],
 )
 def test_wrong_input_begins_no_run(tmp_path: Path, change: list[str], message: str) -> None:
