@@ -23,6 +23,10 @@ def _copied(source: str, name: str = "x.zarr", *steps: tuple[object, ...]) -> tu
     return (("copy", source, f"{{out}}/{name}"), *inside)
 
 
+# As in the first run of a session, when no manifest says that a file was changed.
+OPEN = (("delete", "manifest"), ("json", "zarr.json", "attributes.status", "recording"))
+
+
 # Rig
 
 WRONG_BENCHES = {
@@ -107,7 +111,7 @@ RIG_CASES = (
         one_process=True,
         prepare=(
             ("write", "{out}/same.yaml", _bench("", of="tacpalm")),
-            *_copied(GELSIGHT, "y.zarr", ("json", "zarr.json", "attributes.status", "stopped")),
+            *_copied(GELSIGHT, "y.zarr", *OPEN),
             *_copied(GELSIGHT, "z.zarr", ("json", "zarr.json", "attributes.format_version", 99)),
         ),
     ),
@@ -223,8 +227,6 @@ RIG_CASES = (
 
 # Recorder
 
-# As in the first run of a session, when no manifest says that a file was changed.
-OPEN = (("delete", "manifest"), ("json", "zarr.json", "attributes.status", "recording"))
 NEWER = ("json", "zarr.json", "attributes.format_version", 99)
 RECORDER_CASES = (
     Case(
