@@ -7,7 +7,7 @@
 Each frame is processed like the training data: markers by a preset of `learning.markers`, then the
 image or marker field that the network takes (`shown_to`), then a network step that keeps its state.
 The first frames must show the sensor without contact. Training sequences are short and begin
-without contact, so the state is reset while nothing touches the sensor (`ContactRule`).
+without contact, so the state is reset while nothing touches the sensor (`Contact`).
 """
 
 from __future__ import annotations
@@ -147,31 +147,14 @@ class Fields(FieldReader):
 # consecutive frames below, so that a press that briefly looks like no contact keeps its history.
 
 
-@dataclass(frozen=True, slots=True)
-class ContactRule:
-    """Thresholds for contact."""
-
-    times_noise: float = 2.0
-    """Factor on the largest motion among the frames without contact."""
-    least_px: float = 0.02
-    """Margin added to it, as mean motion of the markers' edges [px of 640 x 480]."""
-    frames: int = 5
-    """Number of consecutive frames below the threshold that end contact."""
-    noise_px: float = 0.5
-    """Largest motion accepted in frames without contact [px]."""
-    least_levels: float = 0.3
-    """As `least_px`, for the mean change of colours [grey levels]."""
-    noise_levels: float = 3.0
-    """As `noise_px`, likewise."""
-
-    def __post_init__(self) -> None:
-        """Reject thresholds by which contact never ends, or every frame is contact."""
-        least = min(self.least_px, self.least_levels)
-        if not (self.times_noise >= 1 and least > 0 and self.frames >= 1):
-            raise LearningError(
-                f"contact: found {self}; allowed: times_noise 1 or more, least_px above 0, frames "
-                "1 or more"
-            )
+# Factor on the largest motion among the frames without contact.
+TIMES_NOISE = 2.0
+# Margin added to it, and the largest motion accepted in frames without contact: as mean motion of
+# the markers' edges [px of 640 x 480], and as mean change of colours [grey levels].
+LEAST_PX, NOISE_PX = 0.02, 0.5
+LEAST_LEVELS, NOISE_LEVELS = 0.3, 3.0
+# Number of consecutive frames below the threshold that end contact.
+STILL_FRAMES = 5
 
 
 class Contact:
@@ -180,22 +163,20 @@ class Contact:
     reference: NDArray[Any]
     """Majority of the masks without contact (480, 640), or shading without change."""
 
-    def __init__(self, no_contact: NDArray[Any], rule: ContactRule | None = None) -> None:
+    def __init__(self, no_contact: NDArray[Any]) -> None:
         """Compute the mask without contact and its noise from frames without contact.
 
         Args:
             no_contact: Masks (n, 480, 640), or shading (n, 3, 128, 128) uint8, one or more.
-            rule: Thresholds for contact.
 
         Raises:
             LearningError: There are no markers, or the frames differ too much.
         """
-        self._rule = rule or ContactRule()
         self._is_shading = no_contact.dtype == np.uint8
-        least, most = self._rule.least_px, self._rule.noise_px
+        least, most = LEAST_PX, NOISE_PX
         what, unit = "markers move", "px"
         if self._is_shading:
-            least, most = self._rule.least_levels, self._rule.noise_levels
+            least, most = LEAST_LEVELS, NOISE_LEVELS
             what, unit = "colours change", "grey levels"
             self.reference = np.full_like(no_contact[0], SHADING_ZERO)
         else:
@@ -209,9 +190,9 @@ class Contact:
                 f"frames without contact: their {what} by {noise:.2f} {unit}; allowed: "
                 f"{most} {unit}; was the sensor touched while its reference was taken?"
             )
-        self.threshold_px = self._rule.times_noise * noise + least
+        self.threshold_px = TIMES_NOISE * noise + least
         """Mean motion of edges above which there is contact [px]."""
-        self._still = self._rule.frames
+        self._still = STILL_FRAMES
         self.motion_px = 0.0
         """Mean motion of the markers' edges in the last frame [px]."""
 
@@ -228,7 +209,7 @@ class Contact:
         """Return True if the sensor is touched in the next frame (480, 640)."""
         self.motion_px = self.moved(mask)
         self._still = 0 if self.motion_px > self.threshold_px else self._still + 1
-        return self._still < self._rule.frames
+        return self._still < STILL_FRAMES
 
 
 Frame = NDArray[Any]
@@ -282,7 +263,6 @@ class LivePredictor:
         network: ForceStream,
         chosen: Preset,
         *,
-        rule: ContactRule | None = None,
         start_frames: int = START_FRAMES,
         intervals: Intervals | None = None,
         before: ForceStream | None = None,
@@ -292,7 +272,6 @@ class LivePredictor:
         Args:
             network: Stream of the force model.
             chosen: Preset for finding markers in pictures or drawing them from taxels.
-            rule: Thresholds for contact.
             start_frames: Number of frames without contact for the reference.
             intervals: Intervals of the model.
             before: Stream of another model, whose forces are shown beside.
@@ -312,7 +291,7 @@ class LivePredictor:
             self._masks = _PictureMasks(chosen)
         else:
             self._masks = _TaxelMasks(chosen)
-        self._rule, self._start_frames = rule, start_frames
+        self._start_frames = start_frames
         self._first: list[Frame] = []
         self._contact: Contact | None = None
         self._shown: list[Shown] = []
@@ -338,7 +317,7 @@ class LivePredictor:
         """
         if not len(frames):
             raise LearningError("frames without contact: found none; allowed: one or more")
-        self._contact = Contact(self._masks.reference_masks(frames), self._rule)
+        self._contact = Contact(self._masks.reference_masks(frames))
         self._shown = [shown_to(each, self._contact.reference) for each in self._networks]
         for network, shown in zip(self._networks, self._shown, strict=True):
             network.reset(shown.reference)

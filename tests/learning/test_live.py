@@ -11,7 +11,7 @@ from support.marker_truth import VIEWS
 
 from learning.data.images import shrink
 from learning.errors import LearningError
-from learning.force.live import Contact, ContactRule, LivePredictor, _preset_for, open_live
+from learning.force.live import STILL_FRAMES, Contact, LivePredictor, _preset_for, open_live
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset, taxel_masks
 from learning.markers.displacement import FieldReader
@@ -75,7 +75,6 @@ def test_the_first_frames_are_the_reference_and_say_no_force() -> None:
 def test_memory_is_kept_while_touched_and_cleared_when_contact_has_ended() -> None:
     predictor, _ = uskin()
     predictor.begin(np.stack([NO_CONTACT] * 3))
-    rule = ContactRule()
     frames = [
         NO_CONTACT,
         NO_CONTACT,
@@ -83,7 +82,7 @@ def test_memory_is_kept_while_touched_and_cleared_when_contact_has_ended() -> No
         touched(),
         NO_CONTACT,
         touched(),
-        *[NO_CONTACT] * (rule.frames + 2),
+        *[NO_CONTACT] * (STILL_FRAMES + 2),
     ]
     found = [predictor.step(frame) for frame in frames]
     steps = [one.force[0] for one in found if one is not None]
