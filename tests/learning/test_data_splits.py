@@ -253,6 +253,6 @@ def test_a_training_keeps_its_split_in_its_folder(
         session.run.finish(1, weights)
 
     settings = tiny()
-    run_training(options.out, "field", settings, [opened.name], train, split=split, resume=False)
+    run_training(options.out, "field", settings, [opened.name], train, split=split)
     assert read_split(tmp_path / "run" / "split.json") == make_split(archive)
     assert f"split.json: sha256 {split.fingerprint[:12]}" in capsys.readouterr().err
