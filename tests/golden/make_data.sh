@@ -30,18 +30,18 @@ archive=$data/skins.markers.zarr split=$data/split.json
 rm -rf "$archive"
 "$python" -m tactile sim archive r6,r18,uskin --tier layer --scale 0.03 --steps 2 \
     --indenters sphere,prism,cone --processes 1 --no-check --out "$archive"
-"$python" -m tactile split "$archive" --out "$split" --new-press 0.2 --validation 0.2
+"$python" -c "import sys
+from pathlib import Path
+from learning.data.splits import make_split
+from recorder.archive import MarkerArchive
+make_split(MarkerArchive(Path(sys.argv[1])), validation=0.2, new_press=0.2).write(Path(sys.argv[2]))" \
+    "$archive" "$split"
 
 # Models of each kind, trained for a few steps.
 learning() { kind=$2; shift 2; "$python" -m tactile train "$kind" "$archive" --split "$split" "$@"; }
 learning train force --sensor r6 --out "$part/force" --preset tiny --set input.side_px=32 \
     --set 'stages=[{epochs: 2, learning_rate: 0.002}]' --set 'network.encoder=[4, 4, 8]' \
     --set network.memory=8 --set 'network.tail=[8, 8]'
-learning train autoencoder --out "$part/autoencoder" --preset cpu_smoke --set steps=4 \
-    --set warm_up=1 --set validate_every=4 --set most_images=20 --set validation_images=4
-learning train direct --out "$part/direct" --autoencoder "$part/autoencoder" --sensors r6,r18 \
-    --preset cpu_smoke --set steps=2 --set warm_up=1 --set validate_every=2 \
-    --set validation_images=2 --set batch=2
 learning train field --out "$part/field" --preset cpu_smoke --sensors r6,r18 \
     --set field_stage.steps=2 --set field_stage.warm_up_steps=1 --set field_stage.batch=2 \
     --set map_stage.steps=2 --set map_stage.warm_up_steps=1 --set map_stage.batch=2 \
@@ -54,10 +54,11 @@ from pathlib import Path
 from tiny_diffusion import DEEP_VAE, write_base
 write_base(Path(sys.argv[1]), DEEP_VAE)" "$data/base"
 few="--set steps=2 --set batch=2 --set launch.device=cpu --set launch.mixed_precision=no"
-learning train marker-vae --out "$part/marker-vae" --sensors r6,r18 --base "$data/base" $few
 learning train diffusion --out "$part/diffusion" --sensors r6,r18 --base "$data/base" $few \
-    --set unet_rank=2 --set vae_rank=2 --set losses.adversarial=0 --set losses.perceptual=0
-for kind in force autoencoder direct field marker-vae diffusion; do
+    --set marker_vae.steps=2 --set marker_vae.batch=2 --set unet_rank=2 --set vae_rank=2 \
+    --set losses.adversarial=0 --set losses.perceptual=0
+mv "$part/diffusion/marker-vae" "$part/marker-vae"
+for kind in force field marker-vae diffusion; do
     mkdir -p "$data/models/$kind"
     cp "$part/$kind/config.yaml" "$part/$kind/model.safetensors" "$data/models/$kind"
     sed -i "s#$data/base#\"{data}/base\"#" "$data/models/$kind/config.yaml"

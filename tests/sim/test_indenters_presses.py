@@ -106,11 +106,10 @@ def test_the_command_line_presses_a_file_that_leans(
         "--tier",
         "layer",
         "--shape",
-        str(path),
+        f"{path}:unit=mm,up=-z",
         "--tilt",
         "-2,1",
     ]
-    words += ["--stl-unit", "mm", "--stl-up=-z"]
     assert main(words) == 0
     told = capsys.readouterr()
     assert "note: block.stl is inside out: its triangles were turned round" in told.err
@@ -128,8 +127,8 @@ def test_without_an_edge_radius_a_prism_presses_alike_by_name_by_measures_and_fr
 ) -> None:
     path = files.write_binary(tmp_path / "prism.stl", files.block(5, 7, 8))
     forces = []
-    for shape in (["prism"], ["box", "--width", "5", "--length", "7"], [str(path)]):
-        words = ["sim", "press", "--depths", "0.5", "--tier", "layer", "--json", "--shape", *shape]
+    for shape in ("prism", "box:width=5,length=7", str(path)):
+        words = ["sim", "press", "--depths", "0.5", "--tier", "layer", "--json", "--shape", shape]
         assert main(words) == 0
         forces.append(json.loads(capsys.readouterr().out)["force_n"][-1])
     assert forces[1] == pytest.approx(forces[0], rel=1e-6)
@@ -141,8 +140,8 @@ def test_without_an_edge_radius_a_prism_presses_alike_by_name_by_measures_and_fr
     [
         ("--shape nowhere.stl", "cannot read or write: .*nowhere.stl"),
         ("--shape cut.stl", "wrong input: cut.stl: 384 bytes; .*cut short"),
-        ("--shape cut.stl --radius 3", "wrong input: --radius: given with --shape cut.stl"),
-        ("--shape prism --stl-up=-z", "--stl-up: given with --shape prism; allowed: an STL file"),
+        ("--shape cut.stl:radius=3", "wrong input: --shape cut.stl: radius=3; allowed: unit, up"),
+        ("--shape prism:up=-z", "wrong input: --shape prism: up=-z; allowed: a number"),
         ("--shape prism --tilt 40,0", "indenter prism.tilt about x: 0.698"),
         ("--shape plane --tilt 1,0", "indenter plane.tilt: it has no lowest point"),
     ],

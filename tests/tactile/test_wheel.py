@@ -98,7 +98,7 @@ def test_a_lab_works_from_the_wheel_alone(tmp_path: Path) -> None:
     assert message.startswith("MOCK BENCH (")
     (session,) = lab.glob("sessions/*.zarr")
     _run(tactile, "session", "info", str(session), cwd=lab)
-    press = ("--shape", "sphere", "--radius", "4", "--depths", "1")
+    press = ("--shape", "sphere:radius=4", "--depths", "1")
     assert " 1.00" in _run(tactile, "sim", "press", *press, cwd=lab)
     script = lab / "read.py"
     script.write_text(SCRIPT.replace("SESSION", str(session)).lstrip())
