@@ -7,7 +7,7 @@ from sim.indenters import Indenter
 from sim.layer import Layer
 from sim.mpm import Mpm
 from sim.result import Quality, Result
-from sim.scene import Body, Motion, Scene, from_target, press, press_shear_return, ramp_hold
+from sim.scene import Body, Motion, Scene, from_target, press
 from sim.simulate import Plan, plan, plan_effects, simulate, simulate_many
 from sim.tiers import Solvers
 
@@ -34,8 +34,6 @@ __all__ = [
     "plan",
     "plan_effects",
     "press",
-    "press_shear_return",
-    "ramp_hold",
     "simulate",
     "simulate_many",
 ]

@@ -250,6 +250,8 @@ def press(
     if len(at) != 2 or not all(map(is_finite, at)):
         raise SceneError(f"motion.at: {at!r}; allowed: 2 finite numbers [m]")
     corners = [(at[0], at[1], 0.0)] + [(at[0], at[1], -depth) for depth in depths]
+    if not is_finite(shear):
+        raise SceneError(f"motion.shear: {shear!r} m; allowed: a finite number")
     if shear:
         if not is_finite(angle):
             raise SceneError(f"motion.tip: sheared at an angle of {angle!r} rad; allowed: finite")
@@ -270,47 +272,6 @@ def _rested(motion: Motion, index: int, hold: float, steps: int) -> Motion:
         tip=(*tip[: index + 1], *[tip[index]] * steps, *tip[index + 1 :]),
         time=(*time[: index + 1], *rest, *(later + hold for later in time[index + 1 :])),
     )
-
-
-def press_shear_return(
-    depth: float,
-    shear: float,
-    *,
-    angle: float = 0.0,
-    steps: int = 5,
-    at: tuple[float, float] = (0.0, 0.0),
-    speed: float = 10e-3,
-) -> Motion:
-    """Return Algorithm 1's four phases: down by `depth`, sideways by `shear`, back, up.
-
-    The shear is at `angle` [rad]. Each phase has `steps` equal parts: 4 `steps` + 1 frames.
-    """
-    for name, value in (("depth", depth), ("shear", shear)):
-        if not (is_finite(value) and value != 0):
-            raise SceneError(f"motion.{name}: {value!r} m; allowed: a finite number, not 0")
-    if not is_finite(angle):
-        raise SceneError(f"motion.tip: sheared at an angle of {angle!r} rad; allowed: finite")
-    low = (at[0], at[1], -depth)
-    aside = (at[0] + shear * math.cos(angle), at[1] + shear * math.sin(angle), -depth)
-    corners = [(at[0], at[1], 0.0), low, aside, low, (at[0], at[1], 0.0)]
-    return through(_subdivided(corners, steps), speed=speed)
-
-
-def ramp_hold(
-    depth: float,
-    *,
-    ramp: float,
-    hold: float,
-    steps: int = 10,
-    at: tuple[float, float] = (0.0, 0.0),
-) -> Motion:
-    """Return a ramp to `depth` [m] in `ramp` s, then a hold of `hold` s, `steps` frames each."""
-    fraction = [index / steps for index in range(1, steps + 1)]
-    tip = [(at[0], at[1], 0.0)]
-    tip += [(at[0], at[1], -depth * part) for part in fraction]
-    tip += [(at[0], at[1], -depth)] * steps
-    time = [0.0] + [ramp * part for part in fraction] + [ramp + hold * part for part in fraction]
-    return Motion(tip=tuple(tip), time=tuple(time))
 
 
 def from_target(plan: Plan, target: Target, *, steps: int = 5, speed: float = 10e-3) -> Motion:

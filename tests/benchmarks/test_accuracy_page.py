@@ -22,7 +22,7 @@ from sim.errors import SceneError
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
 from sim.metrics import outcome_of
-from sim.scene import press, ramp_hold
+from sim.scene import press
 
 SPHERE = chosen(("sphere",))[0]
 
@@ -70,7 +70,7 @@ def test_closed_forms_press_and_friction_stays_within_coulomb():
 
 
 def test_a_finer_motion_keeps_its_waypoints():
-    motion = ramp_hold(1e-3, ramp=0.1, hold=1.0, steps=3)
+    motion = press([1e-3], hold=1.0, steps=3, speed=1e-3 / 0.1)
     cut = finer(motion, 4)
     assert len(cut) == 4 * (len(motion) - 1) + 1
     assert cut.tip[::4] == motion.tip

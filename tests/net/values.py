@@ -16,7 +16,7 @@ import numpy as np
 
 from sim import Body, Effects, Fem, Friction, Gravity, Inertia, Layer, Scene, Viscosity, simulate
 from sim.indenters import box, flat_punch, named, plane, sphere
-from sim.scene import Motion, press, press_shear_return, ramp_hold
+from sim.scene import Motion, press
 from sim.sensors import SurfaceField, readout, sensor
 
 EXPECTED = Path(__file__).with_name("expected.json")
@@ -31,14 +31,16 @@ def scene(indenter: Any, motion: Motion, body: Body | None = None, **effects: An
     return Scene(indenter, motion, body or Body(), Effects(**effects))
 
 
-LOOP = press_shear_return(0.5 * MM, 0.4 * MM, angle=0.5, steps=2)
+LOOP = press([0.5 * MM], shear=0.4 * MM, angle=0.5, steps=2)
 SCENES: dict[str, tuple[Scene, Layer | Fem]] = {
     "layer press": (scene(sphere(4 * MM), press([0.5 * MM, 1.0 * MM])), Layer()),
     "layer press off centre": (scene(named("dots"), press([0.4 * MM], at=(-2 * MM, MM))), Layer()),
     "layer loop": (scene(named("prism"), LOOP, friction=Friction(0.5)), Layer()),
     "layer hold": (
         scene(
-            named("cylinder"), ramp_hold(0.6 * MM, ramp=0.1, hold=2.0, steps=3), viscosity=RELAXING
+            named("cylinder"),
+            press([0.6 * MM], hold=2.0, steps=3, speed=0.6 * MM / 0.1),
+            viscosity=RELAXING,
         ),
         Layer(),
     ),
@@ -50,7 +52,11 @@ SCENES: dict[str, tuple[Scene, Layer | Fem]] = {
     "fem press of an edge": (scene(box(4 * MM, 3 * MM, 0.3 * MM), press([0.4 * MM])), COARSE),
     "fem loop": (scene(flat_punch(2 * MM, 0.3 * MM), LOOP, friction=Friction(0.5)), COARSE),
     "fem hold": (
-        scene(sphere(3 * MM), ramp_hold(0.5 * MM, ramp=0.1, hold=2.0, steps=2), viscosity=RELAXING),
+        scene(
+            sphere(3 * MM),
+            press([0.5 * MM], hold=2.0, steps=2, speed=0.5 * MM / 0.1),
+            viscosity=RELAXING,
+        ),
         COARSE,
     ),
     "fem weight": (

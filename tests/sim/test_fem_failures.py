@@ -21,7 +21,6 @@ from sim import (
     SimulationDiverged,
     Viscosity,
     press,
-    press_shear_return,
     simulate,
     simulate_many,
 )
@@ -81,7 +80,7 @@ def test_nothing_unconverged_is_returned() -> None:
     """For any tolerance, every frame's residual is below it."""
     slid = Scene(
         sphere(3e-3),
-        press_shear_return(0.3e-3, 0.2e-3, steps=1),
+        press([0.3e-3], shear=0.2e-3, steps=1),
         BODY,
         Effects(friction=Friction(0.4)),
     )
@@ -186,7 +185,7 @@ def test_float64_goes_on_from_the_last_state_that_float32_has_accepted(
         viscosity=Viscosity(ratios=(0.4, 0.3), times=(0.01, 1.0)),
         inertia=Inertia(scale=1e3),
     )
-    motion = press_shear_return(0.3e-3, 0.2e-3, steps=2)
+    motion = press([0.3e-3], shear=0.2e-3, steps=2)
     scene = Scene(sphere(3e-3), motion, BODY, effects)
     numerics = Fem(spacing=SPACING, tolerance=1e-4)
     wanted = simulate(scene, replace(numerics, precision="float64"))

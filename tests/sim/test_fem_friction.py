@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import Body, Effects, Friction, Scene, press, press_shear_return, simulate
+from sim import Body, Effects, Friction, Scene, press, simulate
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
@@ -15,7 +15,7 @@ MU = 0.4
 
 
 def _loop(angle: float, shear: float = 0.5e-3, steps: int = 2) -> Scene:
-    motion = press_shear_return(0.4e-3, shear, angle=angle, steps=steps)
+    motion = press([0.4e-3], shear=shear, angle=angle, steps=steps)
     return Scene(sphere(3e-3), motion, SMALL, Effects(friction=Friction(MU)))
 
 

@@ -20,7 +20,6 @@ from sim import (
     SimulationDiverged,
     Viscosity,
     press,
-    ramp_hold,
     simulate,
 )
 from sim.fem.numerics import Fem
@@ -107,7 +106,7 @@ def test_a_slow_press_feels_the_modulus_at_rest() -> None:
 @pytest.mark.slow
 def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
     """Force of the elastic press on the same mesh, passed through the hereditary integral."""
-    motion = ramp_hold(0.15e-3, ramp=0.1, hold=0.4, steps=4)
+    motion = press([0.15e-3], hold=0.4, steps=4, speed=0.15e-3 / 0.1)
     numerics = Fem(spacing=4e-3 / 5, precision="float64")
     elastic = simulate(Scene(sphere(3e-3), motion, SMALL), numerics)
     viscous = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), numerics)

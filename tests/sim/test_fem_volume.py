@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim import Body, Effects, Friction, Scene, Viscosity, press_shear_return, simulate
+from sim import Body, Effects, Friction, Scene, Viscosity, press, simulate
 from sim.fem import volume
 from sim.fem.assembly import is_split
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
 from sim.result import Result
 
-MOTION = press_shear_return(0.4e-3, 0.2e-3, steps=1)
+MOTION = press([0.4e-3], shear=0.2e-3, steps=1)
 NUMERICS = Fem(spacing=4e-3 / 3, precision="float64", tolerance=1e-4, path_tolerance=1e-4)
 
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sim import Body, Indenter, Motion, Scene, SceneError, press, press_shear_return
+from sim import Body, Indenter, Motion, Scene, SceneError, press
 from sim.fem.mesh import MARGIN, Window, contact_window, meshes_of
 from sim.fem.numerics import FOR_EDGES, Fem, Grading
 from sim.fem.sizing import covered
@@ -29,7 +29,7 @@ INDENTERS = [
 ]
 MOTIONS = {
     "press": press([0.5e-3, 0.9e-3]),
-    "shear": press_shear_return(0.8e-3, 2e-3, angle=0.7, steps=2),
+    "shear": press([0.8e-3], shear=2e-3, angle=0.7, steps=2),
     "off-centre": press([0.9e-3], at=(5e-3, -4e-3)),
     "at the edge": press([0.9e-3], at=(-10e-3, 0.0)),
 }

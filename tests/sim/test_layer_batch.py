@@ -13,7 +13,7 @@ from sim.layer import Layer, batch, batch_contact
 from sim.layer.batch import simulate_layers
 from sim.layer.solver import simulate_layer
 from sim.result import Outcome, Result
-from sim.scene import Body, Motion, Scene, press, press_shear_return
+from sim.scene import Body, Motion, Scene, press
 from sim.tiers import simulate_many
 
 # Its kernels are compiled for a GPU or for the CPU, where one thread solves a press.
@@ -24,7 +24,7 @@ DEVICES = [
     ),
 ]
 GRID = 32
-LOOP = press_shear_return(0.8e-3, 0.5e-3, steps=2)
+LOOP = press([0.8e-3], shear=0.5e-3, steps=2)
 SMOOTH = [
     Scene(sphere(4e-3), press([0.05e-3, 0.4e-3, 1e-3], at=(1e-3, 0.5e-3))),
     Scene(sphere(2.5e-3), press([0.2e-3], at=(-3e-3, 2e-3))),

@@ -20,12 +20,12 @@ from sim.layer import Layer, contact
 from sim.layer.solver import LayerPress, simulate_layer
 from sim.layer.spectral import Convolutions, Grid, compliance
 from sim.result import Result
-from sim.scene import Body, Motion, Scene, press, press_shear_return, through
+from sim.scene import Body, Motion, Scene, press, through
 from tests.support.few import few
 
 
 def _loop(coefficient: float, *, steps: int = 3, grid: int = 64, angle: float = 0.0) -> Result:
-    motion = press_shear_return(1.2e-3, 1.0e-3, steps=steps, angle=angle)
+    motion = press([1.2e-3], shear=1.0e-3, steps=steps, angle=angle)
     effects = Effects(friction=Friction(coefficient))
     return simulate_layer(Scene(sphere(4e-3), motion, effects=effects), Layer(grid=grid))
 
@@ -54,7 +54,7 @@ def test_every_pixel_sticks_or_slips_as_coulomb_says() -> None:
 
 
 def test_no_friction_is_friction_zero_and_the_limit_of_little() -> None:
-    motion = press_shear_return(1.2e-3, 1.0e-3, steps=2)
+    motion = press([1.2e-3], shear=1.0e-3, steps=2)
     none = simulate_layer(Scene(sphere(4e-3), motion), Layer(grid=64))
     zero = _loop(0.0, steps=2)
     np.testing.assert_array_equal(none.traction, zero.traction)
@@ -180,7 +180,7 @@ def test_long_moves_are_cut_until_friction_no_longer_depends_on_them() -> None:
 def test_much_friction_converges(coefficient: float, poisson: float, thickness: float) -> None:
     scene = Scene(
         sphere(4e-3),
-        press_shear_return(0.3 * thickness, 1.0e-3, steps=1),
+        press([0.3 * thickness], shear=1.0e-3, steps=1),
         body=Body(poisson=poisson, thickness=thickness),
         effects=Effects(friction=Friction(coefficient)),
     )

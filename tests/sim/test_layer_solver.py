@@ -12,7 +12,7 @@ from sim.errors import SceneError
 from sim.indenters import named, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
-from sim.scene import Body, Scene, press, press_shear_return, through
+from sim.scene import Body, Scene, press, through
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_a_tolerance_that_means_nothing_is_refused(tolerance: float) -> None:
 
 
 def test_a_result_has_a_frame_for_each_waypoint_and_says_what_ran() -> None:
-    motion = press_shear_return(0.8e-3, 0.4e-3, steps=2)
+    motion = press([0.8e-3], shear=0.4e-3, steps=2)
     body = Body(size_x=24e-3, size_y=16e-3)
     scene = Scene(named("prism"), motion, body=body, effects=Effects(friction=Friction(0.6)))
     told: list[float] = []
@@ -89,7 +89,7 @@ def test_above_the_body_nothing_happens_and_contact_is_found_on_the_way() -> Non
 def test_the_same_scene_gives_the_same_bits() -> None:
     scene = Scene(
         named("moon"),
-        press_shear_return(0.8e-3, 0.4e-3, steps=1),
+        press([0.8e-3], shear=0.4e-3, steps=1),
         effects=Effects(friction=Friction(0.6)),
     )
     one, other = simulate_layer(scene, Layer(grid=48)), simulate_layer(scene, Layer(grid=48))
@@ -100,7 +100,7 @@ def test_the_same_scene_gives_the_same_bits() -> None:
 def test_the_usual_tolerance_and_precision_agree_with_the_tightest() -> None:
     scene = Scene(
         named("cone"),
-        press_shear_return(0.9e-3, 0.4e-3, steps=2),
+        press([0.9e-3], shear=0.4e-3, steps=2),
         effects=Effects(friction=Friction(0.6)),
     )
     usual, tight = (

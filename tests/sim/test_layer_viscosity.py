@@ -11,7 +11,7 @@ from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
 from sim.result import Result
-from sim.scene import Body, Motion, Scene, press, ramp_hold, through
+from sim.scene import Body, Motion, Scene, press, through
 
 RATIOS, TIMES = (1.0, 0.5), (0.05, 0.3)
 RELAXING = Effects(viscosity=Viscosity(RATIOS, TIMES))
@@ -31,7 +31,7 @@ def _simulated(
 
 
 def test_a_punch_held_down_relaxes_as_lee_and_radok_say() -> None:
-    motion = ramp_hold(0.5e-3, ramp=0.1, hold=0.6, steps=4)
+    motion = press([0.5e-3], hold=0.6, steps=4, speed=0.5e-3 / 0.1)
     found = _simulated(flat_punch(3e-3), motion, tolerance=1e-7)
     elastic = _simulated(flat_punch(3e-3), motion, Effects(), tolerance=1e-7)
     expected = hereditary(motion.time, elastic.force[:, 2], RATIOS, TIMES)
@@ -43,7 +43,7 @@ def test_a_punch_held_down_relaxes_as_lee_and_radok_say() -> None:
 @pytest.mark.slow
 def test_a_sphere_loads_a_relaxing_layer_as_lee_and_radok_say() -> None:
     depth, ramp = 1e-3, 0.1
-    motion = ramp_hold(depth, ramp=ramp, hold=0.4, steps=3)
+    motion = press([depth], hold=0.4, steps=3, speed=depth / ramp)
     found = _simulated(sphere(4e-3), motion, grid=128)
     body = Body()
     depths = np.linspace(0, depth, 22)[1:]

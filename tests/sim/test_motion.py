@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import SceneError
-from sim.scene import Motion, from_target, press, press_shear_return, ramp_hold, through
+from sim.scene import Motion, from_target, press, through
 from trajectories import PressShear
 
 
@@ -31,7 +31,7 @@ def test_a_press_touches_then_goes_to_each_depth_at_its_speed() -> None:
 def test_a_loop_has_four_even_phases_and_ends_where_it_began(
     depth: float, shear: float, angle: float, steps: int
 ) -> None:
-    motion = press_shear_return(depth, shear, angle=angle, steps=steps, at=(1e-3, 2e-3))
+    motion = press([depth], shear=shear, angle=angle, steps=steps, at=(1e-3, 2e-3))
     tip, time = np.array(motion.tip), np.array(motion.time)
     assert len(motion) == 4 * steps + 1
     np.testing.assert_allclose(tip[-1], tip[0], atol=1e-15)
@@ -47,7 +47,7 @@ def test_a_loop_has_four_even_phases_and_ends_where_it_began(
 
 
 def test_a_hold_goes_down_in_its_ramp_and_stays() -> None:
-    motion = ramp_hold(1e-3, ramp=0.5, hold=4.0, steps=4)
+    motion = press([1e-3], hold=4.0, steps=4, speed=1e-3 / 0.5)
     depth, time = -np.array(motion.tip)[:, 2], np.array(motion.time)
     np.testing.assert_allclose(depth, [0, 0.25e-3, 0.5e-3, 0.75e-3, *[1e-3] * 5])
     np.testing.assert_allclose(time, [0, 0.125, 0.25, 0.375, 0.5, 1.5, 2.5, 3.5, 4.5])

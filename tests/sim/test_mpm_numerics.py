@@ -20,7 +20,6 @@ from sim import (
     SceneError,
     Viscosity,
     press,
-    ramp_hold,
 )
 from sim.indenters import sphere
 from sim.mpm import Mpm
@@ -91,7 +90,9 @@ def test_the_mass_follows_from_the_speed_of_the_tip() -> None:
 
 def test_a_hold_takes_a_few_periods_whatever_it_lasts() -> None:
     short, long = (
-        pace_of(Scene(sphere(4e-3), ramp_hold(1e-3, ramp=0.1, hold=hold)), Mpm(), CELL)
+        pace_of(
+            Scene(sphere(4e-3), press([1e-3], hold=hold, steps=10, speed=1e-3 / 0.1)), Mpm(), CELL
+        )
         for hold in (0.1, 1e5)
     )
     assert short.steps == long.steps
@@ -119,7 +120,7 @@ def test_a_time_step_above_the_stability_limit_is_refused() -> None:
 
 
 def test_a_motion_of_too_many_steps_is_refused() -> None:
-    slow = Scene(sphere(4e-3), ramp_hold(1e-3, ramp=1e4, hold=1.0))
+    slow = Scene(sphere(4e-3), press([1e-3], hold=1.0, steps=10, speed=1e-3 / 1e4))
     with pytest.raises(SceneError, match=r"motion.*allowed: 5,000,000 steps"):
         pace_of(slow, Mpm.authors(), AUTHORS_CELL)
 

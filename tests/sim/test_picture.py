@@ -19,7 +19,7 @@ from sim.indenters import flat_punch, sphere
 from sim.layer import Layer
 from sim.plot import abscissa, sampled, save_picture, shown_frame, surface_of
 from sim.result import Result
-from sim.scene import Body, Scene, press, press_shear_return
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
 
@@ -104,7 +104,7 @@ def test_a_dome_is_drawn_with_its_own_height() -> None:
 
 
 def test_the_maps_show_the_frame_with_the_largest_force() -> None:
-    motion = press_shear_return(0.8e-3, 0.5e-3, steps=2)
+    motion = press([0.8e-3], shear=0.5e-3, steps=2)
     scene = Scene(flat_punch(2e-3, 0.3e-3), motion, effects=Effects(friction=Friction(1.0)))
     result = simulate(scene, Layer())
     assert shown_frame(result) == 4
@@ -150,7 +150,7 @@ def pressed_most(result: Result) -> float:
 def test_every_axis_has_its_unit_and_shear_its_own_curve(
     drawn: list[Figure], tmp_path: Path
 ) -> None:
-    motion = press_shear_return(0.8e-3, 0.5e-3, steps=2)
+    motion = press([0.8e-3], shear=0.5e-3, steps=2)
     scene = Scene(flat_punch(2e-3, 0.3e-3), motion, effects=Effects(friction=Friction(1.0)))
     save_picture(simulate(scene, Layer()), tmp_path / "x.png")
     axes = drawn[0].axes[:4]

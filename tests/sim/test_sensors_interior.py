@@ -14,7 +14,7 @@ from sim.errors import SceneError
 from sim.fem.assembly import Assembly
 from sim.fem.numerics import Fem
 from sim.indenters import named
-from sim.scene import Body, Scene, press_shear_return
+from sim.scene import Body, Scene, press
 from sim.sensors.field import SurfaceField
 from sim.sensors.taxels import Interior
 from sim.simulate import simulate
@@ -115,7 +115,7 @@ def test_it_agrees_with_the_inside_that_fem_solves(
     monkeypatch.setattr(Assembly, "read", read_all)
     scene = Scene(
         named(name),
-        press_shear_return(1e-3, 0.5e-3, steps=1),
+        press([1e-3], shear=0.5e-3, steps=1),
         effects=Effects(friction=Friction(0.5)),
     )
     result = simulate(scene, Fem(spacing=BODY.thickness / 6))

@@ -15,7 +15,7 @@ from sim.errors import SceneError
 from sim.indenters import NAMES, named, plane, rounded_cone, sphere
 from sim.layer import Layer
 from sim.result import Quality, Result, scene_from_json, scene_to_json
-from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
+from sim.scene import Body, Motion, Scene, press
 from sim.simulate import simulate
 from sim.store import ARRAYS, load_result, save_results
 
@@ -36,9 +36,7 @@ def results() -> list[Result]:
     effects = Effects(friction=Friction(0.4))
     return [
         simulate(Scene(sphere(4e-3), press([0.2e-3, 0.5e-3])), Layer()),
-        simulate(
-            Scene(named("moon"), press_shear_return(4e-4, 3e-4, steps=1), body, effects), Layer()
-        ),
+        simulate(Scene(named("moon"), press([4e-4], shear=3e-4, steps=1), body, effects), Layer()),
     ]
 
 
@@ -52,7 +50,10 @@ def path(results: list[Result], tmp_path_factory: pytest.TempPathFactory) -> Pat
 @pytest.mark.parametrize("effects", EFFECTS, ids=lambda effects: "+".join(effects.key) or "none")
 @pytest.mark.parametrize(
     "motion",
-    [press([1e-3 / 3, 0.7e-3]), ramp_hold(0.5e-3, ramp=0.1, hold=3, at=(1e-3, -2e-3))],
+    [
+        press([1e-3 / 3, 0.7e-3]),
+        press([0.5e-3], hold=3, at=(1e-3, -2e-3), steps=10, speed=0.5e-3 / 0.1),
+    ],
     ids=["press", "hold"],
 )
 def test_a_scene_comes_back_equal_through_text(effects: Effects, motion: Motion) -> None:

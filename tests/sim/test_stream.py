@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sim import Effects, Inertia, Layer, SceneError, press, press_shear_return
+from sim import Effects, Inertia, Layer, SceneError, press
 from sim.indenters import named
 from sim.layer.solver import simulate_layer
 from sim.layer.spectral import Grid
@@ -46,7 +46,7 @@ def test_told_the_poses_of_a_motion_it_finds_the_forces_of_the_simulation() -> N
 
 
 def test_sheared_it_drags_as_the_simulation_does() -> None:
-    motion = press_shear_return(0.9e-3, 0.5e-3, steps=3, speed=5e-3)
+    motion = press([0.9e-3], shear=0.5e-3, steps=3, speed=5e-3)
     expected = simulate_layer(GELSIGHT.scene(named("sphere"), motion), Layer(grid=COARSE))
     each, before, found = live(), 0.0, []
     for tip, time in zip(motion.tip, motion.time, strict=True):

@@ -18,7 +18,6 @@ from sim import (
     SceneError,
     Viscosity,
     press,
-    press_shear_return,
     simulate,
     simulate_many,
 )
@@ -37,8 +36,13 @@ WRONG: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
     "motion.at: 3; allowed: a sequence of 2 finite": (press, ([1e-3],), {"at": 3}),
     "motion.at: (0, 'a'); allowed: 2 finite": (press, ([1e-3],), {"at": (0, "a")}),
     "motion.speed: '1' m/s; allowed: above 0": (press, ([1e-3],), {"speed": "1"}),
-    "motion.depth: '1' m; allowed": (press_shear_return, ("1", 1e-3), {}),
-    "motion.shear: 0 m; allowed": (press_shear_return, (1e-3, 0), {}),
+    "motion.shear: '1' m; allowed": (press, ([1e-3],), {"shear": "1"}),
+    "motion.tip: sheared at an angle of None rad": (
+        press,
+        ([1e-3],),
+        {"shear": 1e-3, "angle": None},
+    ),
+    "motion.hold: '1' s; allowed": (press, ([1e-3],), {"hold": "1"}),
     "motion.tip: 3; allowed: a sequence": (Motion, (3, (0.0,)), {}),
     "motion.tip[0]: 1.0; allowed: a sequence of 3": (Motion, ((1.0,), (0.0,)), {}),
     "motion.tip[0]: (0, 0, '1'); allowed: 3 finite": (Motion, (((0, 0, "1"),), (0.0,)), {}),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import NAMES, Indenter, flat_punch, named, rounded_cone, sphere, tube
-from sim.scene import Body, Scene, press, press_shear_return, ramp_hold
+from sim.scene import Body, Scene, press
 
 MM = 1e-3
 # Depths of the plain presses [m].
@@ -71,7 +71,7 @@ CASES: tuple[Case, ...] = (
         (
             Scene(
                 _BALL,
-                press_shear_return(1.0 * MM, 1.0 * MM, steps=2),
+                press([1.0 * MM], shear=1.0 * MM, steps=2),
                 effects=_RUB,
             ),
         ),
@@ -82,7 +82,7 @@ CASES: tuple[Case, ...] = (
         (
             Scene(
                 _BALL,
-                ramp_hold(1.0 * MM, ramp=0.1, hold=1.0, steps=4),
+                press([1.0 * MM], hold=1.0, steps=4, speed=1.0 * MM / 0.1),
                 effects=Effects(viscosity=Viscosity((0.5,), (0.2,))),
             ),
         ),

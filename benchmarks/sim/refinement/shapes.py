@@ -11,7 +11,7 @@ from sim.errors import SimulationDiverged
 from sim.fem.numerics import Fem
 from sim.indenters import NAMES, Indenter, named
 from sim.result import Result
-from sim.scene import Scene, press_shear_return
+from sim.scene import Scene, press
 from sim.simulate import simulate_many
 
 DEPTH, SHEAR, FRICTION = 1.5e-3, 1.0e-3, 0.5
@@ -56,7 +56,7 @@ def shape_rows(
     scenes = [
         Scene(
             rounded(name),
-            press_shear_return(DEPTH, SHEAR, steps=STEPS),
+            press([DEPTH], shear=SHEAR, steps=STEPS),
             effects=Effects(friction=Friction(FRICTION)),
         )
         for name in names

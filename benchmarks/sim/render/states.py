@@ -11,7 +11,7 @@ from sim.effects import Effects, Friction
 from sim.fem.numerics import Fem
 from sim.indenters import named, sphere
 from sim.result import Result
-from sim.scene import Body, Scene, press, press_shear_return
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def solved(*, spacing: float | None = None, device: str = "cpu") -> list[RenderS
         "prism, 1 mm deep at (4, -4) mm": Scene(named("prism"), press([1e-3], at=(4e-3, -4e-3))),
         "cylinder, 0.8 mm deep, sheared 0.8 mm": Scene(
             named("cylinder"),
-            press_shear_return(0.8e-3, 0.8e-3, angle=0.6, steps=2),
+            press([0.8e-3], shear=0.8e-3, angle=0.6, steps=2),
             effects=Effects(friction=Friction(0.8)),
         ),
     }

@@ -21,7 +21,7 @@ from sim.errors import SimulationDiverged
 from sim.fem.numerics import FOR_EDGES, Fem
 from sim.indenters import Indenter, named
 from sim.layer import Layer
-from sim.scene import Motion, press_shear_return
+from sim.scene import Motion, press
 from sim.sensors import HETEROGENEOUS, SimulatedSensor, sensor
 from sim.simulate import simulate
 from sim.stream.stream import GRID, LivePress
@@ -80,7 +80,7 @@ def way(each: SimulatedSensor) -> Motion:
     plan = each.trajectory
     depth = each.depth_max if plan is None else plan.depth_max
     shear = 0.0 if plan is None else plan.shear
-    return press_shear_return(depth, shear, angle=ANGLE, steps=STEPS, speed=each.speed)
+    return press([depth], shear=shear, angle=ANGLE, steps=STEPS, speed=each.speed)
 
 
 def live_forces(each: SimulatedSensor, indenter: Indenter, motion: Motion, grid: int) -> Array:

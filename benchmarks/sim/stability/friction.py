@@ -27,9 +27,9 @@ from benchmarks.sim.stability.laws import (
 )
 from sim.effects import Effects, Friction
 from sim.result import Result
-from sim.scene import Motion, Scene, press, press_shear_return, through
+from sim.scene import Motion, Scene, press, through
 
-LOOP = press_shear_return(1 * MM, 1 * MM, steps=5)
+LOOP = press([1 * MM], shear=1 * MM, steps=5)
 # Frames of `LOOP` at the end of the shear and of its return.
 ASIDE, BACK = 10, 15
 # Work is summed by the trapezoid rule over about 50 steps of a loop: an error of at most 1 %.
@@ -110,7 +110,7 @@ def lifted_while_it_slips(solver: Solver) -> list[Law]:
 
 def friction_rises_with_its_coefficient(solver: Solver) -> list[Law]:
     """More friction gives more shear force and more push for the same path: mu 0, 0.1, 0.3, 1."""
-    motion = press_shear_return(0.6 * MM, 0.4 * MM, steps=3)
+    motion = press([0.6 * MM], shear=0.4 * MM, steps=3)
     scenes = [_rubbed(coefficient, motion) for coefficient in (0.0, 0.1, 0.3, 1.0)]
     results = solver.many(scenes)
     return [
@@ -123,8 +123,7 @@ def friction_rises_with_its_coefficient(solver: Solver) -> list[Law]:
 def shear_in_few_or_many_frames(solver: Solver) -> list[Law]:
     """The same shear in 2 or in 10 frames: friction depends on the path, not on the frames."""
     few, many = (
-        solver.one(_rubbed(0.3, press_shear_return(1 * MM, 1 * MM, steps=steps)))
-        for steps in (2, 10)
+        solver.one(_rubbed(0.3, press([1 * MM], shear=1 * MM, steps=steps))) for steps in (2, 10)
     )
     # Steps are at most a fortieth of the thickness, independently of frames: paths differ in the
     # positions of the steps, and slip per step is first-order accurate (1/10 of the shear a step).
@@ -181,8 +180,7 @@ def light_press_long_slide(solver: Solver) -> list[Law]:
 def shear_mirrors(solver: Solver) -> list[Law]:
     """Shear to -x is the mirror image of shear to +x."""
     right, left = (
-        solver.one(_rubbed(0.5, press_shear_return(0.6 * MM, way * MM, steps=3)))
-        for way in (0.4, -0.4)
+        solver.one(_rubbed(0.5, press([0.6 * MM], shear=way * MM, steps=3))) for way in (0.4, -0.4)
     )
     turned = left.force * np.array([-1, 1, 1])
     # Each state is accepted with a residual of 1e-4, and accumulated slip is remembered.
@@ -196,7 +194,7 @@ def shear_mirrors(solver: Solver) -> list[Law]:
 def shear_along_y(solver: Solver) -> list[Law]:
     """Shear along y is shear along x with x and y exchanged."""
     along_x, along_y = (
-        solver.one(_rubbed(0.5, press_shear_return(0.6 * MM, 0.4 * MM, angle=angle, steps=3)))
+        solver.one(_rubbed(0.5, press([0.6 * MM], shear=0.4 * MM, angle=angle, steps=3)))
         for angle in (0.0, math.pi / 2)
     )
     return [
@@ -209,7 +207,7 @@ def shear_along_y(solver: Solver) -> list[Law]:
 def shear_along_the_diagonal(solver: Solver) -> list[Law]:
     """Shear at 45 degrees gives the rotated force of shear along x."""
     straight, turned = (
-        solver.one(_rubbed(0.5, press_shear_return(0.8 * MM, 0.5 * MM, angle=angle, steps=3)))
+        solver.one(_rubbed(0.5, press([0.8 * MM], shear=0.5 * MM, angle=angle, steps=3)))
         for angle in (0.0, math.pi / 4)
     )
     cosine = math.sqrt(0.5)

@@ -26,7 +26,7 @@ from benchmarks.sim.stability.laws import (
     validity_laws,
 )
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
-from sim.scene import Body, Motion, Scene, press, press_shear_return, ramp_hold
+from sim.scene import Body, Motion, Scene, press
 
 # Stiffness of the only branch over the equilibrium stiffness, and its relaxation time [s].
 RATIO, TIME = 0.5, 0.2
@@ -42,7 +42,7 @@ def _cycle(speed: float) -> Motion:
 
 def ramp_and_hold_relaxes(solver: Solver) -> list[Law]:
     """After a fast ramp the force decreases ever more slowly to the elastic force, never below."""
-    hold = ramp_hold(DEPTH, ramp=0.01, hold=10 * TIME, steps=20)
+    hold = press([DEPTH], hold=10 * TIME, steps=20, speed=DEPTH / 0.01)
     viscous = solver.one(Scene(SPHERE, hold, PAD, VISCOUS))
     elastic = solver.one(Scene(SPHERE, press([DEPTH]), PAD))
     force, rest = push(viscous)[20:], push(elastic)[-1]
@@ -215,7 +215,7 @@ def all_effects_at_once(solver: Solver) -> list[Law]:
         inertia=Inertia(),
         gravity=Gravity(),
     )
-    motion = press_shear_return(0.8 * MM, 0.5 * MM, steps=3)
+    motion = press([0.8 * MM], shear=0.5 * MM, steps=3)
     batched = solver.one(Scene(SPHERE, motion, PAD, effects))
     rubbed = solver.one(Scene(SPHERE, motion, PAD, Effects(friction=Friction(0.5))))
     return [

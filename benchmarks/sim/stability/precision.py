@@ -25,7 +25,7 @@ from sim.effects import Effects, Friction
 from sim.indenters import Indenter, shapes
 from sim.layer import Layer
 from sim.result import Result
-from sim.scene import Body, Scene, press, press_shear_return
+from sim.scene import Body, Scene, press
 from sim.simulate import simulate
 
 # Tolerance of 1e-7, summed over the nodes.
@@ -158,7 +158,7 @@ def batch_against_alone(solver: Solver) -> list[Law]:
 
 def batch_with_friction(solver: Solver) -> list[Law]:
     """The same with friction, where the memory of contact points must not mix between presses."""
-    motion = press_shear_return(0.6 * MM, 0.3 * MM, steps=2)
+    motion = press([0.6 * MM], shear=0.3 * MM, steps=2)
     scenes = [
         Scene(SPHERE, motion, PAD, Effects(friction=Friction(coefficient)))
         for coefficient in (0.2, 0.9)

@@ -22,7 +22,7 @@ from benchmarks.sim.stability.laws import (
 )
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named
-from sim.scene import Body, Motion, Scene, press, ramp_hold, through
+from sim.scene import Body, Motion, Scene, press, through
 
 # Maximum step of the tip [m] that never limits.
 UNLIMITED = 1.0
@@ -195,7 +195,7 @@ def arrives_from_the_side(solver: Solver) -> list[Law]:
 
 def phases_without_travel(solver: Solver) -> list[Law]:
     """Held for five frames, elastic skin does not creep: the force is constant."""
-    result = solver.one(Scene(SPHERE, ramp_hold(1 * MM, ramp=0.1, hold=1.0, steps=5), GEL))
+    result = solver.one(Scene(SPHERE, press([1 * MM], hold=1.0, steps=5, speed=1 * MM / 0.1), GEL))
     held = result.force[5:]
     return [
         *validity_laws(result, det_f=0.5),
