@@ -23,8 +23,6 @@ from sim.markers.kernels import (
     see_triangles,
     see_vertices,
     seen_places,
-    vertices_from_lattice,
-    without_gaps,
 )
 from sim.markers.textures import STEP, Markers, Textures, textures_of
 from sim.markers.top import TAPS, Taps, cubic_taps, top_of
@@ -142,7 +140,10 @@ class Renderer:
         """
         taps = _taps(x, y, self._top.x, self._top.y)
         moved = self._checked(x, y, surface)
-        return self._view(see_vertices(self._lens, self._device_top, *taps, moved))
+        vertex = see_vertices(self._lens, self._device_top, *taps, moved)
+        number = see_triangles(vertex, self.samples)
+        material = find_material(self._top, vertex, number, self.samples)
+        return View(material, self.samples, self.body)
 
     def displacement(
         self,
@@ -170,35 +171,9 @@ class Renderer:
         field[:, on_gel] = displacements(self._lens, places, *taps, moved).numpy()
         return field
 
-    def see_displacement(self, field: NDArray[np.floating], lattice: Lattice | None = None) -> View:
-        """Return the view for a field from `displacement` (F, rows, columns, 2) [px].
-
-        Where the gel folds over, the field does not determine which part is nearer.
-
-        Raises:
-            SceneError: The field has another shape, or is not finite somewhere on the gel.
-        """
-        lattice = Lattice() if lattice is None else lattice
-        if field.ndim != 4 or field.shape[1:] != lattice.shape:
-            allowed = "(frames, " + ", ".join(map(str, lattice.shape)) + ")"
-            raise SceneError(f"displacement: shape {field.shape}; allowed: {allowed}")
-        _, on_gel = seen_places(lattice, self.camera, self.body)
-        if not np.isfinite(field[:, on_gel]).all():
-            raise SceneError(
-                "displacement: not finite at places that see the gel; allowed: a field of this "
-                "body and camera"
-            )
-        filled = wp.array(without_gaps(field, on_gel), dtype=wp.vec2, device=self.device)
-        return self._view(vertices_from_lattice(self._lens, self._device_top, lattice, filled))
-
     @property
     def _size(self) -> tuple[float, float]:
         return self.body.size_x, self.body.size_y
-
-    def _view(self, vertex: wp.array) -> View:
-        number = see_triangles(vertex, self.samples)
-        material = find_material(self._top, vertex, number, self.samples)
-        return View(material, self.samples, self.body)
 
     def _checked(self, x: Array, y: Array, surface: Surface) -> wp.array:
         """Check a displacement and copy it to the device."""

@@ -16,7 +16,6 @@ from benchmarks.sim.render.compare import iou, mismatch
 from benchmarks.sim.render.raycast import cast_rays, marked
 from benchmarks.sim.render.states import RenderState, dent, fold, solved
 from recorder.command_line.options import add_device
-from recorder.markers import Lattice
 from sim.device import ready_device
 from sim.markers import Camera, named
 from sim.markers.renderer import SPACING, Renderer, View
@@ -26,8 +25,6 @@ Masks = NDArray[np.bool_]
 PATTERNS = ("Array1", "Circle1", "Diamond1", "Array3")
 SAMPLES = (1, 3, 5)
 SPACINGS = (0.2e-3, 0.05e-3)
-# Lattice spacings besides the default one [px].
-STEPS = (5, 20)
 # Rays along each side of a pixel.
 RAY_SAMPLES = 5
 
@@ -55,7 +52,6 @@ def lines(states: Sequence[RenderState], *, ray_samples: int, device: str) -> It
     camera = Camera.paper()
     patterns = [named(name) for name in PATTERNS]
     for state in states:
-        frame = state.surface[None]
         rays = cast_rays(
             state.body, camera, state.x, state.y, state.surface.astype(float), samples=ray_samples
         )
@@ -82,16 +78,6 @@ def lines(states: Sequence[RenderState], *, ray_samples: int, device: str) -> It
         for spacing in SPACINGS:
             drawn = masks(*view(spacing=spacing))
             yield _line(state, f"points every {spacing * 1e3:g} mm, {told}", drawn, truth)
-        for step in (Lattice().step_px, *STEPS):
-            lattice = Lattice(step_px=step)
-            field = renderer.displacement(state.x, state.y, frame, lattice)
-            exact = renderer.displacement(state.x, state.y, frame, lattice, dtype=np.float32)
-            back = masks(renderer, renderer.see_displacement(field, lattice))
-            yield _line(state, f"from displacement every {step} px, direct", back, direct)
-            rounded = masks(renderer, renderer.see_displacement(exact, lattice))
-            yield _line(state, f"float16 and float32 every {step} px", back, rounded)
-            if step == Lattice().step_px:
-                yield _line(state, f"from displacement every {step} px, {told}", back, truth)
 
 
 def _line(state: RenderState, what: str, one: Masks, other: Masks) -> Line:

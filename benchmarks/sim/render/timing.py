@@ -67,8 +67,6 @@ def measure(
     _, to_host = timed(packed.numpy)
     _, to_grey = timed(lambda: coverages(material, samples, textures))
     _, to_field = timed(lambda: renderer.displacement(x, y, surface))
-    field = renderer.displacement(x, y, surface)
-    _, back = timed(lambda: renderer.see_displacement(field))
     _, whole = timed(lambda: renderer.see(x, y, surface).packed(textures))
     _, textured = timed(lambda: textures_of(patterns, body, device=device))
     return [
@@ -79,7 +77,6 @@ def measure(
         ("packed masks to the host", to_host, images),
         ("grey images", to_grey, images),
         ("displacement on the lattice", to_field, frames),
-        ("material map from displacement", back, frames),
         ("surface to packed masks, all", whole, images),
         ("distance textures, once", textured, len(patterns)),
     ]
