@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.sim.accuracy.errors import worst_errors
 from benchmarks.sim.stability.chance.dice import Dice
 from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
@@ -27,7 +28,7 @@ from sim.fem.mesh import meshes_of
 from sim.fem.newton import path_of
 from sim.fem.numerics import Fem
 from sim.fem.sizing import stages_of
-from sim.metrics import Kind, outcome_of, tolerance_of, with_unit, worst_errors
+from sim.metrics import Kind, outcome_of, tolerance_of, with_unit
 from sim.needed import FINENESS, EffectsPlan, plan_many
 from sim.result import Outcome, Result
 from sim.scene import Scene

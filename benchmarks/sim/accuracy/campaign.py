@@ -16,13 +16,14 @@ import numpy as np
 from benchmarks.sim.accuracy.cases import CASES, FINENESS, Case, chosen
 from benchmarks.sim.accuracy.closed_form import closed_form
 from benchmarks.sim.accuracy.competitors import Competitor, by_name, competitors
+from benchmarks.sim.accuracy.errors import compare
 from benchmarks.sim.accuracy.reference import Reference, references
 from benchmarks.sim.accuracy.row import MEASURES, Row, append, begin, read
 from benchmarks.sim.launches import in_launches
 from benchmarks.sim.spent import spent_by
 from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
-from sim.metrics import WEAK, compare, outcome_of
+from sim.metrics import WEAK, outcome_of
 from sim.result import Result
 from sim.scene import Scene, press
 

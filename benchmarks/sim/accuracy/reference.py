@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.sim.accuracy.errors import compare, frames, load, save
 from benchmarks.sim.launches import in_launches
 from sim.errors import SimulationDiverged
-from sim.metrics import Outcome, compare, load, outcome_of, save
+from sim.metrics import Outcome, outcome_of
 from sim.result import Result
 from sim.scene import Motion, Scene
 from sim.simulate import simulate_many
@@ -80,7 +81,7 @@ def solve_references(
         if isinstance(one, SimulationDiverged):
             kept.append(one)
         else:
-            kept.append(outcome_of(one).frames(list(range(0, parts * len(scene.motion), parts))))
+            kept.append(frames(outcome_of(one), list(range(0, parts * len(scene.motion), parts))))
     return kept
 
 
