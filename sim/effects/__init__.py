@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.effects.declaration import Memory, Snippet
 from sim.effects.friction import Friction
 from sim.effects.gravity import Gravity
 from sim.effects.inertia import Inertia
 from sim.effects.viscosity import Viscosity
 from sim.errors import check_kind
 
-__all__ = ["Effects", "Friction", "Gravity", "Inertia", "Memory", "Snippet", "Viscosity"]
+__all__ = ["Effects", "Friction", "Gravity", "Inertia", "Viscosity"]
 
 
 KINDS = {"friction": Friction, "viscosity": Viscosity, "inertia": Inertia, "gravity": Gravity}

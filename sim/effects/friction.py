@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
-from sim.effects.declaration import Memory, Snippet
 from sim.errors import check_range
 
 
@@ -16,19 +14,6 @@ class Friction:
     Raises:
         SceneError: The coefficient is not within 0 to 10.
     """
-
-    STATE: ClassVar[tuple[Memory, ...]] = (
-        Memory("traction", "contact point", 3),
-        Memory("traction_old", "contact point", 3),
-        Memory("limit", "contact point", 1),
-        Memory("_limit_relaxed", "contact point", 1),
-    )
-    KERNELS: ClassVar[tuple[Snippet, ...]] = (
-        Snippet("sim.fem.contact", "contact_kernels", "friction"),
-        Snippet("sim.fem.vectors", "work_kernel", "friction"),
-        Snippet("sim.fem.reading", "reading_kernels", "friction"),
-    )
-    LIMIT: ClassVar[str] = "coefficient -> 0: frictionless contact"
 
     coefficient: float
     """Ratio of shear traction to pressure at which a point slips, 0 to 10."""

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
-from sim.effects.declaration import Memory, Snippet
 from sim.errors import SceneError, check_range
 
 
@@ -16,13 +14,6 @@ class Gravity:
     Raises:
         SceneError: A component is not within +-1000 m/s^2.
     """
-
-    STATE: ClassVar[tuple[Memory, ...]] = (Memory("weight", "environment", 3),)
-    KERNELS: ClassVar[tuple[Snippet, ...]] = (
-        Snippet("sim.fem.vectors", "residual_kernel", "gravity"),
-        Snippet("sim.fem.reading", "reading_kernels", "gravity"),
-    )
-    LIMIT: ClassVar[str] = "acceleration -> 0: a weightless body"
 
     acceleration: tuple[float, float, float] = (0.0, 0.0, -9.81)
     """Acceleration in the contact frame [m/s^2]; +9.81 in z for a sensor that faces down."""

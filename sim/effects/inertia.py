@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
-from sim.effects.declaration import Memory, Snippet
 from sim.errors import check_range
 
 
@@ -16,16 +14,6 @@ class Inertia:
     Raises:
         SceneError: A value is out of range.
     """
-
-    STATE: ClassVar[tuple[Memory, ...]] = (
-        Memory("predicted", "node", 3),
-        Memory("inertia_rate", "environment", 1),
-    )
-    KERNELS: ClassVar[tuple[Snippet, ...]] = (
-        Snippet("sim.fem.vectors", "residual_kernel", "inertia"),
-        Snippet("sim.fem.reading", "reading_kernels", "inertia"),
-    )
-    LIMIT: ClassVar[str] = "scale -> 0: a massless body"
 
     scale: float = 1.0
     """Factor on `Body.density`, 0 to 1e6: 1 is the real mass, larger is mass scaling."""

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Literal
 
-from sim.effects.declaration import Memory, Snippet
 from sim.errors import SceneError, check_kind, check_range
 
 
@@ -19,22 +18,6 @@ class Viscosity:
     Raises:
         SceneError: There is no branch or more than 4, or a value is out of range.
     """
-
-    STATE: ClassVar[tuple[Memory, ...]] = (
-        Memory("_branches.history", "Gauss point", 9),
-        Memory("_branches.bulk_history", "element", 1),
-        Memory("_branches._rest", "Gauss point", 9),
-        Memory("_branches._bulk_rest", "element", 1),
-        Memory("_branches._branch", "branch and Gauss point", 9),
-        Memory("_branches._bulk_branch", "branch and element", 1),
-    )
-    KERNELS: ClassVar[tuple[Snippet, ...]] = (
-        Snippet("sim.fem.element", "element_kernels", "viscous"),
-        Snippet("sim.fem.element", "element_rows_kernel", "viscous", "sim.fem.matrix"),
-        Snippet("sim.fem.lanes", "forces_kernel", "viscous"),
-        Snippet("sim.fem.lanes", "blocks_kernel", "viscous", "sim.fem.matrix"),
-    )
-    LIMIT: ClassVar[str] = "ratios -> 0: an elastic body"
 
     ratios: tuple[float, ...]
     """Ratio of each branch's stiffness to the stiffness at rest, 0 to 100."""

@@ -16,11 +16,12 @@ import pytest
 import warp as wp
 
 from benchmarks.sim.effects import measure
+from benchmarks.sim.effects.declaration import EFFECTS
 from benchmarks.sim.effects.kernels import launches
 from benchmarks.sim.effects.machine_code import machine_code
 from benchmarks.sim.effects.memory import declared, stored
 from benchmarks.sim.effects.page import render
-from benchmarks.sim.effects.without import EFFECTS, built_without, cut, cut_factory
+from benchmarks.sim.effects.without import built_without, cut, cut_factory
 from sim import (
     Body,
     Effects,
@@ -74,7 +75,7 @@ def _kernels(factory: Callable[..., Any], flags: dict[str, bool]) -> list[Any]:
 
 def _flags(factory: Callable[..., Any]) -> dict[str, bool]:
     """Return the effect flags of a factory, all off."""
-    names = {snippet.flag for effect in EFFECTS.values() for snippet in effect.KERNELS}
+    names = {snippet.flag for effect in EFFECTS.values() for snippet in effect.kernels}
     code = getattr(factory, "__wrapped__", factory).__code__
     return {name: False for name in code.co_varnames[: code.co_argcount] if name in names}
 
@@ -88,10 +89,10 @@ def test_every_effect_is_declared_under_its_own_name() -> None:
     assert tuple(EFFECTS) == Effects.__slots__
     assert Effects(**ALL).key == tuple(EFFECTS)
     for name, effect in EFFECTS.items():
-        assert effect.STATE
-        assert effect.KERNELS
-        assert effect.LIMIT
-        assert isinstance(ALL[name], effect)
+        assert effect.state
+        assert effect.kernels
+        assert effect.limit
+        assert isinstance(ALL[name], effect.kind)
 
 
 # Compiling takes seconds a kernel; the effect with the fewest stands for the others.
@@ -105,7 +106,7 @@ def test_an_effect_that_is_off_compiles_to_the_machine_code_of_a_source_without_
     name: str,
 ) -> None:
     """Compiling with the effect on must differ, to show that the comparison is sensitive."""
-    for snippet in EFFECTS[name].KERNELS:
+    for snippet in EFFECTS[name].kernels:
         factory = getattr(importlib.import_module(snippet.module), snippet.factory)
         off = _flags(factory)
         plain = [machine_code(kernel) for kernel in _kernels(factory, off)]
@@ -152,17 +153,17 @@ def test_the_state_of_an_effect_is_as_large_as_declared_and_of_length_zero_when_
     name: str,
 ) -> None:
     off, on = _assembly(Effects()), _assembly(Effects(**{name: ALL[name]}))
-    for memory in EFFECTS[name].STATE:
+    for memory in EFFECTS[name].state:
         assert stored(off.state, memory) == 0, memory.name
         assert stored(on.state, memory) == declared(on, memory, branches=2) > 0, memory.name
     for other in EFFECTS:
         if other != name:
-            assert all(stored(on.state, memory) == 0 for memory in EFFECTS[other].STATE)
+            assert all(stored(on.state, memory) == 0 for memory in EFFECTS[other].state)
 
 
 def test_kernels_are_made_once_for_a_combination() -> None:
     for effect in EFFECTS.values():
-        for snippet in effect.KERNELS:
+        for snippet in effect.kernels:
             factory = getattr(importlib.import_module(snippet.module), snippet.factory)
             flags = {**_flags(factory), snippet.flag: True}
             one, two = _kernels(factory, flags), _kernels(factory, flags)
@@ -223,7 +224,7 @@ def test_the_cost_of_an_effect_is_measured_and_told(monkeypatch: pytest.MonkeyPa
     assert found.numbers_on == 3
     assert found.limits[1] == pytest.approx(found.limits[0] / 2, rel=0.05)
     page = render([found], [measure.Combination(("gravity",), 18, 1, 5.0)], repeats=1)
-    kernels = ", ".join(f"`{one.module}.{one.factory}`" for one in ALL["gravity"].KERNELS)
+    kernels = ", ".join(f"`{one.module}.{one.factory}`" for one in EFFECTS["gravity"].kernels)
     assert f"| gravity | {kernels} | yes | yes | 0 |" in page
     assert "| gravity | 18 | 1 | 5.0 |" in page
     assert "**no**" in render([replace(found, same_code=False)], [], repeats=1)
@@ -240,7 +241,7 @@ def test_launches_name_the_kernels_of_a_run_and_end_with_their_block() -> None:
             simulate(_scene(effects), COARSE)
         sets.append(found)
     assert wp.launch is launch
-    kernels = len(ALL["gravity"].KERNELS)
+    kernels = len(EFFECTS["gravity"].kernels)
     assert len(sets[1] - sets[0]) == len(sets[0] - sets[1]) == kernels
     assert set(compiled) == sets[0] | sets[1]
 

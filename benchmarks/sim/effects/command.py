@@ -50,9 +50,9 @@ def _run(options: argparse.Namespace, cache: str) -> int:
     # A separate empty cache, because kernels in the usual cache would not be compiled.
     wp.config.kernel_cache_dir = cache
     ready_device("cpu")
+    from benchmarks.sim.effects.declaration import EFFECTS
     from benchmarks.sim.effects.measure import combinations, cost
     from benchmarks.sim.effects.page import render
-    from benchmarks.sim.effects.without import EFFECTS
 
     sets = []
     for one in combinations():

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from benchmarks.sim.effects.declaration import EFFECTS, Memory, Snippet
 from benchmarks.sim.effects.kernels import launches
 from benchmarks.sim.effects.machine_code import machine_code
 from benchmarks.sim.effects.memory import declared, stored
 from benchmarks.sim.effects.scenes import BODY, EXACT, NUMERICS, TRIALS, scene
-from benchmarks.sim.effects.without import EFFECTS, built_without, cut_factory
-from sim.effects.declaration import Memory, Snippet
+from benchmarks.sim.effects.without import built_without, cut_factory
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
 from sim.result import Result
@@ -89,10 +89,10 @@ def cost(name: str, repeats: int) -> Cost:
     off_ratio = _ratio(scene(), scene(), repeats, lambda: built_without(name))
     on_ratio = _ratio(scene(name), scene(), repeats, nullcontext)
     off, on = _assembly(), _assembly(name)
-    state = EFFECTS[name].STATE
+    state = EFFECTS[name].state
     return Cost(
         name=name,
-        same_code=all(_same_code(snippet) for snippet in EFFECTS[name].KERNELS),
+        same_code=all(_same_code(snippet) for snippet in EFFECTS[name].kernels),
         same_results=_same(here, never),
         off_ratio=off_ratio,
         on_ratio=on_ratio,
@@ -138,7 +138,7 @@ def _same_code(snippet: Snippet) -> bool:
     flags = {
         one.flag: False
         for effect in EFFECTS.values()
-        for one in effect.KERNELS
+        for one in effect.kernels
         if (one.module, one.factory) == (snippet.module, snippet.factory)
     }
     made = [one(wp.float64, **flags) for one in (factory, cut_factory(snippet))]

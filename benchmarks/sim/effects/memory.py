@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.effects.declaration import Memory
+from benchmarks.sim.effects.declaration import Memory
 
 
 def stored(state: Any, memory: Memory) -> int:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import warp as wp
 
+from benchmarks.sim.effects.declaration import EFFECTS
 from benchmarks.sim.effects.measure import PARTS, Combination, Cost
 from benchmarks.sim.effects.scenes import TRIALS
-from benchmarks.sim.effects.without import EFFECTS
 from recorder import pages
 
 

@@ -9,17 +9,8 @@ from contextlib import ExitStack, contextmanager
 from functools import cache
 from typing import Any
 
+from benchmarks.sim.effects.declaration import EFFECTS, Snippet
 from benchmarks.sim.substitute import in_place_of, rebuilt
-from sim.effects import Friction, Gravity, Inertia, Viscosity
-from sim.effects.declaration import Snippet
-
-# Effects by their names in `Effects`.
-EFFECTS: dict[str, type[Friction] | type[Gravity] | type[Inertia] | type[Viscosity]] = {
-    "friction": Friction,
-    "viscosity": Viscosity,
-    "inertia": Inertia,
-    "gravity": Gravity,
-}
 
 
 def cut(source: str, flag: str) -> str:
@@ -61,7 +52,7 @@ def cut_factory(snippet: Snippet) -> Callable[..., Any]:
 def built_without(effect: str) -> Iterator[None]:
     """Solve every batch inside the context with kernels that were built without `effect`."""
     with ExitStack() as open_:
-        for snippet in EFFECTS[effect].KERNELS:
+        for snippet in EFFECTS[effect].kernels:
             user = importlib.import_module(snippet.user)
             open_.enter_context(in_place_of(user, snippet.factory, cut_factory(snippet)))
         yield
