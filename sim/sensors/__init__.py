@@ -11,7 +11,7 @@ deformation. Assumptions and sources are in docs/reference/sensors.md.
 from sim.sensors.field import EVEN_STEP, SurfaceField, cubic_weights
 from sim.sensors.optics import Lamp, Pins, Shading
 from sim.sensors.posterior import Posterior
-from sim.sensors.readout import CameraReadout, Readout, TaxelReadout, readout
+from sim.sensors.readout import CameraReadout, TaxelReadout, readout
 from sim.sensors.sensor import (
     HETEROGENEOUS,
     HOMOGENEOUS,
@@ -52,7 +52,6 @@ __all__ = [
     "Pins",
     "Placement",
     "Posterior",
-    "Readout",
     "Segmentation",
     "Segmenter",
     "Shading",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +20,6 @@ Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
 # Least coverage at which a pixel counts as marker, of 255.
 COVERED = 128
-
-
-class Readout(Protocol):
-    """Protocol of readouts, which render marker images of a sensor's deformation."""
-
-    patterns: tuple[str, ...]
-    """Names of the patterns (P) that it renders."""
-
-    def masks(self, top: SurfaceField, first: int = 0) -> Masks:
-        """Return marker images (F, P, 480, 640); `first` is the number of the first frame."""
 
 
 def readout(
