@@ -1,9 +1,8 @@
-"""Rendering of marker images from deformed surfaces or from stored displacement fields."""
+"""Rendering of marker images from deformed surfaces."""
 
 from __future__ import annotations
 
 from sim.markers.camera import DISTANCE, FILM, FOCAL, HEIGHT, LENS, WIDTH, Camera
-from sim.markers.image import ImagePattern
 from sim.markers.pattern import (
     HOMOGENEOUS,
     NAMES,
@@ -21,7 +20,6 @@ from sim.markers.textures import (
     BAND,
     STEP,
     DistanceTexture,
-    Markers,
     Textures,
     distance_texture,
     textures_of,
@@ -43,8 +41,6 @@ __all__ = [
     "WIDTH",
     "Camera",
     "DistanceTexture",
-    "ImagePattern",
-    "Markers",
     "Pattern",
     "Renderer",
     "Textures",

@@ -24,7 +24,8 @@ from sim.markers.kernels import (
     see_vertices,
     seen_places,
 )
-from sim.markers.textures import STEP, Markers, Textures, textures_of
+from sim.markers.pattern import Pattern
+from sim.markers.textures import STEP, Textures, textures_of
 from sim.markers.top import TAPS, Taps, cubic_taps, top_of
 from sim.scene import Body
 
@@ -117,9 +118,9 @@ class Renderer:
         self._device_top = DeviceTop.of(self._top, device)
         self._lens = lens_of(self.camera)
 
-    def textures(self, markers: Sequence[Markers], *, step: float = STEP) -> Textures:
+    def textures(self, patterns: Sequence[Pattern], *, step: float = STEP) -> Textures:
         """Return textures of patterns for `View.masks`; each must fit on the gel."""
-        return textures_of(markers, self.body, step=step, device=self.device)
+        return textures_of(patterns, self.body, step=step, device=self.device)
 
     def undeformed(self) -> View:
         """Return the view of the undeformed gel: one frame, the reference of every pattern."""

@@ -7,13 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from sim.errors import SceneError, check_range
+from sim.markers.pattern import Pattern
 from sim.scene import Body
 
 Array = NDArray[np.float64]
@@ -22,20 +22,6 @@ Array = NDArray[np.float64]
 STEP = 20e-6
 # Range of the distance around a marker [m]; several pixels of every camera in use.
 BAND = 0.25e-3
-
-
-class Markers(Protocol):
-    """Protocol of patterns that can be drawn on a gel."""
-
-    @property
-    def name(self) -> str:
-        """Name of the pattern."""
-
-    def distance(self, x: Array, y: Array, band: float) -> Array:
-        """Return the signed distance (Y, X) [m] at ascending x, y, negative inside a marker."""
-
-    def check_within(self, body: Body) -> None:
-        """Raise `SceneError` if the markers do not fit on a gel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,20 +37,20 @@ class DistanceTexture:
     """Distance between neighbours [m]."""
 
 
-def distance_texture(markers: Markers, body: Body, *, step: float = STEP) -> DistanceTexture:
+def distance_texture(pattern: Pattern, body: Body, *, step: float = STEP) -> DistanceTexture:
     """Return the texture of a pattern over the whole top of a gel.
 
     Raises:
         SceneError: A marker lies beyond the gel's border, or the step is out of range.
     """
     check_range("texture", "step", step, 1e-6, 1e-3, unit="m")
-    markers.check_within(body)
+    pattern.check_within(body)
     x, y = (_samples(size, step) for size in (body.size_x, body.size_y))
-    values = markers.distance(x, y, max(BAND, 2 * step))
+    values = pattern.distance(x, y, max(BAND, 2 * step))
     if body.footprint != "rectangle":
         values = np.maximum(values, -body.from_side(x, y[:, None]))  # clipped at the gel's border
     values = values.astype(np.float32)
-    return DistanceTexture(markers.name, values, (float(x[0]), float(y[0])), step)
+    return DistanceTexture(pattern.name, values, (float(x[0]), float(y[0])), step)
 
 
 def _samples(size: float, step: float) -> Array:
@@ -109,11 +95,11 @@ class Textures:
 
 
 def textures_of(
-    markers: Sequence[Markers], body: Body, *, step: float = STEP, device: str = "cpu"
+    patterns: Sequence[Pattern], body: Body, *, step: float = STEP, device: str = "cpu"
 ) -> Textures:
     """Return the textures of patterns on a gel.
 
     Raises:
         SceneError: There is no pattern, or one does not fit on the gel.
     """
-    return Textures([distance_texture(each, body, step=step) for each in markers], device)
+    return Textures([distance_texture(each, body, step=step) for each in patterns], device)

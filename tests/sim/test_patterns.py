@@ -18,7 +18,6 @@ from sim.markers import (
     HOMOGENEOUS,
     NAMES,
     SIMULATED,
-    ImagePattern,
     Pattern,
     distance_texture,
     hexagon,
@@ -26,7 +25,6 @@ from sim.markers import (
     rings,
     staggered,
 )
-from sim.markers.image import contour, distance_to
 from sim.scene import Body
 
 COUNTS = {
@@ -181,117 +179,6 @@ def test_what_is_no_pattern_is_refused(change: dict, message: str) -> None:
 def test_an_unknown_name_is_answered_with_those_there_are() -> None:
     with pytest.raises(SceneError, match=r"'Array5'; allowed: Array1, Array2.*TacPalm"):
         named("Array5")
-
-
-def test_the_contour_of_a_ramp_is_a_line_at_its_threshold() -> None:
-    level = np.arange(6.0)[None, :].repeat(4, axis=0) - 2.3
-    ends = contour(level).reshape(-1, 2)
-    assert ends[:, 0] == pytest.approx(np.full(6, 2.3))
-    assert sorted(ends[:, 1].tolist()) == [0, 1, 1, 2, 2, 3]
-
-
-@pytest.mark.parametrize(("middle", "joined"), [(-0.5, True), (0.5, False)])
-def test_a_saddle_is_joined_or_split_by_its_mean(middle: float, joined: bool) -> None:
-    level = np.array([[-1.0, 1.0], [1.0, -1.0]]) + middle
-    segments = contour(level)
-    assert len(segments) == 2
-    # The corners that are cut off are the positive ones if the negative ones are joined.
-    cut = [(1.0, 0.0), (0.0, 1.0)] if joined else [(0.0, 0.0), (1.0, 1.0)]
-    for corner in cut:
-        near = np.abs(segments - np.array(corner)).sum(axis=2).max(axis=1)
-        assert near.min() < 1
-
-
-def test_the_contour_of_a_disc_is_closed_and_its_distance_exact() -> None:
-    row, column = np.mgrid[0:60, 0:60]
-    level = np.hypot(row - 30.2, column - 28.7) - 17.3
-    segments = contour(level)
-    ends = np.round(segments.reshape(-1, 2), 9)
-    _, counts = np.unique(ends, axis=0, return_counts=True)
-    assert (counts == 2).all()
-    points = np.random.default_rng(0).uniform(0, 59, (3000, 2))
-    exact = np.abs(np.hypot(points[:, 1] - 30.2, points[:, 0] - 28.7) - 17.3)
-    np.testing.assert_allclose(distance_to(segments, points, 5.0), np.minimum(exact, 5), atol=0.02)
-    assert (distance_to(np.zeros((0, 2, 2)), points, 5.0) == 5).all()
-
-
-def disc_image(pattern: Pattern, pixels: int, soft: bool) -> np.ndarray:
-    """Return grey levels of a 20 mm gel: black markers on white."""
-    along = ((np.arange(pixels) + 0.5) / pixels - 0.5) * 20e-3
-    pixel = 20e-3 / pixels
-    distance = pattern.distance(along, along, 4 * pixel)[::-1]
-    fraction = np.clip(0.5 - distance / pixel, 0, 1) if soft else distance <= 0
-    return np.round(255 * (1 - fraction))
-
-
-@pytest.mark.parametrize(("soft", "within"), [(True, 0.15), (False, 0.75)])
-def test_an_image_gives_edges_to_a_fraction_of_its_pixels(soft: bool, within: float) -> None:
-    pattern = named("Circle3").moved((0.07e-3, 0.21e-3))
-    image = ImagePattern("drawn", disc_image(pattern, 567, soft), 20e-3)
-    x = np.linspace(-4e-3, 4e-3, 401)
-    found, exact = image.distance(x, x, 0.2e-3), pattern.distance(x, x, 0.2e-3)
-    # Where both sides of a marker are equally near, small irregularities of its outline decide.
-    near = np.abs(exact) < 0.15e-3
-    assert np.abs(found - exact)[near].max() < within * image.pixel
-
-
-def test_light_markers_are_the_negative_of_dark_ones() -> None:
-    levels = disc_image(named("Array3"), 200, soft=True)
-    x = np.linspace(-3e-3, 3e-3, 61)
-    dark = ImagePattern("dark", levels, 20e-3).distance(x, x, 0.3e-3)
-    light = ImagePattern("light", 255 - levels, 20e-3, ink="light").distance(x, x, 0.3e-3)
-    np.testing.assert_allclose(light, dark, atol=1e-12)
-
-
-def test_a_marker_that_the_image_cuts_ends_with_the_image() -> None:
-    levels = np.full((20, 20), 255.0)
-    levels[5:15, 15:] = 0
-    image = ImagePattern("cut", levels, 20e-3)
-    distance = image.distance(np.array([7e-3, 9.9e-3, 10.1e-3, 11e-3]), np.array([0.0]), 2e-3)[0]
-    assert distance == pytest.approx([-2e-3, -0.1e-3, 0.1e-3, 1e-3], abs=1e-6)
-
-
-def test_images_are_read_from_files_with_the_first_row_on_top(tmp_path: Path) -> None:
-    levels = np.full((40, 40), 255, np.uint8)
-    levels[2:8, 30:36] = 0
-    for suffix in (".png", ".jpg"):
-        path = tmp_path / f"corner{suffix}"
-        Image.fromarray(levels).save(path, quality=95)
-        image = ImagePattern.read(path, width=20e-3)
-        assert image.name == "corner"
-        x = (np.arange(41) - 20) * 0.5e-3
-        row, column = np.unravel_index(image.distance(x, x, 1e-3).argmin(), (41, 41))
-        assert (x[column], x[row]) == pytest.approx((6.5e-3, 7.5e-3), abs=1.1e-3)
-
-
-def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
-    text = tmp_path / "text.png"
-    text.write_text("not an image")
-    with pytest.raises(SceneError, match=r"text.png: no whole image"):
-        ImagePattern.read(text, width=20e-3)
-    cut = tmp_path / "cut.png"
-    Image.fromarray(np.zeros((100, 100), np.uint8)).save(cut)
-    cut.write_bytes(cut.read_bytes()[:60])
-    with pytest.raises(SceneError, match=r"cut.png: no whole image"):
-        ImagePattern.read(cut, width=20e-3)
-    with pytest.raises(FileNotFoundError):
-        ImagePattern.read(tmp_path / "none.png", width=20e-3)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"levels": np.full((5, 5), 255.0)}, "no pixel darker than 127.5; levels run from 255"),
-        ({"levels": np.full((5, 5), math.nan)}, "not finite"),
-        ({"levels": np.zeros((5, 5, 3))}, r"shape \(5, 5, 3\)"),
-        ({"width": 20.0}, "width: 20.0 m"),
-        ({"ink": "red"}, "ink: 'red'"),
-    ],
-)
-def test_an_image_without_markers_is_refused(change: dict, message: str) -> None:
-    fields = {"name": "x", "levels": np.zeros((5, 5)), "width": 20e-3} | change
-    with pytest.raises(SceneError, match=message):
-        ImagePattern(**fields)
 
 
 def test_the_sheet_shows_markers_where_they_are(tmp_path: Path) -> None:

@@ -24,7 +24,6 @@ from sim.indenters import sphere
 from sim.markers import (
     SIMULATED,
     Camera,
-    ImagePattern,
     Pattern,
     Renderer,
     Textures,
@@ -327,16 +326,6 @@ def test_markers_at_the_gels_border_are_drawn_up_to_it() -> None:
     edges = [np.nonzero(each.any(axis=0))[0].max() for each in (mask, wider)]
     assert edges[1] - edges[0] == pytest.approx(0.05 * 6e-3 / PIXEL, abs=1)
     assert wider.sum() > mask.sum()
-
-
-@pytest.mark.slow
-def test_an_image_of_a_pattern_renders_as_the_pattern(renderer: Renderer) -> None:
-    pattern = named("Circle2")
-    along = ((np.arange(1134) + 0.5) / 1134 - 0.5) * 20e-3
-    fraction = np.clip(0.5 - pattern.distance(along, along, 0.1e-3)[::-1] / (20e-3 / 1134), 0, 1)
-    drawn = ImagePattern("drawn", 255 * (1 - fraction), 20e-3)
-    both = masks(renderer, renderer.textures([pattern, drawn]), ASIDE)
-    assert iou(*both) > 0.995
 
 
 # Displacement of the image

@@ -30,7 +30,7 @@ from sim.error_estimate import unknown_at_side
 from sim.fem.mesh import SHARE_LEAST, build_mesh
 from sim.fem.numerics import Fem
 from sim.indenters import plane, sphere
-from sim.markers import Camera, Renderer, named
+from sim.markers import Camera, Pattern, Renderer, named
 from sim.markers.textures import distance_texture
 from sim.plot import surface_of
 from sim.result import scene_from_json, scene_to_json
@@ -360,16 +360,15 @@ def test_what_is_seen_of_the_gel_ends_at_the_round_outline() -> None:
 
 
 def test_what_a_picture_of_markers_shows_beside_the_gel_is_cut_off() -> None:
-    class Everywhere:
-        name = "everywhere"
-
+    class Everywhere(Pattern):
         def distance(self, x: np.ndarray, y: np.ndarray, band: float) -> np.ndarray:
             return np.full((len(y), len(x)), -band)
 
         def check_within(self, body: Body) -> None:
             pass
 
-    texture = distance_texture(Everywhere(), DISC, step=0.1 * MM)
+    everywhere = Everywhere("everywhere", "disc", 1 * MM, ((0.0, 0.0),))
+    texture = distance_texture(everywhere, DISC, step=0.1 * MM)
     fraction = (texture.values < 0).mean()
     assert fraction == pytest.approx(math.pi / 4, rel=0.02)
 
