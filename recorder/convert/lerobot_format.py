@@ -485,9 +485,7 @@ def _png(pixels: Array) -> bytes:
 
 
 def _arrow(values: Any, kind: Feature) -> pa.Array:
-    if kind.dtype == "image":
-        return pa.array(values, kind.arrow())
-    if kind.dtype == "string":
+    if kind.dtype in ("image", "string"):
         return pa.array(values, kind.arrow())
     array = np.ascontiguousarray(values, kind.dtype)
     if kind.shape == (1,):

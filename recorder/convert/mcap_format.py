@@ -11,6 +11,7 @@ import heapq
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -323,15 +324,6 @@ def _wrenches(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
         yield _packed(document), None
 
 
-def _taxels(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
-    values = stream.rows_between("value", rows.start, rows.stop).tolist()
-    seq = stream.rows_between("seq", rows.start, rows.stop).tolist()
-    for place, row in enumerate(rows):
-        stamp = _stamp(int(publish[row]))
-        document = {"timestamp": stamp, "counts": values[place], "seq": seq[place]}
-        yield _packed(document), None
-
-
 def _texts(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
     values = stream.rows_between("value", rows.start, rows.stop)
     for row, value in zip(rows, values, strict=True):
@@ -339,9 +331,14 @@ def _texts(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
         yield _packed(document), None
 
 
-def _columns(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
-    names = stream.small[:-1]
-    values = {name: stream.rows_between(name, rows.start, rows.stop).tolist() for name in names}
+def _columns(
+    stream: Stream, rows: range, publish: Any, keys: Mapping[str, str] | None = None
+) -> Iterator[_Contents]:
+    """Yield the columns of a stream, or some of them by other `keys`."""
+    keys = keys or {name: name for name in stream.small[:-1]}
+    values = {
+        key: stream.rows_between(name, rows.start, rows.stop).tolist() for name, key in keys.items()
+    }
     for place, row in enumerate(rows):
         document: dict[str, Any] = {name: column[place] for name, column in values.items()}
         yield _packed({"timestamp": _stamp(int(publish[row])), **document}), None
@@ -350,7 +347,7 @@ def _columns(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
 _MAKERS: dict[str, Callable[[Stream, range, Any], Iterator[_Contents]]] = {
     "pose": _poses,
     "force": _wrenches,
-    "taxels": _taxels,
+    "taxels": partial(_columns, keys={"value": "counts", "seq": "seq"}),
     "events": _texts,
 }
 
@@ -382,9 +379,7 @@ def _events(session: Session) -> Iterator[Message]:
     for row, moment in enumerate(taken):
         document = {"timestamp": _stamp(moment)}
         document |= {
-            name: _finite(values[row].tolist())
-            for name, values in reference.items()
-            if name != "t_ns"
+            name: values[row].tolist() for name, values in reference.items() if name != "t_ns"
         }
         found.append(Message("/reference", moment, moment, row, _packed(document)))
     return iter(sorted(found, key=lambda message: message.log_ns))
@@ -405,20 +400,15 @@ def _stamp(t_ns: int) -> dict[str, int]:
 
 def _finite(value: Any) -> Any:
     """Return a value with null in place of numbers that JSON cannot represent."""
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
     if isinstance(value, list):
         return [_finite(entry) for entry in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _packed(document: dict[str, Any]) -> bytes:
-    return json.dumps(_finite_document(document), separators=(",", ":"), allow_nan=False).encode()
-
-
-def _finite_document(document: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: _finite_document(value) if isinstance(value, dict) else _finite(value)
-        for key, value in document.items()
-    }
+    return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).encode()
 
 
 def _text(value: object) -> str:

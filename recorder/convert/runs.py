@@ -32,8 +32,8 @@ class RecordedPress:
     """Rows of `frames` (n,), ascending in time."""
 
 
-def presses(session: Session, *, valid_only: bool = False) -> list[RecordedPress]:
-    """Return the presses in the order in which they were made; presses without rows are left out.
+def need_presses(session: Session, *, valid_only: bool) -> list[RecordedPress]:
+    """Return the presses that have rows, at least one, in the order in which they were made.
 
     Rows without an image of every camera that is a signal are left out.
 
@@ -42,7 +42,7 @@ def presses(session: Session, *, valid_only: bool = False) -> list[RecordedPress
         valid_only: If true, leave out rows that are not `valid`.
 
     Raises:
-        SessionError: The session has no frames.
+        SessionError: The session has no frames, or none of these rows.
     """
     frames = session.frames
     if "t_ns" not in frames or not len(frames["t_ns"]):
@@ -52,29 +52,17 @@ def presses(session: Session, *, valid_only: bool = False) -> list[RecordedPress
         stream = session.streams[name]
         if stream.layout.image is not None and "signal" in stream.traits.roles:
             keep = keep & (frames[column] >= 0)
+    if not keep.any():
+        what = "valid rows" if valid_only else "rows with an image"
+        raise SessionError(f"{session.name}: its frames hold no {what}")
     return list(_cut(frames, np.flatnonzero(keep).astype(np.int64)))
 
 
 def _cut(frames: Mapping[str, Any], rows: Rows) -> Iterator[RecordedPress]:
-    if not len(rows):
-        return
     target, run = frames["target"][rows], frames["run"][rows]
     change = np.flatnonzero((np.diff(target) != 0) | (np.diff(run) != 0)) + 1
     for part in np.split(rows, change):
         yield RecordedPress(int(frames["target"][part[0]]), int(frames["run"][part[0]]), part)
-
-
-def need_presses(session: Session, *, valid_only: bool) -> list[RecordedPress]:
-    """Return `presses`, at least one.
-
-    Raises:
-        SessionError: There is none.
-    """
-    found = presses(session, valid_only=valid_only)
-    if not found:
-        what = "valid rows" if valid_only else "rows with an image"
-        raise SessionError(f"{session.name}: its frames hold no {what}")
-    return found
 
 
 # Conversion of a run's host times to UTC, for formats with a single clock.
