@@ -21,7 +21,9 @@ from recorder.convert import (
     As,
     Draft,
     MissingAnswer,
+    default_stream,
     draft_recordings,
+    rate_option,
     write_page,
     write_sessions,
 )
@@ -29,14 +31,8 @@ from recorder.progress import ItemProgress
 from tactile import import_genforce
 
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")
-# Options of files, and their kind.
-_FILES: dict[str, As] = {
-    "video": "video",
-    "force": "force",
-    "taxels": "taxels",
-    "width": "width",
-    "pose": "pose",
-}
+# Kinds of files that have an option of their own.
+_FILES: tuple[As, ...] = ("video", "force", "taxels", "width", "pose")
 _UNPLACED = (
     "Places and depths are unknown: no press can be joined with another sensor's, but a model of "
     "the sensor's own can be trained"
@@ -199,15 +195,15 @@ def _grouped(lines: Sequence[str]) -> list[str]:
 def _stated(options: argparse.Namespace) -> list[tuple[As, str, Path]]:
     """Return kind, stream and path of the files whose kind is stated."""
     found: list[tuple[As, str, Path]] = []
-    for option, kind in _FILES.items():
+    for kind in _FILES:
         seen: set[str] = set()
-        for text in getattr(options, option):
+        for text in getattr(options, kind):
             name, equals, value = text.partition("=")
             if not equals or not _NAME.fullmatch(name):
                 name, value = "", text
             if name in seen:
                 raise SessionError(
-                    f"--{option}: found {name or value!r} twice; name them: --{option} NAME=..."
+                    f"--{kind}: found {name or value!r} twice; name them: --{kind} NAME=..."
                 )
             seen.add(name)
             found.append((kind, name, Path(value)))
@@ -240,13 +236,12 @@ def _require_rates(
     """Reject a rate of a stream that no stated file has."""
     if paths:
         return
-    kinds: dict[str, tuple[As, ...]] = {
-        "fps": ("video",),
-        "force_hz": ("force", "width", "pose"),
-        "taxels_hz": ("taxels",),
-    }
-    for option, of in kinds.items():
-        streams = {stream or _default(kind) for kind, stream, _ in stated if kind in of}
+    for option in ("fps", "force_hz", "taxels_hz"):
+        streams = {
+            stream or default_stream(kind)
+            for kind, stream, _ in stated
+            if rate_option(kind) == option
+        }
         for text in getattr(answers, option):
             name, equals, rate = text.rpartition("=")
             if not streams or (equals and name not in streams):
@@ -255,10 +250,6 @@ def _require_rates(
                 raise SessionError(
                     f"{flag}: found {rate}{of_stream} without the file it is the rate of"
                 )
-
-
-def _default(kind: As) -> str:
-    return "camera" if kind == "video" else kind
 
 
 def _asked(answers: Answers, missing: MissingAnswer) -> Answers:

@@ -6,22 +6,28 @@ and JSON by `mcap`. A message's own stamp is its time where it has one, else the
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
-from recorder.convert.import_force import ForceUnits, rate_of
-from recorder.convert.import_taxels import TaxelOrder
-from recorder.convert.import_tracks import As, Track, content_of, kind_of_name
-from recorder.convert.import_video import Film
+from recorder.convert.import_answers import Answers, As
+from recorder.convert.import_numbers import numbers_of
+from recorder.convert.import_tracks import (
+    Content,
+    Film,
+    Take,
+    Track,
+    kind_of_name,
+    named,
+    rate_of,
+)
+from recorder.convert.import_video import pixels_of_picture, size_of_picture
 from recorder.errors import SessionError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -52,22 +58,8 @@ class _Topic:
     unstamped: int = 0
 
 
-def read_bag(
-    path: Path,
-    *,
-    chosen: Callable[[str], As | None],
-    units: ForceUnits,
-    order: TaxelOrder | None,
-    width_unit: str | None,
-) -> tuple[list[Track], list[str]]:
-    """Return the tracks of a file or folder, and messages on what was left out.
-
-    Args:
-        path: `.bag`, `.mcap`, `.db3`, or the folder of a rosbag 2.
-        chosen: Kind of a topic by its name, if the user stated it.
-        units: Units of forces; messages of forces are in N and N m.
-        order: Order of the counts of taxels.
-        width_unit: Unit of a width.
+def read_bag(path: Path, answers: Answers) -> Take:
+    """Return the recording in a `.bag`, `.mcap` or `.db3`, or in the folder of a rosbag 2.
 
     Raises:
         SessionError: No topic that can be read, or a corrupt file.
@@ -76,8 +68,8 @@ def read_bag(
     topics: dict[str, _Topic] = {}
     left_out: dict[str, str] = {}
     for topic, kind_name, log_ns, message in _messages(path):
-        told = chosen(topic)
-        if told == "skip":
+        stated = answers.kind(topic)
+        if stated == "skip":
             left_out[topic] = "left out as stated"
             continue
         sample = _sample(message)
@@ -86,7 +78,7 @@ def read_bag(
             continue
         kind, value = sample
         by_name = kind_of_name(topic)
-        kind = told or (by_name if kind == "values" and by_name not in (None, "video") else kind)
+        kind = stated or (by_name if kind == "values" and by_name not in (None, "video") else kind)
         entry = topics.setdefault(topic, _Topic(kind))
         stamp = _stamp(message)
         entry.unstamped += stamp is None
@@ -99,7 +91,7 @@ def read_bag(
     if not topics:
         raise SessionError(f"{path.name}: found no topic with images, forces, taxels or numbers")
     start = min(min(entry.t_ns) for entry in topics.values())
-    tracks, told_lines = [], [f"{path.name}: {topic}: {why}" for topic, why in left_out.items()]
+    tracks, assumed = [], [f"{path.name}: {topic}: {why}" for topic, why in left_out.items()]
     for topic, entry in sorted(topics.items(), key=lambda item: item[1].kind != "video"):
         t_ns = np.array(entry.t_ns, np.int64) - start
         source = f"{path.name}:{topic}"
@@ -107,27 +99,20 @@ def read_bag(
             row = int(np.flatnonzero(np.diff(t_ns) <= 0)[0]) + 1
             raise SessionError(f"{source}: message {row}: its time does not advance")
         if entry.unstamped:
-            told_lines.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
+            assumed.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
         if entry.kind == "video":
-            content: Any = _film(path, topic, entry, t_ns)
+            content: Content = _film(path, topic, entry, t_ns)
         else:
             sizes = {np.size(value) for value in entry.values}
             if len(sizes) > 1:
                 raise SessionError(f"{source}: found messages of {sorted(sizes)} numbers")
-            if entry.kind == "force" and units.force is None:
+            if entry.kind == "force" and answers.units is None:
                 # The messages' definitions state newton and newton metre.
-                units = ForceUnits("N", "N m", units.ignore)
-            content = content_of(
-                source,
-                np.array(entry.values, np.float64),
-                t_ns,
-                entry.kind,
-                units=units,
-                order=order,
-                width_unit=width_unit,
-            )
+                answers = replace(answers, units="N", torque_units="N m")
+            values = np.array(entry.values, np.float64)
+            content = numbers_of(source, values, t_ns, entry.kind, answers)
         tracks.append(Track("", entry.kind, content, source, path.name))
-    return tracks, told_lines
+    return Take(path.stem, named(tracks), (path,), tuple(assumed))
 
 
 def _film(path: Path, topic: str, entry: _Topic, t_ns: Any) -> Film:
@@ -140,8 +125,8 @@ def _film(path: Path, topic: str, entry: _Topic, t_ns: Any) -> Film:
             if sample is not None:
                 yield sample[1] if entry.jpeg else _pixels(sample[1])
 
-    told = "the camera's bytes" if entry.jpeg else "decoded and stored as pixels, losslessly"
-    assumed = [f"{path.name}:{topic}: times by its own stamps, {told}"]
+    kept = "the camera's bytes" if entry.jpeg else "decoded and stored as pixels, losslessly"
+    assumed = [f"{path.name}:{topic}: times by its own stamps, {kept}"]
     codec = "jpeg" if entry.jpeg else "zstd"
     return Film(codec, entry.values[0], rate_of(t_ns), t_ns, load, assumed)
 
@@ -287,17 +272,15 @@ def _stamp(message: Any) -> int | None:
 
 
 def _size_of(value: Any) -> tuple[int, int]:
-    if not isinstance(value, bytes):
-        return int(value.height), int(value.width)
-    with Image.open(io.BytesIO(value)) as picture:
-        return picture.height, picture.width
+    if isinstance(value, bytes):
+        return size_of_picture("image", value)
+    return int(value.height), int(value.width)
 
 
 def _pixels(value: Any) -> Any:
     """Return an image message as pixels (h, w, 3) uint8, RGB."""
     if isinstance(value, bytes):
-        with Image.open(io.BytesIO(value)) as picture:
-            return np.asarray(picture.convert("RGB"))
+        return pixels_of_picture("image", value)
     if value.encoding not in _ENCODINGS:
         raise SessionError(
             f"image: found encoding {value.encoding!r}; allowed: {', '.join(_ENCODINGS)}"

@@ -10,13 +10,17 @@ from __future__ import annotations
 import csv
 import math
 import re
-from dataclasses import dataclass, field
+import zipfile
+import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.convert.import_answers import Answers, MissingAnswer
+from recorder.convert.import_tracks import Floats, Numbers, Times, rate_of
 from recorder.errors import SessionError
 from recorder.spec import AXES
 
@@ -70,38 +74,34 @@ def parse_unit(text: str, known: dict[str, float], where: str) -> float:
     raise SessionError(f"{where}: found unit {text!r}; allowed: {', '.join(known)}")
 
 
-def parse_header(
-    names: list[str], *, force: str | None, torque: str | None, ignore: tuple[str, ...], where: str
-) -> list[tuple[str, float] | None]:
+def parse_header(names: list[str], answers: Answers, where: str) -> list[tuple[str, float] | None]:
     """Return the axis (or `t`) and factor of each column; None for an ignored one.
 
     Args:
         names: Names in the file, such as `Fx (N)`, `Tz[N mm]`, `time_ms`.
-        force: Unit of force columns without a unit.
-        torque: Unit of torque columns without a unit.
-        ignore: Names of columns to leave out.
+        answers: Units of columns without one, and names of columns to leave out.
         where: The file, for error messages.
 
     Raises:
         SessionError: An unknown or repeated column, or one without a unit.
     """
-    found: list[tuple[str, float] | None] = []
+    columns: list[tuple[str, float] | None] = []
     for raw in names:
         name = raw.strip().lstrip("\ufeff").strip("'\"# ")
-        if name in ignore:
-            found.append(None)
-            continue
-        found.append(_column(name, force, torque, f"{where}: column {name!r}"))
-    kept = [column[0] for column in found if column is not None]
+        if name in answers.ignore:
+            columns.append(None)
+        else:
+            columns.append(_column(name, answers, f"{where}: column {name!r}"))
+    kept = [column[0] for column in columns if column is not None]
     twice = sorted({name for name in kept if kept.count(name) > 1})
     if twice:
         raise SessionError(f"{where}: column {twice[0]} comes twice")
     if not set(kept) & {*AXES, "width", *POSE_AXES}:
         raise SessionError(f"{where}: no force column; known: {', '.join(AXES)}")
-    return found
+    return columns
 
 
-def _column(name: str, force: str | None, torque: str | None, where: str) -> tuple[str, float]:
+def _column(name: str, answers: Answers, where: str) -> tuple[str, float]:
     match = _COLUMN.match(name)
     word = match["name"].lower() if match else ""
     unit = (match["unit"] or match["tail"]) if match else None
@@ -113,9 +113,9 @@ def _column(name: str, force: str | None, torque: str | None, where: str) -> tup
         if word != axis.lower():
             continue
         known, default, option = (
-            (FORCE_UNITS, force, "--units")
+            (FORCE_UNITS, answers.units, "--units")
             if axis[0] == "F"
-            else (TORQUE_UNITS, torque, "--torque-units")
+            else (TORQUE_UNITS, answers.torque_units, "--torque-units")
         )
         if unit is None and default is None:
             raise SessionError(f"{where}: says no unit; say {option} ({', '.join(known)})")
@@ -131,8 +131,6 @@ def _column(name: str, force: str | None, torque: str | None, where: str) -> tup
     )
 
 
-Floats = NDArray[np.float64]
-
 # Per N and, for torques, per N mm or N m.
 COUNTS_PER_UNIT = 1e6
 _COUNTS_MAX = 2**31 - 1
@@ -141,53 +139,15 @@ _MAX_AGE, _MAX_AGE_PERIODS = 0.02, 2.0
 _NEWTON_MILLIMETRE, _NEWTON_METRE = ("N-mm", 1e-3), ("N-m", 1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Wrenches:
-    """Forces to import."""
-
-    value: Floats
-    """Values (n, 6) [N, N m], whole counts; NaN for axes that were not measured."""
-    t_ns: NDArray[np.int64]
-    """Times (n,) since the first row [ns]."""
-    rate_hz: float
-    """Rows per second."""
-    attrs: dict[str, Any]
-    """Stream attributes: device, axes_measured."""
-    assumed: list[str] = field(default_factory=list)
-    """Messages on assumptions and changes."""
-
-
-@dataclass(frozen=True, slots=True)
-class ForceUnits:
-    """Units and columns that a file does not state itself."""
-
-    force: str | None = None
-    """Unit of a `.npy` file, and of columns without a unit."""
-    torque: str | None = None
-    """The same for torques."""
-    ignore: tuple[str, ...] = ()
-    """Columns to leave out."""
-
-
-def rate_of(t_ns: NDArray[np.int64]) -> float:
-    """Return the usual number of rows a second at times (n,) [ns]; 1 for a single row."""
-    if len(t_ns) < 2:
-        return 1.0
-    step = max(float(np.median(np.diff(t_ns))), 1.0)
-    rate = round(1e9 / step, 3)
-    # Times are whole nanoseconds, which rates such as 60 Hz do not divide.
-    return rate if rate > 0 and abs(1e9 / rate - step) < 1.0 else 1e9 / step
-
-
 def wrenches_of(
     name: str,
     value: Floats,
     axes: list[str],
-    t_ns: NDArray[np.int64],
+    t_ns: Times,
     *,
     rate_hz: float | None = None,
     assumed: list[str],
-) -> Wrenches:
+) -> Numbers:
     """Return forces (n, 6) [N, N m] at times (n,) [ns] in whole counts, as a gauge sends them.
 
     Args:
@@ -203,11 +163,11 @@ def wrenches_of(
     """
     rate_hz = rate_hz or rate_of(t_ns)
     missing = [axis for axis in AXES if axis not in axes]
-    told = list(assumed)
+    messages = list(assumed)
     if missing:
-        told.append(f"{name}: {', '.join(missing)} not measured, stored as NaN")
+        messages.append(f"{name}: {', '.join(missing)} not measured, stored as NaN")
     counted, device, largest = _counted(value, name)
-    told.append(
+    messages.append(
         f"{name}: rounded to 1e-6 N and "
         f"{'1e-9' if device['torque_unit'] == 'N-mm' else '1e-6'} N m; "
         f"largest change {largest[0]:.2g} N, {largest[1]:.2g} N m"
@@ -217,59 +177,66 @@ def wrenches_of(
         "axes_measured": axes,
         "max_age": max(_MAX_AGE, _MAX_AGE_PERIODS / rate_hz),
     }
-    return Wrenches(counted, t_ns, rate_hz, attrs, told)
+    return Numbers(counted, t_ns, rate_hz, messages, attrs)
 
 
-def load_npy(path: Path) -> NDArray[Any]:
-    """Return the numbers of an .npy file.
+def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the numbers of an .npy or .npz file by source: the file, and in an .npz the array.
 
     Raises:
-        SessionError: Not an .npy file, truncated, or not numeric.
+        SessionError: Not such a file, truncated, or not numeric.
     """
     try:
-        array: NDArray[Any] = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise SessionError(f"{path.name}: no whole .npy file of numbers: {error}") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iuf":
-        raise SessionError(f"{path.name}: found no array of numbers")
-    if not len(array.shape) or not len(array):
-        raise SessionError(f"{path.name}: found shape {array.shape}; expected at least one row")
-    return array
+        content = np.load(path, allow_pickle=False)
+        if isinstance(content, np.ndarray):
+            arrays = {path.name: content}
+        else:
+            with content:
+                arrays = {f"{path.name}:{name}": content[name] for name in content.files}
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        suffix = path.suffix.lower()
+        raise SessionError(f"{path.name}: no whole {suffix} file of numbers: {error}") from error
+    for source, array in arrays.items():
+        if array.dtype.kind not in "iuf":
+            raise SessionError(f"{source}: found no array of numbers")
+        if not len(array.shape) or not len(array):
+            raise SessionError(f"{source}: found shape {array.shape}; expected at least one row")
+    return arrays
 
 
-def from_array(
-    name: str, numbers: NDArray[Any], units: ForceUnits
-) -> tuple[Floats, list[str], list[str]]:
-    """Return forces (n, 6) [N, N m] of an array, the measured axes, and messages.
+def forces_of_array(name: str, numbers: NDArray[Any], t_ns: Times, answers: Answers) -> Numbers:
+    """Return an array (n,), (n, 3) or (n, 6) at times (n,) [ns] as forces in whole counts.
+
+    An axis without a single number was not measured; any other NaN is refused.
 
     Raises:
-        SessionError: Another shape, a unit that nothing states, NaN or infinity.
+        SessionError: Another shape, NaN or infinity.
+        MissingAnswer: A unit that nothing states.
     """
-    array = numbers.astype(np.float64)
-    force_unit, torque_unit = units.force, units.torque
-    if array.ndim == 2 and array.shape[1] == 1:
-        array = array[:, 0]
-    if array.ndim > 2 or (array.ndim == 2 and array.shape[1] not in (3, 6)):
-        raise SessionError(f"{name}: found shape {array.shape}; allowed: (n,), (n, 3), (n, 6)")
-    if force_unit is None:
-        raise SessionError(f"{name}: says no unit; say --units ({', '.join(FORCE_UNITS)})")
-    newton = parse_unit(force_unit, FORCE_UNITS, "--units")
-    _refuse_bad(array.reshape(len(array), -1), name, 0)
+    if answers.units is None:
+        raise MissingAnswer("units", f"{name}: forces say no unit", ("N", "mN", "gf", "kgf"))
+    if numbers.ndim > 2 or (numbers.ndim == 2 and numbers.shape[1] not in (1, 3, 6)):
+        raise SessionError(f"{name}: found shape {numbers.shape}; allowed: (n,), (n, 3), (n, 6)")
+    array = numbers.astype(np.float64).reshape(len(numbers), -1)
+    newton = parse_unit(answers.units, FORCE_UNITS, "--units")
+    measured = ~np.isnan(array).all(axis=0)
+    require_finite(np.where(measured, array, 0.0) if array.shape[1] > 1 else array, name)
     value = np.full((len(array), 6), np.nan)
-    assumed = [f"{name}: {force_unit} by --units"]
-    if array.ndim == 1:
-        value[:, 2] = -array * newton
+    assumed = [f"{name}: {answers.units} by --units"]
+    if array.shape[1] == 1:
+        value[:, 2] = -array[:, 0] * newton
         assumed.append(f"{name}: one force, positive when pressing, stored as -Fz")
-        return value, ["Fz"], assumed
+        return wrenches_of(name, value, ["Fz"], t_ns, assumed=assumed)
     value[:, :3] = array[:, :3] * newton
-    if array.shape[1] == 3:
-        return value, list(AXES[:3]), assumed
-    if torque_unit is None:
-        raise SessionError(
-            f"{name}: torques say no unit; say --torque-units ({', '.join(TORQUE_UNITS)})"
-        )
-    value[:, 3:] = array[:, 3:] * parse_unit(torque_unit, TORQUE_UNITS, "--torque-units")
-    return value, list(AXES), assumed
+    if array.shape[1] == 6:
+        if answers.torque_units is None:
+            raise SessionError(
+                f"{name}: torques say no unit; say --torque-units ({', '.join(TORQUE_UNITS)})"
+            )
+        factor = parse_unit(answers.torque_units, TORQUE_UNITS, "--torque-units")
+        value[:, 3:] = array[:, 3:] * factor
+    axes = [AXES[column] for column in np.flatnonzero(measured).tolist()]
+    return wrenches_of(name, value, axes, t_ns, assumed=assumed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,20 +269,18 @@ def read_lines(path: Path) -> list[list[str]]:
     return lines
 
 
-def read_table(name: str, lines: list[list[str]], units: ForceUnits) -> Table:
+def read_table(name: str, lines: list[list[str]], answers: Answers) -> Table:
     """Return the known columns of a CSV file by its header.
 
     Args:
         name: The file, for messages.
         lines: Its words, the header first.
-        units: Units and columns that the file does not state.
+        answers: Units that the file does not state, and columns to leave out.
 
     Raises:
         SessionError: An unknown column, a line of another length, or something that is no number.
     """
-    columns = parse_header(
-        lines[0], force=units.force, torque=units.torque, ignore=units.ignore, where=name
-    )
+    columns = parse_header(lines[0], answers, name)
     rows = read_rows(name, lines, [place for place, each in enumerate(columns) if each is not None])
     known: dict[str, Floats] = {}
     t_ns = None
@@ -355,7 +320,7 @@ def read_rows(name: str, lines: list[list[str]], used: list[int], first: int = 1
                     f"{name}: line {number}: {lines[0][column].strip()}: found {line[column]!r}, "
                     "expected a number"
                 ) from None
-    _refuse_bad(rows, name, first + 1)
+    require_finite(rows, name, first + 1)
     return rows
 
 
@@ -368,7 +333,8 @@ def forces_of(table: Table) -> tuple[Floats, list[str]]:
     return value, axes
 
 
-def _refuse_bad(rows: Floats, name: str, first_line: int) -> None:
+def require_finite(rows: Floats, name: str, first_line: int = 0) -> None:
+    """Refuse rows (n, k) with NaN or infinity; lines are counted from `first_line`, if not 0."""
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     if bad.size:
         where = f"line {bad[0] + first_line}" if first_line else f"row {bad[0]}"

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from recorder.convert.import_force import ForceUnits, rate_of
-from recorder.convert.import_taxels import TaxelOrder
-from recorder.convert.import_tracks import As, Track, content_of, kind_of_array
-from recorder.convert.import_video import Film, Times, open_film
+from recorder.convert.import_answers import Answers, As
+from recorder.convert.import_numbers import kind_of_array, numbers_of
+from recorder.convert.import_tracks import Content, Film, Take, Times, Track, named, rate_of
+from recorder.convert.import_video import open_film, pixels_of_picture, size_of_picture
 from recorder.errors import SessionError
 
 _JPEG = b"\xff\xd8"
@@ -29,22 +27,8 @@ def is_lerobot(path: Path) -> bool:
     return (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
 
 
-def read_lerobot(
-    path: Path,
-    *,
-    chosen: Callable[[str], As | None],
-    units: ForceUnits,
-    order: TaxelOrder | None,
-    width_unit: str | None,
-) -> tuple[dict[str, list[Track]], list[str]]:
-    """Return the tracks of each episode by name, and messages on what was left out.
-
-    Args:
-        path: The folder.
-        chosen: Kind of a feature by its name, if the user stated it.
-        units: Units of forces.
-        order: Order of the counts of taxels.
-        width_unit: Unit of a width.
+def read_lerobot(path: Path, answers: Answers) -> list[Take]:
+    """Return the episodes of a folder, each as a recording.
 
     Raises:
         SessionError: A file is missing or damaged, or no feature can be read.
@@ -71,13 +55,13 @@ def read_lerobot(
     except (pa.ArrowInvalid, OSError) as error:
         raise SessionError(f"{path.name}: a damaged parquet file: {error}") from error
     kinds: dict[str, As] = {}
-    told = []
+    left_out = []
     for name, feature in features.items():
         if name in _INDICES:
             continue
-        kind = chosen(name) or _kind(name, feature)
+        kind = answers.kind(name) or _kind(name, feature)
         if kind is None or kind == "skip":
-            told.append(f"{path.name}: {name}: left out")
+            left_out.append(f"{path.name}: {name}: left out")
         else:
             kinds[name] = kind
     if not kinds:
@@ -87,7 +71,7 @@ def read_lerobot(
     seconds = np.asarray(table.column("timestamp"), np.float64)
     if "capture_ns" in table.column_names:
         seconds = 1e-9 * np.asarray(table.column("capture_ns"), np.float64)
-    takes: dict[str, list[Track]] = {}
+    takes = []
     for episode in np.unique(number).tolist():
         rows = np.flatnonzero(number == episode)
         times = np.round(1e9 * (seconds[rows] - seconds[rows[0]])).astype(np.int64)
@@ -97,16 +81,14 @@ def read_lerobot(
         for name, kind in kinds.items():
             source = f"{path.name}:{name}"
             if kind == "video":
-                content: Any = _film(path, info, name, table, rows, times, int(episode), fps)
+                content: Content = _film(path, info, name, table, rows, times, int(episode), fps)
             else:
                 array = np.array(table.column(name).take(rows).to_pylist(), np.float64)
-                content = content_of(
-                    source, array, times, kind, units=units, order=order, width_unit=width_unit
-                )
+                content = numbers_of(source, array, times, kind, answers)
             tracks.append(Track("", kind, content, source, path.name))
         tracks.sort(key=lambda track: track.kind != "video")
-        takes[f"episode_{episode:06d}"] = tracks
-    return takes, told
+        takes.append(Take(f"episode_{episode:06d}", named(tracks), (path,), tuple(left_out)))
+    return takes
 
 
 def _kind(name: str, feature: dict[str, Any]) -> As | None:
@@ -177,22 +159,15 @@ def _episode(path: Path, episode: int) -> dict[str, Any]:
 
 
 def _of_bytes(name: str, images: list[bytes], times: Times) -> Film:
-    sizes = set()
-    for each in images:
-        with Image.open(io.BytesIO(each)) as picture:
-            sizes.add((picture.height, picture.width))
+    sizes = {size_of_picture(name, each) for each in images}
     if len(sizes) > 1:
         raise SessionError(f"{name}: found images of {sorted(sizes)}")
     jpeg = all(each[:2] == _JPEG for each in images)
 
     def load() -> Iterator[Any]:
         for each in images:
-            if jpeg:
-                yield each
-            else:
-                with Image.open(io.BytesIO(each)) as picture:
-                    yield np.asarray(picture.convert("RGB"))
+            yield each if jpeg else pixels_of_picture(name, each)
 
     kept = "the files' bytes" if jpeg else "decoded and stored as pixels, losslessly"
-    told = [f"{name}: times of the data set, {kept}"]
-    return Film("jpeg" if jpeg else "zstd", sizes.pop(), rate_of(times), times, load, told)
+    assumed = [f"{name}: times of the data set, {kept}"]
+    return Film("jpeg" if jpeg else "zstd", sizes.pop(), rate_of(times), times, load, assumed)

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from recorder.convert.import_session import Draft
-from recorder.convert.import_video import Film
+from recorder.convert.import_tracks import Film
 from recorder.pages import render
 from recorder.plot import Curve, line_plot
 from recorder.session.align import NS

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.import_tracks import MissingAnswer
+from recorder.convert.import_answers import MissingAnswer
 from recorder.errors import SessionError
 from recorder.session.align import NS
 from recorder.spec import AXES

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
-import shutil
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.import_find import Answers, Take, find_takes, indenter_of
-from recorder.convert.import_force import Wrenches
+from recorder.convert.export import Progress, building
+from recorder.convert.import_answers import Answers, As, MissingAnswer, indenter_of
+from recorder.convert.import_find import find_takes
 from recorder.convert.import_presses import (
     Lag,
     Press,
@@ -28,9 +29,7 @@ from recorder.convert.import_presses import (
     press_within,
     widened,
 )
-from recorder.convert.import_taxels import Counts
-from recorder.convert.import_tracks import As, MissingAnswer, Numbers, Times, Track
-from recorder.convert.import_video import Film
+from recorder.convert.import_tracks import Film, Numbers, Take, Times, Track
 from recorder.errors import SessionError
 from recorder.session.align import NS
 from recorder.session.frames import in_frame
@@ -47,14 +46,10 @@ from recorder.spec import (
     signal_of,
     taxels_spec,
 )
-from recorder.store.durable import sync_directory
 
-Floats = NDArray[np.float64]
-Progress = Callable[[int, int], None]
 Rows = Iterator[dict[str, Any]]
 
 _BLOCK = 1 << 20
-_IMPORTING = ".importing"
 # Recordings may differ in length by this fraction, or by this duration [s].
 _LENGTH_TOLERANCE = 0.05
 _LENGTH_LEAST = 0.1
@@ -85,8 +80,6 @@ class Draft:
     """End of what is written."""
     lag: Lag | None = None
     """Lag that was found between images or taxels and forces."""
-    small: NDArray[np.uint8] | None = None
-    """Small pictures (n, 30, 30, 3); None without a camera."""
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
 
@@ -124,24 +117,32 @@ def _film(take: Take) -> Film | None:
     return track.content if track is not None and isinstance(track.content, Film) else None
 
 
+def _numbers(take: Take, kind: As) -> Numbers | None:
+    """Return the numbers of the first track of a kind; None without one."""
+    track = _first(take, kind)
+    return track.content if track is not None and isinstance(track.content, Numbers) else None
+
+
 def _draft(take: Take, answers: Answers) -> Draft:
     indenter = indenter_of(take.name, answers)
     assumed = [*take.assumed]
     for track in take.tracks:
         assumed += track.content.assumed
-    small = _small_pictures(take)
-    take, lag, told = _on_one_clock(take, small, answers)
-    assumed += told
+    shown = _shown(take)
+    take, lag, messages = _on_one_clock(take, shown, answers)
+    assumed += messages
+    if shown is not None and (seen := _seen(take)) is not None:
+        shown = replace(shown, t_ns=seen.content.t_ns)
     seconds = {track.source: track.seconds for track in take.tracks}
     end = _common_end(seconds, answers.trim)
     if end < max(seconds.values()):
         assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")
     end_ns = round(end * 1e9)
     film = _film(take)
-    if film is not None and film.names:
-        no_contact, presses, trace = _stills(film, small, answers)
+    if film is not None and film.names and shown is not None:
+        no_contact, presses, trace = _stills(film, shown, answers)
     else:
-        no_contact, presses, trace = _contacts(take, small, answers, end_ns)
+        no_contact, presses, trace = _contacts(take, shown, answers, end_ns)
     forces = _first(take, "force")
     if forces is not None and presses:
         _require_sign(forces, no_contact, presses)
@@ -151,15 +152,7 @@ def _draft(take: Take, answers: Answers) -> Draft:
             f"{take.name}: without contact from {begin:.3f} to {end_s:.3f} s, "
             f"{len(presses)} presses by {trace.name}"
         )
-    return Draft(
-        take, indenter, no_contact, tuple(presses), trace, end_ns, lag, small, tuple(assumed)
-    )
-
-
-def _small_pictures(take: Take) -> NDArray[np.uint8] | None:
-    """Return the pictures of the first camera (n, 30, 30, 3)."""
-    film = _film(take)
-    return None if film is None else np.stack([_shrunk(image) for image in film.load()])
+    return Draft(take, indenter, no_contact, tuple(presses), trace, end_ns, lag, tuple(assumed))
 
 
 def _shrunk(image: Any) -> NDArray[np.uint8]:
@@ -181,34 +174,36 @@ def _coarse(small: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(cells.reshape(len(small), -1), np.float32)
 
 
-def _shown(take: Take, small: NDArray[np.uint8] | None) -> Signal | None:
+def _seen(take: Take) -> Track | None:
+    """Return the first camera, else the first taxels."""
+    return _first(take, "video") or _first(take, "taxels")
+
+
+def _shown(take: Take) -> Signal | None:
     """Return the signal of images, else of taxels; None without either."""
-    film, taxels = _first(take, "video"), _first(take, "taxels")
-    if film is not None and small is not None:
-        rows = _coarse(small)
-        return Signal("change of the image [grey levels]", film.content.t_ns, rows)
-    if taxels is not None and isinstance(taxels.content, Counts):
-        rows = taxels.content.value.reshape(len(taxels.content.value), -1).astype(np.float64)
-        return Signal("change of the taxels [counts]", taxels.content.t_ns, rows)
-    return None
+    if (track := _seen(take)) is None:
+        return None
+    content = track.content
+    if isinstance(content, Film):
+        rows = _coarse(np.stack([_shrunk(image) for image in content.load()]))
+        return Signal("change of the image [grey levels]", content.t_ns, rows)
+    counts = content.value.reshape(len(content.value), -1).astype(np.float64)
+    return Signal("change of the taxels [counts]", content.t_ns, counts)
 
 
 def _force(take: Take) -> Signal | None:
-    track = _first(take, "force")
-    if track is None or not isinstance(track.content, Wrenches):
+    content = _numbers(take, "force")
+    if content is None:
         return None
-    content = track.content
     return force_signal(content.t_ns, content.value, content.attrs["axes_measured"])
 
 
 def _on_one_clock(
-    take: Take, small: NDArray[np.uint8] | None, answers: Answers
+    take: Take, shown: Signal | None, answers: Answers
 ) -> tuple[Take, Lag | None, list[str]]:
     """Return the recording with the lag of another clock taken out, that lag, and messages."""
     clocks = list(dict.fromkeys(track.clock for track in take.tracks))
-    forces = _first(take, "force")
-    shown, force = _shown(take, small), _force(take)
-    seen = _first(take, "video") or _first(take, "taxels")
+    forces, force, seen = _first(take, "force"), _force(take), _seen(take)
     if len(clocks) == 1 or forces is None or seen is None or seen.clock == forces.clock:
         several = len(clocks) > 1
         return take, None, [f"{take.name}: all files start together"] if several else []
@@ -220,10 +215,9 @@ def _on_one_clock(
     pressed = force.change(find_no_contact(force, take.name))
     lag = find_lag(shown.change(_rest(shown)), pressed, take.name)
     if lag.low <= 0 <= lag.high:
-        told = f"{take.name}: lag {lag}: its files start together, to within that"
-        return take, lag, [told]
-    told = f"{take.name}: lag {lag}: all but {seen.source} was moved by it"
-    return _shifted(take, seen.clock, lag.seconds), lag, [told]
+        return take, lag, [f"{take.name}: lag {lag}: its files start together, to within that"]
+    message = f"{take.name}: lag {lag}: all but {seen.source} was moved by it"
+    return _shifted(take, seen.clock, lag.seconds), lag, [message]
 
 
 def _rest(signal: Signal) -> Span:
@@ -257,12 +251,12 @@ def _common_end(seconds: dict[str, float], trim: bool) -> float:
 
 
 def _contacts(
-    take: Take, small: NDArray[np.uint8] | None, answers: Answers, end_ns: int
+    take: Take, shown: Signal | None, answers: Answers, end_ns: int
 ) -> tuple[Span, list[Press], Trace]:
     """Return the time without contact, the contacts, and the change that shows them."""
     signal = _force(take)
     if signal is None or not float(np.ptp(signal.rows)) > 0:
-        signal = _shown(take, small) or signal
+        signal = shown or signal
     if signal is None:
         raise SessionError(f"{take.name}: found neither images nor taxels nor forces")
     pressed = answers.spans("press", take.name)
@@ -282,7 +276,7 @@ def _contacts(
             "explains, so no contact is found",
             ("START:END in seconds",),
         )
-    around = _shown(take, small) or signal
+    around = shown or signal
     step = float(np.median(np.diff(around.t_ns))) if len(around.t_ns) > 1 else 0.0
     start = max(int(track.content.t_ns[0]) for track in take.tracks)
     last = min(int(track.content.t_ns[-1]) for track in take.tracks) + 1
@@ -290,14 +284,12 @@ def _contacts(
     return no_contact, [each for each in wide if each.start_ns < each.peak_ns < each.end_ns], trace
 
 
-def _stills(
-    film: Film, small: NDArray[np.uint8] | None, answers: Answers
-) -> tuple[Span, list[Press], Trace]:
+def _stills(film: Film, shown: Signal, answers: Answers) -> tuple[Span, list[Press], Trace]:
     """Return the picture without contact, and every other as a contact of its own."""
     names = [name.rpartition(".")[0] for name in film.names]
-    told = [name for text in answers.no_contact for name in [text.rpartition("=")[2]]]
-    known = told or [name for name in names if name.lower() in _NO_CONTACT]
-    rest = [row for row, name in enumerate(names) if name in known or film.names[row] in known]
+    untouched = [text.rpartition("=")[2] for text in answers.no_contact]
+    untouched = untouched or [name for name in names if name.lower() in _NO_CONTACT]
+    rest = [row for row, name in enumerate(names) if {name, film.names[row]} & set(untouched)]
     if not rest:
         raise MissingAnswer(
             "no_contact", "no picture is named after a sensor without contact", film.names[:9]
@@ -311,11 +303,8 @@ def _stills(
     ]
     if not presses:
         raise SessionError("found no picture of a contact beside those without")
-    if small is None:
-        raise SessionError("found no pictures")
-    rows = _coarse(small)
     span = (starts[rest[0]], starts[rest[0]] + period)
-    return span, presses, Signal("change of the image [grey levels]", film.t_ns, rows).change(span)
+    return span, presses, shown.change(span)
 
 
 def _span(option: str, text: str) -> Span:
@@ -332,7 +321,7 @@ def _span(option: str, text: str) -> Span:
 def _require_sign(track: Track, no_contact: Span, presses: Sequence[Press]) -> None:
     """Reject three-axis forces whose Fz rises under contact: a session has negative Fz there."""
     content = track.content
-    if not isinstance(content, Wrenches) or "Fz" not in content.attrs["axes_measured"]:
+    if isinstance(content, Film) or "Fz" not in content.attrs["axes_measured"]:
         return
     t_ns, force = content.t_ns, content.value[:, 2]
     rest = force[_inside(t_ns, no_contact)]
@@ -380,27 +369,22 @@ def write_sessions(
     if out.exists():
         raise SessionError(f"{out}: exists already; choose another name")
     total = sum(len(track.content.t_ns) for draft in drafts for track in draft.take.tracks)
-    building = out.with_name(out.name + _IMPORTING)
-    shutil.rmtree(building, ignore_errors=True)
     written, done = [], 0
-    try:
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with building(out) as beside:
         if several:
-            building.mkdir(parents=True)
+            beside.mkdir()
         for indenter, some in by_indenter.items():
             name = f"{_file_name(indenter)}.zarr"
             before = done
             done += _write(
-                building / name if several else building,
+                beside / name if several else beside,
                 some,
                 indenter,
                 answers,
                 None if progress is None else lambda n, b=before: progress(b + n, total),  # type: ignore[misc]
             )
             written.append(out / name if several else out)
-        building.rename(out)
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
-    sync_directory(out.parent)
     return written
 
 
@@ -444,10 +428,10 @@ def _write(
             # These samples have no time on this host's clock: their times begin at 0.
             session.begin_run({"t0_ns": 0, "utc": None, "boot_id": "imported"})
             rows_before: dict[str, int] = {}
-            for track in draft.take.tracks:
+            for track, spec in zip(draft.take.tracks, specs, strict=True):
                 with StreamWriter.open(session.stream_path(track.stream)) as writer:
                     rows_before[track.stream] = writer.rows
-                    for row in _rows(track, draft.end_ns):
+                    for row in _rows(track, spec.columns, draft.end_ns):
                         writer.append(**row)
                         done += 1
                         if progress is not None:
@@ -488,16 +472,16 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
         frame = np.array(answers.contact_frame, np.float64)
         row = 0
         for draft in drafts:
-            track = _first(draft.take, "pose")
-            if track is None or not isinstance(track.content, Numbers):
+            poses = _numbers(draft.take, "pose")
+            if poses is None:
                 raise SessionError(f"{draft.take.name}: found no pose")
-            depths = -in_frame(frame, track.content.value)[:, 2]
+            depths = -in_frame(frame, poses.value)[:, 2]
             for press in draft.presses:
-                inside = _inside(track.content.t_ns, (press.start_ns, press.end_ns))
+                inside = _inside(poses.t_ns, (press.start_ns, press.end_ns))
                 if inside.size:
                     deepest = inside[np.argmax(depths[inside])]
                     depth[row] = max(float(depths[deepest]), 0.0)
-                    planned[row] = track.content.value[deepest, :3]
+                    planned[row] = poses.value[deepest, :3]
                 row += 1
     return {
         "point": np.zeros(count, np.int16),
@@ -544,9 +528,9 @@ def _spec(track: Track) -> StreamSpec:
             device=device,
             clock="none",
         )
-    if isinstance(content, Wrenches):
+    if track.kind == "force":
         return force_spec(content.rate_hz, name=track.stream, **counted, **content.attrs)
-    if isinstance(content, Counts):
+    if track.kind == "taxels":
         return taxels_spec(content.rate_hz, name=track.stream, **counted, device=device)
     slow = max(0.02, 2.0 / content.rate_hz)
     if track.kind == "pose":
@@ -557,7 +541,7 @@ def _spec(track: Track) -> StreamSpec:
         "value",
         "float64",
         content.value.shape[1:],
-        units=content.units,
+        units="m" if track.kind == "width" else "1",
         dims=("number",),
         description="width of the gripper" if track.kind == "width" else "numbers as imported",
     )
@@ -566,23 +550,21 @@ def _spec(track: Track) -> StreamSpec:
     return StreamSpec(track.stream, (value, time), content.rate_hz, attrs)
 
 
-def _rows(track: Track, end_ns: int) -> Rows:
-    content, nan = track.content, float("nan")
+def _rows(track: Track, columns: Sequence[Column], end_ns: int) -> Rows:
+    """Yield the samples of a track before a time, with all columns of its stream."""
+    content = track.content
     times = content.t_ns[content.t_ns < end_ns].tolist()
-    if isinstance(content, Film):
-        for t_ns, image in zip(times, content.load(), strict=False):
-            yield {"value": image, "device_t": nan, "t_ns": t_ns}
-        return
-    for row, t_ns in enumerate(times):
-        value = content.value[row]
-        if isinstance(content, Wrenches):
-            yield {"value": value, "seq": row + 1, "status": 0, "t_ns": t_ns}
-        elif isinstance(content, Counts):
-            yield {"value": value, "device_t": nan, "seq": row + 1, "t_ns": t_ns}
-        elif track.kind == "pose":
-            yield {"value": value, "device_t": nan, "speed_scaling": 1.0, "t_ns": t_ns}
-        else:
-            yield {"value": value, "t_ns": t_ns}
+    values = content.load() if isinstance(content, Film) else content.value
+    for number, (t_ns, value) in enumerate(zip(times, values, strict=False), 1):
+        row = {
+            "value": value,
+            "device_t": math.nan,
+            "seq": number,
+            "status": 0,
+            "speed_scaling": 1.0,
+            "t_ns": t_ns,
+        }
+        yield {column.name: row[column.name] for column in columns}
 
 
 def _reference(

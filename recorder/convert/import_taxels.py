@@ -1,19 +1,16 @@
 """Taxel counts from an .npy file, rounded to the integers that the device transmits."""
 
-from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.import_force import rate_of
+from recorder.convert.import_answers import ORDERS, TaxelOrder
+from recorder.convert.import_tracks import Numbers, rate_of
 from recorder.errors import SessionError
 
 _COUNT_MAX = 0xFFFF
 
-# Order of the 48 numbers of a row: x y z of each taxel in turn, or x of all taxels, then y, then z.
-TaxelOrder = Literal["taxel", "axis"]
-ORDERS: tuple[TaxelOrder, ...] = get_args(TaxelOrder)
 # Shapes that state an order by themselves.
 _SHAPES: dict[tuple[int, ...], TaxelOrder] = {(16, 3): "taxel", (3, 16): "axis"}
 # Spread of the resting counts within an axis in the wrong order, over that in the right order, from
@@ -26,20 +23,6 @@ _SPREAD_LEAST = 100.0
 _RESTING_ROWS = 10
 
 
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """Taxels to import."""
-
-    value: NDArray[np.int32]
-    """Counts (n, 16, 3), each a uint16."""
-    t_ns: NDArray[np.int64]
-    """Time of each scan (n,) since the start of the recording [ns]."""
-    rate_hz: float
-    """Scans per second."""
-    assumed: list[str] = field(default_factory=list)
-    """Messages on assumptions and changes."""
-
-
 def is_taxels(shape: tuple[int, ...]) -> bool:
     """Return True if an array of that shape holds the counts of 16 taxels, row by row."""
     return shape[1:] in ((48,), *_SHAPES)
@@ -47,7 +30,7 @@ def is_taxels(shape: tuple[int, ...]) -> bool:
 
 def counts_of(
     name: str, array: NDArray[Any], t_ns: NDArray[np.int64], order: TaxelOrder | None = None
-) -> Counts:
+) -> Numbers:
     """Return counts (n, 48), (n, 16, 3) or (n, 3, 16) taken at times (n,) [ns].
 
     Args:
@@ -61,7 +44,10 @@ def counts_of(
         SessionError: A different shape, a row that is NaN, negative or beyond uint16, or an order
             that cannot be told or contradicts the shape.
     """
-    _require_shape(name, array)
+    if not is_taxels(array.shape) or not len(array):
+        raise SessionError(
+            f"{name}: found shape {array.shape}; allowed: (n, 48), (n, 16, 3), (n, 3, 16)"
+        )
     values = array.reshape(len(array), 48).astype(np.float64)
     whole = np.rint(values)
     bad = np.flatnonzero(~((whole >= 0) & (whole <= _COUNT_MAX)).all(axis=1))
@@ -82,14 +68,7 @@ def counts_of(
     if order is None:
         order, why = _order_of(name, whole, _SHAPES.get(array.shape[1:]))
         assumed.append(why)
-    return Counts(in_order(whole, order).astype(np.int32), t_ns, rate_of(t_ns), assumed)
-
-
-def _require_shape(name: str, array: NDArray[Any]) -> None:
-    if not is_taxels(array.shape) or not len(array):
-        raise SessionError(
-            f"{name}: found shape {array.shape}; allowed: (n, 48), (n, 16, 3), (n, 3, 16)"
-        )
+    return Numbers(in_order(whole, order).astype(np.int32), t_ns, rate_of(t_ns), assumed)
 
 
 def in_order(rows: NDArray[np.float64], order: TaxelOrder) -> NDArray[np.float64]:

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from recorder.convert.import_force import ForceUnits, Wrenches, from_array, rate_of, wrenches_of
-from recorder.convert.import_taxels import Counts, TaxelOrder, counts_of, is_taxels
-from recorder.convert.import_video import Film
-from recorder.errors import SessionError
+from recorder.convert.import_answers import As, default_stream
 from recorder.session.align import NS
-from recorder.spec import AXES
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
-# What a file can be read as; `skip` leaves it out.
-As = Literal["video", "force", "taxels", "pose", "width", "values", "skip"]
-KINDS: tuple[As, ...] = get_args(As)
 # Words in the names of files, topics and features that tell their kind; the last one counts.
 WORDS: Mapping[str, As] = {
     **dict.fromkeys(("video", "image", "images", "img", "camera", "cam", "frames", "rgb"), "video"),
@@ -33,40 +27,44 @@ WORDS: Mapping[str, As] = {
 }
 
 
-class MissingAnswer(SessionError):
-    """Raised for what the recording cannot tell; an option answers it, or a person at a terminal.
+@dataclass(frozen=True, slots=True)
+class Film:
+    """Images to import."""
 
-    Attributes:
-        option: Option that answers, without dashes and with underscores.
-        choices: Allowed answers; empty if there are too many to list.
-    """
-
-    def __init__(self, option: str, message: str, choices: Sequence[str] = ()) -> None:
-        known = f" ({' or '.join(choices)})" if choices else ""
-        super().__init__(f"{message}; say --{option.replace('_', '-')}{known}")
-        self.option, self.choices = option, tuple(choices)
+    codec: str
+    """`jpeg`: the camera's bytes; `zstd`: pixels."""
+    shape: tuple[int, int]
+    """Rows and columns of an image [px]."""
+    rate_hz: float
+    """Images per second."""
+    t_ns: Times
+    """Time of each image (n,) since the start of the recording [ns]."""
+    load: Callable[[], Iterator[Any]]
+    """Load the images: JPEG bytes, or RGB pixels (h, w, 3) uint8."""
+    assumed: list[str] = field(default_factory=list)
+    """Messages on assumptions and changes."""
+    names: list[str] = field(default_factory=list)
+    """Names of the files of single pictures, each of a contact of its own; empty for a film."""
 
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """Rows of numbers: a pose, the width of a gripper, or anything else."""
+    """Rows of numbers to import."""
 
-    value: Floats
-    """Values (n, k)."""
+    value: NDArray[Any]
+    """Forces (n, 6) [N, N m], NaN for axes that were not measured; counts (n, 16, 3); poses (n, 6)
+    [m, rad] of position and rotation vector; widths (n, 1) [m]; or anything else (n, k)."""
     t_ns: Times
     """Times (n,) since the start of the recording [ns]."""
-    units: str
-    """Units; `m, rad` for a pose (position and rotation vector)."""
+    rate_hz: float
+    """Rows per second."""
     assumed: list[str] = field(default_factory=list)
     """Messages on assumptions and changes."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Usual number of rows per second."""
-        return rate_of(self.t_ns)
+    attrs: dict[str, Any] = field(default_factory=dict)
+    """Stream attributes of forces: device, axes_measured."""
 
 
-Content = Film | Wrenches | Counts | Numbers
+Content = Film | Numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +88,18 @@ class Track:
         return float(self.content.t_ns[-1]) * NS + 1.0 / self.content.rate_hz
 
 
+@dataclass(frozen=True, slots=True)
+class Take:
+    """One recording: tracks that were recorded together."""
+
+    name: str
+    tracks: tuple[Track, ...]
+    files: tuple[Path, ...]
+    """Files and folders that they come from."""
+    assumed: tuple[str, ...] = ()
+    """Messages on assumptions and changes."""
+
+
 def kind_of_name(name: str) -> As | None:
     """Return the kind that a name tells by its last known word; None if it tells none."""
     words = re.findall("[a-z]+", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower())
@@ -106,110 +116,19 @@ def bare_name(stem: str) -> str:
     return "".join(parts) if parts[0].lower() not in WORDS else ""
 
 
-def content_of(
-    name: str,
-    array: NDArray[Any],
-    t_ns: Times,
-    kind: As,
-    *,
-    units: ForceUnits,
-    order: TaxelOrder | None = None,
-    width_unit: str | None = None,
-) -> Content:
-    """Return an array of numbers (n, ...) at times (n,) [ns] as the content of a track.
-
-    Args:
-        name: File, topic or feature, for messages.
-        array: Numbers, row by row.
-        t_ns: Times of the rows.
-        kind: What they are, other than `video` and `skip`.
-        units: Units of forces.
-        order: Order of the counts of taxels.
-        width_unit: `m` or `mm`, of a width.
-
-    Raises:
-        SessionError: The numbers cannot be of that kind.
-        MissingAnswer: A unit or an order is unknown.
-    """
-    if len(array) != len(t_ns):
-        raise SessionError(f"{name}: found {len(array)} rows and {len(t_ns)} times")
-    if kind == "force":
-        if units.force is None:
-            raise MissingAnswer("units", f"{name}: forces say no unit", ("N", "mN", "gf", "kgf"))
-        numbers = np.asarray(array, np.float64).reshape(len(array), -1)
-        # An axis without a single number was not measured; any other NaN is refused.
-        never = np.asarray(np.isnan(numbers).all(axis=0))
-        known = np.where(never, 0.0, numbers)
-        shape = np.shape(array)
-        value, axes, assumed = from_array(name, known.reshape(shape), units)
-        if numbers.shape[1] == 6 and never.any():
-            value[:, never] = np.nan
-            axes = [AXES[place] for place in np.flatnonzero(~never).tolist()]
-        return wrenches_of(name, value, axes, t_ns, assumed=assumed)
-    if kind == "taxels":
-        return counts_of(name, array, t_ns, order)
-    rows = np.asarray(array, np.float64).reshape(len(array), -1)
-    if not np.isfinite(rows).all():
-        bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-        raise SessionError(f"{name}: row {bad[0]}: NaN or infinite ({bad.size} such rows)")
-    if kind == "width":
-        if rows.shape[1] != 1:
-            raise SessionError(f"{name}: found shape {array.shape}; allowed for a width: (n,)")
-        if width_unit is None:
-            raise MissingAnswer("width_unit", f"{name}: the width says no unit", ("m", "mm"))
-        return Numbers(rows * {"m": 1.0, "mm": 1e-3}[width_unit], t_ns, "m")
-    if kind == "pose":
-        return _pose(name, rows, t_ns)
-    return Numbers(rows, t_ns, "1")
-
-
-def _pose(name: str, rows: Floats, t_ns: Times) -> Numbers:
-    """Return poses of positions [m] and rotation vectors (n, 6) or quaternions x y z w (n, 7)."""
-    if rows.shape[1] == 6:
-        told = [f"{name}: poses as position [m] and rotation vector [rad]"]
-        return Numbers(rows, t_ns, "m, rad", told)
-    if rows.shape[1] != 7:
-        raise SessionError(
-            f"{name}: found {rows.shape[1]} numbers a pose; allowed: 6 (rotation vector) or 7 "
-            "(quaternion x y z w)"
-        )
-    return Numbers(np.hstack([rows[:, :3], rotation_vectors(rows[:, 3:])]), t_ns, "m, rad")
-
-
-def rotation_vectors(quaternions: Floats) -> Floats:
-    """Return rotation vectors (n, 3) [rad] of quaternions x y z w (n, 4), of any length above 0."""
-    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    unit = quaternions / np.where(length > 0, length, 1.0)
-    unit = np.where(unit[:, 3:] < 0, -unit, unit)
-    sine = np.linalg.norm(unit[:, :3], axis=1, keepdims=True)
-    angle = 2 * np.arctan2(sine, unit[:, 3:])
-    # For small rotations the vector is twice the imaginary part.
-    scale = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 2.0)
-    return np.asarray(unit[:, :3] * scale, np.float64)
-
-
-def kind_of_array(shape: tuple[int, ...], name: str) -> As | None:
-    """Return the kind of an array of numbers by name and shape; None if neither tells."""
-    told = kind_of_name(name)
-    if told is not None and told != "video":
-        return told
-    return "taxels" if is_taxels(shape) else None
-
-
 def named(tracks: Sequence[Track]) -> tuple[Track, ...]:
     """Return the tracks with names of streams that differ; the first of a kind has the kind's."""
-    default = {"video": "camera", "force": "force", "taxels": "taxels", "pose": "pose"}
     kept: list[Track] = []
     seen: set[str] = set()
     for track in tracks:
-        name = track.stream or default.get(track.kind, track.kind)
+        name = track.stream or default_stream(track.kind)
         if name in seen:
             name = re.sub("[^A-Za-z0-9_]+", "_", bare_stream(track.source)).strip("_") or name
         number, unique = 2, name
         while unique in seen:
             unique, number = f"{name}_{number}", number + 1
         seen.add(unique)
-        kept.append(Track(unique, track.kind, track.content, track.source, track.clock))
+        kept.append(replace(track, stream=unique))
     return tuple(kept)
 
 
@@ -217,3 +136,18 @@ def bare_stream(source: str) -> str:
     """Return a name for the stream of a file, topic or feature; it begins with a letter."""
     name = re.sub("[^A-Za-z0-9]+", "_", source.rpartition(":")[2]).strip("_")[:40]
     return name if name[:1].isalpha() else f"s_{name}"[:40]
+
+
+def every(places: ArrayLike, rate_hz: float) -> Times:
+    """Return times [ns] of places counted in periods of a rate."""
+    return np.round(np.asarray(places) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def rate_of(t_ns: NDArray[np.int64]) -> float:
+    """Return the usual number of rows a second at times (n,) [ns]; 1 for a single row."""
+    if len(t_ns) < 2:
+        return 1.0
+    step = max(float(np.median(np.diff(t_ns))), 1.0)
+    rate = round(1e9 / step, 3)
+    # Times are whole nanoseconds, which rates such as 60 Hz do not divide.
+    return rate if rate > 0 and abs(1e9 / rate - step) < 1.0 else 1e9 / step

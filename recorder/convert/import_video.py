@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import functools
+import io
 import mmap
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from PIL import Image
 
+from recorder.convert.import_tracks import Film, Times, every
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.strict_yaml import natural_key
-
-Times = NDArray[np.int64]
 
 # Motion JPEG in an AVI file: the camera's JPEG files are extracted without decoding.
 #
@@ -172,31 +172,6 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 
 
-@dataclass(frozen=True, slots=True)
-class Film:
-    """Images to import."""
-
-    codec: str
-    """`jpeg`: the camera's bytes; `zstd`: pixels."""
-    shape: tuple[int, int]
-    """Rows and columns of an image [px]."""
-    rate_hz: float
-    """Images per second."""
-    t_ns: Times
-    """Time of each image (n,) since the start of the recording [ns]."""
-    load: Callable[[], Iterator[Any]]
-    """Load the images: JPEG bytes, or RGB pixels (h, w, 3) uint8."""
-    assumed: list[str] = field(default_factory=list)
-    """Messages on assumptions and changes."""
-    names: list[str] = field(default_factory=list)
-    """Names of the files of single pictures, each of a contact of its own; empty for a film."""
-
-
-def every(places: ArrayLike, rate_hz: float) -> Times:
-    """Return times [ns] of places counted in periods of a rate."""
-    return np.round(np.asarray(places) * (1e9 / rate_hz)).astype(np.int64)
-
-
 def open_film(path: Path, fps: float | None, *, stills: bool = False) -> Film:
     """Return the images of a video file, or of a folder in natural order of the names.
 
@@ -259,14 +234,21 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
         film = _jpegs(path.name, [file.read_bytes() for file in files], rate_hz, message=True)
         film.assumed.append(f"{path.name}: in order of the names, {files[0].name} first")
     else:
-        shape = _same_size([_size(file) for file in files], path.name)
+        shape = _same_size([size_of_picture(file.name, file) for file in files], path.name)
         assumed = [
             f"{path.name}: {rate_hz:g} images/s by --fps, in order of the names, "
             f"{files[0].name} first",
             f"{path.name}: decoded and stored as pixels, losslessly",
         ]
         times = every(range(len(files)), rate_hz)
-        film = Film("zstd", shape, rate_hz, times, lambda: map(_pixels, files), assumed)
+        film = Film(
+            "zstd",
+            shape,
+            rate_hz,
+            times,
+            lambda: (pixels_of_picture(file.name, file) for file in files),
+            assumed,
+        )
     if not stills:
         return film
     told = f"{path.name}: single pictures without times, numbered one second apart"
@@ -350,20 +332,30 @@ def _stamped(
     return every(range(count), nominal), nominal, f"{name}: {nominal:g} images/s by its header"
 
 
-def _size(file: Path) -> tuple[int, int]:
+def size_of_picture(name: str, picture: Path | bytes) -> tuple[int, int]:
+    """Return rows and columns of the content of a picture's file [px].
+
+    Raises:
+        SessionError: It is no picture.
+    """
     try:
-        with Image.open(file) as image:
+        with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as image:
             return image.height, image.width
     except (OSError, SyntaxError) as error:
-        raise SessionError(f"{file.name}: no image: {error}") from error
+        raise SessionError(f"{name}: no image: {error}") from error
 
 
-def _pixels(file: Path) -> Any:
+def pixels_of_picture(name: str, picture: Path | bytes) -> Any:
+    """Return the pixels (h, w, 3) uint8, RGB, of the content of a picture's file.
+
+    Raises:
+        SessionError: It is damaged.
+    """
     try:
-        with Image.open(file) as image:
+        with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as image:
             return np.asarray(image.convert("RGB"))
     except (OSError, SyntaxError) as error:
-        raise SessionError(f"{file.name}: damaged: {error}") from error
+        raise SessionError(f"{name}: damaged: {error}") from error
 
 
 def _jpeg_size(jpeg: bytes, where: str) -> tuple[int, int]:

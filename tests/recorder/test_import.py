@@ -14,9 +14,11 @@ from PIL import Image
 
 from recorder import Session, SessionError, check, faults
 from recorder.convert import Answers, As, draft_recordings, write_sessions
+from recorder.convert.import_answers import TaxelOrder
 from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS, parse_header, parse_unit
-from recorder.convert.import_taxels import TaxelOrder, counts_of
-from recorder.convert.import_video import every, read_avi, whole_jpeg
+from recorder.convert.import_taxels import counts_of
+from recorder.convert.import_tracks import every
+from recorder.convert.import_video import read_avi, whole_jpeg
 from recorder.session.sheet import contact_sheet
 from tactile.__main__ import main
 
@@ -110,6 +112,21 @@ def test_the_cameras_own_bytes_are_taken_out_of_an_avi_file(
     assert motion is not None
     assert motion.frames == frames
     assert motion.rate_hz == pytest.approx(29.97, abs=1e-3)
+
+
+@pytest.mark.parametrize("axes", [3, 6])
+def test_an_axis_without_a_number_was_not_measured(axes: int, tmp_path: Path) -> None:
+    wrench = np.arange(40.0 * axes).reshape(40, axes) * -1e-3
+    wrench[:, 1] = np.nan
+    units: dict[str, Any] = {"units": "N", "torque_units": "N m"}
+    imported(tmp_path, force=saved(tmp_path / "f.npy", wrench), force_hz=30, **units)
+    force = Session(tmp_path / "s.zarr").streams["force"]
+    assert np.isnan(force.array("value")[:, 1]).all()
+    assert "Fy" not in force.attrs["axes_measured"]
+    wrench[:, 1] = np.where(np.arange(40) < 9, 0.0, np.nan)
+    path = saved(tmp_path / "g.npy", wrench)
+    with pytest.raises(SessionError, match="row 9: NaN or infinite"):
+        imported(tmp_path, force=path, force_hz=30, **units)
 
 
 def test_video_and_force_become_a_sound_session(tmp_path: Path) -> None:
@@ -278,7 +295,7 @@ def test_a_csv_is_read_by_its_header(tmp_path: Path) -> None:
 )
 def test_nothing_is_guessed_from_a_header(header: str, match: str) -> None:
     with pytest.raises(SessionError, match=match):
-        parse_header(header.split(","), force=None, torque=None, ignore=(), where="f.csv")
+        parse_header(header.split(","), Answers(), "f.csv")
 
 
 def test_units_are_read_however_they_are_set_apart() -> None:
