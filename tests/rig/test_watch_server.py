@@ -21,13 +21,7 @@ from rig.acquire.control import Control, Interrupted
 from rig.monitor.access import AccessPolicy
 from rig.monitor.collection import COMMANDS
 from rig.monitor.collection_page import CollectionPage
-from rig.monitor.server import (
-    HANDSHAKE_TIMEOUT,
-    MAX_CONNECTIONS,
-    MAX_MESSAGES,
-    MAX_WATCHERS,
-    parse_message,
-)
+from rig.monitor.server import ANSWER_TIMEOUT, MAX_MESSAGES, MAX_WATCHERS, parse_message
 
 PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)
 
@@ -197,13 +191,12 @@ def test_what_is_no_command_is_none(message: str | bytes) -> None:
     assert parse_message(message, COMMANDS) is None
 
 
-def test_a_client_that_talks_nonsense_is_let_go_and_counted(running: Running) -> None:
+def test_nonsense_of_a_client_does_nothing_and_is_counted(running: Running) -> None:
     with running.watch() as honest:
         before = next_state(honest)["refused"]
         with running.watch() as rude:
             for message in ("{", b"\xff\xfe", "[]", '{"command": "stop"}', "x" * 100):
                 rude.send(message)
-            assert closed_with(rude) == 1008
         until(lambda: next_state(honest)["refused"] == before + 5)
     assert running.control.paused_by == ()
     running.control.check()
@@ -244,21 +237,6 @@ def test_no_more_watchers_than_there_are_places(running: Running) -> None:
         assert refusal(running) == 503
 
 
-def test_a_watcher_goes_on_while_idle_connections_take_every_place(running: Running) -> None:
-    where = ("127.0.0.1", running.page.port)
-    with running.watch() as client:
-        idle = [socket.create_connection(where) for _ in range(MAX_CONNECTIONS + 10)]
-        try:
-            # The oldest silent connections are closed at once, without a message.
-            idle[0].settimeout(10)
-            assert hung_up(idle[0])
-            assert next_state(client)["status"] == "collecting"
-        finally:
-            for connection in idle:
-                connection.close()
-    until(lambda: lets_in(running))
-
-
 def test_half_open_connections_keep_nobody_waiting(running: Running) -> None:
     where = ("127.0.0.1", running.page.port)
     half = []
@@ -267,10 +245,10 @@ def test_half_open_connections_keep_nobody_waiting(running: Running) -> None:
             half.append(socket.create_connection(where))
             if number % 2:
                 half[-1].sendall(b"GET / HTTP/1.1\r\nHost: ")
-        # Well within the 5 s after which a connection that stays silent is closed.
+        # Long before a connection that stays silent is closed.
         began = time.monotonic()
         assert lets_in(running)
-        assert time.monotonic() - began < HANDSHAKE_TIMEOUT / 2
+        assert time.monotonic() - began < 2.5
     finally:
         for connection in half:
             connection.close()
@@ -304,10 +282,11 @@ def test_a_slow_reader_is_let_go_and_nobody_waits_for_it(running: Running) -> No
     assert len(set(rows)) >= 3
 
 
+@pytest.mark.slow
 def test_a_connection_that_stays_silent_is_closed(running: Running) -> None:
     with socket.create_connection(("127.0.0.1", running.page.port)) as client:
         client.sendall(b"GET / HTTP/1.1\r\n")
-        client.settimeout(2 * HANDSHAKE_TIMEOUT)
+        client.settimeout(2 * ANSWER_TIMEOUT)
         assert hung_up(client)
     assert lets_in(running)
 
