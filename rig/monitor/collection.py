@@ -17,7 +17,7 @@ from rig.monitor.finished import LETTERS
 from rig.monitor.live_state import LiveState
 from rig.monitor.live_view import Backlog, LiveView
 from rig.monitor.quality import LiveQuality, Quality
-from trajectories import Plan, PressShear, dome_height
+from trajectories import Plan, PressShear, Target, dome_height
 
 # Commands of the page.
 COMMANDS = ("pause", "resume", "abort")
@@ -26,22 +26,6 @@ ENDED = ("complete", "stopped", "gone")
 # Interval between judgements of the quality [s].
 QUALITY_PERIOD = 0.5
 _LOG_LINES = 100
-
-
-@dataclass(frozen=True, slots=True)
-class Spot:
-    """Target on the map."""
-
-    point: int
-    """Number of its contact point."""
-    x: float
-    """x of the point in the contact frame [m]."""
-    y: float
-    """y of the point [m]."""
-    depth: float
-    """Indentation [m]."""
-    direction: int
-    """Shear direction, counter-clockwise from +x; -1 without shear."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +38,7 @@ class CollectionJob:
     """Run folder for `<stream>.latest` and `<stream>.counters`."""
     session: Path
     """Session to be written."""
-    spots: tuple[Spot, ...]
+    targets: tuple[Target, ...]
     """Targets on the map."""
     directions: int
     """Shear directions of the plan; 1 without shear."""
@@ -66,13 +50,12 @@ class CollectionJob:
         cls, bench: Bench, folder: Path, request: CollectRequest, plan: Plan, total: int
     ) -> CollectionJob:
         """Return the job of a collection of the first `total` targets of `plan`."""
-        targets = [target for target in plan.targets() if target.index < total]
-        spots = tuple(Spot(t.point, *t.origin[:2], t.depth, t.direction) for t in targets)
+        targets = tuple(target for target in plan.targets() if target.index < total)
         radius = bench.dome_radius
         heights = [t.origin[2] - dome_height(radius, *t.origin[:2]) for t in targets]
         directions = plan.direction_count if isinstance(plan, PressShear) else 1
         clearance = min(heights, default=0.0)
-        return cls(bench, folder, request.path, spots, directions, clearance)
+        return cls(bench, folder, request.path, targets, directions, clearance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +96,7 @@ class CollectionView(LiveView):
         self._job = job
         self._clock = clock
         self._state = LiveState(job.bench, job.folder, job.session, clock.now_ns())
-        self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.spots))
+        self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.targets))
         self._quality: list[Quality] = []
         self._log = Backlog[str](_LOG_LINES)
 
@@ -147,7 +130,7 @@ class CollectionView(LiveView):
     def hello(self) -> dict[str, Any]:
         """Return the data that stay constant during the collection."""
         job = self._job
-        points = {spot.point: [1e3 * spot.x, 1e3 * spot.y] for spot in job.spots}
+        points = {t.point: [1e3 * t.origin[0], 1e3 * t.origin[1]] for t in job.targets}
         return {
             "live": "collection",
             "sensor": job.bench.sensor,
@@ -156,7 +139,7 @@ class CollectionView(LiveView):
             "session": job.session.name,
             **self._state.constants(),
             "points": [{"point": point, "at": position} for point, position in points.items()],
-            "targets": [[s.point, round(1e3 * s.depth, 4), s.direction] for s in job.spots],
+            "targets": [[t.point, round(1e3 * t.depth, 4), t.direction] for t in job.targets],
             "directions": job.directions,
         }
 

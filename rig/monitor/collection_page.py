@@ -55,7 +55,7 @@ class CollectionPage(PageProcess):
         super().__init__(settings, CollectionView, job)
         self._clock = SystemClock()
         self._start_ns = self._clock.now_ns()
-        self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.spots))
+        self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.targets))
         self._outcomes = list(self._snapshot.outcomes)
         self._progress: Callable[[], Mapping[str, Any]] | None = None
         self._control: Control | None = None

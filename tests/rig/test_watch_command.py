@@ -104,4 +104,6 @@ def test_the_map_of_a_press_without_shear_has_one_direction(tmp_path: Path) -> N
     request = CollectRequest(tmp_path / "s.zarr")
     job = CollectionJob.of(BENCH, tmp_path, request, plan, len(plan))
     assert job.directions == 1
-    assert [(spot.point, spot.depth, spot.direction) for spot in job.spots] == [(1, 1.2e-3, -1)] * 3
+    assert [(each.point, each.depth, each.direction) for each in job.targets] == [
+        (1, 1.2e-3, -1)
+    ] * 3
