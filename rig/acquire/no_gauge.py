@@ -10,7 +10,6 @@ stage is a session of its own, and the surface it found moves the contact frame 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -24,14 +23,15 @@ from rig.acquire.calibration.calibration import (
     Calibration,
     FirstPressRecord,
     HomeCalibration,
+    at_surface,
+    tip_heights,
 )
 from rig.acquire.calibration.home import home_calibration, truth_lines
-from rig.acquire.calibration.signal_onset import FoundSurface
+from rig.acquire.calibration.onset import TouchedSurface
 from rig.acquire.calibration.store import age_hours, now_utc
 from rig.bench.bench import Bench
 from rig.bench.no_gauge import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
 from rig.core.errors import ConfigError, SafetyStop
-from rig.core.geometry import compose, invert, transform
 from trajectories import FirstPress, Plan, PressShear, Target, Touch
 
 # Speed of the touches [m/s], and heights of the search above and below the stated surface [m].
@@ -90,12 +90,6 @@ def touch_plan(bench: Bench) -> Touch:
     )
 
 
-def at_surface(bench: Bench, shift: float) -> Bench:
-    """Return the bench with its contact frame `shift` [m] higher along z."""
-    frame = compose(bench.contact_frame, (0.0, 0.0, shift, 0.0, 0.0, 0.0))
-    return dataclasses.replace(bench, contact_frame=tuple(np.asarray(frame).tolist()))
-
-
 def searching(bench: Bench) -> Bench:
     """Return the bench as it is used to search."""
     return slowed(bench, search_depth(bench))
@@ -112,23 +106,15 @@ def rough_height(session: Session) -> float:
     Raises:
         SafetyStop: There was no contact.
     """
+    lowest = float(tip_heights(session)[1].min())
     outcomes = list(session.segments["outcome"])
     if not outcomes or outcomes[0] != OUTCOMES.index("force_limited"):
         raise SafetyStop(
-            f"home: no contact in the signal down to {1e3 * lowest(session):+.2f} mm of the "
+            f"home: no contact in the signal down to {1e3 * lowest:+.2f} mm of the "
             "stated surface; is the contact frame of the bench file right, the right indenter on "
             "the arm, and the sensor alive?"
         )
-    return lowest(session)
-
-
-def lowest(session: Session) -> float:
-    """Return the lowest height of the tip in a session's contact frame [m]."""
-    name = session.first("pose")
-    if name is None:
-        raise SafetyStop("home: the session has no pose")
-    value = np.asarray(session.streams[name].array("value"))[:, :3]
-    return float(transform(invert(session.attrs["contact_frame"]), value)[:, 2].min())
+    return lowest
 
 
 def shifted(shift: float) -> SafetyStop:
@@ -139,7 +125,7 @@ def shifted(shift: float) -> SafetyStop:
     )
 
 
-def check_surface(found: FoundSurface, shift: float) -> None:
+def check_surface(found: TouchedSurface, shift: float) -> None:
     """Reject a surface that is not known well enough, is not where it was stated, or is uneven.
 
     Args:
@@ -169,22 +155,6 @@ def check_surface(found: FoundSurface, shift: float) -> None:
             f"{first}; allowed: {1e3 * UNEVEN_MAX:g} mm{tilt}: correct the rotation of "
             "contact_frame, or dome_radius_mm"
         )
-
-
-def home_of(
-    found: FoundSurface, rough: float, bench: Bench, content: dict[str, Any]
-) -> HomeCalibration:
-    """Return the calibration to store.
-
-    Args:
-        found: The touches, in the frame that the search moved by `rough`.
-        rough: Height of the search's contact in the bench file's contact frame [m].
-        bench: The bench as its file describes it.
-        content: Content of the file.
-    """
-    return home_calibration(
-        signal_onset.METHOD, found.surface, found.onsets, bench, content, raised=rough
-    )
 
 
 def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
@@ -218,7 +188,7 @@ def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
         )
 
 
-def lines_of(found: FoundSurface, home: HomeCalibration, bench: Bench) -> list[str]:
+def lines_of(found: TouchedSurface, home: HomeCalibration, bench: Bench) -> list[str]:
     """Return the result as lines, with the true height of a mock bench's surface."""
     low, high = (1e3 * value for value in home.interval)
     lines = [
@@ -289,7 +259,7 @@ def find_surface(bench: Bench, content: dict[str, Any], record: Record) -> HomeC
     touches = touch_plan(bench)
     session = record("home", touches, lambda ready: touching(at_surface(ready, rough)))
     surface = signal_onset.evaluate(session, touches)
-    home = home_of(surface, rough, bench, content)
+    home = home_calibration(signal_onset.METHOD, surface, bench, content, raised=rough)
     print("\n".join(lines_of(surface, home, bench)), flush=True)
     check_surface(surface, home.shift)
     return home

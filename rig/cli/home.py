@@ -88,7 +88,7 @@ def find_by_force(
     def stored(session: Session) -> Path:
         approaches = home.evaluate(session, plan)
         print("\n".join(home.lines_of(approaches, bench)))
-        surface = home.calibration_from(approaches, touching, content)
+        surface = home.home_calibration(home.METHOD, approaches, touching, content)
         return store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
 
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recorder import Session, SessionError, Stream
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
-from rig.core.geometry import compose
+from rig.core.geometry import compose, invert, transform
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,10 +98,7 @@ class Calibration:
 
     def applied(self, bench: Bench) -> Bench:
         """Return the bench with its contact frame moved to the measured surface."""
-        if self.home is None:
-            return bench
-        frame = compose(bench.contact_frame, (0.0, 0.0, self.home.shift, 0.0, 0.0, 0.0))
-        return dataclasses.replace(bench, contact_frame=tuple(np.asarray(frame).tolist()))
+        return bench if self.home is None else at_surface(bench, self.home.shift)
 
     def attrs(self) -> dict[str, Any]:
         """Return the session's attribute `calibration`: SI units, empty without a calibration."""
@@ -166,6 +164,12 @@ class Calibration:
         return cls(**parts, file=file, acceptance=attrs.get("acceptance"))
 
 
+def at_surface(bench: Bench, shift: float) -> Bench:
+    """Return the bench with its contact frame `shift` [m] higher along z."""
+    frame = compose(bench.contact_frame, (0.0, 0.0, shift, 0.0, 0.0, 0.0))
+    return dataclasses.replace(bench, contact_frame=tuple(np.asarray(frame).tolist()))
+
+
 def require_gauge(bench: Bench, what: str) -> None:
     """Reject a bench without an F/T sensor, for a command that measures with one.
 
@@ -179,14 +183,24 @@ def require_gauge(bench: Bench, what: str) -> None:
         )
 
 
-def force_and_pose(session: Session) -> tuple[Stream, Stream]:
-    """Return the stream of a session's first F/T sensor, and that of the arm.
+def stream_of(session: Session, kind: str) -> Stream:
+    """Return a session's first stream of a kind, such as `force` or `pose`.
 
     Raises:
-        SessionError: The session lacks one.
+        SessionError: The session has none.
     """
-    found = [session.first(kind) for kind in ("force", "pose")]
-    names = [name for name in found if name is not None]
-    if len(names) < len(found):
-        raise SessionError(f"{session.name}: needs a force and a pose stream")
-    return session.streams[names[0]], session.streams[names[1]]
+    name = session.first(kind)
+    if name is None:
+        raise SessionError(f"{session.name}: needs a {kind} stream")
+    return session.streams[name]
+
+
+def tip_heights(session: Session) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return times (n,) [ns] and heights (n,) [m] of the tip in a session's contact frame.
+
+    Raises:
+        SessionError: The session has no pose.
+    """
+    pose = stream_of(session, "pose")
+    frame = invert(session.attrs["contact_frame"])
+    return pose.t_ns, transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]

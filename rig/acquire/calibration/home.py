@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from recorder import Session
 from recorder.session import linear
-from rig.acquire.calibration.calibration import HomeCalibration, force_and_pose
-from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, tilt
+from rig.acquire.calibration.calibration import HomeCalibration, stream_of, tip_heights
+from rig.acquire.calibration.onset import (
+    Onset,
+    TouchedSurface,
+    combine,
+    find_onset,
+    slopes_of,
+)
+from rig.acquire.calibration.signal_onset import span_of
 from rig.acquire.calibration.store import bench_hash, now_utc
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.geometry import invert, transform
-from trajectories import PHASES, Touch
+from trajectories import Touch
 
 METHOD = "onset of force, k d^p (1 + c d), profile likelihood"
 # Widest accepted interval, unless given [m].
@@ -31,18 +36,6 @@ FORCE = 0.3
 _NOISE_SHARE = 0.2
 # Last part of an approach, in which the arm decelerates [m].
 _DECELERATING = 10e-6
-
-
-@dataclass(frozen=True, slots=True)
-class Approaches:
-    """Result of a session of touches."""
-
-    surface: Surface
-    """Surface at the first of its points, in the frame of the session."""
-    onsets: tuple[Onset, ...]
-    """Onsets of the approaches at that point."""
-    slopes: tuple[float, float] | None
-    """Tilt along x and y of the contact frame [rad]; None unless three points were touched."""
 
 
 def touching_bench(bench: Bench, force: float) -> Bench:
@@ -67,7 +60,7 @@ def touching_bench(bench: Bench, force: float) -> Bench:
     )
 
 
-def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> Approaches:
+def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> TouchedSurface:
     """Fit every approach of a recorded session of touches.
 
     Args:
@@ -97,29 +90,18 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
             f"{1e3 * width_max:.3f} mm; force noise {noise:.3f} N, spread between approaches "
             f"{1e3 * first.spread:.3f} mm; more --repeats or more --force-n narrow it"
         )
-    slopes = None
-    if len(surfaces) >= 3:
-        places = np.array([plan.position(point) for point in surfaces])
-        slopes = tilt(places, np.array([surface.z for surface in surfaces.values()]))[:2]
-    return Approaches(first, tuple(found[plan.points[0]]), slopes)
+    heights = {point: surface.z for point, surface in surfaces.items()}
+    slopes = slopes_of(heights, {point: plan.position(point) for point in surfaces})
+    return TouchedSurface(first, tuple(found[plan.points[0]]), heights, slopes)
 
 
 def _approach(session: Session, index: int) -> Onset | None:
     """Return the onset in target `index`'s downward move, in the session's contact frame."""
-    segments = session.segments
-    rows = np.flatnonzero(
-        (np.asarray(segments["target"]) == index)
-        & (np.asarray(segments["phase"]) == PHASES.index("normal_inc"))
-    )
-    if not rows.size:
-        return None
-    start, end = (int(segments[name][rows[-1]]) for name in ("start_ns", "end_ns"))
-    force, pose = force_and_pose(session)
+    start, end = span_of(session, index)
+    force = stream_of(session, "force")
     inside = (force.t_ns >= start) & (force.t_ns < end)
     times = force.t_ns[inside]
-    frame = invert(session.attrs["contact_frame"])
-    height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
-    z = linear(pose.t_ns, height, times).value
+    z = linear(*tip_heights(session), times).value
     known = np.isfinite(z)
     z, pressed = z[known], -np.asarray(force.array("value"))[inside][known, 2]
     if not len(z):
@@ -130,28 +112,16 @@ def _approach(session: Session, index: int) -> Onset | None:
     return find_onset(z[:last], pressed[:last])
 
 
-def calibration_from(found: Approaches, bench: Bench, content: dict[str, Any]) -> HomeCalibration:
-    """Return the calibration to store.
-
-    Args:
-        found: Result of a session recorded in the bench file's own contact frame.
-        bench: The bench as described by its file.
-        content: Content of the file.
-    """
-    return home_calibration(METHOD, found.surface, found.onsets, bench, content)
-
-
 def home_calibration(
     method: str,
-    surface: Surface,
-    onsets: Sequence[Onset],
+    touched: TouchedSurface,
     bench: Bench,
     content: dict[str, Any],
     *,
     raised: float = 0.0,
 ) -> HomeCalibration:
     """Return the calibration of a surface that was touched `raised` [m] above the bench's frame."""
-    low, high = surface.interval
+    low, high = touched.surface.interval
     return HomeCalibration(
         date_utc=now_utc(),
         method=method,
@@ -159,13 +129,13 @@ def home_calibration(
         bench_sha256=bench_hash(content),
         contact_frame=tuple(bench.contact_frame),
         tcp=tuple(bench.arm.tcp),
-        shift=raised + surface.z,
+        shift=raised + touched.surface.z,
         interval=(raised + low, raised + high),
-        contacts=tuple(raised + onset.z for onset in onsets),
+        contacts=tuple(raised + onset.z for onset in touched.onsets),
     )
 
 
-def lines_of(found: Approaches, bench: Bench) -> list[str]:
+def lines_of(found: TouchedSurface, bench: Bench) -> list[str]:
     """Return the result as lines; on a mock bench with the World's truth."""
     surface = found.surface
     low, high = (1e3 * value for value in surface.interval)
@@ -217,8 +187,3 @@ def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequen
         return Touch(travel=depth, repeats=repeats, points=tuple(points))
     except ValueError as error:
         raise ConfigError(f"home: {error}") from None
-
-
-def default_path(sensor: str, stamp: str) -> Path:
-    """Return the default path of a homing session."""
-    return Path("sessions") / f"{sensor}-home-{stamp}.zarr"

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from recorder import Session, Stream
 from recorder.command_line.options import next_command
 from recorder.session import EXPOSURE, captured
-from rig.acquire.calibration.calibration import force_and_pose, require_gauge
+from rig.acquire.calibration.calibration import require_gauge, stream_of, tip_heights
 from rig.acquire.calibration.onset import student_t
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError, SafetyStop
-from rig.core.geometry import invert, transform
 from rig.devices.camera.jpeg import frame_stamp
 from trajectories import Taps
 
@@ -305,18 +304,16 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
     Raises:
         SafetyStop: Force or signal show no taps: the bench differs from its file.
     """
-    force, pose = force_and_pose(session)
+    force, (moved_ns, height) = stream_of(session, "force"), tip_heights(session)
     pressed = -np.asarray(force.array("value"))[:, 2]
-    frame = invert(session.attrs["contact_frame"])
-    height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
     start = int(session.segments["start_ns"][0])
     signal = session.streams[stream]
     try:
         depth = np.maximum(-height, 0.0)
         times, motion = captured(signal), motion_of(signal, start)
-        gel = find_lag(force.t_ns, pressed, pose.t_ns, depth)
+        gel = find_lag(force.t_ns, pressed, moved_ns, depth)
         image = find_lag(force.t_ns, pressed, times, motion)
-        shown = find_lag(pose.t_ns, depth, times, motion)
+        shown = find_lag(moved_ns, depth, times, motion)
     except ValueError as error:
         raise SafetyStop(f"calibrate-latency: {error}") from None
     return Latency(stream, image, gel, shown, exposure)
@@ -383,15 +380,13 @@ def true_lag(session: Session, stream: str = "camera") -> float | None:
 
     Only images that show contact count; they take the emulator longer to draw.
     """
-    camera, pose = session.streams[stream], session.streams["pose"]
-    frame = invert(session.attrs["contact_frame"])
-    height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
+    camera, (moved_ns, height) = session.streams[stream], tip_heights(session)
     late = []
     for row, t_ns in enumerate(camera.t_ns):
         stamp = frame_stamp(camera.jpeg(row) or b"")
         if stamp is None:
             continue
-        at = int(np.searchsorted(pose.t_ns, stamp[1]))
+        at = int(np.searchsorted(moved_ns, stamp[1]))
         if at < len(height) and height[at] < 0:
             late.append((int(t_ns) - stamp[1]) * 1e-9)
     return float(np.mean(late)) if late else None

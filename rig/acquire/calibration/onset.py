@@ -8,7 +8,7 @@ Pure functions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +62,37 @@ class Surface:
     def width(self) -> float:
         """Width of the interval [m]."""
         return self.interval[1] - self.interval[0]
+
+
+@dataclass(frozen=True, slots=True)
+class TouchedSurface:
+    """Surface under the points of a session of touches."""
+
+    surface: Surface
+    """Height at the first point, with its interval."""
+    onsets: tuple[Onset, ...]
+    """Onsets at the first point, one for each approach."""
+    heights: Mapping[int, float]
+    """Height at each point [m]; by a signal, above what the plan expects there."""
+    slopes: tuple[float, float] | None
+    """Tilt along x and y [rad]; None unless three points were touched."""
+    delay: float = 0.0
+    """Mean delay of the signal behind the pose at the speed of the approaches [m]."""
+
+
+def slopes_of(
+    heights: Mapping[int, float], places: Mapping[int, Sequence[float]]
+) -> tuple[float, float] | None:
+    """Return the tilt along x and y [rad]; None unless three points were touched.
+
+    Args:
+        heights: Height of the surface at each point [m].
+        places: Place (2,) of each point in the contact frame [m].
+    """
+    if len(heights) < 3:
+        return None
+    xy = np.array([places[point] for point in heights], np.float64)
+    return tilt(xy, np.array(list(heights.values())))[:2]
 
 
 def find_onset(z: Floats, force: Floats) -> Onset | None:

@@ -14,10 +14,18 @@ from numpy.typing import NDArray
 
 from recorder import Session, Stream
 from recorder.session import linear
-from rig.acquire.calibration.onset import Onset, Surface, combine, find_onset, student_t, tilt
+from rig.acquire.calibration.calibration import tip_heights
+from rig.acquire.calibration.onset import (
+    Onset,
+    Surface,
+    TouchedSurface,
+    combine,
+    find_onset,
+    slopes_of,
+    student_t,
+)
 from rig.acquire.signal_level import Level, SignalLevel, reading
 from rig.core.errors import SafetyStop
-from rig.core.geometry import invert, transform
 from trajectories import PHASES, Plan
 
 Floats = NDArray[np.float64]
@@ -42,22 +50,6 @@ class Way:
     """Height of the tip (n,) in the contact frame when the samples arrived [m]."""
     change: Floats
     """Change of the signal from no contact (n,)."""
-
-
-@dataclass(frozen=True, slots=True)
-class FoundSurface:
-    """Surface under the points of a session of touches."""
-
-    surface: Surface
-    """Height at the first point, with its interval."""
-    onsets: tuple[Onset, ...]
-    """Onsets at the first point, one for each approach."""
-    delay: float
-    """Mean delay of the signal behind the pose at the speed of the approaches [m]."""
-    heights: Mapping[int, float]
-    """Height above what the plan expects at each point [m]."""
-    slopes: tuple[float, float] | None
-    """Tilt along x and y [rad]; None unless three points were touched."""
 
 
 def onset_of(down: Way, up: Way) -> tuple[Onset, float] | None:
@@ -86,7 +78,7 @@ def onset_of(down: Way, up: Way) -> tuple[Onset, float] | None:
 
 def surface_of(
     approaches: Mapping[int, Sequence[tuple[Onset, float]]], places: Mapping[int, Sequence[float]]
-) -> FoundSurface:
+) -> TouchedSurface:
     """Combine the approaches of all points.
 
     The spread between approaches is pooled over the points, so that two at each are enough. From
@@ -106,10 +98,7 @@ def surface_of(
         for point, found in groups.items()
     )
     spread = float(np.sqrt(squares / freedom)) if freedom else float("nan")
-    slopes = None
     if len(groups) >= 3:
-        where = np.array([places[point] for point in groups], np.float64)
-        slopes = tilt(where, np.array([heights[point] for point in groups]))[:2]
         surface = _on_plane(groups, places, spread)
     elif freedom:
         half = student_t(freedom) * spread / np.sqrt(len(groups[first]))
@@ -123,7 +112,8 @@ def surface_of(
     else:
         surface = combine(groups[first])
     delays = [delay for found in approaches.values() for _, delay in found]
-    return FoundSurface(surface, tuple(groups[first]), float(np.mean(delays)), heights, slopes)
+    slopes = slopes_of(heights, places)
+    return TouchedSurface(surface, tuple(groups[first]), heights, slopes, float(np.mean(delays)))
 
 
 def _on_plane(
@@ -149,7 +139,7 @@ def _on_plane(
     return Surface(float(found[0]), (float(found[0]) - half, float(found[0]) + half), spread)
 
 
-def evaluate(session: Session, plan: Plan) -> FoundSurface:
+def evaluate(session: Session, plan: Plan) -> TouchedSurface:
     """Find the surface in a recorded session of touches.
 
     Args:
@@ -204,15 +194,12 @@ def span_of(session: Session, index: int, phase: str = "normal_inc") -> tuple[in
 def _ways(session: Session, index: int) -> tuple[Way, Way]:
     start, turned = span_of(session, index)
     _, end = span_of(session, index, "normal_dec")
-    name, pose_name = session.signal, session.first("pose")
-    if name is None or pose_name is None:
-        raise SafetyStop("home: the session has no signal or no pose")
-    stream, pose = session.streams[name], session.streams[pose_name]
-    frame = invert(session.attrs["contact_frame"])
-    height = transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]
+    if session.signal is None:
+        raise SafetyStop("home: the session has no signal")
+    stream = session.streams[session.signal]
     rows = np.flatnonzero((stream.t_ns >= start) & (stream.t_ns < end))
     times = stream.t_ns[rows]
-    z = linear(pose.t_ns, height, times).value
+    z = linear(*tip_heights(session), times).value
     change = _along_contact(np.array(readings_of(stream, rows)), z)
     down = times < turned
     return Way(z[down], change[down]), Way(z[~down], change[~down])
