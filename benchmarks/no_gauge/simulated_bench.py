@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.acquire.control import Control, InterruptFlag
+from rig.acquire.control import Control
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
 from rig.acquire.preflight import check_clear, tip_position
 from rig.acquire.request import CollectRequest, plan_of
@@ -514,7 +514,6 @@ class Stages:
             streams,
             writer,
             live,
-            InterruptFlag(),
             Control(),
             interlocks,
             clock,

@@ -87,7 +87,6 @@ class Collector:
     ) -> None:
         self._watch = watch
         self._page = page
-        self._control = Control()
         self._bench = bench
         self._content = content
         self._folder = folder
@@ -107,10 +106,11 @@ class Collector:
         """
         started_ns = self._clock.now_ns()
         with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:
+            control = Control(interrupt)
             streams = stack.enter_context(
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
-            interlocks = stack.enter_context(Interlocks(self._bench, self._control, self._clock))
+            interlocks = stack.enter_context(Interlocks(self._bench, control, self._clock))
             found = check_devices(self._bench, streams, interlocks)
             latency = request.calibration.latency
             signals = [row.name for row in self._bench.rows if "signal" in row.traits.roles]
@@ -133,15 +133,14 @@ class Collector:
             order = [target.index for target in targets]
             live = LiveLine(streams, total, self._clock, planned=planned, pressing=order)
             if self._page is not None:
-                self._page.begin(self._control, live.progress, request.path, first)
+                self._page.begin(control, live.progress, request.path, first)
             runner = PlanRunner(
                 self._bench,
                 arm,
                 streams,
                 writer,
                 live,
-                interrupt,
-                self._control,
+                control,
                 interlocks,
                 self._clock,
                 after_target=request.after_target,

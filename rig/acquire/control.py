@@ -140,9 +140,13 @@ class Control:
 
     A pause takes effect before the next target, with the tip clear of the surface. An abort ends
     the collection like Ctrl-C: the current phase is finished, the arm retracts, all data is kept.
+
+    Args:
+        interrupt: Requests of the terminal, which `check` raises too; None: there are none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, interrupt: InterruptFlag | None = None) -> None:
+        self._interrupt = interrupt
         self._lock = threading.Lock()
         self._paused_by: set[str] = set()
         self._aborted_by: str | None = None
@@ -175,7 +179,9 @@ class Control:
             return tuple(sorted(self._paused_by))
 
     def check(self) -> None:
-        """Raise `Interrupted` if an abort was requested."""
+        """Raise `Interrupted` if the end was requested, by a signal or an abort."""
+        if self._interrupt is not None:
+            self._interrupt.check()
         with self._lock:
             if self._aborted_by is not None:
                 raise Interrupted(f"aborted by the {self._aborted_by}")

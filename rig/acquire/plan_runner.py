@@ -12,7 +12,7 @@ import numpy as np
 
 from recorder import OUTCOMES, SessionError, SessionWriter
 from recorder.spec import frame_columns, reference_spec
-from rig.acquire.control import Control, InterruptFlag
+from rig.acquire.control import Control
 from rig.acquire.interlocks import DeadManReleased, Interlocks
 from rig.acquire.preflight import check_no_contact, no_mean, settling, tip_position
 from rig.acquire.progress_line import LiveLine
@@ -56,8 +56,7 @@ class PlanRunner:
         streams: Recording.
         writer: The session.
         live: The progress line.
-        interrupt: Checked after every row.
-        control: Likewise, and for pauses before every target.
+        control: Checked after every row, and for pauses before every target.
         interlocks: Interlocks, checked while the arm moves.
         clock: Clock.
         after_target: Called after each target, with the tip clear of the surface.
@@ -72,7 +71,6 @@ class PlanRunner:
         streams: Streams,
         writer: SessionWriter,
         live: LiveLine,
-        interrupt: InterruptFlag,
         control: Control,
         interlocks: Interlocks,
         clock: Clock,
@@ -86,7 +84,6 @@ class PlanRunner:
         self._streams = streams
         self._writer = writer
         self._live = live
-        self._interrupt = interrupt
         self._control = control
         self._interlocks = interlocks
         self._clock = clock
@@ -138,7 +135,7 @@ class PlanRunner:
 
     def _hold(self) -> None:
         """Wait while a pause is requested or the dead-man pedal is not held."""
-        self._asked()
+        self._control.check()
         began_ns = now_ns = self._clock.now_ns()
         while (why := self._reason_to_wait()) is not None:
             self._wait()
@@ -147,7 +144,7 @@ class PlanRunner:
             self._live.waiting(why)
             self._clock.sleep_until(now_ns + _LOOK_NS)
             now_ns = self._clock.now_ns()
-            self._asked()
+            self._control.check()
         if now_ns > began_ns:
             self._live.waited(now_ns - began_ns)
             logger.info("continuing after a pause of %.1f s", (now_ns - began_ns) / SECOND_NS)
@@ -157,11 +154,6 @@ class PlanRunner:
         if paused_by:
             return f"paused by the {' and the '.join(paused_by)}"
         return None if self._interlocks.armed() else f"waiting: {self._interlocks.wish}"
-
-    def _asked(self) -> None:
-        """Raise Interrupted if the operator requested the end, by signal or abort."""
-        self._interrupt.check()
-        self._control.check()
 
     def _rise(self, target: Target) -> None:
         """Move straight up from an interrupted press, clear of the surface, to retract height."""
@@ -181,7 +173,7 @@ class PlanRunner:
         self._move((x, y, approach), mode="travel")
         self._move((x, y, clearance), mode="guarded")
         self._take_reference(target.point)
-        self._asked()
+        self._control.check()
 
     def _take_reference(self, point: int) -> None:
         """Store the values of the sensor, having checked that nothing touches it."""
@@ -244,7 +236,7 @@ class PlanRunner:
                 logger.warning("target %d: %s", target.index + 1, result.reason)
                 self._leave(target)
                 return
-            self._asked()
+            self._control.check()
 
     def _leave(self, target: Target) -> None:
         """Move straight up from a press at the soft limit, then to p0 for the next one."""
@@ -254,7 +246,7 @@ class PlanRunner:
             # What a soft sensor keeps of this press would end the next approach.
             self._zero(target.point)
         self._move(target.origin, mode="guarded")
-        self._asked()
+        self._control.check()
 
     def _move(self, place: Point, *, mode: Mode, record: Move | None = None) -> MoveResult:
         bench, arm = self._bench, self._bench.arm
