@@ -9,7 +9,7 @@ from pathlib import Path
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE
 from rig.acquire.calibration import home, store
-from rig.acquire.calibration.calibration import Calibration, require_gauge
+from rig.acquire.calibration.calibration import require_gauge
 from rig.acquire.request import CollectRequest
 from rig.cli.options import recording_options
 from rig.cli.recording import Recording, measured, record, recording_of, started_bench
@@ -80,9 +80,8 @@ def find_by_force(
     plan = home.plan_for(bench, travel=travel, repeats=repeats, points=points)
     touching = home.touching_bench(bench, force)
     path = recording.session("home")
-    acceptance = store.acceptance_of(recording.calibrations, bench)
     request = CollectRequest(
-        path, operator=recording.operator, calibration=Calibration(acceptance=acceptance)
+        path, operator=recording.operator, calibration=recording.uncalibrated()
     )
 
     def stored(session: Session) -> Path:
@@ -117,10 +116,9 @@ def find_by_signal(recording: Recording) -> int:
         require_terminal()
     folder = Path("sessions") if recording.out is None else recording.out
     folder.mkdir(parents=True, exist_ok=True)
-    acceptance = store.acceptance_of(recording.calibrations, bench)
     with started_bench(recording.file) as on:
         started = dataclasses.replace(recording, on=on)
-        stages = without_gauge.StageRecorder(started, folder, acceptance)
+        stages = without_gauge.StageRecorder(started, folder)
         try:
             surface = no_gauge.find_surface(bench, content, stages)
         except no_gauge.StageStopped as stopped:

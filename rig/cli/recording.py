@@ -124,6 +124,14 @@ class Recording:
             print(line, flush=True)
         return calibration
 
+    def uncalibrated(self) -> Calibration:
+        """Return the calibration of a session that measures one: only the bench's acceptance.
+
+        Raises:
+            ConfigError: The file of the acceptance cannot be read.
+        """
+        return Calibration(acceptance=store.acceptance_of(self.calibrations, self.bench))
+
     def next(self, name: str, **others: object) -> str:
         """Return a command to continue with on this bench, with further options."""
         return next_command(name, **self.chosen, **others)

@@ -34,8 +34,6 @@ class StageRecorder:
     """The bench, started."""
     folder: Path
     """Folder for the sessions."""
-    acceptance: dict[str, Any] | None = None
-    """Summary of the bench's acceptance report; None: no report."""
 
     def __call__(
         self,
@@ -56,7 +54,7 @@ class StageRecorder:
         request = CollectRequest(
             path,
             operator=self.recording.operator,
-            calibration=Calibration(acceptance=self.acceptance),
+            calibration=self.recording.uncalibrated(),
             contact_change=contact_change,
             after_target=None if after_target is None else after,
         )
@@ -101,7 +99,7 @@ def prepare(
         SafetyStop, ConfigError, DeviceLost, SessionError, Interrupted: Nothing may be pressed.
     """
     bench, content = recording.bench, recording.file.content
-    stages = StageRecorder(recording, folder, calibration.acceptance)
+    stages = StageRecorder(recording, folder)
     if bench.mock and not _is_found(bench, calibration, content):
         home = no_gauge.find_surface(bench, content, stages)
         calibration = dataclasses.replace(calibration, home=home, file="found in the same run")
