@@ -28,8 +28,6 @@ from rig.monitor.finished import Finished
 
 # File beside a session with the port of its page, as long as the page is served.
 ADDRESS = ".tactile-page.json"
-# Longest value of a query and most values of it.
-MAX_VALUE, MAX_VALUES = 300, 12
 # Most campaign files and benches that are shown.
 _MOST = 40
 # Types of pictures, by their first bytes; any other content is a report.
@@ -59,20 +57,11 @@ class Query(dict[str, str]):
     """Values of a request.
 
     Args:
-        text: The part of its address after `?`.
-
-    Raises:
-        Refused: They are too many or too long.
+        text: The part of its address after `?`; the server limits its length.
     """
 
     def __init__(self, text: str) -> None:
-        try:
-            pairs = parse_qsl(text, keep_blank_values=True, max_num_fields=MAX_VALUES)
-        except ValueError:
-            raise Refused(f"a query of more than {MAX_VALUES} values") from None
-        if any(len(value) > MAX_VALUE for _, value in pairs):
-            raise Refused(f"a value of more than {MAX_VALUE} characters")
-        super().__init__(pairs)
+        super().__init__(parse_qsl(text, keep_blank_values=True))
 
     def __missing__(self, key: str) -> str:
         """Refuse a request that lacks a value."""

@@ -208,9 +208,6 @@ class PageServer:
     # Open pages.
 
     async def _serve(self, client: ServerConnection) -> None:
-        if len(self._clients) >= self._most:
-            await client.close(1013, "enough people are watching")
-            return
         self._clients.add(client)
         raw = client.transport.get_extra_info("socket")
         raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)

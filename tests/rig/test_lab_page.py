@@ -228,8 +228,6 @@ def test_no_other_message_is_understood(message: str | bytes) -> None:
         ("/data/indenter?name=../indenters", 404),
         ("/data/sessions?since=yesterday", 400),
         ("/data/sessions?faults=maybe", 400),
-        ("/data/sessions?text=" + "x" * 301, 400),
-        ("/data/sessions?" + "&".join(f"a{k}=1" for k in range(40)), 400),
         ("/data/", 404),
         ("/data/../server.py", 404),
         ("/data/%2e%2e/lab", 404),
