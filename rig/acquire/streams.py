@@ -62,11 +62,6 @@ class StreamHandle:
         self._closed = False
         self._failure: Exception | None = None
 
-    @property
-    def pid(self) -> int:
-        """Process id."""
-        return self._process.pid or 0
-
     def wait_opened(self) -> dict[str, Any]:
         """Wait until the driver is open and return the properties of its device.
 
@@ -234,9 +229,6 @@ class Streams:
 
     def __getitem__(self, name: str) -> StreamHandle:
         return self._handles[name]
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._handles
 
     def wait_opened(self) -> dict[str, dict[str, Any]]:
         """Wait until all drivers are open and return the properties of their devices by stream.

@@ -38,6 +38,8 @@ _SMOOTH = 17
 _FIT = 8
 # A second peak must be farther than this from the first [s].
 _NEIGHBOURHOOD = 0.05
+# Smallest and largest lag of the coarse search [s].
+_SEARCH = (-0.05, 0.3)
 # The fine search extends this far to both sides of the coarse lag [s].
 _REACH = 0.03
 _ROUNDS = 400
@@ -69,9 +71,6 @@ def find_lag(
     force: Floats,
     motion_t_ns: Times,
     motion: Floats,
-    *,
-    search: tuple[float, float] = (-0.05, 0.3),
-    seed: int = 0,
 ) -> Lag:
     """Find the lag of `motion` behind `force`.
 
@@ -80,8 +79,6 @@ def find_lag(
         force: Magnitude of the force (n,) [N]; about zero without contact.
         motion_t_ns: Times of the motion (m,) [ns], ascending.
         motion: Distance from the state without contact (m,), any unit.
-        search: Smallest and largest lag to search [s].
-        seed: Seed of the bootstrap.
 
     Raises:
         ValueError: There are too few samples or taps, or no motion.
@@ -90,7 +87,7 @@ def find_lag(
     seconds = (motion_t_ns - force_t_ns[0]) * 1e-9
     # Keep the samples whose force is known at every lag of the search.
     margin = _REACH + 2 * STEP
-    kept = (seconds > grid[0] + search[1] + margin) & (seconds < grid[-1] + search[0] - margin)
+    kept = (seconds > grid[0] + _SEARCH[1] + margin) & (seconds < grid[-1] + _SEARCH[0] - margin)
     seconds, motion = seconds[kept], np.asarray(motion, np.float64)[kept]
     if len(seconds) < 30:
         raise ValueError(
@@ -103,14 +100,14 @@ def find_lag(
     taps = _taps(grid, raster)
     if len(taps) < 4:
         raise ValueError(f"force: found {len(taps)} taps; at least 4")
-    lags = np.arange(search[0], search[1] + STEP / 2, STEP)
+    lags = np.arange(_SEARCH[0], _SEARCH[1] + STEP / 2, STEP)
     curve = np.array([_correlation(np.interp(seconds - lag, grid, raster), motion) for lag in lags])
     coarse = float(lags[curve.argmax()])
     fine = coarse + np.arange(-_REACH, _REACH + STEP / 2, STEP)
     blocks = np.searchsorted((taps[1:] + taps[:-1]) / 2, seconds - coarse)
     squares = _squares(grid, raster, seconds, motion, fine, blocks, len(taps))
     value = _best(fine, squares.sum(axis=1)[None])[0]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = rng.multinomial(len(taps), np.full(len(taps), 1 / len(taps)), _ROUNDS)
     found = _best(fine, np.einsum("rb,lbij->rlij", drawn.astype(float), squares))
     # With few taps the bootstrap interval is too narrow.
