@@ -201,8 +201,8 @@ class Onlooker(Protocol):
 
         Args:
             control: Receives the requests.
-            progress: Returns the progress; may be called in any thread.
-            session: Path of its session.
+            progress: Returns the progress, as `LiveLine.progress`; may be called in any thread.
+            session: Path of its session, which has the outcomes of targets before `first`.
             first: First target of this run.
         """
 

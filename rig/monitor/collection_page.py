@@ -91,15 +91,7 @@ class CollectionPage(PageProcess):
         session: Path,
         first: int,
     ) -> None:
-        """Show a running collection.
-
-        Args:
-            control: Receives the page's requests.
-            progress: Called in a thread; returns fields of `Snapshot`, `ended` (outcomes of
-                targets) and `waiting` (True during a pause).
-            session: Its session; the outcomes of targets before `first` are read from it.
-            first: First target of this run.
-        """
+        """Show a running collection; see `rig.acquire.control.Onlooker`."""
         self._control, self._progress = control, progress
         if first:
             segments = Session(session).segments
