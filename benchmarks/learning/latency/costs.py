@@ -41,8 +41,6 @@ VARIANTS = (
     Variant("torch.compile", "fp32"),
     Variant("torch.compile", "bf16"),
     Variant("onnxruntime", "fp32"),
-    Variant("openvino", "fp32"),
-    Variant("openvino", "bf16"),
 )
 
 
@@ -161,8 +159,7 @@ def _stream(
             torch.compiler.reset()
             one.compile(dynamic=False)
         return stepped_by(one, model)
-    narrow = variant.precision == "bf16"
-    return open_exported(exported, runtime=variant.runtime, threads=threads, bf16=narrow)
+    return open_exported(exported, threads=threads)
 
 
 def _bf16(model: ForceModel) -> ForceModel:
