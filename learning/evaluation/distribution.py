@@ -14,7 +14,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -301,68 +301,12 @@ _AT_ONCE = 64
 _HASHED = 12  # number of digits of a hash in names
 
 
-class Extractor(Protocol):
+@dataclass(frozen=True, slots=True, eq=False)
+class Extractor:
     """Computes features of images."""
 
-    @property
-    def name(self) -> str:
-        """Name of the extractor: a model and the hash of its weights."""
-        ...
-
-    def features(self, images: Images) -> Floats:
-        """Return features (n, d) of images (n, 256, 256)."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class MarkerGrid:
-    """Marker coverage, position and edges in the cells of a grid.
-
-    For each of 8 x 8 cells: the covered fraction; the mean of coverage times column, and times row,
-    from -1 to 1 across the cell; the mean step to the next pixel, right and down. 256 numbers.
-    """
-
-    @property
-    def name(self) -> str:
-        """Name of the extractor."""
-        return GRID
-
-    def features(self, images: Images) -> Floats:
-        """Return features (n, 256) of images (n, 256, 256).
-
-        Raises:
-            LearningError: The images are not uint8 of that size.
-        """
-        require_images(images)
-        parts = range(0, len(images), _AT_ONCE)
-        found = [self._of(images[first : first + _AT_ONCE]) for first in parts]
-        return np.concatenate([np.empty((0, 4 * CELLS**2)), *found])
-
-    def _of(self, images: Images) -> Floats:
-        count, side = images.shape[:2]
-        set_ = images.astype(np.float64) / 255
-        right = np.abs(np.diff(set_, axis=2, append=set_[:, :, -1:]))
-        down = np.abs(np.diff(set_, axis=1, append=set_[:, -1:]))
-        width = side // CELLS
-        across = np.linspace(-1, 1, width)
-        cells = set_.reshape(count, CELLS, width, CELLS, width)
-        edges = (right + down).reshape(count, CELLS, width, CELLS, width)
-        area = width**2
-        kinds = (
-            cells.mean(axis=(2, 4)),
-            np.einsum("nrycx,x->nrc", cells, across) / area,
-            np.einsum("nrycx,y->nrc", cells, across) / area,
-            edges.mean(axis=(2, 4)),
-        )
-        return np.stack(kinds, axis=1).reshape(count, -1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Network:
-    """Features of a network whose weights are in a file."""
-
     name: str
-    """Name of the extractor."""
+    """Its name: of a network with the hash of its weights."""
     compute: Callable[[Images], Floats]
     """Function that returns features (n, d) of at most 64 images (n, 256, 256)."""
 
@@ -372,9 +316,39 @@ class Network:
         Raises:
             LearningError: The images are not uint8 of that size.
         """
-        require_images(images)
+        if images.dtype != np.uint8 or images.ndim != 3 or images.shape[1:] != (256, 256):
+            raise LearningError(
+                f"images: found {images.dtype} {images.shape}; allowed: uint8 (n, 256, 256)"
+            )
         parts = range(0, max(len(images), 1), _AT_ONCE)
         return np.concatenate([self.compute(images[first : first + _AT_ONCE]) for first in parts])
+
+
+def _marker_grid(images: Images) -> Floats:
+    """Return marker coverage, position and edges in the cells of a grid (n, 256).
+
+    For each of 8 x 8 cells: the covered fraction; the mean of coverage times column, and times row,
+    from -1 to 1 across the cell; the mean step to the next pixel, right and down.
+    """
+    count, side = images.shape[:2]
+    coverage = images.astype(np.float64) / 255
+    right = np.abs(np.diff(coverage, axis=2, append=coverage[:, :, -1:]))
+    down = np.abs(np.diff(coverage, axis=1, append=coverage[:, -1:]))
+    width = side // CELLS
+    across = np.linspace(-1, 1, width)
+    cells = coverage.reshape(count, CELLS, width, CELLS, width)
+    edges = (right + down).reshape(count, CELLS, width, CELLS, width)
+    area = width**2
+    kinds = (
+        cells.mean(axis=(2, 4)),
+        np.einsum("nrycx,x->nrc", cells, across) / area,
+        np.einsum("nrycx,y->nrc", cells, across) / area,
+        edges.mean(axis=(2, 4)),
+    )
+    return np.stack(kinds, axis=1).reshape(count, 4 * CELLS**2)
+
+
+MARKER_GRID = Extractor(GRID, _marker_grid)
 
 
 def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
@@ -389,32 +363,20 @@ def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
         LearningError: The name is none of these, or the weights are of another network.
     """
     if name_or_path in ("marker-grid", GRID):
-        return MarkerGrid()
+        return MARKER_GRID
     path = Path(name_or_path)
     if path.is_dir():
         return _marker_vae(path, device)
     if path.is_file():
-        network = load_inception(path, device)
-        return Network(f"inception@{_sha256(path)}, {RESIZED}", network)
+        compute = load_inception(path, device)
+        return Extractor(f"inception@{_sha256(path)}, {RESIZED}", compute)
     raise LearningError(
         f"--features: found {name_or_path!r}; allowed: marker-grid, the folder of a trained marker "
         "VAE, or a file with the weights of Inception"
     )
 
 
-def require_images(images: Images) -> None:
-    """Reject images that are not network inputs.
-
-    Raises:
-        LearningError: They are not uint8, or not 256 x 256.
-    """
-    if images.dtype != np.uint8 or images.ndim != 3 or images.shape[1:] != (256, 256):
-        raise LearningError(
-            f"images: found {images.dtype} {images.shape}; allowed: uint8 (n, 256, 256)"
-        )
-
-
-def _marker_vae(folder: Path, device: str) -> Network:
+def _marker_vae(folder: Path, device: str) -> Extractor:
     """Return features (n, 4 * 64) of a marker VAE: the mean of its latent in 8 x 8 cells."""
     from learning.translation.diffusion.vae import KIND, load_vae
 
@@ -426,7 +388,7 @@ def _marker_vae(folder: Path, device: str) -> Network:
             cells = functional.adaptive_avg_pool2d(latent, CELLS).flatten(1)
         return np.asarray(cells.double().cpu().numpy(), np.float64)
 
-    return Network(f"{KIND}@{_sha256(folder / 'model.safetensors')}", compute)
+    return Extractor(f"{KIND}@{_sha256(folder / 'model.safetensors')}", compute)
 
 
 def _sha256(path: Path) -> str:
@@ -455,7 +417,7 @@ def frechet_distance(one: Floats, other: Floats) -> float:
     Raises:
         LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
-    _require_samples(one, other, least=2)
+    _require_samples(one, other)
     apart = one.mean(axis=0) - other.mean(axis=0)
     first, second = (
         np.linalg.qr(samples - samples.mean(axis=0), mode="r") / np.sqrt(len(samples) - 1)
@@ -484,7 +446,7 @@ def kernel_distance(
     Raises:
         LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
-    _require_samples(one, other, least=2)
+    _require_samples(one, other)
     size = max(min(size, len(one) // 2, len(other) // 2), 2)
     chance = np.random.default_rng(seed)
     found = [
@@ -503,7 +465,7 @@ def squared_kernel_distance(one: Floats, other: Floats) -> float:
     Raises:
         LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
-    _require_samples(one, other, least=2)
+    _require_samples(one, other)
 
     def within(samples: Floats) -> float:
         kernel = _kernel(samples, samples)
@@ -517,15 +479,14 @@ def _kernel(one: Floats, other: Floats) -> Floats:
     return np.asarray((one @ other.T / one.shape[1] + 1) ** DEGREE, np.float64)
 
 
-def _require_samples(one: Floats, other: Floats, least: int) -> None:
-    for samples in (one, other):
-        if samples.ndim != 2 or len(samples) < least or samples.shape[1] != one.shape[1]:
-            raise LearningError(
-                f"features: found {one.shape} and {other.shape}; allowed: (n, d) and (m, d), "
-                f"{least} samples or more"
-            )
-        if not np.isfinite(samples).all():
-            raise LearningError("features: found some that are not numbers; allowed: numbers")
+def _require_samples(one: Floats, other: Floats) -> None:
+    if one.ndim != 2 or one.shape[1:] != other.shape[1:] or min(len(one), len(other)) < 2:
+        raise LearningError(
+            f"features: found {one.shape} and {other.shape}; allowed: (n, d) and (m, d), 2 "
+            "samples or more"
+        )
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        raise LearningError("features: found some that are not numbers; allowed: numbers")
 
 
 # Separability of two sets of features: by a classifier, by neighbours, and by t-SNE plots.
@@ -561,7 +522,7 @@ def classifier_accuracy(
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    _require(one, other, 2)
+    _require_samples(one, other)
     features, which = _stacked(one, other)
     if groups.shape != which.shape:
         raise LearningError(f"groups: found shape {groups.shape}; allowed: {which.shape}")
@@ -585,7 +546,7 @@ def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> fl
     Raises:
         LearningError: There are no more samples than neighbours, or widths differ.
     """
-    _require(one, other, 2)
+    _require_samples(one, other)
     features, which = _stacked(one, other)
     if len(features) <= neighbours:
         raise LearningError(
@@ -624,11 +585,3 @@ def embedded(features: Floats, *, seed: int) -> Floats:
 def _stacked(one: Floats, other: Floats) -> tuple[Floats, NDArray[np.int64]]:
     features = np.concatenate([one, other]).astype(np.float64)
     return features, np.repeat(np.array([0, 1]), [len(one), len(other)])
-
-
-def _require(one: Floats, other: Floats, least: int) -> None:
-    if one.ndim != 2 or one.shape[1:] != other.shape[1:] or min(len(one), len(other)) < least:
-        raise LearningError(
-            f"features: found {one.shape} and {other.shape}; allowed: (n, d) and (m, d), {least} "
-            "samples or more"
-        )

@@ -599,6 +599,8 @@ def score_translation(
             has no pairs.
         SessionError: The archive is corrupt.
     """
+    from learning.data.images import shrink
+
     source, target = (_sensor_of(archive, translated, end) for end in ("source", "target"))
     split.check(archive)
     known = split.rows(target.table, "train")
@@ -606,13 +608,13 @@ def score_translation(
     paired: list[PairedScore] = []
     distances: list[DistanceScore] = []
     kept: dict[str, NDArray[np.float32]] = {}
-    total = sum(5 * len(ours.real) for ours in drawn)
+    total = sum(5 * len(rows) for rows, _, _ in drawn)
     done = 0
-    for role, ours in zip(roles, drawn, strict=True):
-        real = real_frames(target, ours.real)
+    for role, (real_rows, source_rows, translated_rows) in zip(roles, drawn, strict=True):
+        real = real_frames(target, real_rows)
         shown = {
-            TRANSLATED: translated.packed(ours.translated),
-            SOURCE: source.packed(ours.source),
+            TRANSLATED: translated.packed(translated_rows),
+            SOURCE: source.packed(source_rows),
             REFERENCE: target.references[target.table["reference"][real.rows]],
         }
         if len(known):
@@ -621,7 +623,7 @@ def score_translation(
         features = {}
         for method, packed in shown.items():
             paired.append(paired_score(packed, real, role, method))
-            features[method] = _features(extractor, packed)
+            features[method] = extractor.features(shrink(packed))
             done += len(real.rows)
             progress(done, total)
         location = target.table["location"][real.rows]
@@ -643,42 +645,6 @@ def score_translation(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sample:
-    """Features of some frames."""
-
-    features: Floats
-    """Output of an extractor (n, d)."""
-    location: NDArray[np.integer[Any]]
-    """Location of each frame (n,)."""
-
-
-def distance_score(
-    real: Sample, found: Sample, role: str, method: str, extractor: str, seed: int
-) -> DistanceScore:
-    """Return the distances of frames from real ones of other presses.
-
-    Raises:
-        LearningError: There are too few samples, or features differ in width.
-    """
-    one, other = real.features, found.features
-    kernel, spread = kernel_distance(one, other, size=SUBSET, subsets=SUBSETS, seed=seed)
-    groups = np.concatenate([real.location, found.location])
-    return DistanceScore(
-        role=role,
-        method=method,
-        extractor=extractor,
-        frechet=frechet_distance(one, other),
-        kernel=kernel,
-        kernel_std=spread,
-        classifier=classifier_accuracy(one, other, groups, seed=seed),
-        mixing=mixing_score(one, other, min(NEIGHBOURS, len(one) + len(other) - 1)),
-        samples=min(len(one), len(other)),
-        dimensions=one.shape[1],
-        seed=seed,
-    )
-
-
 def half_of_locations(location: NDArray[np.integer], seed: int) -> NDArray[np.bool_]:
     """Return True for frames (n,) in the half of the locations that real frames are taken from.
 
@@ -689,15 +655,6 @@ def half_of_locations(location: NDArray[np.integer], seed: int) -> NDArray[np.bo
     return np.isin(location, chosen)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pairs:
-    """Corresponding rows of the target, the source and the translated frames."""
-
-    real: Rows
-    source: Rows
-    translated: Rows
-
-
 def _pairs(
     source: ArchivedSensor,
     target: ArchivedSensor,
@@ -706,7 +663,8 @@ def _pairs(
     role: Role,
     frames: int,
     seed: int,
-) -> _Pairs:
+) -> tuple[Rows, Rows, Rows]:
+    """Return corresponding rows of the target, the source and the translated frames."""
     before = location_pairs(source.table, target.table)
     after = location_pairs(translated.table, target.table)
     real, one, other = np.intersect1d(
@@ -720,11 +678,7 @@ def _pairs(
         )
     count = min(frames, len(of_role))
     of_role = np.sort(np.random.default_rng(seed).permutation(of_role)[:count])
-    return _Pairs(
-        real[of_role],
-        before.source[one[of_role]],
-        after.source[other[of_role]],
-    )
+    return real[of_role], before.source[one[of_role]], after.source[other[of_role]]
 
 
 def _sensor_of(archive: MarkerArchive, translated: ArchivedSensor, end: str) -> ArchivedSensor:
@@ -737,12 +691,6 @@ def _sensor_of(archive: MarkerArchive, translated: ArchivedSensor, end: str) -> 
     return archive[str(name)]
 
 
-def _features(extractor: Extractor, packed: Packed) -> Floats:
-    from learning.data.images import shrink
-
-    return extractor.features(shrink(packed))
-
-
 def _distances(
     features: dict[str, Floats],
     location: NDArray[np.integer[Any]],
@@ -751,10 +699,26 @@ def _distances(
     extractor: str,
     seed: int,
 ) -> list[DistanceScore]:
-    real = Sample(features[FLOOR][halves], location[halves])
-    return [
-        distance_score(
-            real, Sample(found[~halves], location[~halves]), role, method, extractor, seed
+    """Return the distances of frames of each method from real ones of other presses."""
+    real = features[FLOOR][halves]
+    groups = np.concatenate([location[halves], location[~halves]])
+    scores = []
+    for method, found in features.items():
+        other = found[~halves]
+        kernel, spread = kernel_distance(real, other, size=SUBSET, subsets=SUBSETS, seed=seed)
+        scores.append(
+            DistanceScore(
+                role=role,
+                method=method,
+                extractor=extractor,
+                frechet=frechet_distance(real, other),
+                kernel=kernel,
+                kernel_std=spread,
+                classifier=classifier_accuracy(real, other, groups, seed=seed),
+                mixing=mixing_score(real, other, min(NEIGHBOURS, len(groups) - 1)),
+                samples=min(len(real), len(other)),
+                dimensions=real.shape[1],
+                seed=seed,
+            )
         )
-        for method, found in features.items()
-    ]
+    return scores

@@ -20,7 +20,7 @@ from learning.compensation import CHOICE_OF_METHOD, SIMULATED, read_stored, twin
 from learning.compensation.fit import Curves, gather_priors, write_compensation
 from learning.data.splits import read_split
 from learning.errors import LearningError
-from learning.evaluation.distribution import MarkerGrid
+from learning.evaluation.distribution import MARKER_GRID
 from learning.evaluation.predictions import Predictions
 from learning.evaluation.translation import TranslationScores, read_scores, score_translation
 from learning.experiment.forces import Forces
@@ -197,7 +197,7 @@ class Worker:
             file = self._places.predictions / f"{sensor.name}.{name}.scores.npz"
             if not file.exists():
                 score_translation(
-                    self._archive, sensor, few, roles, MarkerGrid(), seed=settings.seed
+                    self._archive, sensor, few, roles, MARKER_GRID, seed=settings.seed
                 ).write(file)
             scores.append(read_scores(file))
         self._say(f"translations of {source} by {name} scored: {path}")

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from learning.errors import LearningError
 from learning.evaluation.distribution import (
     FEATURES,
+    MARKER_GRID,
     Inception,
-    MarkerGrid,
     classifier_accuracy,
     embedded,
     frechet_distance,
@@ -132,7 +132,7 @@ def test_an_embedding_is_the_same_for_a_seed() -> None:
 def test_the_marker_grid_tells_what_is_set_where_and_how_much_is_edge() -> None:
     image = np.zeros((1, 256, 256), np.uint8)
     image[0, 32:64, 96:112] = 255  # the left half of one cell, second row and fourth column
-    coverage, column, row, edge = MarkerGrid().features(image).reshape(4, 8, 8)
+    coverage, column, row, edge = MARKER_GRID.features(image).reshape(4, 8, 8)
     assert coverage[1, 3] == pytest.approx(0.5)
     assert coverage.sum() == pytest.approx(0.5)
     across = np.linspace(-1, 1, 32)[:16].mean() / 2
@@ -145,7 +145,7 @@ def test_the_marker_grid_tells_what_is_set_where_and_how_much_is_edge() -> None:
 
 def test_images_of_another_size_have_no_features() -> None:
     with pytest.raises(LearningError, match="allowed: uint8"):
-        MarkerGrid().features(np.zeros((2, 128, 128), np.uint8))
+        MARKER_GRID.features(np.zeros((2, 128, 128), np.uint8))
 
 
 def test_features_without_weights_are_named_for_what_they_are() -> None:

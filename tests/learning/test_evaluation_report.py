@@ -17,7 +17,7 @@ from support.predicted_forces import predictions
 from learning.cli import evaluate
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.evaluation.distribution import MarkerGrid
+from learning.evaluation.distribution import MARKER_GRID
 from learning.evaluation.paper_figures import PAPER, beside_the_paper, group_of
 from learning.evaluation.predictions import force_rows
 from learning.evaluation.report import write_report
@@ -77,7 +77,7 @@ def translated(archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory)
 @pytest.fixture(scope="module")
 def scores(archive: MarkerArchive, split: Split, translated: MarkerArchive) -> TranslationScores:
     return score_translation(
-        archive, translated["dots-to-grid"], split, ["new_indenter"], MarkerGrid(), frames=40
+        archive, translated["dots-to-grid"], split, ["new_indenter"], MARKER_GRID, frames=40
     )
 
 
@@ -144,7 +144,7 @@ def test_an_archive_that_was_not_translated_is_refused(
     archive: MarkerArchive, split: Split
 ) -> None:
     with pytest.raises(LearningError, match="allowed: frames translated from and to"):
-        score_translation(archive, archive["grid"], split, ["new_indenter"], MarkerGrid())
+        score_translation(archive, archive["grid"], split, ["new_indenter"], MARKER_GRID)
 
 
 def test_a_report_tells_before_and_after_in_one_page_and_in_tables(
