@@ -27,7 +27,7 @@ from learning.data.genforce.format import (
     read_forces,
     read_poses,
 )
-from learning.data.genforce.training import frame_files
+from learning.data.genforce.training import contact_points, frame_files
 from learning.errors import LearningError
 from recorder import SessionError
 from recorder.markers import HEIGHT, WIDTH
@@ -89,8 +89,10 @@ def read_raw(
             f"{', '.join(sensor.name for sensor in sensors)}"
         )
     targets = max(
-        (_point(point) for sensor in sensors for run in _runs(sensor) for point in _points(run)),
-        default=0,
+        int(point.name)
+        for sensor in sensors
+        for run in _runs(sensor)
+        for point in contact_points(run)
     )
     for sensor in sensors:
         taxels = not (sensor / "image").is_dir()
@@ -100,10 +102,7 @@ def read_raw(
         for number, run in enumerate(_runs(sensor)):
             if not taxels:
                 references.append(_reference(run))
-            points = _points(run)
-            if not points:
-                raise LearningError(f"{run}: found no contact points; expected folders 1, 2, ...")
-            located = not (points[0] / "down").is_dir()
+            located = not (contact_points(run)[0] / "down").is_dir()
             other = known.setdefault((_indenter(run), located), run)
             if other is not run:
                 raise LearningError(
@@ -164,8 +163,8 @@ def _presses(
 ) -> Iterator[GenForcePress]:
     phases = {name: code for code, name in enumerate(PHASES)} if located else FORCE_DEPTH
     origin: Array | None = None
-    for point in _points(run):
-        target = _point(point) - 1
+    for point in contact_points(run):
+        target = int(point.name) - 1
         files: list[Path] = []
         codes_of: list[int] = []
         wrenches: list[Array] = []
@@ -240,18 +239,6 @@ def _runs(sensor: Path) -> list[Path]:
 
 def _indenter(run: Path) -> str:
     return run.name.rpartition("-")[0]
-
-
-def _points(run: Path) -> list[Path]:
-    points = [path for path in run.iterdir() if path.is_dir()]
-    for point in points:
-        if not point.name.isdecimal() or int(point.name) < 1:
-            raise LearningError(f"{point}: found no number; expected contact points 1, 2, ...")
-    return sorted(points, key=_point)
-
-
-def _point(folder: Path) -> int:
-    return int(folder.name)
 
 
 def _reference(run: Path) -> Path:

@@ -93,7 +93,10 @@ def read_training(
         if not _folders(sensor):
             raise LearningError(f"{sensor}: found no folder of an indenter")
     targets = max(
-        int(point.name) for sensor in sensors for one in _folders(sensor) for point in _points(one)
+        int(point.name)
+        for sensor in sensors
+        for one in _folders(sensor)
+        for point in contact_points(one)
     )
     for sensor in sensors:
         yield _sensor(root, images, sensor, codes, targets, surfaces_mm, plans.get(sensor.name))
@@ -137,7 +140,7 @@ def _sensor(
     presses, torques = [], True
     known: set[bool] = set()
     for indenter in _folders(folder):
-        for point in _points(indenter):
+        for point in contact_points(indenter):
             files = frame_files(point)
             place = Path(name) / indenter.name / point.name
             wrench, whole = _forces(root / "force" / place / "ft.csv", files)
@@ -246,8 +249,12 @@ def _folders(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != ".")
 
 
-def _points(folder: Path) -> list[Path]:
-    """Return the folders of contact points by number."""
+def contact_points(folder: Path) -> list[Path]:
+    """Return the folders of contact points by number.
+
+    Raises:
+        LearningError: There are none, or another folder is among them.
+    """
     points = _folders(folder)
     for point in points:
         if not point.name.isdecimal() or int(point.name) < 1:
