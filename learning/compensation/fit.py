@@ -235,8 +235,7 @@ def _choice(content: Mapping[str, Any]) -> Choice:
         None if error is None else float(error),
         tuple(None if value is None else float(value) for value in content["axes"]),
         int(content["clamped"]),
-        # Missing in old files.
-        None if (r2 := content.get("r2")) is None else float(r2),
+        None if (r2 := content["r2"]) is None else float(r2),
     )
 
 

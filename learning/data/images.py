@@ -289,14 +289,7 @@ def inverse(
     return functional.interpolate(back, shape, mode="bilinear", align_corners=True)
 
 
-def warp(
-    reference: Tensor,
-    field: Tensor,
-    lattice: Lattice | None = LATTICE,
-    *,
-    steps: int = _STEPS,
-    coarse: int = _COARSE,
-) -> Tensor:
+def warp(reference: Tensor, field: Tensor, lattice: Lattice | None = LATTICE) -> Tensor:
     """Warp images without contact by fields to images (n, 1, H, W).
 
     Areas that enter the view from outside of the reference have no markers.
@@ -305,14 +298,12 @@ def warp(
         reference: Images without contact (n or 1, 1, H, W) float, of any size, of the whole view.
         field: Displacements (n, 2, h, w) [px of the 640 x 480 image].
         lattice: Lattice of the fields; None: cells that cover the image.
-        steps: Iterations of the inversion.
-        coarse: Step of the grid of the inversion, in pixels of H x W.
     """
     shape = reference.shape[-2], reference.shape[-1]
     # In bfloat16, coordinates would be off by pixels.
     with torch.autocast(field.device.type, enabled=False):
         field = field.float()
-        back = inverse(field, shape, lattice, steps=steps, coarse=coarse)
+        back = inverse(field, shape, lattice)
         columns, rows = _centres(shape, field)
         x = (columns + back[:, 0] + 0.5) * (2 / WIDTH) - 1
         y = (rows + back[:, 1] + 0.5) * (2 / HEIGHT) - 1
@@ -344,9 +335,9 @@ def log_area(field: Tensor) -> Tensor:
     return area.clamp_min(LEAST_AREA).log()
 
 
-def marker_maps(fields: Fields, side: int = FIELD_SIDE) -> Tensor:
-    """Return a force model's inputs from fields (n, 3, side, side): dx, dy [px], log area."""
-    cells = on_cells(fields.displacement, fields.lattice, side)
+def marker_maps(fields: Fields) -> Tensor:
+    """Return a force model's inputs from fields (n, 3, 32, 32): dx, dy [px], log area."""
+    cells = on_cells(fields.displacement, fields.lattice)
     return torch.cat([cells, log_area(cells).unsqueeze(1)], dim=1)
 
 

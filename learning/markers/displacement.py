@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from learning.errors import LearningError
 from learning.markers.segment import Centres, find_centres
+from learning.markers.track import GATE, SPEED
 from recorder.markers import HEIGHT, PACKED, SMALLEST_PX, WIDTH, Lattice, pack, unpack
 from recorder.processes import Workers
 
@@ -205,11 +206,6 @@ Indices = NDArray[np.int64]
 
 # Maximum number of matching rounds per frame.
 ROUNDS = 5
-# Maximum distance of a marker from its expected position [pitch]: beyond half of it, it could as
-# well be its neighbour.
-GATE = 0.5
-# Fraction of the last frame's motion that is expected to continue.
-SPEED = 0.5
 # Area, relative to the median marker, above which a patch counts as merged markers.
 MERGED = 1.5
 _CUTS = 6  # iterations of dividing a patch
@@ -231,29 +227,25 @@ class Match:
 class Matcher:
     """Finds the markers of one reference in frames; remembers the previous frame."""
 
-    def __init__(
-        self, reference: Masks, *, smoothing: float, smallest_px: int = SMALLEST_PX
-    ) -> None:
+    def __init__(self, reference: Masks, *, smoothing: float) -> None:
         """Index the markers by their order in the reference.
 
         Args:
             reference: The mask without contact (480, 640).
             smoothing: Smoothing of the spline.
-            smallest_px: Patches of fewer pixels are ignored.
 
         Raises:
             LearningError: The input is no mask, or has no markers.
         """
-        found = find_centres(reference, smallest_px=smallest_px)
+        found = find_centres(reference)
         # Markers at the border are excluded, as their visible centre moves with the cut.
         chosen = found.whole if found.whole.any() else np.ones(len(found), np.bool_)
         if not chosen.any():
-            raise LearningError(f"reference: found no marker of {smallest_px} px or more")
+            raise LearningError(f"reference: found no marker of {SMALLEST_PX} px or more")
         self.markers: Floats = found.place[chosen]
         self.area = found.area[chosen].astype(np.float64)
         self.spline = Spline(self.markers, smoothing=smoothing)
         self.pitch_px = pitch(self.markers) or _LONE_PITCH
-        self._smallest_px = smallest_px
         self._all_cut = not found.whole.any()
         self.restart()
 
@@ -264,7 +256,7 @@ class Matcher:
 
     def step(self, mask: Masks) -> Match:
         """Find the markers in the next frame (480, 640)."""
-        seen = find_centres(mask, smallest_px=self._smallest_px)
+        seen = find_centres(mask)
         start = self._before + SPEED * self._step
         moved, found = self._searched(start, seen)
         if not (found >= 0).all() and len(seen):

@@ -105,14 +105,13 @@ class Pattern:
 
 
 def fit_preset(
-    pictures: Sequence[Picture], *, pitch_mm: float | None = None, description: str = ""
+    pictures: Sequence[Picture], *, pitch_mm: float | None = None
 ) -> tuple[CameraPreset, Pattern]:
     """Return a preset for the sensor of pictures without contact (h, w, 3) RGB, and its markers.
 
     Args:
         pictures: One or more, without contact; their median is used.
         pitch_mm: Distance between neighbouring markers [mm], for the scale of the preset.
-        description: Description of the preset.
 
     Raises:
         LearningError: No pictures, or pictures without a regular pattern of markers.
@@ -155,7 +154,7 @@ def fit_preset(
         hull = cv2.convexHull(blobs.centre[own].astype(np.float32))[:, 0]
         preset = replace(preset, region=Region(polygon=_widened(hull, MARGIN * best.pitch_px)))
         best = replace(best, spread=replace(best.spread, count=int(own.sum())))
-    return replace(preset, description=description or f"fitted: {best}"), best
+    return replace(preset, description=f"fitted: {best}"), best
 
 
 def _widened(corners: NDArray[Any], margin: float) -> tuple[tuple[int, int], ...]:

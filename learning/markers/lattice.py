@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from learning.markers.segment import Hat, Mask, Picture, Segmenter, hat_contrast
-from learning.markers.track import NEIGHBOURS, Tracker
+from learning.markers.track import GATE, NEIGHBOURS, Tracker
 from recorder.markers import SMALLEST_PX
 
 Floats = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Lattice:
         self._centre, self._area = patches.centre, patches.area
         self._contrast = self._of(reference)
         self._tracker = Tracker(self._centre)
-        self._pitch = self._tracker.gate_px / 0.5
+        self._pitch = self._tracker.gate_px / GATE
         count = min(NEIGHBOURS + 1, len(self._centre))
         self._around = cKDTree(self._centre).query(self._centre, count)[1].reshape(-1, count)[:, 1:]
         self._patches = patches

@@ -26,6 +26,11 @@ from learning.errors import LearningError
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+# Largest distance of a marker from its expected position [pitch]: half the distance to a neighbour,
+# beyond which it could be either.
+GATE = 0.5
+# Fraction of the last frame's motion that is expected to continue.
+SPEED = 0.5
 # Number of neighbours that predict a marker's position.
 NEIGHBOURS = 8
 # Largest difference of the displacements of neighbours, over their distance.
@@ -59,18 +64,14 @@ class Track:
 class Tracker:
     """Follows the markers of one reference."""
 
-    def __init__(self, reference: Floats, *, gate: float = 0.5, speed: float = 0.5) -> None:
+    def __init__(self, reference: Floats) -> None:
         """Index the markers by their order in the reference.
 
         Args:
             reference: Column and row (m, 2) of the markers without contact [px].
-            gate: Maximum distance of a marker from its expected position [pitch]: half the distance
-                to a neighbour, beyond which it could be either.
-            speed: Fraction of the last frame's motion that is expected to continue, 0 to 1.
 
         Raises:
-            LearningError: There are no markers, positions are not finite, or gate or speed is out
-                of range.
+            LearningError: There are no markers, or positions are not finite.
         """
         self.reference = np.array(reference, np.float64)
         if self.reference.ndim != 2 or self.reference.shape[1:] != (2,) or not len(self.reference):
@@ -79,20 +80,15 @@ class Tracker:
             )
         if not np.isfinite(self.reference).all():
             raise LearningError("reference: found NaN or infinity; allowed: finite places")
-        if not 0 < gate <= 1 or not 0 <= speed <= 1:
-            raise LearningError(
-                f"gate, speed: found {gate}, {speed}; allowed: above 0 to 1, 0 to 1"
-            )
         count = min(NEIGHBOURS + 1, len(self.reference))
         distance, around = cKDTree(self.reference).query(self.reference, count)
         distance, around = distance.reshape(-1, count), around.reshape(-1, count)
         pitch = np.median(distance[:, 1]) if count > 1 else 40.0
-        self.gate_px = float(gate * pitch)
+        self.gate_px = float(GATE * pitch)
         self._around, self._distance = around[:, 1:], distance[:, 1:]
         own = np.repeat(np.arange(len(around)), count - 1)
         self._edges = np.stack([own, self._around.ravel()], axis=1)
         self._length = self._distance.ravel()
-        self._speed = speed
         self.restart()
 
     def restart(self) -> None:
@@ -111,7 +107,7 @@ class Tracker:
         if centres.ndim != 2 or centres.shape[1] != 2 or not np.isfinite(centres).all():
             raise LearningError(f"centres: found shape {centres.shape}; allowed: finite (n, 2)")
         before = self._moved
-        moved = before + self._speed * np.where(self._fresh[:, None], self._step, 0.0)
+        moved = before + SPEED * np.where(self._fresh[:, None], self._step, 0.0)
         if not self._fresh.all():
             # Lost markers have no velocity: they move with their neighbours.
             moved = np.where(self._fresh[:, None], moved, self._neighbourly(moved, self._fresh))
