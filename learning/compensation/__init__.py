@@ -25,8 +25,6 @@ from learning.compensation.prior import (
 from learning.compensation.search import Choice, Paired, best_for_labels, best_for_priors
 from learning.compensation.simulated import (
     SIMULATED,
-    SimulatedLabels,
-    own_twin_labels,
     simulated_labels,
     simulated_r2,
     twin_forces,
@@ -43,7 +41,6 @@ __all__ = [
     "PairCompensation",
     "Paired",
     "Prior",
-    "SimulatedLabels",
     "StoredCompensation",
     "best_for_labels",
     "best_for_priors",
@@ -51,7 +48,6 @@ __all__ = [
     "curve_of_session",
     "curve_of_table",
     "fit_prior",
-    "own_twin_labels",
     "prior_of_coefficients",
     "read_stored",
     "simulated_labels",

@@ -10,7 +10,6 @@ Fz for Fz, of the shear's size for the shear. Fz is thus f times T / S.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,22 +29,11 @@ SIMULATED = "simulated"
 RATIOS, KNOWN = (0.1, 10.0), 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SimulatedLabels:
-    """Labels for the frames of a source, as if they were the target's."""
-
-    force: Floats
-    """Fx, Fy, Fz for each row of the source's table (n, 3) [N]; NaN without a press of both."""
-    spread: Floats
-    """Their standard deviation by the uncertainty of the twins (n, 3) [N]."""
-    made_from: str = ""
-    """The twins."""
-
-
-def simulated_labels(source: ArchivedSensor, target: ArchivedSensor) -> SimulatedLabels:
+def simulated_labels(source: ArchivedSensor, target: ArchivedSensor) -> Simulated:
     """Return the labels of a source's frames for a target, whose own labels are not read.
 
-    Frames meet at the same place and phase, and the same fraction of the phase.
+    Frames meet at the same place and phase, and the same fraction of the phase. Without a press of
+    both, labels are NaN; their spread is that of both twins.
 
     Raises:
         LearningError: A sensor has no forces of a twin.
@@ -67,7 +55,7 @@ def simulated_labels(source: ArchivedSensor, target: ArchivedSensor) -> Simulate
     shear = np.linalg.norm(there[:, :2], axis=1), np.linalg.norm(own.force[:, :2], axis=1)
     ratio[:, :2] = _ratio(*shear, ratio[:, 2])[:, None]
     force = there + ratio * (source.table["wrench"][:, :3] - own.force)
-    return SimulatedLabels(
+    return Simulated(
         force, np.hypot(off, ratio * own.spread), f"{own.made_from}; {other.made_from}"
     )
 
@@ -111,16 +99,6 @@ def twin_forces(sensor: ArchivedSensor) -> Simulated:
             f"--sensor {sensor.name} --twin twin.yaml"
         )
     return sensor.simulated
-
-
-def own_twin_labels(sensor: ArchivedSensor) -> SimulatedLabels:
-    """Return the forces of a sensor's own twin as labels of its frames.
-
-    Raises:
-        LearningError: It has none.
-    """
-    twin = twin_forces(sensor)
-    return SimulatedLabels(twin.force, twin.spread, twin.made_from)
 
 
 def _groups(sensor: ArchivedSensor) -> dict[tuple[int, int], tuple[NDArray[np.int64], Floats]]:

@@ -15,7 +15,6 @@ from learning.archive_writer import archive_fingerprint
 from learning.compensation import (
     CHOICE_OF_METHOD,
     SIMULATED,
-    SimulatedLabels,
     StoredCompensation,
     simulated_labels,
 )
@@ -49,6 +48,7 @@ from learning.training.run import RunFolder, Session, Stop, accelerator
 from learning.translation.archive import Model
 from learning.translation.translator import FLOW, SensorView, for_pair
 from recorder import MarkerArchive
+from recorder.archive import Simulated
 from recorder.progress import ItemProgress
 
 # Training settings of the force models of an experiment.
@@ -406,7 +406,7 @@ def adopt_model(
 def _data(tuning: Tuning, shown: str) -> str:
     """Return what tells the data of a model: its frames, and the twins that labelled them."""
     labels = tuning.labels
-    return f"{shown} {labels.made_from}" if isinstance(labels, SimulatedLabels) else shown
+    return f"{shown} {labels.made_from}" if isinstance(labels, Simulated) else shown
 
 
 def relabelling(

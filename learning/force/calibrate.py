@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.compensation import own_twin_labels, twin_forces
+from learning.compensation import twin_forces
 from learning.data.presses import Presses, load_presses
 from learning.data.splits import Split
 from learning.errors import LearningError
@@ -130,7 +130,7 @@ def calibrated_by_twin(
     calibrates, learned = masks
     if not calibrates.any():
         return None
-    labels = own_twin_labels(archive[sensor])
+    labels = twin_forces(archive[sensor])
     wanted = Wanted(
         labels.force,
         f"forces of {labels.made_from}",

@@ -14,16 +14,16 @@ from torch import Tensor
 from learning.compensation import (
     CHOICE_OF_METHOD,
     SIMULATED,
-    SimulatedLabels,
-    own_twin_labels,
     read_stored,
     simulated_labels,
+    twin_forces,
 )
 from learning.data.labels import read_labels
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.training.checkpoint import weights_hash
 from recorder import MarkerArchive
+from recorder.archive import Simulated
 
 # Function from forces (N, 3) N, depth (N,) m and phase (N,) to forces for the target's material and
 # the number of limited ones: `learning.compensation` with its sensors and parameters bound.
@@ -32,7 +32,7 @@ Compensation = Callable[
     tuple[NDArray[np.float64], int],
 ]
 # Other labels than the source's own.
-Relabelling = SimulatedLabels | Compensation
+Relabelling = Simulated | Compensation
 # Spread of a label, as a fraction of the force range, at which it weighs half.
 HALF = 0.05
 
@@ -46,7 +46,7 @@ def labels_of(presses: Presses, compensation: Relabelling | None = None) -> Tens
     presses.require_wrench()
     if compensation is None:
         return presses.wrench[:, :3]
-    if isinstance(compensation, SimulatedLabels):
+    if isinstance(compensation, Simulated):
         known = torch.from_numpy(compensation.force[presses.rows.numpy()]).float()
         if not known.isfinite().any():
             raise LearningError(
@@ -66,7 +66,7 @@ def labels_of(presses: Presses, compensation: Relabelling | None = None) -> Tens
 
 def variances_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor | None:
     """Return the variance of each training label (N, 3) N^2; None if all are equally certain."""
-    if not isinstance(compensation, SimulatedLabels):
+    if not isinstance(compensation, Simulated):
         return None
     spread = torch.from_numpy(compensation.spread[presses.rows.numpy()]).float()
     return spread.nan_to_num().square().to(presses.device)
@@ -137,7 +137,7 @@ def label_source(
         forces = torch.from_numpy(read.astype(np.float32))
         return LabelSource(forces, data=(weights_hash(Path(name)),))
     if name == TWIN and not to:
-        labels = own_twin_labels(archive[sensors[0]])
+        labels = twin_forces(archive[sensors[0]])
         forces = torch.from_numpy(labels.force).float()
         return LabelSource(forces, labels, (labels.made_from,), own_twin=True)
     if not to:

@@ -14,14 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.compensation import SimulatedLabels
 from learning.force.calibrate import Calibration, Wanted, calibrated, presses_of_rows
 from learning.force.intervals import Scale
 from learning.force.labels import Compensation, Relabelling
 from learning.force.model import ForceModel
 from learning.transfer.pairs import labels_by_place
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
+from recorder.archive import ArchivedSensor, Simulated
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +78,7 @@ def _source_labels(archive: MarkerArchive, source: str, compensation: Relabellin
     table = archive[source].table
     labels = np.full((len(table["location"]), 3), np.nan)
     rows = np.flatnonzero(table["valid"] & (table["location"] >= 0) & table["seen"])
-    if isinstance(compensation, SimulatedLabels):
+    if isinstance(compensation, Simulated):
         labels[rows] = compensation.force[rows]
         return labels
     labels[rows] = _scaled(table["wrench"][rows, :3], table, rows, compensation)

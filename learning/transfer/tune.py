@@ -15,7 +15,6 @@ import numpy as np
 import torch
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import SimulatedLabels
 from learning.data.presses import load_presses
 from learning.data.splits import Split
 from learning.experiment.forces import force_settings
@@ -26,6 +25,7 @@ from learning.force.train import train_force
 from learning.training.run import RunFolder, Session, Stop, accelerator
 from learning.transfer.calibrate import wanted_forces
 from recorder import MarkerArchive
+from recorder.archive import Simulated
 from recorder.progress import ItemProgress
 
 
@@ -71,7 +71,7 @@ def tune_by_place(
         return trained
     tuning = force_settings(settings, archive, torch.device(device), tuning=True)
     data = f"{archive_fingerprint(archive)} {split.fingerprint} {target} {name}"
-    if isinstance(compensation, SimulatedLabels):
+    if isinstance(compensation, Simulated):
         data += f" {compensation.made_from}"
     folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
     with RunFolder.open(folder, KIND, tuning, data, True, keep=1) as run:

@@ -10,7 +10,6 @@ import pytest
 import torch
 from support.force_models import TOY, noise_presses, toy
 
-from learning.compensation import SimulatedLabels
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.batched import train_batched
@@ -22,6 +21,7 @@ from learning.force.train import (
     StageSettings,
     train_force,
 )
+from recorder.archive import Simulated
 
 SETTINGS = toy(
     stages=(
@@ -52,12 +52,12 @@ def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> No
     force[::2] *= 0.2
     spread = np.zeros((count, 3))
     spread[::2] = 1e3
-    labels = SimulatedLabels(force, spread)
+    labels = Simulated(force, spread, "")
     batched = train_batched(presses, SETTINGS, compensation=[labels, _softer])
     assert batched is not None
     alone = train_force(presses[0], SETTINGS, compensation=labels)
     np.testing.assert_allclose(batched[0].predict(presses[0]), alone.predict(presses[0]), atol=1e-3)
-    equal = train_force(presses[0], SETTINGS, compensation=SimulatedLabels(force, 0 * spread))
+    equal = train_force(presses[0], SETTINGS, compensation=Simulated(force, 0 * spread, ""))
     # The smaller forces, of which nothing is known, hold the others back.
     assert alone.predict(presses[0])[:, 2].mean() < equal.predict(presses[0])[:, 2].mean()
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.learning.gauge_tables.jobs import Study, further_path, trained, unlabelled
-from learning.compensation import own_twin_labels, twin_forces
+from learning.compensation import twin_forces
 from learning.data.presses import load_presses
 from learning.force.calibrate import scale_of_twin
 from learning.force.intervals import Intervals, Scale, fit_errors
@@ -59,7 +59,7 @@ def run_job(study: Study, name: str) -> None:
 
 def _covered(study: Study, sensor: str) -> Iterator[dict[str, Any]]:
     presses = study.presses(sensor, "train", "field")
-    labels = own_twin_labels(study.archive[sensor])
+    labels = twin_forces(study.archive[sensor])
     models = {
         TWIN: trained(study, NET, unlabelled(presses, labels), None, labels),
         TRUE: trained(study, NET, presses),

@@ -39,7 +39,7 @@ from benchmarks.learning.paper_chain.jobs import (
 from benchmarks.learning.paper_chain.sizes import RECIPES
 from benchmarks.learning.paper_chain.sizes import SIZES as CHAIN_SIZES
 from benchmarks.learning.paper_chain.sizes import Size as ChainSize
-from learning.compensation import SimulatedLabels, own_twin_labels, simulated_labels, twin_forces
+from learning.compensation import simulated_labels, twin_forces
 from learning.config import read_settings
 from learning.data.presses import Presses, load_presses
 from learning.data.splits import Split, make_split
@@ -54,6 +54,7 @@ from learning.training.run import generator
 from learning.translation.loading import load_translator
 from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive
+from recorder.archive import Simulated
 from recorder.store import replace_file
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES
@@ -310,7 +311,7 @@ def trained(
     return train_force(presses, settings, start_from=start_from, compensation=compensation)
 
 
-def unlabelled(presses: Presses, labels: SimulatedLabels) -> Presses:
+def unlabelled(presses: Presses, labels: Simulated) -> Presses:
     """Return presses with a twin's forces in place of their labels."""
     forces = torch.from_numpy(labels.force[presses.rows.numpy()]).float()
     return replace(presses, wrench=forces.to(presses.device))
@@ -473,7 +474,7 @@ def own(study: Study, sensor: str) -> Iterator[Prediction]:
 
     With its twin's forces as labels, and with its own.
     """
-    labels = own_twin_labels(study.archive[sensor])
+    labels = twin_forces(study.archive[sensor])
     for preset in study.of.nets:
         presses = study.presses(sensor, "train", form_of(preset))
         test = unseen_presses(study, sensor, form_of(preset))
