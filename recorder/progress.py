@@ -41,21 +41,19 @@ class Progress:
         stream: TextIO,
         *,
         kernels: Path | None = None,
-        since: tuple[float, int] | None = None,
         threaded: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Show the progress of `name` on `stream`.
 
         `kernels` is the cache folder of compiled kernels: while nothing is done and new entries
-        appear there, kernels are being compiled. `since` is the time and the number of entries at
-        the start of the work, if that was earlier.
+        appear there, kernels are being compiled.
         """
         self.name = name
         self._stream, self._clock, self._kernels = stream, clock, kernels
         # A dumb terminal cannot move its cursor.
         self._terminal = stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown")
-        self._begun, self._known = since or (clock(), self._compiled())
+        self._begun, self._known = clock(), self._compiled()
         self._said = -math.inf
         self._share = 0.0
         self._origin: tuple[float, float] | None = None

@@ -118,29 +118,22 @@ class Traits:
         if not isinstance(roles, list | tuple):
             raise SessionError(f"{name}: found roles {roles!r:.80}, expected a list")
         stamp = str(attrs.get("stamp", "end"))
-        return cls(str(kind), str(align), tuple(map(str, roles)), str(clock), stamp).checked(name)
-
-    def checked(self, name: str) -> Self:
-        """Return these traits.
-
-        Raises:
-            SessionError: A value that the format does not allow.
-        """
+        traits = cls(str(kind), str(align), tuple(map(str, roles)), str(clock), stamp)
         allowed = (
-            ("align", (self.align,), ALIGNMENTS),
-            ("roles", self.roles, ROLES),
-            ("clock", (self.clock,), CLOCKS),
-            ("stamp", (self.stamp,), tuple(STAMPS)),
+            ("align", (traits.align,), ALIGNMENTS),
+            ("roles", traits.roles, ROLES),
+            ("clock", (traits.clock,), CLOCKS),
+            ("stamp", (traits.stamp,), tuple(STAMPS)),
         )
-        for key, found, known in allowed:
-            for value in found:
+        for key, values, known in allowed:
+            for value in values:
                 if value not in known:
                     raise SessionError(
                         f"{name}: found {key} {value!r:.80}; known: {', '.join(known)}"
                     )
-        if not re.fullmatch("[a-z][a-z0-9_]{0,39}", self.kind):
-            raise SessionError(f"{name}: found kind {self.kind!r:.80}, expected a word in a-z_")
-        return self
+        if not re.fullmatch("[a-z][a-z0-9_]{0,39}", traits.kind):
+            raise SessionError(f"{name}: found kind {traits.kind!r:.80}, expected a word in a-z_")
+        return traits
 
     def to_json(self) -> dict[str, Any]:
         """Return the attributes that `read` reads."""
@@ -358,16 +351,14 @@ def signal_of(streams: Iterable[tuple[str, Traits]]) -> str | None:
     return next(iter([*cameras, *(name for name, _ in signals)]), None)
 
 
-def _t_ns(description: str = "host arrival time, CLOCK_MONOTONIC of the run") -> Column:
-    return Column("t_ns", "int64", units="ns", description=description)
-
-
-def _device_t(description: str = "the device's own time; NaN when it gives none") -> Column:
-    return Column("device_t", "float64", units="s", description=description)
-
-
-def _seq() -> Column:
-    return Column("seq", "int64", units="1", description="the device's sequence number")
+# Columns that streams share.
+_T_NS = Column(
+    "t_ns", "int64", units="ns", description="host arrival time, CLOCK_MONOTONIC of the run"
+)
+_DEVICE_T = Column(
+    "device_t", "float64", units="s", description="the device's own time; NaN when it gives none"
+)
+_SEQ = Column("seq", "int64", units="1", description="the device's sequence number")
 
 
 def camera_spec(
@@ -401,8 +392,8 @@ def camera_spec(
         description="image as delivered, RGB",
         codec=codec,
     )
-    number = (_seq(),) if numbered else ()
-    return _stream("camera", name, (value, _device_t(), *number, _t_ns()), rate_hz, attrs)
+    number = (_SEQ,) if numbered else ()
+    return _stream("camera", name, (value, _DEVICE_T, *number, _T_NS), rate_hz, attrs)
 
 
 def depth_spec(
@@ -423,7 +414,7 @@ def depth_spec(
         dims=("y", "x", "depth"),
         description="distance from the camera; 0 where it could not be measured",
     )
-    return _stream("depth", name, (value, _device_t(), _t_ns()), rate_hz, attrs)
+    return _stream("depth", name, (value, _DEVICE_T, _T_NS), rate_hz, attrs)
 
 
 def force_spec(rate_hz: float, *, name: str = "force", **attrs: Any) -> StreamSpec:
@@ -433,7 +424,7 @@ def force_spec(rate_hz: float, *, name: str = "force", **attrs: Any) -> StreamSp
     )
     status = Column("status", "int64", units="1", description="the device's status word")
     attrs.setdefault("bias", [0.0] * 6)
-    return _stream("force", name, (value, _seq(), status, _t_ns()), rate_hz, attrs)
+    return _stream("force", name, (value, _SEQ, status, _T_NS), rate_hz, attrs)
 
 
 def arm_wrench_spec(rate_hz: float, *, name: str, **attrs: Any) -> StreamSpec:
@@ -444,7 +435,7 @@ def arm_wrench_spec(rate_hz: float, *, name: str, **attrs: Any) -> StreamSpec:
     value = _six_axes(
         _WRENCH_UNITS, "Fx Fy Fz [N], Tx Ty Tz [N m] as the arm estimates them, without any zero"
     )
-    return _stream("arm_wrench", name, (value, _device_t(), _t_ns()), rate_hz, attrs)
+    return _stream("arm_wrench", name, (value, _DEVICE_T, _T_NS), rate_hz, attrs)
 
 
 def pose_spec(rate_hz: float, *, name: str = "pose", **attrs: Any) -> StreamSpec:
@@ -455,7 +446,7 @@ def pose_spec(rate_hz: float, *, name: str = "pose", **attrs: Any) -> StreamSpec
     scaling = Column(
         "speed_scaling", "float64", units="1", description="the controller's speed scaling, 0 to 1"
     )
-    return _stream("pose", name, (value, _device_t(), scaling, _t_ns()), rate_hz, attrs)
+    return _stream("pose", name, (value, _DEVICE_T, scaling, _T_NS), rate_hz, attrs)
 
 
 def taxels_spec(
@@ -470,7 +461,7 @@ def taxels_spec(
         dims=("taxel", "axis"),
         description="raw counts x y z, taxels row by row",
     )
-    return _stream("taxels", name, (value, _device_t(), _seq(), _t_ns()), rate_hz, attrs)
+    return _stream("taxels", name, (value, _DEVICE_T, _SEQ, _T_NS), rate_hz, attrs)
 
 
 def joints_spec(rate_hz: float, *, name: str, joints: int = 6, **attrs: Any) -> StreamSpec:
@@ -481,7 +472,7 @@ def joints_spec(rate_hz: float, *, name: str, joints: int = 6, **attrs: Any) -> 
     speed = Column(
         "speed", "float64", (joints,), units="rad/s", dims=("joint",), description="joint speeds"
     )
-    return _stream("joints", name, (value, speed, _device_t(), _t_ns()), rate_hz, attrs)
+    return _stream("joints", name, (value, speed, _DEVICE_T, _T_NS), rate_hz, attrs)
 
 
 def events_spec(*, name: str, length: int = 256, rate_hz: float = 1.0, **attrs: Any) -> StreamSpec:
@@ -501,7 +492,7 @@ def events_spec(*, name: str, length: int = 256, rate_hz: float = 1.0, **attrs: 
         dims=("byte",),
         description="text in UTF-8, padded with zeros",
     )
-    return _stream("events", name, (value, _t_ns()), rate_hz, attrs)
+    return _stream("events", name, (value, _T_NS), rate_hz, attrs)
 
 
 def event_row(text: str, length: int = 256) -> np.ndarray[Any, Any]:
@@ -521,8 +512,8 @@ def event_text(row: np.ndarray[Any, Any]) -> str:
     return bytes(np.asarray(row, np.uint8)).rstrip(b"\0").decode("utf-8", "replace")
 
 
-def _six_axes(units: Any, description: str) -> Column:
-    return Column("value", "float64", (6,), units=units, dims=("axis",), description=description)
+def _six_axes(units: str, description: str, *, name: str = "value") -> Column:
+    return Column(name, "float64", (6,), units=units, dims=("axis",), description=description)
 
 
 def _stream(
@@ -552,22 +543,12 @@ REFERENCE = StreamSpec(
     (
         Column("point", "int16", units="1", description="contact point, as in targets"),
         Column("image", "int64", units="1", description="row of streams/camera; -1 without one"),
-        Column(
-            "wrench",
-            "float64",
-            (6,),
-            units=_WRENCH_UNITS,
-            dims=("axis",),
-            description="mean residual offset without contact, relative to the bias",
+        _six_axes(
+            _WRENCH_UNITS,
+            "mean residual offset without contact, relative to the bias",
+            name="wrench",
         ),
-        Column(
-            "wrench_std",
-            "float64",
-            (6,),
-            units=_WRENCH_UNITS,
-            dims=("axis",),
-            description="standard deviation of the samples behind it",
-        ),
+        _six_axes(_WRENCH_UNITS, "standard deviation of the samples behind it", name="wrench_std"),
         Column(
             "taxels",
             "float64",

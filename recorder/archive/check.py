@@ -127,13 +127,9 @@ def check_archive(files: Files, path: Path) -> Iterator[Finding]:
 def _progress(files: Files, path: Path, names: list[str]) -> str:
     if not files.local:
         return "status is not 'complete': it was copied while it was being written"
-    done = sum(len(Ledger(path / name).done()) for name in names)
-    units = sum(
-        ArrayLayout.load(
-            path / name / ArchivedSensor(path / name, files).representation.array
-        ).shards
-        for name in names
-    )
+    frames = [ArchivedSensor(path / name, files).stored.layout for name in names]
+    done = sum(len(Ledger(layout.path).done()) for layout in frames)
+    units = sum(layout.shards for layout in frames)
     return f"{done} of {units} units are written; run the command that made it again to continue"
 
 

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from recorder.archive.array import Array, own_temporary
-from recorder.archive.representation import MASKS, REPRESENTATIONS
 from recorder.archive.table import SOURCE
 from recorder.errors import SessionError
 from recorder.store.durable import replace_file
@@ -40,11 +39,9 @@ class UnitEntry:
 class Ledger:
     """Ledger of one sensor."""
 
-    def __init__(self, sensor: Path) -> None:
-        """Set the path of the ledger in the sensor's group; nothing is read."""
-        arrays = (each.array for each in REPRESENTATIONS.values())
-        there = (name for name in arrays if (sensor / name).is_dir())
-        self.path = sensor / next(there, MASKS.array) / "ledger"
+    def __init__(self, frames: Path) -> None:
+        """Set the path of the ledger in the array of the frames; nothing is read."""
+        self.path = frames / "ledger"
 
     def create(self) -> None:
         """Create the empty ledger."""

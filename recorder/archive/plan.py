@@ -171,7 +171,7 @@ class SensorPlan:
         write_whole(path / "references", references, self.references)
         for name, spec in self.arrays().items():
             ArrayLayout(path / name, spec).create()
-        Ledger(path).create()
+        Ledger(path / self.representation.array).create()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

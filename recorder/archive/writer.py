@@ -20,7 +20,6 @@ from recorder.archive.array import Array, ArrayLayout, ArraySpec
 from recorder.archive.ledger import Ledger
 from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION, ArchivePlan, begin
 from recorder.archive.reader import ArchivedSensor
-from recorder.archive.representation import REPRESENTATIONS
 from recorder.archive.table import (
     COLUMNS,
     SIMULATED,
@@ -109,14 +108,13 @@ class SensorWriter:
     def __init__(self, archive: ArchiveWriter, name: str, indenters: int) -> None:
         """Read the plan of the sensor from its metadata."""
         self.path = archive.path / name
-        self.ledger = Ledger(self.path)
         self._archive = archive
-        names = (*(each.array for each in REPRESENTATIONS.values()), "displacement")
-        self._layouts = {
-            array: ArrayLayout.load(self.path / array)
-            for array in names
-            if (self.path / array / "zarr.json").exists()
-        }
+        sensor = ArchivedSensor(self.path)
+        self._frames = sensor.stored.layout
+        self.ledger = Ledger(self._frames.path)
+        self._layouts = {sensor.representation.array: self._frames}
+        if sensor.keeps_displacement:
+            self._layouts["displacement"] = ArrayLayout.load(self.path / "displacement")
         references = ArrayLayout.load(self.path / "references").rows
         self._limits = Limits(indenters, references)
 
@@ -173,9 +171,9 @@ class SensorWriter:
         where = f"{self.path} unit {unit}"
         columns = checked_columns(table, count, self._limits, where)
         _check_lines(source, count, where)
-        frames = next(name for name in self._layouts if name != "displacement")
-        given: dict[str, Array | None] = {frames: packed, "displacement": displacement}
-        large = {name: values for name, values in given.items() if values is not None}
+        large: dict[str, Array] = {self._frames.path.name: packed}
+        if displacement is not None:
+            large["displacement"] = displacement
         if large.keys() != self._layouts.keys():
             raise SessionError(
                 f"{where}: found {', '.join(large)}, expected {', '.join(self._layouts)}"
@@ -217,10 +215,6 @@ class SensorWriter:
         _write_sources(self.path / "sources", list(lines))
         for folder in (path, self.path):
             sync_directory(folder)
-
-    @property
-    def _frames(self) -> ArrayLayout:
-        return next(self._layouts[name] for name in self._layouts if name != "displacement")
 
 
 def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_from: str) -> None:

@@ -150,13 +150,12 @@ def _require_ends(name: str, pressing: Floats) -> None:
         )
 
 
-def find_presses(trace: Trace, no_contact: Span, least_s: float = _PRESS_S) -> list[Press]:
-    """Return the contacts in a trace, in order of time.
+def find_presses(trace: Trace, no_contact: Span) -> list[Press]:
+    """Return the contacts of at least `_PRESS_S` in a trace, in order of time.
 
     Args:
         trace: Change from the span without contact.
         no_contact: That span [ns].
-        least_s: Shortest contact [s].
     """
     t_ns, value = trace.t_ns, trace.value
     inside = (t_ns >= no_contact[0]) & (t_ns < no_contact[1])
@@ -174,7 +173,7 @@ def find_presses(trace: Trace, no_contact: Span, least_s: float = _PRESS_S) -> l
             before = presses.pop()
             first = int(np.searchsorted(t_ns, before.start_ns))
         presses.append(_press(t_ns, value, first, last))
-    return [press for press in presses if (press.end_ns - press.start_ns) * NS >= least_s]
+    return [press for press in presses if (press.end_ns - press.start_ns) * NS >= _PRESS_S]
 
 
 def press_within(trace: Trace, span: Span) -> Press:
