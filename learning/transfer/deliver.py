@@ -194,13 +194,13 @@ def calibration_picture(calibration: Calibration) -> bytes:
 
 
 def forces_picture(
-    predicted: Floats, before: Floats | None, intervals: Intervals, starts: Sequence[int]
+    predicted: Floats, before: Floats, intervals: Intervals, starts: Sequence[int]
 ) -> bytes:
     """Draw the forces of some presses with intervals, and those of the source's model.
 
     Args:
         predicted: Forces (n, 3) [N], press by press.
-        before: Forces that the source's model predicts, likewise; None: not drawn.
+        before: Forces that the source's model predicts, likewise.
         intervals: The model's intervals.
         starts: First frames of the presses.
     """
@@ -210,8 +210,7 @@ def forces_picture(
         for axis, panel in enumerate(figure.subplots(3, 1, sharex=True)):
             panel.fill_between(np.arange(len(predicted)), low[:, axis], high[:, axis], alpha=0.25)
             panel.plot(predicted[:, axis], label="after transfer")
-            if before is not None:
-                panel.plot(before[:, axis], "--", lw=1, label="source's model")
+            panel.plot(before[:, axis], "--", lw=1, label="source's model")
             for start in starts:
                 panel.axvline(start, color="0.85", lw=0.6, zorder=0)
             panel.set_ylabel(f"{AXES[axis]} [N]")
