@@ -341,13 +341,10 @@ def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tup
     }
 
 
-def table_struct(real: type, traits: Traits = PLAIN) -> Any:
-    """Return the Warp struct that holds indenters as arrays of `real`, lengths in one unit."""
-    return _table_struct(real, traits)
-
-
 @cache
-def _table_struct(real: type, traits: Traits) -> Any:
+def table_struct(real: type, traits: Traits) -> Any:
+    """Return the Warp struct that holds indenters as arrays of `real`, lengths in one unit."""
+
     class IndenterTable:
         # Per environment: index of the indenter.
         indenter: wp.array[int]
@@ -380,18 +377,14 @@ def _table_struct(real: type, traits: Traits) -> Any:
     return wp.struct(IndenterTable)
 
 
-def distance_function(real: type, traits: Traits = PLAIN) -> Any:
+@cache
+def distance_function(real: type, traits: Traits) -> Any:
     """Return the Warp function (table, environment, point) -> (normal x, y, z, gap).
 
     Lengths are in the table's unit. It is the same as `Indenter.distance`, except beyond the
     table's `far`, where the gap may be smaller than the true one and the normal is that of a side
     of the bounding box. `traits` are the table's; unused features are compiled out.
     """
-    return _distance_function(real, traits)
-
-
-@cache
-def _distance_function(real: type, traits: Traits) -> Any:
     table_type = table_struct(real, traits)
     parts_distance = parts_function(real, table_type)
     field_distance = field_function(real, table_type) if traits.sampled else None

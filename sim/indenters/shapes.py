@@ -65,13 +65,13 @@ def cone(
     return Indenter(name, (side, tip), edge_radius)
 
 
-def rounded_cone(half_angle: float, tip_radius: float, *, name: str = "rounded_cone") -> Indenter:
+def rounded_cone(half_angle: float, tip_radius: float) -> Indenter:
     """Return a cone at `half_angle` [rad] from its axis with a spherical tip [m]."""
     _check_length("rounded_cone", "tip_radius", tip_radius)
     sine = math.sin(half_angle)
     flat = tip_radius * math.sqrt((1 - sine) / (1 + sine))
-    sharp = cone(half_angle, flat, name=name)
-    return Indenter(name, sharp.parts, min(tip_radius, sharp.edge_radius_max))
+    sharp = cone(half_angle, flat)
+    return Indenter("rounded_cone", sharp.parts, min(tip_radius, sharp.edge_radius_max))
 
 
 def box(width: float, length: float, edge_radius: float = 0.0, *, name: str = "box") -> Indenter:

@@ -25,7 +25,7 @@ from sim.markers.kernels import (
     seen_places,
 )
 from sim.markers.pattern import Pattern
-from sim.markers.textures import STEP, Textures, textures_of
+from sim.markers.textures import Textures, textures_of
 from sim.markers.top import TAPS, Taps, cubic_taps, top_of
 from sim.scene import Body
 
@@ -118,9 +118,9 @@ class Renderer:
         self._device_top = DeviceTop.of(self._top, device)
         self._lens = lens_of(self.camera)
 
-    def textures(self, patterns: Sequence[Pattern], *, step: float = STEP) -> Textures:
+    def textures(self, patterns: Sequence[Pattern]) -> Textures:
         """Return textures of patterns for `View.masks`; each must fit on the gel."""
-        return textures_of(patterns, self.body, step=step, device=self.device)
+        return textures_of(patterns, self.body, device=self.device)
 
     def undeformed(self) -> View:
         """Return the view of the undeformed gel: one frame, the reference of every pattern."""
@@ -146,29 +146,20 @@ class Renderer:
         material = find_material(self._top, vertex, number, self.samples)
         return View(material, self.samples, self.body)
 
-    def displacement(
-        self,
-        x: Array,
-        y: Array,
-        surface: Surface,
-        lattice: Lattice | None = None,
-        *,
-        dtype: type[np.floating] = np.float16,
-    ) -> NDArray[np.floating]:
-        """Return the displacement in the image of material points on a lattice of pixels.
+    def displacement(self, x: Array, y: Array, surface: Surface) -> NDArray[np.float16]:
+        """Return the displacement in the image of material points on the archives' lattice.
 
-        Arguments and errors are those of `see`; `dtype` is that of the result, by default float16
-        as in archives.
+        Arguments and errors are those of `see`.
 
         Returns:
             Displacement (F, rows, columns, 2) [px], columns to the right and rows down; NaN where
             the image without contact shows no gel.
         """
-        lattice = Lattice() if lattice is None else lattice
+        lattice = Lattice()
         places, on_gel = seen_places(lattice, self.camera, self.body)
         taps = _taps(x, y, places[:, 0], places[:, 1])
         moved = self._checked(x, y, surface)
-        field = np.full((len(surface), *lattice.shape), np.nan, dtype)
+        field = np.full((len(surface), *lattice.shape), np.nan, np.float16)
         field[:, on_gel] = displacements(self._lens, places, *taps, moved).numpy()
         return field
 

@@ -86,11 +86,11 @@ class SurfaceField:
         moved = np.moveaxis(across_x @ planes @ across_y.T, 1, 3)
         return SurfaceField(x, y, moved.astype(np.float32))
 
-    def even(self, step: float = EVEN_STEP) -> SurfaceField:
-        """Return the field on an even grid of about `step` [m] over the same rectangle."""
+    def even(self) -> SurfaceField:
+        """Return the field on an even grid of about `EVEN_STEP` over the same rectangle."""
         axes = []
         for axis in (self.x, self.y):
-            count = max(2, round((axis[-1] - axis[0]) / step) + 1)
+            count = max(2, round((axis[-1] - axis[0]) / EVEN_STEP) + 1)
             axes.append(np.linspace(axis[0], axis[-1], count))
         return self.resampled(*axes)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.markers import HEIGHT, WIDTH, Lattice, draw_discs, pack
+from recorder.markers import HEIGHT, WIDTH, draw_discs, pack
 from sim.errors import SceneError
 from sim.markers import Camera, Pattern, Renderer
 from sim.sensors.field import SurfaceField
@@ -139,15 +139,13 @@ class CameraReadout:
         seen = self.seen(top)
         return self._renderer.see(seen.x, seen.y, seen.displacement).packed(self._textures)
 
-    def displacement(
-        self, top: SurfaceField, lattice: Lattice | None = None
-    ) -> NDArray[np.float16]:
+    def displacement(self, top: SurfaceField) -> NDArray[np.float16]:
         """Return the displacement (F, rows, columns, 2) [px] of points on a lattice of pixels.
 
         The lattice is in the image without contact; NaN where that image shows no gel.
         """
         seen = self.seen(top)
-        return self._renderer.displacement(seen.x, seen.y, seen.displacement, lattice)
+        return self._renderer.displacement(seen.x, seen.y, seen.displacement)
 
     def pictures(self, top: SurfaceField) -> NDArray[np.uint8]:
         """Return pictures (F, 480, 640, 3) of the lit skin with the first pattern's markers.

@@ -312,24 +312,17 @@ class LiveSensor:
     Arguments and errors are those of `LivePress`.
     """
 
-    def __init__(
-        self,
-        sensor: SimulatedSensor,
-        indenter: Indenter,
-        *,
-        grid: int = GRID,
-        tolerance: float = TOLERANCE,
-    ) -> None:
+    def __init__(self, sensor: SimulatedSensor, indenter: Indenter, *, grid: int = GRID) -> None:
         signal = sensor.signal
         self._pad = TaxelPad(sensor.body, signal) if isinstance(signal, TaxelSignal) else None
         self._slope = Slope(6 + COUNTS)
         # A light press gives the slope of the first contact, and is then discarded.
-        self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
+        self.press = LivePress(sensor, indenter, grid=grid)
         self.answer = self._no_contact()
         """Latest solution."""
         for x, y, z in LIGHT:
             self.move(sensor.depth_max * np.array([x, y, z]), 0.0)
-        self.press = LivePress(sensor, indenter, grid=grid, tolerance=tolerance)
+        self.press = LivePress(sensor, indenter, grid=grid)
         self.answer = self._no_contact()
 
     def move(self, tip: Array, duration: float) -> None:

@@ -91,8 +91,6 @@ class Fit:
     tracks: tuple[Track, ...]
     readings: tuple[Array, ...]
     """Forces that the twin gives (n, 3) [N], of each track."""
-    sigma: tuple[Array, ...]
-    """Standard error expected of each point (n,) [N], of each track."""
     timing: float
     """Timing error between arm and gauge [s], of forces while the tip moves."""
     latency: float
@@ -259,7 +257,6 @@ def _found(
         covariance=_mixed(names, found),
         tracks=tuple(tracks),
         readings=tuple(best.near.readings),
-        sigma=tuple(sigma),
         timing=timing,
         latency=_latency(tracks, model.solve(best.values)),
         law=law,

@@ -20,7 +20,7 @@ from sim.sensors import SimulatedSensor
 from sim.sensors.quantities import draw_sensor
 from sim.stream import LivePress
 from sim.tiers import simulate_many
-from sim.twin.model import Correction, by_fem, fem_of, motion_of
+from sim.twin.model import TOLERANCE, Correction, by_fem, fem_of, motion_of
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 WAY, ABOVE = 0.2e-3, 0.2e-3
 # Depth over thickness from which forces of tier `layer` are off by some 5 %.
 DEEP = 0.375
-# Residual of the contact.
-TOLERANCE = 5e-3
 # Presses that a GPU solves together, and their part of the time of all forces there.
 AT_ONCE, BY_FEM = 256, 0.8
 

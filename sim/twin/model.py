@@ -48,6 +48,8 @@ CELLS, HIGHEST, STEPS_OF_THICKNESS = 4.5, 1.2e-3, 20
 FEM = Fem(grading=FOR_EDGES, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
 # Force over the largest of a track from which ratios of forces are known.
 KNOWN = 0.05
+# Residual of the contact.
+TOLERANCE = 5e-3
 # Step of the logarithm of a relaxation time.
 STEP_TIME = 0.05
 
@@ -88,7 +90,6 @@ class Candidate:
     track: Track
     values: Mapping[str, float]
     grid: int
-    tolerance: float
 
     def seen(self) -> tuple[Indenter, Array]:
         """Return the indenter and its tips (n, 3) [m] as the candidate's pad sees them."""
@@ -103,7 +104,7 @@ class Candidate:
         """Yield the press at each point of the track; it is the same object each time."""
         track = self.track
         indenter, tip = self.seen()
-        press = LivePress(self.sensor, indenter, grid=self.grid, tolerance=self.tolerance)
+        press = LivePress(self.sensor, indenter, grid=self.grid, tolerance=TOLERANCE)
         before = track.time[0]
         for time, place in zip(track.time, tip, strict=True):
             press.move(place, time - before)
@@ -207,7 +208,6 @@ class Model:
         design: Sensor whose quantities are unknown; it must have friction and viscosity.
         tracks: The tracks.
         grid: Pixels along the body's longer side.
-        tolerance: Residual of the contact.
         indenters: Indenters by name, in place of those of `sim.indenters`.
         workers: Processes that solve, each a track; None: this one.
     """
@@ -218,13 +218,12 @@ class Model:
         tracks: Sequence[Track],
         *,
         grid: int = 96,
-        tolerance: float = 5e-3,
         indenters: Mapping[str, Indenter] | None = None,
         workers: Workers | None = None,
     ) -> None:
         self._design = replace(design, trajectory=None, force_depth=None)
         self._tracks = tracks
-        self._grid, self._tolerance = grid, tolerance
+        self._grid = grid
         self._indenters = indenters or {track.indenter: named(track.indenter) for track in tracks}
         self._workers = workers
         self._solved: dict[Key, list[Solved]] = {}
@@ -366,7 +365,7 @@ class Model:
 
     def _candidate(self, values: Mapping[str, float], track: Track) -> Candidate:
         indenter = self._indenters[track.indenter]
-        return Candidate(self._sensor(values), indenter, track, values, self._grid, self._tolerance)
+        return Candidate(self._sensor(values), indenter, track, values, self._grid)
 
     def surfaces(
         self, values: Mapping[str, float], rows: Sequence[NDArray[np.int64]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.indenters import Indenter
 from sim.layer.spectral import FEWEST
 from sim.sensors import SimulatedSensor
 from sim.sensors.quantities import quantities
@@ -82,9 +81,6 @@ def presses(
     depths: Sequence[float],
     shear: float,
     hold: float,
-    *,
-    directions: int = 1,
-    dome_radius: float | None = None,
 ) -> Presses:
     """Return presses to depths [m], which are multiples of the first, each with a shear [m]."""
     plan = PressShear(
@@ -92,11 +88,10 @@ def presses(
         step_y=1e-3,
         depth_step=depths[0],
         depth_max=depths[-1],
-        angle_step=2 * math.pi / directions,
+        angle_step=2 * math.pi,
         shear=shear,
         clearance=ABOVE,
         points=(1,),
-        dome_radius=dome_radius,
     )
     return Presses(indenter, plan, hold)
 
@@ -129,7 +124,6 @@ class Planner:
         noise: Standard deviation of a sample of the gauge [N].
         law: Relative error of the law at rest.
         grid: Pixels along the body's longer side.
-        indenters: Indenters by name, in place of those of `sim.indenters`.
     """
 
     def __init__(
@@ -139,11 +133,10 @@ class Planner:
         noise: float = 0.01,
         law: float = MISFIT,
         grid: int = 64,
-        indenters: Mapping[str, Indenter] | None = None,
     ) -> None:
         self.design = with_effects(design)
         self.names = (*quantities(self.design), *BENCH)
-        self._noise, self._law, self._grid, self._indenters = noise, law, grid, indenters
+        self._noise, self._law, self._grid = noise, law, grid
         self._known: dict[Presses, Array] = {}
         self._grid_error: dict[Presses, float] = {}
 
@@ -182,7 +175,7 @@ class Planner:
         if each not in self._known:
             track = self._track(each)
             model, rougher = (
-                Model(self.design, [track], grid=pixels, indenters=self._indenters)
+                Model(self.design, [track], grid=pixels)
                 for pixels in (self._grid, max(FEWEST, round(COARSER * self._grid)))
             )
             values = {**quantities(self.design), **dict.fromkeys(BENCH, 0.0)}
