@@ -158,21 +158,6 @@ SIDES = {
 Value = TypeVar("Value")
 
 
-def scene_to_json(scene: Scene) -> dict[str, Any]:
-    """Return the scene as plain JSON values, SI units; all digits are kept, infinity is "inf"."""
-    return to_json(scene)
-
-
-def scene_from_json(stored: dict[str, Any]) -> Scene:
-    """Return the scene that `scene_to_json` wrote, equal to the original.
-
-    Raises:
-        SceneError: A field is missing, unknown or of the wrong kind, or a value is rejected by the
-            scene.
-    """
-    return from_json(Scene, stored, "scene")
-
-
 def to_json(value: Any) -> dict[str, Any]:
     """Return a frozen dataclass as plain JSON values, SI units; all digits are kept.
 

@@ -19,7 +19,8 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
-from sim.result import Quality, Result, scene_from_json, scene_to_json
+from sim.result import Quality, Result, from_json, to_json
+from sim.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -92,15 +93,11 @@ def load_result(path: Path, index: int = 0) -> Result:
     def read(name: str) -> Any:
         return np.asarray(root[f"{index}/{name}"])
 
-    def quality(name: str) -> Any:
-        known = f"{index}/quality/{name}" in root  # files of versions without it have none
-        return read(f"quality/{name}") if known else np.full(len(arrays["wrench"]), np.nan)
-
     arrays = {name: read(name) for name in ARRAYS if name not in ("time", "tip")}
     return Result(
-        scene=scene_from_json(attributes["scene"]),
+        scene=from_json(Scene, attributes["scene"], "scene"),
         tier=attributes["tier"],
-        quality=Quality(**{one.name: quality(one.name) for one in fields(Quality)}),
+        quality=Quality(**{one.name: read(f"quality/{one.name}") for one in fields(Quality)}),
         record=attributes["record"],
         **arrays,
     )
@@ -115,7 +112,7 @@ def _write(root: zarr.Group, name: str, result: Result) -> None:
         name,
         attributes={
             "tier": result.tier,
-            "scene": scene_to_json(result.scene),
+            "scene": to_json(result.scene),
             "record": result.record,
         },
     )

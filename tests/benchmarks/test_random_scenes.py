@@ -33,7 +33,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem.mesh import meshes_of
 from sim.fem.numerics import Fem, Grading
 from sim.indenters import shapes
-from sim.result import Quality, Result, scene_to_json
+from sim.result import Quality, Result, to_json
 from sim.scene import Body, Motion, Scene, press
 
 MM = 1e-3
@@ -419,4 +419,4 @@ def test_the_command_judges_one_scene_alone(
 
 def test_laws_have_words_for_the_page() -> None:
     assert all((law.__doc__ or "").strip() for law in LAWS.values())
-    assert json.dumps(scene_to_json(BALL))
+    assert json.dumps(to_json(BALL))

@@ -17,7 +17,7 @@ from support import stl_files as files
 from sim.errors import SceneError
 from sim.indenters import Indenter, box, from_stl, rounded_cone, sphere, tube
 from sim.indenters.solid import Field, Grid, coefficients, level_surface
-from sim.result import scene_from_json, scene_to_json
+from sim.result import from_json, to_json
 from sim.scene import Scene, press
 
 Array = NDArray[np.float64]
@@ -214,8 +214,8 @@ def test_a_wall_that_rounding_would_lose_is_refused(make: Make) -> None:
 def test_a_scene_keeps_the_file_by_its_content(make: Make, tmp_path: Path) -> None:
     found = make("block", files.block(3, 4, 5))
     scene = Scene(found, press([0.5e-3]))
-    stored = json.loads(json.dumps(scene_to_json(scene), allow_nan=False))
-    again = scene_from_json(stored)
+    stored = json.loads(json.dumps(to_json(scene), allow_nan=False))
+    again = from_json(Scene, stored, "scene")
     assert again == scene
     assert again.indenter.solid is not None
     assert found.solid is not None
@@ -236,13 +236,13 @@ def test_a_file_that_has_gone_or_changed_is_told_of_only_when_it_is_needed(
 ) -> None:
     path = files.write_binary(tmp_path / "tip.stl", files.block(2, 2.5, 3))
     found = from_stl(path, edge_radius=EDGE, spacing=SPACING, reach=2e-3)
-    stored = scene_to_json(Scene(found, press([0.5e-3])))
+    stored = to_json(Scene(found, press([0.5e-3])))
     # As if in a new process that has not read it yet.
     for name, at in (("changed", path), ("gone", tmp_path / "gone.stl")):
         stored["indenter"]["solid"].update(path=str(at), reach=2e-3 + 1e-9 * len(name))
         if name == "changed":
             files.write_binary(path, files.block(2, 2.5, 3.1))
-        again = scene_from_json(stored)
+        again = from_json(Scene, stored, "scene")
         message = "has changed, its SHA-256 is" if name == "changed" else "no such file"
         with pytest.raises(
             SceneError, match=f"solid.path: .*{message}.*allowed: the file with SHA"

@@ -27,7 +27,7 @@ from sim.indenters import (
     plane,
     sphere,
 )
-from sim.result import scene_from_json, scene_to_json
+from sim.result import from_json, to_json
 from sim.scene import Scene, press
 from tests.support.few import few
 
@@ -191,10 +191,10 @@ def test_a_tilted_body_from_a_file_stands_like_the_exact_one(tmp_path: Path) -> 
 
 def test_a_tilt_is_kept_in_stored_scenes_and_one_stored_before_has_none() -> None:
     scene = Scene(named("moon").tilted(0.1, -1 / 3), press([0.5e-3]))
-    stored = json.loads(json.dumps(scene_to_json(scene)))
-    assert scene_from_json(stored) == scene
+    stored = json.loads(json.dumps(to_json(scene)))
+    assert from_json(Scene, stored, "scene") == scene
     del stored["indenter"]["tilt"], stored["indenter"]["solid"]
-    assert scene_from_json(stored).indenter == named("moon")
+    assert from_json(Scene, stored, "scene").indenter == named("moon")
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ from sim.indenters import plane, sphere
 from sim.markers import Camera, Pattern, Renderer, named
 from sim.markers.textures import distance_texture
 from sim.plot import surface_of
-from sim.result import scene_from_json, scene_to_json
+from sim.result import from_json, to_json
 from sim.scene import through
 from sim.sensors import sensor
 from sim.sensors.taxels import TaxelPad, TaxelSignal
@@ -129,11 +129,11 @@ def test_a_tip_may_reach_a_low_rim_and_leave_a_tenth_of_what_is_there() -> None:
 
 def test_scenes_of_round_bodies_come_back_from_json_and_old_ones_are_read() -> None:
     scene = Scene(BALL, press((MM,)), DOME)
-    assert scene_from_json(scene_to_json(scene)) == scene
+    assert from_json(Scene, to_json(scene), "scene") == scene
     square = Scene(BALL, press((MM,)), Body())
-    stored = scene_to_json(square)
+    stored = to_json(square)
     assert "footprint" not in stored["body"]
-    assert scene_from_json(stored) == square
+    assert from_json(Scene, stored, "scene") == square
 
 
 # The mesh.

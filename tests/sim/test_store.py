@@ -14,7 +14,7 @@ from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import NAMES, named, plane, rounded_cone, sphere
 from sim.layer import Layer
-from sim.result import Quality, Result, scene_from_json, scene_to_json
+from sim.result import Quality, Result, from_json, to_json
 from sim.scene import Body, Motion, Scene, press
 from sim.simulate import simulate
 from sim.store import ARRAYS, load_result, save_results
@@ -60,8 +60,8 @@ def test_a_scene_comes_back_equal_through_text(effects: Effects, motion: Motion)
     body = Body(size_x=0.021, poisson=1 / 3, dome_radius=None if effects.key else 0.07)
     for indenter in (*map(named, NAMES), plane(), rounded_cone(0.5, 1e-4)):
         scene = Scene(indenter, motion, body, effects)
-        text = json.dumps(scene_to_json(scene), allow_nan=False)
-        assert scene_from_json(json.loads(text)) == scene
+        text = json.dumps(to_json(scene), allow_nan=False)
+        assert from_json(Scene, json.loads(text), "scene") == scene
 
 
 @pytest.mark.parametrize(
@@ -88,10 +88,10 @@ def test_a_scene_comes_back_equal_through_text(effects: Effects, motion: Motion)
     ],
 )
 def test_a_scene_that_was_tampered_with_is_refused(change: object, message: str) -> None:
-    stored = json.loads(json.dumps(scene_to_json(Scene(sphere(4e-3), press([1e-4, 2e-4])))))
+    stored = json.loads(json.dumps(to_json(Scene(sphere(4e-3), press([1e-4, 2e-4])))))
     change(stored)
     with pytest.raises(SceneError, match=message):
-        scene_from_json(stored)
+        from_json(Scene, stored, "scene")
 
 
 @pytest.mark.parametrize("index", [0, 1])

@@ -13,7 +13,7 @@ from benchmarks.sim.stability.chance.dice import rounded
 from benchmarks.sim.stability.chance.judgement import SceneOutcome, Settings, covered, judge_scene
 from sim.effects import Effects
 from sim.errors import SceneError
-from sim.result import scene_from_json, scene_to_json
+from sim.result import from_json, to_json
 from sim.scene import Body, Motion, Scene, through
 
 # Maximum number of simplifications to try, and their time limit [s].
@@ -125,7 +125,7 @@ def _round(scene: Scene) -> Iterator[Scene]:
     if scene.indenter.solid is not None:
         return
     for digits in (1, 2):
-        fewer = scene_from_json(_rounded(scene_to_json(scene), digits))
+        fewer = from_json(Scene, _rounded(to_json(scene), digits), "scene")
         apart = all(a != b for a, b in zip(fewer.motion.tip, fewer.motion.tip[1:], strict=False))
         slow = scene.effects.viscosity is None and scene.effects.inertia is None
         if apart and slow:
@@ -167,7 +167,7 @@ def store(path: Path, scene: Scene, outcome: SceneOutcome, name: str) -> None:
         "broken": sorted(failure(outcome)),
         "said": outcome.why,
         "twin": outcome.twin,
-        "scene": scene_to_json(scene),
+        "scene": to_json(scene),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
@@ -176,4 +176,4 @@ def store(path: Path, scene: Scene, outcome: SceneOutcome, name: str) -> None:
 def load(path: Path) -> tuple[Scene, frozenset[str], str]:
     """Return a stored scene, the laws that it broke, and its twin's name or an empty string."""
     kept = json.loads(path.read_text(encoding="utf-8"))
-    return scene_from_json(kept["scene"]), frozenset(kept["broken"]), kept["twin"]
+    return from_json(Scene, kept["scene"], "scene"), frozenset(kept["broken"]), kept["twin"]
