@@ -19,10 +19,7 @@ from sim.markers.renderer import SPACING, Renderer, View
 from sim.markers.textures import (
     BAND,
     STEP,
-    DistanceTexture,
     Textures,
-    distance_texture,
-    textures_of,
 )
 from sim.markers.top import cubic_taps, top_of
 
@@ -40,19 +37,16 @@ __all__ = [
     "STEP",
     "WIDTH",
     "Camera",
-    "DistanceTexture",
     "Pattern",
     "Renderer",
     "Textures",
     "View",
     "cubic_taps",
-    "distance_texture",
     "hexagon",
     "named",
     "rings",
     "rows",
     "staggered",
-    "textures_of",
     "top_of",
     "turned",
 ]

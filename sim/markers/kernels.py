@@ -340,7 +340,7 @@ def packed_masks(material, samples: int, textures: Textures) -> wp.array:
     wp.launch(
         _mask_kernel(samples > 1),
         dim=shape,
-        inputs=[samples, textures.corner, 1.0 / textures.step, textures.values, material],
+        inputs=[samples, wp.vec2(*textures.corner), 1.0 / textures.step, textures.values, material],
         outputs=[packed],
         device=material.device,
     )
@@ -418,7 +418,7 @@ def coverages(material, samples: int, textures: Textures) -> wp.array:
     wp.launch(
         _coverage_kernel(samples > 1),
         dim=shape,
-        inputs=[samples, textures.corner, 1.0 / textures.step, textures.values, material],
+        inputs=[samples, wp.vec2(*textures.corner), 1.0 / textures.step, textures.values, material],
         outputs=[coverage],
         device=material.device,
     )

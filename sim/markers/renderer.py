@@ -25,7 +25,7 @@ from sim.markers.kernels import (
     seen_places,
 )
 from sim.markers.pattern import Pattern
-from sim.markers.textures import Textures, textures_of
+from sim.markers.textures import Textures
 from sim.markers.top import TAPS, Taps, cubic_taps, top_of
 from sim.scene import Body
 
@@ -120,7 +120,7 @@ class Renderer:
 
     def textures(self, patterns: Sequence[Pattern]) -> Textures:
         """Return textures of patterns for `View.masks`; each must fit on the gel."""
-        return textures_of(patterns, self.body, device=self.device)
+        return Textures(patterns, self.body, device=self.device)
 
     def undeformed(self) -> View:
         """Return the view of the undeformed gel: one frame, the reference of every pattern."""

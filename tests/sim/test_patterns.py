@@ -19,7 +19,7 @@ from sim.markers import (
     NAMES,
     SIMULATED,
     Pattern,
-    distance_texture,
+    Textures,
     hexagon,
     named,
     rings,
@@ -61,7 +61,7 @@ def test_markers_lie_wholly_on_the_papers_gel(name: str) -> None:
 
 def test_a_pattern_that_does_not_fit_is_refused_by_its_furthest_marker() -> None:
     with pytest.raises(SceneError, match=r"'TacPalm'.*beyond the gel.*20 x 20 mm"):
-        distance_texture(named("TacPalm"), Body())
+        Textures([named("TacPalm")], Body())
 
 
 @pytest.mark.parametrize("kind", ["Array", "Circle"])
@@ -138,10 +138,10 @@ def test_inside_is_negative_and_covers_the_area_of_the_markers() -> None:
 
 def test_a_texture_read_in_between_is_within_a_micrometre() -> None:
     pattern = named("Circle1")
-    texture = distance_texture(pattern, Body())
+    texture = Textures([pattern], Body())
     points = np.random.default_rng(1).uniform(-9.9e-3, 9.9e-3, (20000, 2))
     index = (points - texture.corner)[:, ::-1].T / texture.step
-    read = map_coordinates(texture.values, index, order=1)
+    read = map_coordinates(texture.values.numpy()[0], index, order=1)
     exact = cKDTree(pattern.centres).query(points)[0] - pattern.size / 2
     near = np.abs(exact) < 0.12e-3
     assert np.abs(read - exact)[near].max() < 1e-6
@@ -149,13 +149,14 @@ def test_a_texture_read_in_between_is_within_a_micrometre() -> None:
 
 
 def test_textures_reach_from_border_to_border_and_lie_symmetrically() -> None:
-    texture = distance_texture(named("Array1"), Body(size_x=19.999e-3, size_y=20e-3), step=30e-6)
-    rows, columns = texture.values.shape
+    texture = Textures([named("Array1")], Body(size_x=19.999e-3, size_y=20e-3), step=30e-6)
+    (values,) = texture.values.numpy()
+    rows, columns = values.shape
     assert texture.corner == pytest.approx(
         (-(columns - 1) / 2 * texture.step, -(rows - 1) / 2 * texture.step)
     )
     assert texture.corner[0] <= -9.9995e-3
-    np.testing.assert_allclose(texture.values, texture.values[::-1, ::-1], atol=1e-9)
+    np.testing.assert_allclose(values, values[::-1, ::-1], atol=1e-9)
 
 
 @pytest.mark.parametrize(

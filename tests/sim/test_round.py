@@ -31,7 +31,7 @@ from sim.fem.mesh import SHARE_LEAST, build_mesh
 from sim.fem.numerics import Fem
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Pattern, Renderer, named
-from sim.markers.textures import distance_texture
+from sim.markers.textures import Textures
 from sim.plot import surface_of
 from sim.result import from_json, to_json
 from sim.scene import through
@@ -368,8 +368,8 @@ def test_what_a_picture_of_markers_shows_beside_the_gel_is_cut_off() -> None:
             pass
 
     everywhere = Everywhere("everywhere", "disc", 1 * MM, ((0.0, 0.0),))
-    texture = distance_texture(everywhere, DISC, step=0.1 * MM)
-    fraction = (texture.values < 0).mean()
+    texture = Textures([everywhere], DISC, step=0.1 * MM)
+    fraction = (texture.values.numpy() < 0).mean()
     assert fraction == pytest.approx(math.pi / 4, rel=0.02)
 
 

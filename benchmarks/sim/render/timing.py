@@ -24,7 +24,7 @@ from sim.markers.kernels import (
     see_vertices,
 )
 from sim.markers.renderer import SPACING, Renderer
-from sim.markers.textures import textures_of
+from sim.markers.textures import Textures
 from sim.markers.top import cubic_taps, top_of
 from sim.scene import Body
 
@@ -40,7 +40,7 @@ def measure(
     x, y = states[0].x, states[0].y
     surface = np.stack([state.surface for state in states])
     patterns = [named(name) for name in SIMULATED]
-    textures = textures_of(patterns, body, device=device)
+    textures = Textures(patterns, body, device=device)
     device_top = DeviceTop.of(top, device)
     taps = cubic_taps(x, top.x), cubic_taps(y, top.y)
     renderer = Renderer(body, spacing=spacing, samples=samples, device=device)
@@ -68,7 +68,7 @@ def measure(
     _, to_grey = timed(lambda: coverages(material, samples, textures))
     _, to_field = timed(lambda: renderer.displacement(x, y, surface))
     _, whole = timed(lambda: renderer.see(x, y, surface).packed(textures))
-    _, textured = timed(lambda: textures_of(patterns, body, device=device))
+    _, textured = timed(lambda: Textures(patterns, body, device=device))
     return [
         ("vertices", to_vertices, frames),
         ("which triangle", to_triangles, frames),
