@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +17,8 @@ from rig.acquire.control import Interrupted
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from sim.errors import SceneError, SimulationDiverged
 from tactile.run import ended, joined
+
+SESSION = Path(__file__).parents[1] / "golden" / "data" / "gelsight.zarr"
 
 
 def raised(error: BaseException) -> int:
@@ -73,7 +76,7 @@ def test_other_errors_are_faults_and_keep_their_traceback(error: Exception) -> N
         raised(error)
 
 
-@pytest.mark.parametrize("words", ["schema bench", "--help", "sim --help"])
+@pytest.mark.parametrize("words", [f"session info {SESSION}", "--help", "sim --help"])
 def test_a_reader_that_leaves_ends_the_command_quietly(words: str) -> None:
     program = [sys.executable, "-m", "tactile", *words.split()]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
