@@ -214,9 +214,9 @@ class Contact:
 
 Frame = NDArray[Any]
 
-# Runtimes: ONNX Runtime runs the exported model, torch the trained one; `auto` is ONNX Runtime if
-# the model was exported, else torch.
-RUNTIMES = ("auto", "onnx", "torch")
+# Runtimes: ONNX Runtime and OpenVINO run the exported model, torch the trained one; `auto` is ONNX
+# Runtime if the model was exported, else torch.
+RUNTIMES = ("auto", "onnx", "openvino", "openvino-bf16", "torch")
 # Number of frames without contact for the reference.
 START_FRAMES = 10
 _TAXELS = (16, 3)
@@ -434,6 +434,9 @@ def _stream(name: str | os.PathLike[str], runtime: str, threads: int) -> ForceSt
         runtime = "onnx" if (Path(model) / "model.onnx").is_file() else "torch"
     if runtime == "onnx":
         return open_exported(model, threads=threads)
+    if runtime in ("openvino", "openvino-bf16"):
+        bf16 = runtime.endswith("bf16")
+        return open_exported(model, runtime="openvino", threads=threads, bf16=bf16)
     if runtime != "torch":
         raise LearningError(f"runtime: found {runtime!r}; allowed: {', '.join(RUNTIMES)}")
     import torch

@@ -1,4 +1,4 @@
-"""Forces of a stream of frames by an exported model or another step; needs no torch.
+"""Forces of a stream of frames by an exported model on any runtime; needs no torch.
 
 An exported model is one step: it takes a frame, the state and, if needed, the image without
 contact, and returns the force in newtons and the next state. It takes stored frames, so that no
@@ -21,6 +21,8 @@ from learning.errors import LearningError
 # Names of the inputs and outputs of a step.
 FRAME, STATE, REFERENCE = "frame", "state", "reference"
 FORCE, AFTER = "force", "state_after"
+# Runtimes for an exported model.
+RUNTIMES = ("onnxruntime", "openvino")
 
 Array = NDArray[Any]
 # Function that runs one step: inputs by name to force (1, 3) N and state (1, c, h, w).
@@ -101,24 +103,42 @@ class ForceStream:
         return frame[None]
 
 
-def open_exported(path: str | os.PathLike[str], *, threads: int = 0) -> ForceStream:
-    """Return a stream that runs an exported model by ONNX Runtime.
+def open_exported(
+    path: str | os.PathLike[str],
+    *,
+    runtime: str = RUNTIMES[0],
+    threads: int = 0,
+    bf16: bool = False,
+) -> ForceStream:
+    """Return a stream that runs an exported model.
 
     Args:
         path: `model.onnx`, or the folder of a model that has one.
+        runtime: One of `RUNTIMES`.
         threads: Number of threads; 0: default of the runtime.
+        bf16: True to allow bfloat16 inside; OpenVINO only.
 
     Raises:
-        LearningError: The file does not exist, or is no exported force model.
+        LearningError: The file or runtime does not exist, the model is of another kind, or the
+            runtime is not installed.
     """
-    import onnxruntime
-
     file = Path(path)
     file = file / "model.onnx" if file.is_dir() else file
     if not file.is_file():
         raise LearningError(
             f"{file}: no such file; `tactile train force` writes it, --runtime torch needs none"
         )
+    if runtime == "openvino":
+        return _openvino(file, threads, bf16)
+    if runtime != "onnxruntime" or bf16:
+        what = f"{runtime}{' with bf16' if bf16 else ''}"
+        raise LearningError(f"runtime: found {what}; allowed: {', '.join(RUNTIMES)}, bf16 openvino")
+    return _onnxruntime(file, threads)
+
+
+def _onnxruntime(file: Path, threads: int) -> ForceStream:
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     # Threads that spin between frames would take cores from the camera reader.
@@ -129,23 +149,50 @@ def open_exported(path: str | os.PathLike[str], *, threads: int = 0) -> ForceStr
         )
     except Exception as error:  # each kind of invalid file raises another class there
         raise LearningError(f"{file}: cannot be loaded as an ONNX model: {error}") from error
-    inputs = {each.name: each for each in session.get_inputs()}
-    if not {FRAME, STATE} <= inputs.keys() <= {FRAME, STATE, REFERENCE}:
-        raise LearningError(
-            f"{file}: found inputs {', '.join(inputs)}; allowed: {FRAME}, {STATE}, {REFERENCE}, as "
-            "`tactile train force` writes them"
-        )
+    shapes = {given.name: tuple(given.shape) for given in session.get_inputs()}
+    images = {given.name for given in session.get_inputs() if given.type == "tensor(uint8)"}
+    inputs = _inputs(file, shapes, images)
 
-    def step(values: Mapping[str, Array]) -> tuple[Array, Array]:
-        force, after = session.run([FORCE, AFTER], dict(values))
+    def step(given: Mapping[str, Array]) -> tuple[Array, Array]:
+        force, after = session.run([FORCE, AFTER], dict(given))
         return force, after
 
-    return ForceStream(
-        step,
-        StepInputs(
-            tuple(inputs[FRAME].shape),
-            inputs[FRAME].type == "tensor(uint8)",
-            tuple(inputs[STATE].shape),
-            REFERENCE in inputs,
-        ),
-    )
+    return ForceStream(step, inputs)
+
+
+def _openvino(file: Path, threads: int, bf16: bool) -> ForceStream:
+    try:
+        import openvino
+    except ImportError:
+        raise LearningError("openvino: not installed; pip install openvino") from None
+    core = openvino.Core()
+    try:
+        model = core.read_model(str(file))
+    except RuntimeError as error:
+        raise LearningError(f"{file}: cannot be loaded as an ONNX model: {error}") from error
+    wanted: dict[str, Any] = {
+        "PERFORMANCE_HINT": "LATENCY",
+        "INFERENCE_PRECISION_HINT": "bf16" if bf16 else "f32",
+    }
+    if threads:
+        wanted["INFERENCE_NUM_THREADS"] = threads
+    compiled = core.compile_model(model, "CPU", wanted)
+    shapes = {given.any_name: tuple(given.shape) for given in compiled.inputs}
+    images = {given.any_name for given in compiled.inputs if given.element_type == openvino.Type.u8}
+    inputs = _inputs(file, shapes, images)
+    request = compiled.create_infer_request()
+
+    def step(given: Mapping[str, Array]) -> tuple[Array, Array]:
+        found = request.infer(dict(given))
+        return found[FORCE].copy(), found[AFTER].copy()
+
+    return ForceStream(step, inputs)
+
+
+def _inputs(file: Path, shapes: Mapping[str, tuple[Any, ...]], images: set[str]) -> StepInputs:
+    if not {FRAME, STATE} <= shapes.keys() <= {FRAME, STATE, REFERENCE}:
+        raise LearningError(
+            f"{file}: found inputs {', '.join(shapes)}; allowed: {FRAME}, {STATE}, {REFERENCE}, as "
+            "`tactile train force` writes them"
+        )
+    return StepInputs(shapes[FRAME], FRAME in images, shapes[STATE], REFERENCE in shapes)

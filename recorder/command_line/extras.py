@@ -19,6 +19,7 @@ LIBRARIES = {
     "onnx": ("learning",),
     "onnxruntime": ("markers", "learning"),
     "onnxscript": ("learning",),
+    "openvino": ("openvino",),
     "peft": ("diffusion",),
     "pyarrow": ("export",),
     "rtde_control": ("rig",),

@@ -59,9 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=positive, help="duration [s] (default: until Ctrl-C)")
     parser.add_argument(
         "--runtime",
-        choices=("auto", "onnx", "torch"),
+        choices=("auto", "onnx", "openvino", "openvino-bf16", "torch"),
         default="auto",
-        help="runtime of the model (%(default)s: onnx if its folder has model.onnx, else torch)",
+        help="runtime of the model (%(default)s: onnx if its folder has one, which openvino needs "
+        "too, else torch; openvino-bf16 is the fastest on CPUs that support it)",
     )
     parser.add_argument(
         "--preset", metavar="NAME", help="marker detection preset (default: that of the sensor)"

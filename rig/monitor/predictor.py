@@ -38,7 +38,7 @@ def open_predictor(
     Args:
         model: A model of `force_model`.
         before: The source's model, whose forces are shown beside.
-        runtime: auto, onnx or torch.
+        runtime: auto, onnx, openvino, openvino-bf16 or torch.
         sensor: Name of the sensor, which selects the marker detection preset.
         preset: Name or file of a preset to use instead.
 

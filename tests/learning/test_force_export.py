@@ -88,6 +88,8 @@ def test_files_that_are_no_exported_model_are_refused(tmp_path: Path, exported: 
     onnx.save(other, tmp_path / "other.onnx")
     with pytest.raises(LearningError, match="found inputs x; allowed: frame, state, reference"):
         open_exported(tmp_path / "other.onnx")
+    with pytest.raises(LearningError, match="runtime: found tensorrt"):
+        open_exported(exported, runtime="tensorrt")
 
 
 def test_an_export_overwrites_nothing(model: ForceModel, exported: Path) -> None:
@@ -97,7 +99,7 @@ def test_an_export_overwrites_nothing(model: ForceModel, exported: Path) -> None
     assert exported.read_bytes() == before
 
 
-FEW = (Variant("torch", "fp32"), Variant("torch", "bf16"), Variant("onnxruntime", "fp32"))
+FEW = (Variant("torch", "fp32"), Variant("torch", "bf16"), Variant("onnxruntime", "int8"))
 
 
 @pytest.mark.slow
@@ -111,7 +113,7 @@ def test_costs_are_of_every_way_to_run_a_model(
     assert [(row.runtime, row.precision) for row in rows] == [
         ("torch", "fp32"),
         ("torch", "bf16"),
-        ("onnxruntime", "fp32"),
+        ("onnxruntime", "int8"),
     ]
     assert rows[0].difference_n == 0.0
     assert all(row.mae_n is not None and 0 < row.difference_n < 1 for row in rows[1:])
@@ -122,6 +124,14 @@ def test_costs_are_of_every_way_to_run_a_model(
     assert markdown(rows).count("| toy |") == 3
     draw(rows, tmp_path / "bench.png")
     assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_runtime_that_is_missing_is_a_line_with_its_reason(
+    model: ForceModel, exported: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "openvino", None)
+    with pytest.raises(LearningError, match="openvino: not installed"):
+        open_exported(exported, runtime="openvino")
 
 
 @pytest.mark.slow

@@ -174,8 +174,9 @@ def test_a_model_of_something_else_or_none_is_refused(tmp_path: Any) -> None:
     odd = ForceStream(Stub(), StepInputs((1, 2, 8, 8), False, (1, 1, 1, 1), False))
     with pytest.raises(LearningError, match=r"takes frames \(2, 8, 8\)"):
         LivePredictor(odd, preset("uskin")).begin(np.stack([NO_CONTACT] * 3))
-    with pytest.raises(LearningError, match=r"model\.onnx: no such file"):
-        open_live(tmp_path, sensor="uskin", runtime="onnx")
+    for runtime in ("onnx", "openvino", "openvino-bf16"):
+        with pytest.raises(LearningError, match=r"model\.onnx: no such file"):
+            open_live(tmp_path, sensor="uskin", runtime=runtime)
     with pytest.raises(LearningError, match="runtime: found 'paper'"):
         open_live(tmp_path, sensor="uskin", runtime="paper")
 

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=2, help="CPU threads of a step (2)")
     add_device(parser)
     parser.add_argument(
-        "--runtimes", metavar="NAME,...", help="torch, torch.compile, onnxruntime (all)"
+        "--runtimes", metavar="NAME,...", help="torch, torch.compile, onnxruntime, openvino (all)"
     )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder for bench.csv, bench.md and bench.png"

@@ -41,6 +41,8 @@ VARIANTS = (
     Variant("torch.compile", "fp32"),
     Variant("torch.compile", "bf16"),
     Variant("onnxruntime", "fp32"),
+    Variant("openvino", "fp32"),
+    Variant("openvino", "bf16"),
 )
 
 
@@ -159,7 +161,8 @@ def _stream(
             torch.compiler.reset()
             one.compile(dynamic=False)
         return stepped_by(one, model)
-    return open_exported(exported, threads=threads)
+    narrow = variant.precision == "bf16"
+    return open_exported(exported, runtime=variant.runtime, threads=threads, bf16=narrow)
 
 
 def _bf16(model: ForceModel) -> ForceModel:
