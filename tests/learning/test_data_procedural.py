@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from learning.data.images import shrink_masks, warp
-from learning.data.synthetic import before, pixel_grid, random_fields, sample_patterns
+from learning.data.images import inverse, shrink_masks, warp
+from learning.data.synthetic import pixel_grid, random_fields, sample_patterns
 from recorder.markers import HEIGHT, WIDTH
 
 CPU = torch.device("cpu")
@@ -61,7 +61,7 @@ def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
     patterns = sample_patterns(2, _chance(5), CPU)
     field = torch.tensor([20.0, 15.0]).view(1, 2, 1, 1).expand(2, 2, 24, 32)
     # One pixel is 2.5 columns by 1.875 rows: 8 pixels each.
-    moved = patterns.draw(before(field, None))
+    moved = patterns.draw(pixel_grid(256, CPU) + inverse(field, (256, 256), None))
     rest = patterns.draw(pixel_grid(256, CPU))
     assert torch.allclose(moved[..., 8:, 8:], rest[..., :-8, :-8], atol=1e-3)
 
@@ -69,7 +69,7 @@ def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
 def test_a_deformed_pattern_is_its_image_warped() -> None:
     patterns = sample_patterns(2, _chance(6), CPU)
     field = random_fields(2, _chance(7), CPU)
-    drawn = patterns.draw(before(field, None))
+    drawn = patterns.draw(pixel_grid(256, CPU) + inverse(field, (256, 256), None))
     warped = warp(patterns.draw(pixel_grid(256, CPU)), field, None)
     middle = (..., slice(32, -32), slice(32, -32))
     assert float((drawn - warped)[middle].abs().mean()) < 0.02

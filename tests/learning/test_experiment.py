@@ -19,7 +19,6 @@ from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
 from learning.experiment import forces, models, running, worker
 from learning.experiment.forces import force_settings
-from learning.experiment.models import Places
 from learning.experiment.parts import (
     as_images,
     frames_of_a_press,
@@ -107,11 +106,6 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
     assert run(archive, out) == [line for line in reported if "labels of >" not in line]
     with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
         run(archive, out, "seed=1")
-    # An experiment that began before a key was known has its default, and no other value.
-    stored = json.loads((out / "experiment.json").read_text())
-    del stored["models_per_batch"]
-    (out / "experiment.json").write_text(json.dumps(stored))
-    running._begin(Places(out, archive.path), settings(), archive, pairs_of(archive, ["dots:grid"]))
     with pytest.raises(LearningError, match="models_per_batch: found 1, asked for 4"):
         run(archive, out, "models_per_batch=4")
 

@@ -201,18 +201,3 @@ def test_a_file_that_is_not_there_or_holds_no_mapping_is_refused(tmp_path: Path)
     (tmp_path / "list.yaml").write_text("- 1\n")
     with pytest.raises(SceneError, match=r"list\.yaml: found the list \[1\]; allowed: a mapping"):
         read_sensor(tmp_path / "list.yaml")
-
-
-def test_a_file_may_have_the_former_key_of_variation(tmp_path: Path) -> None:
-    quiet = "extends: base.yaml\nlife: {segmentation: null}\n"
-    base = written(tmp_path, BASE + "variation: {drift: {step_um: 2.0}}\n")
-    base.rename(tmp_path / "base.yaml")
-    (tmp_path / "old.yaml").write_text(quiet)
-    (tmp_path / "new.yaml").write_text(quiet.replace("life", "variation"))
-    (tmp_path / "both.yaml").write_text(quiet + "variation: {drift: null}\n")
-    old, new = (read_sensor(tmp_path / f"{name}.yaml") for name in ("old", "new"))
-    assert old.variation == new.variation
-    assert old.variation.segmentation is None
-    assert old.variation.drift is not None
-    with pytest.raises(SceneError, match=r"both\.yaml\.life: found beside variation; allowed: one"):
-        read_sensor(tmp_path / "both.yaml")
