@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(slots=True)
 class Given:
-    """What a call is given, by its nature."""
+    """Paths of a call, by their contents."""
 
     results: Path | None = None
     model: str | None = None

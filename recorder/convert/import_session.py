@@ -59,7 +59,7 @@ _SMALL = (30, 30)
 # Frames without contact that are kept before and after a press, if there are some.
 _AROUND = 2
 # File names of single pictures that show no contact.
-_NO_CONTACT = ("ref", "reference", "background", "no_contact", "untouched", "rest")
+_NO_CONTACT = ("ref", "reference", "background", "no_contact", "no_contact", "rest")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,9 +287,9 @@ def _contacts(
 def _stills(film: Film, shown: Signal, answers: Answers) -> tuple[Span, list[Press], Trace]:
     """Return the picture without contact, and every other as a contact of its own."""
     names = [name.rpartition(".")[0] for name in film.names]
-    untouched = [text.rpartition("=")[2] for text in answers.no_contact]
-    untouched = untouched or [name for name in names if name.lower() in _NO_CONTACT]
-    rest = [row for row, name in enumerate(names) if {name, film.names[row]} & set(untouched)]
+    no_contact = [text.rpartition("=")[2] for text in answers.no_contact]
+    no_contact = no_contact or [name for name in names if name.lower() in _NO_CONTACT]
+    rest = [row for row, name in enumerate(names) if {name, film.names[row]} & set(no_contact)]
     if not rest:
         raise MissingAnswer(
             "no_contact", "no picture is named after a sensor without contact", film.names[:9]

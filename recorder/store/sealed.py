@@ -1,4 +1,4 @@
-"""Files of a session, held against its manifests when they are read, or all at once."""
+"""Files of a session, compared with its manifests when they are read, or all at once."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def started_bench(
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What all commands that record have: a bench, and where results lie."""
+    """Bench and places of results that all commands that record have."""
 
     file: BenchFile
     """The bench, with the indenter on its arm."""

@@ -1,4 +1,4 @@
-"""How each row of `benchmarks faults` ends, and whether two of its pages end alike.
+"""Ends of the rows of `benchmarks faults`, compared between two of its pages.
 
 `python tests/net/faults.py PAGE` prints the rows of a page as JSON, and `--against faults.json` the
 rows that end otherwise, with exit code 1. `faults.json` is of the commit c69dc120.

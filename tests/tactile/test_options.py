@@ -96,7 +96,7 @@ def test_the_commands_to_continue_with_exist_and_have_their_options() -> None:
 
 
 def test_no_module_builds_a_command_line_of_ours() -> None:
-    """What another command does is a function, which modules call."""
+    """Another command's work is a function, which modules call."""
     found = []
     for path in [each for package in PACKAGES for each in (ROOT / package).rglob("*.py")]:
         relative = path.relative_to(ROOT)

@@ -45,7 +45,7 @@ class Snippet:
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """What an effect adds to tier `fem`."""
+    """Additions of an effect to tier `fem`."""
 
     kind: type[Friction] | type[Gravity] | type[Inertia] | type[Viscosity]
     state: tuple[Memory, ...]
@@ -53,7 +53,7 @@ class Declaration:
     kernels: tuple[Snippet, ...]
     """Its code in kernels."""
     limit: str
-    """What it becomes as it gets weaker."""
+    """Limit that it approaches as it gets weaker."""
 
 
 # Effects by their names in `sim.effects.Effects`.
