@@ -1,7 +1,7 @@
 """Decides when the arm must stop: force, position, stale data, safety state. Pure logic, no I/O.
 
 The UR's own limits cannot protect the sensor: their tolerance is 25 N, a Nano17's range ends at
-17 N. The process that moves the arm therefore calls this guard a few hundred times a second.
+17 N. The process that moves the arm therefore asks its guards a few hundred times a second.
 """
 
 from __future__ import annotations
@@ -276,10 +276,8 @@ class ForceGuard:
         for t_ns, force in zip(records["t_ns"].tolist(), forces.tolist(), strict=True):
             if t_ns > newest_ns:
                 self._history.append((t_ns, force))
-        # The force that is largest in size on each axis: a load between two looks counts.
-        largest = forces[np.abs(forces).argmax(axis=0), np.arange(6)].tolist()
         ahead = self._predict()
-        loads, newest = self._loads(largest), self._loads(forces[-1].tolist())
+        newest = self._loads(forces[-1].tolist())
         later = self._loads(ahead) if ahead is not None else newest
         late = _stale("stale_force", "force", now_ns, records, limits.stale_force)
         if mode == "retreat":
@@ -294,6 +292,9 @@ class ForceGuard:
                 if above and load_later > load + _GROWTH:
                     return self._hard(name, text)
             return None
+        # The force that is largest in size on each axis: a load between two looks counts.
+        largest = forces[np.abs(forces).argmax(axis=0), np.arange(6)].tolist()
+        loads = self._loads(largest)
         invalid = self._invalid(records, forces)
         for name, text, load in loads:
             if invalid is None and load > limits.hard_fraction:

@@ -68,7 +68,7 @@ EDGE = "edge_radius"
 EDGE_MM = 0.3
 # Shapes without an edge to round.
 ROUND = ("sphere", "torus", "rounded-cone", "plane")
-# Suffix of a file given in place of a shape, and what may follow it.
+# Suffix of a file given in place of a shape, and the keys that may follow it.
 FILE = ".stl"
 FILE_KEYS = ("unit", "up", EDGE)
 
