@@ -73,11 +73,6 @@ def fill_archive(
         attrs: Further attributes of the archive; JSON values.
         progress: Called with the number of frames that exist and the total.
         simulated: Forces of twins, by sensor; added last.
-
-    Raises:
-        SessionError: Another archive is at the path, or a value cannot be stored in one.
-        LearningError: A frame cannot be made.
-        OSError: The disk is full, or not writable.
     """
     plan = ArchivePlan(tuple(sensor.plan for sensor in sensors), tuple(indenters), attrs)
     writer = ArchiveWriter.begin(path, plan)
@@ -124,9 +119,6 @@ def archive_fingerprint(archive: MarkerArchive) -> str:
 
     Masks and fields are not hashed: they are gigabytes, and code that makes different ones records
     the difference in the attributes or in the provenance.
-
-    Raises:
-        SessionError: The archive is still being written, or a table is corrupt.
     """
     digest = hashlib.sha256()
     digest.update(json.dumps(archive.attrs, sort_keys=True).encode())

@@ -30,11 +30,7 @@ def preset_names(preset_dir: Path) -> tuple[str, ...]:
 
 
 def preset_path(preset_dir: Path, name_or_path: str | Path) -> Path:
-    """Return the file of a preset in a folder, or the given path if it is a YAML file.
-
-    Raises:
-        LearningError: There is no preset of that name.
-    """
+    """Return the file of a preset in a folder, or the given path if it is a YAML file."""
     path = Path(name_or_path)
     if path.suffix in _SUFFIXES:
         return path
@@ -59,9 +55,6 @@ def read_settings(
         preset_dir: Folder of the presets.
         name_or_path: Name of a preset, or path of a YAML file.
         overrides: `key=value` or `key.sub=value`, the value in YAML; later ones win.
-
-    Raises:
-        LearningError: The preset or file does not exist, or a key or value is not allowed.
     """
     path = preset_path(preset_dir, name_or_path)
     content = READER.read(path)
@@ -80,11 +73,7 @@ def read_settings(
 
 
 def read_one_of(kinds: Sequence[type], path: Path) -> Any:
-    """Read a YAML file whose `kind` names one of some dataclasses; return it built.
-
-    Raises:
-        LearningError: The file is missing, is not YAML, or has an invalid key or value.
-    """
+    """Read a YAML file whose `kind` names one of some dataclasses; return it built."""
     return READER.build_one_of(tuple(kinds), READER.read(path), str(path))
 
 
@@ -95,11 +84,7 @@ def require(
     above: float = -math.inf,
     most: float = math.inf,
 ) -> None:
-    """Reject fields of settings outside a range. None is allowed; a tuple is checked by item.
-
-    Raises:
-        LearningError: Names the field, its value and the range.
-    """
+    """Reject fields of settings outside a range. None is allowed; a tuple is checked by item."""
     low = f"above {above}" if above > least else str(least)
     if most == math.inf:
         allowed = low if above > least else f"{low} or more"

@@ -64,10 +64,6 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
         true: Measured forces (n, 3) [N]; NaN is no label.
         predicted: Predicted forces (n, 3) [N]; NaN on axes that the model does not predict.
         spread: Standard deviation of the target's labels, of Fx, Fy, Fz and Ft (4,) [N].
-
-    Raises:
-        LearningError: There are no frames, shapes differ, a force is infinite, a prediction is
-            missing in some frames of an axis only, or no label can be compared with a prediction.
     """
     known = _comparable(true, predicted)
     measured, found = with_magnitude(true), with_magnitude(predicted)
@@ -118,11 +114,7 @@ def _comparable(true: Floats, predicted: Floats) -> NDArray[np.bool_]:
 
 
 def require_forces(name: str, forces: Floats, *, whole_axes: bool) -> None:
-    """Reject infinite forces (n, 3); with `whole_axes`, also NaN in a part of an axis's frames.
-
-    Raises:
-        LearningError: Names the first such row.
-    """
+    """Reject infinite forces (n, 3); with `whole_axes`, also NaN in a part of an axis's frames."""
     wrong = np.isinf(forces)
     if whole_axes:
         wrong |= np.isnan(forces) & ~np.isnan(forces).all(axis=0)
@@ -135,11 +127,7 @@ def require_forces(name: str, forces: Floats, *, whole_axes: bool) -> None:
 
 
 def mean_absolute_error(true: Floats, predicted: Floats) -> Floats:
-    """Return the mean over frames of |predicted - true| (k,), in the units of the inputs (n, k).
-
-    Raises:
-        LearningError: There are no frames, shapes differ, or a value is not finite.
-    """
+    """Return the mean over frames of |predicted - true| (k,), in the units of the inputs (n, k)."""
     _require_alike(true, predicted)
     return np.asarray(np.abs(predicted - true).mean(axis=0), np.float64)
 
@@ -149,9 +137,6 @@ def r_squared(true: Floats, predicted: Floats) -> Floats:
 
     1 - sum (predicted - true)^2 / sum (true - mean of true)^2, over all frames. 1 is perfect, 0 is
     as good as always predicting the mean, negative is worse. NaN where true is constant.
-
-    Raises:
-        LearningError: There are no frames, shapes differ, or a value is not finite.
     """
     _require_alike(true, predicted)
     missed = np.square(predicted - true).sum(axis=0)
@@ -178,11 +163,7 @@ def r_squared_of_sums(count: Floats, one: Floats, square: Floats, missed: Floats
 
 
 def with_magnitude(forces: Floats) -> Floats:
-    """Return forces (n, 4) [N]: Fx, Fy, Fz (n, 3) and their magnitude, the paper's total force Ft.
-
-    Raises:
-        LearningError: Not (n, 3).
-    """
+    """Return forces (n, 4) [N]: Fx, Fy, Fz (n, 3) and their magnitude, the paper's Ft."""
     forces = np.asarray(forces, np.float64)
     if forces.ndim != 2 or forces.shape[1] != 3:
         raise LearningError(f"forces: found shape {forces.shape}; allowed: (n, 3)")
@@ -193,9 +174,6 @@ def spread_and_range(labels: Floats) -> tuple[Floats, Floats]:
     """Return standard deviation (4,) and range (4,) of Fx, Fy, Fz, Ft [N] of labels (n, 3).
 
     Each is of its measured frames (not NaN), Ft of those with all axes; NaN without any.
-
-    Raises:
-        LearningError: The shape is not (n, 3).
     """
     found = with_magnitude(labels)
     spread, range_ = np.full(found.shape[1], np.nan), np.full(found.shape[1], np.nan)

@@ -26,11 +26,7 @@ def plugin_names() -> tuple[str, ...]:
 
 
 def plugin_identity(name: str) -> str:
-    """Return a model's name with name and version of its package: what it is if it has no folder.
-
-    Raises:
-        LearningError: No package offers it, or several do.
-    """
+    """Return a model's name with name and version of its package: its identity without a folder."""
     package = _entry_point(name).dist
     return name if package is None else f"{name} of {package.name} {package.version}"
 
@@ -45,10 +41,6 @@ def load_plugin(
         interface: Protocol that it must have, checked at run time.
         folder: Folder of the trained model; None: one that needs none.
         device: Device to compute on.
-
-    Raises:
-        LearningError: No package offers it, several do, it cannot be imported, or it is no such
-            model.
     """
     entry = _entry_point(name)
     try:

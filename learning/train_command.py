@@ -15,12 +15,7 @@ from recorder.progress import ItemProgress
 
 
 def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
-    """Open the archive that the options name, and the split that they name or the archive's own.
-
-    Raises:
-        LearningError: The split cannot be read or made, or was not made for this archive.
-        SessionError: The archive cannot be read.
-    """
+    """Open the archive that the options name, and the split that they name or the archive's own."""
     archive = MarkerArchive(options.archive)
     return archive, training_split(archive, options.split, options.unseen)
 
@@ -55,10 +50,6 @@ def run_training(
         split: Split of the presses; it is written to `split.json` in the run's folder.
         reading: Name of the items that are counted while data is read.
         metadata: Values known before training that are needed to use the model.
-
-    Raises:
-        LearningError: Another run is in the folder, or the training was rejected.
-        KeyboardInterrupt: It was stopped, after its state was saved.
     """
     launched = accelerator(settings.launch)
     writes = launched.is_main_process

@@ -115,11 +115,7 @@ class Catalogue:
     """The sessions below a folder."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
-        """Load the catalogue of a folder; `refresh` brings it up to date.
-
-        Raises:
-            SessionError: No such folder.
-        """
+        """Load the catalogue of a folder; `refresh` brings it up to date."""
         self.folder = Path(folder)
         if not self.folder.is_dir():
             raise SessionError(f"{self.folder}: no such folder")

@@ -37,9 +37,6 @@ def stream_digest(stream: Stream, progress: Progress | None = None) -> str:
     Args:
         stream: The stream; all of it is read.
         progress: Called with the number of images read and the total.
-
-    Raises:
-        SessionError: A chunk is missing or corrupt.
     """
     digest = hashlib.sha256()
     for layout in stream.layout.columns:
@@ -69,11 +66,7 @@ def session_digest(digests: Mapping[str, str]) -> str:
 
 
 def digests(session: Session, progress: Progress | None = None) -> dict[str, str]:
-    """Return the digest of every stream of a session, by name.
-
-    Raises:
-        SessionError: A chunk is missing or corrupt.
-    """
+    """Return the digest of every stream of a session, by name."""
     return {name: stream_digest(stream, progress) for name, stream in session.streams.items()}
 
 
@@ -87,9 +80,6 @@ def describe(path: str | os.PathLike[str]) -> str:
     """Return a summary of a session: origin, streams with their rates, frames and phases.
 
     For a marker archive, the summary has one line per sensor.
-
-    Raises:
-        SessionError: Neither a session nor an archive, or a corrupt column.
     """
     files, place = locate(path)
     if says_it_is(place, files, ARCHIVE):

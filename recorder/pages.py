@@ -21,9 +21,6 @@ def render(template: Path, **values: Any) -> str:
 
     A template may use the filter `number`, and `python`, `cores` and `machine` of this computer. A
     line with a tag alone leaves no line. Texts are escaped if the template's name ends in `.html`.
-
-    Raises:
-        jinja2.UndefinedError: The template uses a name that has no value.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 

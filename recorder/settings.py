@@ -109,9 +109,6 @@ class Reader:
         Args:
             path: The file.
             library: Folder in which a file named by `extends` is also looked for.
-
-        Raises:
-            ValueError: Of type `error`: no such file, not YAML, not a mapping, or a circle.
         """
         try:
             return read_mapping(path, library=library)
@@ -119,11 +116,7 @@ class Reader:
             raise self.error(str(error)) from None
 
     def parse(self, text: str, where: str) -> Any:
-        """Return the value of a piece of YAML.
-
-        Raises:
-            ValueError: Of type `error`: not YAML.
-        """
+        """Return the value of a piece of YAML."""
         try:
             return parse(text, where)
         except YamlError as error:
@@ -136,10 +129,6 @@ class Reader:
             kind: Frozen dataclass.
             content: The mapping, as YAML gives it.
             where: File and dotted path, for errors.
-
-        Raises:
-            ValueError: Of type `error`: a key is unknown or missing, or a value has the wrong type
-                or is rejected by the dataclass.
         """
         if not isinstance(content, dict):
             raise self.error(
@@ -167,11 +156,7 @@ class Reader:
             raise self.error(f"{where}: {error}{as_written}") from None
 
     def build_one_of(self, kinds: Sequence[Any], content: Any, where: str) -> Any:
-        """Return the one of several dataclasses whose `KIND` a mapping names as its `kind`.
-
-        Raises:
-            ValueError: Of type `error`: the kind is unknown, or as for `build`.
-        """
+        """Return the one of several dataclasses whose `KIND` a mapping names as its `kind`."""
         by_kind = {kind.KIND: kind for kind in kinds}
         if not isinstance(content, dict):
             allowed = f"a mapping with kind {' or '.join(by_kind)}"

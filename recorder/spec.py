@@ -170,11 +170,7 @@ class Column:
     """`zstd`, or `jpeg` for an image that arrives and is stored as JPEG."""
 
     def __post_init__(self) -> None:
-        """Reject columns that the format cannot hold.
-
-        Raises:
-            SessionError: Unknown dtype or codec, or a row shape that does not match them.
-        """
+        """Reject columns that the format cannot hold."""
         if self.dtype not in _DTYPES:
             known = ", ".join(_DTYPES)
             raise SessionError(f"{self.name}: found dtype {self.dtype}, known: {known}")
@@ -234,12 +230,7 @@ class StreamSpec:
     where they differ from the defaults of the kind."""
 
     def __post_init__(self) -> None:
-        """Reject a stream that the format cannot hold.
-
-        Raises:
-            SessionError: No integer time column at the end, a repeated name, two image columns, or
-                an unknown alignment, role or clock.
-        """
+        """Reject a stream that the format cannot hold."""
         names = [column.name for column in self.columns]
         if len(set(names)) != len(names):
             raise SessionError(f"{self.name}: repeated column in {names}")
@@ -298,11 +289,7 @@ class StreamSpec:
 
 
 def check_streams(specs: Iterable[StreamSpec]) -> None:
-    """Reject streams that one session cannot hold together.
-
-    Raises:
-        SessionError: A name that is repeated, is no plain word, or is a column of `frames`.
-    """
+    """Reject streams that one session cannot hold together."""
     seen: dict[str, StreamSpec] = {}
     specs = list(specs)
     for spec in specs:

@@ -62,11 +62,7 @@ def yaml_text(content: Mapping[str, Any]) -> str:
 
 
 def parse(text: str, name: str) -> Any:
-    """Return the content of a YAML text; `name` is its origin, for error messages.
-
-    Raises:
-        YamlError: Not YAML, or a repeated key.
-    """
+    """Return the content of a YAML text; `name` is its origin, for error messages."""
     try:
         loader = _StrictLoader(text)
         loader.name = name
@@ -101,9 +97,6 @@ def read_mapping(
         above: Files that led here through `extends`.
         library: Folder that is searched as well if `extends` is `NAME` or `../NAME` and that file
             does not exist.
-
-    Raises:
-        YamlError: No such file, not YAML, not a mapping, or files that extend each other.
     """
     if path.resolve() in above:
         raise YamlError(f"{path}: extends: the files extend each other in a circle")

@@ -13,11 +13,7 @@ from sim.errors import SceneError
 
 
 def ready_device(name: str) -> Path | None:
-    """Start Warp, silent below warnings; return the folder in which it caches compiled kernels.
-
-    Raises:
-        SceneError: This machine does not have the device.
-    """
+    """Start Warp, silent below warnings; return the folder in which it caches compiled kernels."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
@@ -35,9 +31,6 @@ def check_device(name: str) -> None:
     A program that sets `wp.config.log_level` to another level than the default keeps it. A device
     on the null stream, where no graph can be recorded, gets a stream: Warp reads arrays on the null
     stream, and an interrupt at that moment leaves the device there.
-
-    Raises:
-        SceneError: Names the devices that it has.
     """
     import warp as wp
 

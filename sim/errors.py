@@ -60,11 +60,7 @@ def check_range(
     unit: str = "",
     open_low: bool = False,
 ) -> None:
-    """Reject a number that is not finite or not within `low` to `high`.
-
-    Raises:
-        SceneError: Names the field, the value found and the allowed range.
-    """
+    """Reject a number that is not finite or not within `low` to `high`."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     inside = number and math.isfinite(value) and low <= value <= high
     if not inside or (open_low and value == low):
@@ -81,11 +77,7 @@ def is_finite(value: Any) -> bool:
 
 
 def check_kind(name: str, value: Any, kind: Any, allowed: str, *, optional: bool = False) -> None:
-    """Reject a value that is not of `kind`; with `optional`, None is accepted.
-
-    Raises:
-        SceneError: Names the field, the value found and the allowed kind.
-    """
+    """Reject a value that is not of `kind`; with `optional`, None is accepted."""
     if not (isinstance(value, kind) or (optional and value is None)):
         none = ", or None" if optional else ""
         raise SceneError(f"{name}: {value!r}; allowed: {allowed}{none}")

@@ -150,11 +150,7 @@ class Tolerance:
 
 
 def tolerance_of(text: str) -> Tolerance:
-    """Parse a tolerance.
-
-    Raises:
-        SceneError: `text` is not a tolerance.
-    """
+    """Parse a tolerance."""
     match = re.fullmatch(r"\s*(\S+?)\s*(%|mN|N|px)\s*", text) if isinstance(text, str) else None
     try:
         number = float(match[1]) if match else math.nan

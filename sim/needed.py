@@ -196,11 +196,7 @@ def plan_many(
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> list[EffectsPlan]:
-    """Plan several scenes as `sim.plan_effects` does, with the probes solved in one batch.
-
-    Raises:
-        SceneError: As in `sim.plan_effects`.
-    """
+    """Plan several scenes as `sim.plan_effects` does, with the probes solved in one batch."""
     wanted = None if tolerance is None else tolerance_of(tolerance)
     for scene in scenes:
         check_kind("scene", scene, Scene, "a Scene")
@@ -237,10 +233,6 @@ def simulate_needed(
         tier: As in `simulate_within`; None is `fem` if effects are left out.
         device: Device to run on.
         progress: Called with the fraction done, 0 to 1, of each mesh in turn.
-
-    Raises:
-        SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it.
-        SimulationDiverged: A mesh found no solution.
     """
     if not found.omitted:
         result = simulate_within(

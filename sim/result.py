@@ -168,11 +168,7 @@ def to_json(value: Any) -> dict[str, Any]:
 
 
 def from_json(kind: type[Value], stored: Any, where: str) -> Value:
-    """Return the value of dataclass `kind` that `to_json` wrote; `where` names it in errors.
-
-    Raises:
-        SceneError: A field is missing, unknown or of the wrong kind, or a value is rejected.
-    """
+    """Return the value of dataclass `kind` that `to_json` wrote; `where` names it in errors."""
     # Only files need it: it imports YAML.
     from recorder.settings import Reader
 

@@ -285,12 +285,7 @@ def from_target(plan: Plan, target: Target, *, steps: int = 5, speed: float = 10
 
 
 def through(points: Sequence[Point], *, speed: float) -> Motion:
-    """Return the motion along `points` [m] at constant `speed` [m/s].
-
-    Raises:
-        SceneError: The speed is not above 0, or two consecutive points are equal (they take no
-            time).
-    """
+    """Return the motion along `points` [m] at constant `speed` [m/s]."""
     if not (is_finite(speed) and speed > 0):
         raise SceneError(f"motion.speed: {speed!r} m/s; allowed: above 0")
     _check_sequence("motion.tip", points, "positions (x, y, z) [m]")

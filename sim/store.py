@@ -53,9 +53,6 @@ def save_results(path: Path, results: Sequence[Result]) -> None:
     """Write results to a new directory, atomically.
 
     All data goes to a temporary name next to `path` first, which is renamed at the end.
-
-    Raises:
-        FileExistsError: `path` already exists; it is not changed.
     """
     path = Path(path)
     if path.exists():
@@ -73,14 +70,7 @@ def save_results(path: Path, results: Sequence[Result]) -> None:
 
 
 def load_result(path: Path, index: int = 0) -> Result:
-    """Return one result of a directory that `save_results` wrote.
-
-    Raises:
-        FileNotFoundError: There is no Zarr group at `path`.
-        ValueError: The group is of another format or version.
-        IndexError: There are fewer results.
-        SceneError: The stored scene is invalid.
-    """
+    """Return one result of a directory that `save_results` wrote."""
     root = zarr.open_group(Path(path), mode="r", zarr_format=3)
     found = (root.attrs.get("format"), root.attrs.get("version"))
     if found != (FORMAT, VERSION):

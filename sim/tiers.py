@@ -33,12 +33,7 @@ def simulate_one(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> Result:
-    """Solve one scene by one tier; arguments as in `simulate`.
-
-    Raises:
-        SceneError: The tier does not support the scene.
-        SimulationDiverged: No converged state was found.
-    """
+    """Solve one scene by one tier; arguments as in `simulate`."""
     outcome = simulate_many([scene], tier, device=device, progress=progress)[0]
     if isinstance(outcome, SimulationDiverged):
         raise outcome
@@ -144,9 +139,6 @@ class Solvers:
         Args:
             processes: Largest number of processes.
             device: Device of all of them, `cpu` or `cuda:0` and the like.
-
-        Raises:
-            SceneError: Not a whole number of processes from 1 up.
         """
         from recorder.processes import Workers  # hundreds of modules, not needed by one process
 
@@ -243,11 +235,7 @@ class Solvers:
 
 
 def check_processes(processes: int) -> None:
-    """Reject an invalid number of processes.
-
-    Raises:
-        SceneError: Not a whole number from 1 up.
-    """
+    """Reject an invalid number of processes."""
     if not isinstance(processes, int) or isinstance(processes, bool) or processes < 1:
         raise SceneError(f"processes: {processes!r}; allowed: whole numbers from 1 up")
 
@@ -260,9 +248,6 @@ def running(processes: int | Solvers, device: str, most: int) -> Iterator[Solver
         processes: As in `simulate_many`.
         device: Device that they must have.
         most: Number of processes beyond which there is nothing to do.
-
-    Raises:
-        SceneError: They have another device; or not a whole number from 1 up.
     """
     if isinstance(processes, Solvers):
         if processes.device != device:

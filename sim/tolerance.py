@@ -120,12 +120,6 @@ def simulate_within(
             checked on such scenes, then `fem`.
         device: Device on which meshes are solved; `layer` runs on the CPU.
         progress: Called with the fraction done, 0 to 1, of `layer` and each mesh in turn.
-
-    Raises:
-        SceneError: The tolerance is invalid, or the finest mesh allowed does not reach it; with
-            tier `layer`, it is below the estimate; the device does not exist; the indenter
-            overlaps the side wall of a round body.
-        SimulationDiverged: Two meshes of different fineness found no solution.
     """
     began = time.perf_counter()
     wanted = tolerance_of(tolerance)

@@ -84,11 +84,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def layout_among(paths: Sequence[Path]) -> str | None:
-    """Return the layout of a folder of the published data; None if there is none.
-
-    Raises:
-        SessionError: There is one among other paths.
-    """
+    """Return the layout of a folder of the published data; None if there is none."""
     from learning.data.genforce.importing import layout_of
 
     layouts = []

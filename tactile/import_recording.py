@@ -271,11 +271,7 @@ def _asked(answers: Answers, missing: MissingAnswer) -> Answers:
 
 
 def _approved(out: Path) -> bool:
-    """Return True if a person at the terminal approves the page.
-
-    Raises:
-        SessionError: There is no terminal.
-    """
+    """Return True if a person at the terminal approves the page."""
     if not sys.stdin.isatty():
         raise SessionError(f"{out}: not written; look at the page, then repeat with --yes")
     return input(f"write {out}? [y/N] ").strip().lower() in ("y", "yes")

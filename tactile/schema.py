@@ -8,11 +8,7 @@ KINDS = ("bench", "campaign", "sensor")
 
 
 def schema_of(kind: str) -> dict[str, Any]:
-    """Return the JSON Schema of files of that kind, one of `KINDS`.
-
-    Raises:
-        ModuleNotFoundError: Sensor files need the libraries of the extra `sim`.
-    """
+    """Return the JSON Schema of files of that kind, one of `KINDS`."""
     if kind == "bench":
         from rig.bench.bench import READER as BENCHES
         from rig.bench.bench import Bench

@@ -92,11 +92,7 @@ def dome_height(radius: float | None, x: float, y: float) -> float:
 
 
 def check_positive(spec: object, names: Sequence[str]) -> None:
-    """Reject a spec with a field that is not a finite number above zero.
-
-    Raises:
-        ValueError: States the field, the value found and the values allowed.
-    """
+    """Reject a spec with a field that is not a finite number above zero."""
     for name in names:
         value = getattr(spec, name)
         if not 0 < value < float("inf"):

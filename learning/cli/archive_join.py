@@ -100,12 +100,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def chosen_sensors(text: str) -> Iterator[Chosen]:
-    """Yield the sensors that an argument names, in the order of their archive.
-
-    Raises:
-        LearningError: No such sensor, or the archive is incomplete.
-        SessionError: There is no archive.
-    """
+    """Yield the sensors that an argument names, in the order of their archive."""
     from learning.data.matching import Chosen
     from recorder import MarkerArchive
 

@@ -81,11 +81,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _require_sessions(paths: Sequence[Path]) -> None:
-    """Reject files and folders of pictures.
-
-    Raises:
-        LearningError: Names the command that makes a session of them.
-    """
+    """Reject files and folders of pictures."""
     for path in paths:
         if path.is_file() or (path.is_dir() and not (path / "zarr.json").exists()):
             made = next_command("import", path, out="NAME.zarr")

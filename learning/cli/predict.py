@@ -85,10 +85,6 @@ def predicted(
         split_file: Roles of presses; None: those of the model's training, else of the archive.
         roles: Roles of the presses.
         device: Device of the model.
-
-    Raises:
-        LearningError: There is no such model or sensor, or no press of the roles.
-        SessionError: The archive is corrupt.
     """
     from learning.data.presses import load_presses
     from learning.data.splits import SPLIT, training_split

@@ -273,10 +273,6 @@ def gather_priors(archive: MarkerArchive, curves: Curves) -> Gathered:
 
     For each sensor the first available source is used: a session, published coefficients,
     force-depth rows of the archive, coefficients that were imported with it.
-
-    Raises:
-        LearningError: The archive has no such sensor, or a curve cannot be fitted.
-        SessionError: A session or the archive is corrupt.
     """
     sessions = {curve.sensor: curve for curve in map(curve_of_session, curves.sessions)}
     published = {} if curves.coefficients is None else read_compensation(curves.coefficients)
@@ -354,11 +350,6 @@ def write_compensation(
 
     Returns:
         Lines with tables of the priors and choices.
-
-    Raises:
-        LearningError: A sensor of a pair has no prior, fewer than two sensors have one, or a
-            different file exists.
-        SessionError: The archive or a session is corrupt.
     """
     with ItemProgress("pairs", sys.stderr) as progress:
         made, gathered = find_compensation(
@@ -390,10 +381,6 @@ def find_compensation(
         curves: Sources of force-depth curves in addition to the archive's rows.
         split: File of a split, whose training presses count; None: labels of all seen indenters.
         progress: Called with the number of pairs done and in total.
-
-    Raises:
-        LearningError: A sensor of a pair has no prior, or fewer than two sensors have one.
-        SessionError: The archive or a session is corrupt.
     """
     gathered = gather_priors(archive, curves or Curves())
     wanted = _wanted(archive, gathered, pairs)
@@ -485,11 +472,7 @@ def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:
 
 
 def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> None:
-    """Plot measured forces and fitted polynomials, loading and unloading, as a PNG.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """Plot measured forces and fitted polynomials, loading and unloading, as a PNG."""
     spans = [prior.depth_range for prior in found.priors.values()]
     alike = max(spans) - min(spans) < 0.05 * max(spans)
     with chart(path, 9, 3.8) as figure:

@@ -351,11 +351,7 @@ def ratios(
 
 
 def require_choice(d0: float, lam: float) -> None:
-    """Reject a starting depth or a weight outside of the paper's ranges.
-
-    Raises:
-        LearningError: A value is out of range.
-    """
+    """Reject a starting depth or a weight outside of the paper's ranges."""
     for name, value in (("d0", d0), ("lambda", lam)):
         if not 0.0 <= value <= 1.0:
             raise LearningError(f"{name}: found {value}; allowed: 0 to 1")

@@ -82,11 +82,7 @@ class Paired:
 
 
 def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight: float) -> Choice:
-    """Return a choice, with its error if the target's labels are known.
-
-    Raises:
-        LearningError: A label is infinite, or the choice is outside of the paper's ranges.
-    """
+    """Return a choice, with its error if the target's labels are known."""
     if paired is None or not len(paired):
         return Choice(d0, weight, None)
     labels, clamped = compensate(
@@ -192,10 +188,6 @@ def paired_labels(
         source: Name of the sensor whose labels are compensated.
         target: Name of the sensor that they are compensated for.
         split: File of a split.
-
-    Raises:
-        LearningError: The split belongs to another archive.
-        SessionError: The archive is corrupt.
     """
     one, other = archive[source], archive[target]
     pairs = location_pairs(one.table, other.table)
@@ -223,11 +215,7 @@ def depth_range(sensor: ArchivedSensor) -> float | None:
 def learned_from(
     archive: MarkerArchive, sensor: ArchivedSensor, rows: NDArray[np.int64], split: Path | None
 ) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the rows that may be trained on: of a split, or of seen indenters.
-
-    Raises:
-        LearningError: The split belongs to another archive, or trains on none of them.
-    """
+    """Return a mask (n,) of the rows that may be trained on: of a split, or of seen indenters."""
     if split is None:
         return np.asarray(sensor.table["seen"][rows], np.bool_)
     from learning.data.splits import read_split

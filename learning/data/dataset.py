@@ -72,10 +72,6 @@ class TactileDataset(Dataset[Sample]):
             streams: Columns to read; None for all of the first recording.
             stride: Rows from one window to the next.
             storage_options: Options that fsspec needs to open URLs.
-
-        Raises:
-            LearningError: No windows, or an argument that is not allowed.
-            SessionError: A recording that cannot be read.
         """
         if window < 1 or stride < 1:
             raise LearningError(f"window, stride: found {window}, {stride}; allowed: 1 and more")
@@ -108,13 +104,7 @@ class TactileDataset(Dataset[Sample]):
         return int(self._until[-1])
 
     def __getitem__(self, number: int) -> Sample:
-        """Return one window.
-
-        Raises:
-            IndexError: No such window.
-            LearningError: The recording has no such column.
-            SessionError: Data that are corrupt.
-        """
+        """Return one window."""
         if not -len(self) <= number < len(self):
             raise IndexError(f"no window {number}, there are {len(self):,}")
         number %= len(self)

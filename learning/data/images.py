@@ -43,11 +43,7 @@ def unit(images: Tensor) -> Tensor:
 
 
 def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Shrink packed masks (n, 38400) to images (n, 256, 256); 255 is a pixel full of marker.
-
-    Raises:
-        LearningError: The input is not packed masks.
-    """
+    """Shrink packed masks (n, 38400) to images (n, 256, 256); 255 is a pixel full of marker."""
     _require(packed, np.dtype(np.uint8), (PACKED,), "packed masks")
     images = np.empty((len(packed), SIDE, SIDE), np.uint8)
     for first in range(0, len(packed), _AT_ONCE):
@@ -58,11 +54,7 @@ def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def shrink_masks(masks: Tensor) -> Tensor:
-    """Shrink masks (n, 480, 640) bool to images (n, 256, 256) uint8, with the result of `shrink`.
-
-    Raises:
-        LearningError: The input is not masks.
-    """
+    """Shrink masks (n, 480, 640) bool to images (n, 256, 256) uint8, as `shrink` does."""
     _require(masks, torch.bool, (HEIGHT, WIDTH), "masks")
     images = torch.empty((len(masks), SIDE, SIDE), dtype=torch.uint8, device=masks.device)
     levels = torch.from_numpy(_grey_levels()).to(masks.device)
@@ -77,9 +69,6 @@ def enlarge_images(images: Tensor) -> Tensor:
 
     The result is that of Pillow's Lanczos with the authors' threshold of 128, except for pixels
     within rounding of the threshold.
-
-    Raises:
-        LearningError: The input is not images.
     """
     _require(images, torch.uint8, (SIDE, SIDE), "images")
     masks = torch.empty((len(images), HEIGHT, WIDTH), dtype=torch.bool, device=images.device)
@@ -98,11 +87,7 @@ def enlarge_images(images: Tensor) -> Tensor:
 
 
 def unpack_masks(packed: Tensor) -> Tensor:
-    """Unpack masks (n, 38400) uint8 to (n, 480, 640) bool, on their device.
-
-    Raises:
-        LearningError: The input is not packed masks.
-    """
+    """Unpack masks (n, 38400) uint8 to (n, 480, 640) bool, on their device."""
     _require(packed, torch.uint8, (PACKED,), "packed masks")
     bits = packed.unsqueeze(-1) & _bits(packed.device)
     return (bits != 0).view(len(packed), HEIGHT, WIDTH)
@@ -194,12 +179,7 @@ class Fields:
 def read_fields(
     sensor: ArchivedSensor, rows: Rows, *, device: torch.device | str = "cpu"
 ) -> Fields:
-    """Read fields of some rows of an archive's sensor.
-
-    Raises:
-        SessionError: The sensor has no fields, a row does not exist, or a chunk is missing or
-            corrupt.
-    """
+    """Read fields of some rows of an archive's sensor."""
     lattice = sensor.lattice
     stored = sensor.displacement(rows).astype(np.float32)
     field = torch.from_numpy(stored).to(device).permute(0, 3, 1, 2).contiguous()

@@ -56,12 +56,7 @@ class Joined:
     def write(
         self, out: Path, progress: Callable[[int, int], None] = lambda done, total: None
     ) -> int:
-        """Write the archive, or continue it; return the number of frames that were copied.
-
-        Raises:
-            SessionError: Another archive is at `out`, or a source is corrupt.
-            OSError: The disk is full, or not writable.
-        """
+        """Write the archive, or continue it; return the number of frames that were copied."""
         sources: dict[str, str] = {}
         for each in self.sensors:
             archive = each.chosen.archive
@@ -136,11 +131,7 @@ class JoinedSensor:
         )
 
     def read(self, rows: slice) -> Frames:
-        """Copy some of the frames.
-
-        Raises:
-            SessionError: The archive is corrupt.
-        """
+        """Copy some of the frames."""
         sensor = self.sensor
         table = {name: np.asarray(sensor.table[name][rows]) for name in GIVEN}
         table["indenter"] = self.indenter[table["indenter"]]
@@ -167,10 +158,6 @@ def join(
         tolerances: Largest differences of presses that match.
         unseen: Indenters that models may not be trained on; None: as in the archives.
         wrenches: Wrenches of all rows (n, 6) of sensors, in place of those of their archives.
-
-    Raises:
-        LearningError: Places are unknown, anything is ambiguous, or nothing matches.
-        SessionError: An archive is incomplete or corrupt.
     """
     chosen = tolerances or Tolerances()
     _require_names(sensors)

@@ -51,11 +51,7 @@ class Labels:
 
 
 def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
-    """Read the labels of a sensor's frames.
-
-    Raises:
-        LearningError: A column is missing, a number is none, or a frame is unknown or named twice.
-    """
+    """Read the labels of a sensor's frames."""
     table = archive[sensor].table
     names = archive.indenters
     known = {

@@ -33,11 +33,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """Largest differences of two presses that match.
-
-    Raises:
-        LearningError: A value is not above 0, or so large that it excludes nothing.
-    """
+    """Largest differences of two presses that match."""
 
     place: float = 1e-4
     """Distance of their places [m]."""
@@ -144,12 +140,7 @@ def differences(one: Presses, other: Presses) -> Differences:
 
 
 def read_presses(chosen: Chosen) -> Presses:
-    """Read where, how deep and in which direction a sensor was pressed.
-
-    Raises:
-        LearningError: Places or depths are unknown, or no press has a location.
-        SessionError: The archive is incomplete or corrupt.
-    """
+    """Read where, how deep and in which direction a sensor was pressed."""
     sensor = chosen.archive[chosen.sensor]
     where = f"{chosen.archive.name}: {chosen.sensor}"
     for key in ("position", "depth"):
@@ -237,11 +228,7 @@ def _first(table: Mapping[str, NDArray[Any]]) -> tuple[list[int], list[int]]:
 
 
 def match(sensors: Sequence[Presses], tolerances: Tolerances) -> list[Integers]:
-    """Return the number of the place of each press of each sensor, equal where presses matched.
-
-    Raises:
-        LearningError: Which presses match is ambiguous; they are named.
-    """
+    """Return the number of the place of each press of each sensor, equal where presses matched."""
     found: list[Integers] = []
     known: list[tuple[Presses, Integers]] = []
     count = 0

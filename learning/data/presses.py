@@ -107,11 +107,7 @@ class Presses:
         return replace(self, **moved)
 
     def require_wrench(self) -> None:
-        """Reject presses from which no force can be learned: no axis has a label in any frame.
-
-        Raises:
-            LearningError: Names the sensor; or a label is infinite.
-        """
+        """Reject presses from which no force can be learned: no axis has a label in any frame."""
         if self.wrench.isinf().any():
             row = int(self.rows[self.wrench.isinf().any(dim=1).cpu()][0])
             raise LearningError(
@@ -152,11 +148,6 @@ def load_presses(
         field_source: Source of marker fields, for the form `field`.
         processes: Number of processes that track markers; restarted about every 8,000 frames.
         progress: Called with the number of frames read and in total.
-
-    Raises:
-        LearningError: Rows repeat or are invalid, or the sensor holds frames of another form.
-        SessionError: A row does not exist, the archive is still being written, or a chunk is
-            corrupt.
     """
     if (form == "shading") != (sensor.representation == SHADING):
         needed = "--preset shading" if sensor.representation == SHADING else "another preset"
@@ -182,10 +173,6 @@ def press_table(sensor: ArchivedSensor, rows: Any) -> Presses:
 
     Their `images` (N, 256, 256) and `references` are on the device `meta`: they have a shape but no
     data, and torch raises an error if they are read.
-
-    Raises:
-        LearningError: Rows repeat or are invalid.
-        SessionError: A row does not exist, or the archive is still being written.
     """
     table = sensor.table
     chosen = _checked_rows(sensor, rows)
@@ -229,11 +216,7 @@ def read_frames(
     form: Form = "images",
     progress: Progress = lambda done, total: None,
 ) -> Tensor:
-    """Read images (n, 256, 256), or frames as stored (n, ...), of rows, uint8, to a device.
-
-    Raises:
-        SessionError: A row does not exist, or a chunk is missing or corrupt.
-    """
+    """Read images (n, 256, 256), or frames as stored (n, ...), of rows, uint8, to a device."""
     shape = _IMAGE if form == "images" else sensor.representation.shape
     frames = torch.empty(len(rows), *shape, dtype=torch.uint8, device=device)
     progress(0, len(rows))
@@ -261,11 +244,7 @@ def read_frames_of(
     device: torch.device | str,
     progress: Progress = lambda done, total: None,
 ) -> Tensor:
-    """Read images (n, 256, 256) uint8 of the rows of several sensors, one after another.
-
-    Raises:
-        SessionError: A row does not exist, or a chunk is missing or corrupt.
-    """
+    """Read images (n, 256, 256) uint8 of the rows of several sensors, one after another."""
     total, done = sum(map(len, rows)), 0
     images = torch.empty(total, *_IMAGE, dtype=torch.uint8, device=device)
     for sensor, mine in zip(sensors, rows, strict=True):
@@ -398,9 +377,6 @@ class ForceRange:
             wrench: Labels of the training split; NaN is no label.
             margin: Fraction of the range to add at both ends, as a sigmoid never reaches its
                 limits.
-
-        Raises:
-            LearningError: There are no labels, one is infinite, or the margin is negative.
         """
         forces: NDArray[np.float64] = np.asarray(
             wrench.cpu() if hasattr(wrench, "cpu") else wrench, np.float64

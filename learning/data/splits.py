@@ -104,11 +104,7 @@ class Split:
         return tuple(name for name in archive if name not in self.held_out_sensors)
 
     def check(self, archive: MarkerArchive) -> None:
-        """Reject an archive with other presses than the split; a subset of its presses is allowed.
-
-        Raises:
-            LearningError: A location is not in the split, or is another press there.
-        """
+        """Reject an archive with other presses than the split's; a subset is allowed."""
         known = {each.location: each for each in self.presses}
         for location, (indenter, target) in presses_of(archive).items():
             press = known.get(location)
@@ -124,11 +120,7 @@ class Split:
                 )
 
     def write(self, path: Path) -> None:
-        """Write it as JSON. An equal file is left unchanged.
-
-        Raises:
-            LearningError: Another split is in the file.
-        """
+        """Write it as JSON. An equal file is left unchanged."""
         if path.exists():
             if read_split(path) != self:
                 raise LearningError(f"{path}: holds another split; remove it, or choose another")
@@ -173,11 +165,6 @@ def training_split(
         archive: A complete archive.
         path: File of a split; None: make one.
         unseen: Indenters that no model may be trained on; None: the archive's list.
-
-    Raises:
-        LearningError: The file is no split, or not of these presses; both were named; or the
-            presses cannot be split.
-        SessionError: The archive is still being written.
     """
     if path is None:
         return make_split(archive, unseen=unseen)
@@ -209,11 +196,6 @@ def make_split(
         held_out_sensors: Names of sensors that no model may be trained on.
         seed: Seed of the choice, which depends on nothing else but the presses.
         unseen: Indenters that no model may be trained on; None: the archive's list.
-
-    Raises:
-        LearningError: Shares are invalid, names are unknown, no press remains for training, or
-            sensors disagree on a press.
-        SessionError: The archive is still being written.
     """
     for name, fraction in (("validation", validation), ("new_press", new_press)):
         if not 0 <= fraction < 1:
@@ -259,11 +241,7 @@ def make_split(
 
 
 def read_split(path: Path) -> Split:
-    """Read a split from a file.
-
-    Raises:
-        LearningError: The file is missing or is not a split.
-    """
+    """Read a split from a file."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -297,12 +275,7 @@ def read_split(path: Path) -> Split:
 
 
 def presses_of(archive: MarkerArchive) -> dict[int, tuple[str, int]]:
-    """Return indenter and target of each location in an archive.
-
-    Raises:
-        LearningError: Sensors disagree, or no frame has a location.
-        SessionError: The archive is still being written.
-    """
+    """Return indenter and target of each location in an archive."""
     found: dict[int, tuple[str, int]] = {}
     for name, sensor in archive.items():
         columns = [sensor.table[key] for key in ("location", "indenter", "target")]
@@ -319,11 +292,7 @@ def presses_of(archive: MarkerArchive) -> dict[int, tuple[str, int]]:
 
 
 def require_role(role: str) -> None:
-    """Reject an unknown role.
-
-    Raises:
-        LearningError: Names the known roles.
-    """
+    """Reject an unknown role."""
     if role not in ROLES:
         raise LearningError(f"role: found {role!r}; allowed: {', '.join(ROLES)}")
 

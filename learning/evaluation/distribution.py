@@ -254,9 +254,6 @@ def load_inception(
     Args:
         path: The file of the weights.
         device: Device of the computation.
-
-    Raises:
-        LearningError: The weights are of another network.
     """
     try:
         weights = torch.load(path, map_location="cpu", weights_only=True)
@@ -311,11 +308,7 @@ class Extractor:
     """Function that returns features (n, d) of at most 64 images (n, 256, 256)."""
 
     def features(self, images: Images) -> Floats:
-        """Return features (n, d) of images (n, 256, 256).
-
-        Raises:
-            LearningError: The images are not uint8 of that size.
-        """
+        """Return features (n, d) of images (n, 256, 256)."""
         if images.dtype != np.uint8 or images.ndim != 3 or images.shape[1:] != (256, 256):
             raise LearningError(
                 f"images: found {images.dtype} {images.shape}; allowed: uint8 (n, 256, 256)"
@@ -358,9 +351,6 @@ def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
         name_or_path: `marker-grid`; the folder of a trained marker VAE; or the file
             pt_inception-2015-12-05-6726825d.pth, for FID and KID.
         device: Device of networks.
-
-    Raises:
-        LearningError: The name is none of these, or the weights are of another network.
     """
     if name_or_path in ("marker-grid", GRID):
         return MARKER_GRID
@@ -413,9 +403,6 @@ def frechet_distance(one: Floats, other: Floats) -> float:
     B' B = C2: with fewer samples than features, roots of eigenvalues would lose half the digits.
     With few samples of many dimensions the distance is biased upwards: compare it with that of two
     sets of the same kind and size.
-
-    Raises:
-        LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
     _require_samples(one, other)
     apart = one.mean(axis=0) - other.mean(axis=0)
@@ -442,9 +429,6 @@ def kernel_distance(
         size: Samples of each set in a subset; limited to half of the set.
         subsets: Number of subsets.
         seed: Seed of the draws.
-
-    Raises:
-        LearningError: There are fewer than two samples, widths differ, or features are not finite.
     """
     _require_samples(one, other)
     size = max(min(size, len(one) // 2, len(other) // 2), 2)
@@ -460,11 +444,7 @@ def kernel_distance(
 
 
 def squared_kernel_distance(one: Floats, other: Floats) -> float:
-    """Return the unbiased squared maximum mean discrepancy of features (n, d), (m, d).
-
-    Raises:
-        LearningError: There are fewer than two samples, widths differ, or features are not finite.
-    """
+    """Return the unbiased squared maximum mean discrepancy of features (n, d), (m, d)."""
     _require_samples(one, other)
 
     def within(samples: Floats) -> float:
@@ -513,9 +493,6 @@ def classifier_accuracy(
         other: Features (m, d).
         groups: Number of the group of each sample (n + m,), such as its location.
         seed: Seed of the folds.
-
-    Raises:
-        LearningError: A set has fewer groups than folds, or shapes differ.
     """
     from sklearn.linear_model import LogisticRegression
     from sklearn.model_selection import StratifiedGroupKFold, cross_val_predict
@@ -542,9 +519,6 @@ def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> fl
     belong to the other set, over the fraction expected by chance (m / (n + m - 1) for samples of
     the first). The score is the mean of both sets' means. Random fluctuation takes it to either
     side of 1.
-
-    Raises:
-        LearningError: There are no more samples than neighbours, or widths differ.
     """
     _require_samples(one, other)
     features, which = _stacked(one, other)
@@ -567,9 +541,6 @@ def embedded(features: Floats, *, seed: int) -> Floats:
 
     Features are standardised, and t-SNE starts from principal components, so that a seed determines
     the plot. A plot proves nothing; `mixing_score` quantifies it.
-
-    Raises:
-        LearningError: There are fewer than four samples.
     """
     from sklearn.manifold import TSNE
 

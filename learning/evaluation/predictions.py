@@ -94,12 +94,7 @@ class Predictions:
     """Upper ends, likewise."""
 
     def __post_init__(self) -> None:
-        """Validate method, shapes and forces.
-
-        Raises:
-            LearningError: The method is unknown, shapes differ, a force is infinite, or a
-                prediction is missing in some frames only.
-        """
+        """Validate method, shapes and forces."""
         if self.method not in METHODS:
             raise LearningError(f"method: found {self.method!r}; allowed: {', '.join(METHODS)}")
         for field in fields(self):
@@ -139,11 +134,7 @@ class Predictions:
         return _with(self, {name: getattr(self, name)[chosen] for name in _PER_FRAME})
 
     def write(self, path: Path) -> None:
-        """Write the predictions as an .npz.
-
-        Raises:
-            OSError: The file is not writable.
-        """
+        """Write the predictions as an .npz."""
         reported = {name: getattr(self, name) for name in _TEXTS}
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _TEXTS}
         if np.isnan(self.low).all():
@@ -185,10 +176,6 @@ def predictions_of(
         translator: Translator of its training images; empty if none.
         model: Hash of its weights.
         interval: Lower and upper ends (n, 3) [N] of its intervals; None: it has none.
-
-    Raises:
-        LearningError: Shapes differ, or the method is unknown.
-        SessionError: A table is corrupt.
     """
     table = sensor.table
     labels = table["wrench"][:, :3]
@@ -216,20 +203,12 @@ def predictions_of(
 
 
 def read_predictions(path: Path) -> Predictions:
-    """Read predictions from a file.
-
-    Raises:
-        LearningError: The file is no result file, or holds no predictions.
-    """
+    """Read predictions from a file."""
     return predictions_in(read_results(path), path)
 
 
 def predictions_in(results: Results, path: Path) -> Predictions:
-    """Return the predictions in a file's content; `path` is for error messages.
-
-    Raises:
-        LearningError: The results are of another kind, or incomplete.
-    """
+    """Return the predictions in a file's content; `path` is for error messages."""
     if results.kind != KIND:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
     wanted = {f.name for f in fields(Predictions)}
@@ -247,11 +226,7 @@ def predictions_in(results: Results, path: Path) -> Predictions:
 
 
 def merged(predictions: Iterable[Predictions]) -> tuple[Predictions, ...]:
-    """Merge predictions with the same source, target, method and translator.
-
-    Raises:
-        LearningError: A frame is predicted twice, or by two models.
-    """
+    """Merge predictions with the same source, target, method and translator."""
     groups: dict[tuple[str, str, str, str], list[Predictions]] = {}
     for one in predictions:
         groups.setdefault(one.key, []).append(one)
@@ -320,11 +295,7 @@ class ForceRow:
         return self.method, self.translator
 
     def value(self, measure: str) -> float:
-        """Return one of `MEASURES`.
-
-        Raises:
-            KeyError: No such measure.
-        """
+        """Return one of `MEASURES`."""
         found = dict(zip(MAES, self.errors.mae, strict=True))
         found |= dict(zip(RELATIVES, self.errors.relative, strict=True))
         found |= dict(zip(R2S, self.errors.r2, strict=True))

@@ -58,11 +58,7 @@ RESULTS = "*.npz"
 
 
 def read_folder(folder: Path) -> tuple[list[Predictions], list[TranslationScores]]:
-    """Read the predictions and translation scores in a folder and its subfolders.
-
-    Raises:
-        LearningError: A file is corrupt.
-    """
+    """Read the predictions and translation scores in a folder and its subfolders."""
     found: tuple[list[Predictions], list[TranslationScores]] = [], []
     for path in sorted(folder.rglob(RESULTS)):
         results = read_results(path)
@@ -361,11 +357,6 @@ def write_report(
         title: Title of the page.
         seed: Seed of t-SNE, and of the choice of presses to plot.
         progress: Called with the number of parts done and in total.
-
-    Raises:
-        LearningError: There is nothing to report, a frame is predicted twice, or a score is given
-            twice.
-        OSError: The folder is not writable.
     """
     if not predictions and not scores:
         raise LearningError("evaluate: found neither predictions nor translation scores")

@@ -33,11 +33,7 @@ class Results:
 
 
 def write_results(path: Path, results: Results) -> None:
-    """Write results to a temporary file and rename it, so that an older file stays until then.
-
-    Raises:
-        OSError: The file is not writable.
-    """
+    """Write results to a temporary file and rename it, so that an older file stays until then."""
     path.parent.mkdir(parents=True, exist_ok=True)
     header = {**results.reported, _KIND: results.kind, _VERSION: _NEWEST}
     text = np.frombuffer(json.dumps(header, sort_keys=True).encode(), np.uint8)
@@ -52,11 +48,7 @@ def write_results(path: Path, results: Results) -> None:
 
 
 def read_results(path: Path) -> Results:
-    """Read a result file.
-
-    Raises:
-        LearningError: The file is missing, is no result file, is truncated, or of a newer version.
-    """
+    """Read a result file."""
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

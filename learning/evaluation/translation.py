@@ -67,11 +67,7 @@ class Overlap:
 
 
 def overlap(found: Masks, true: Masks) -> Overlap:
-    """Count the pixels that masks (n, h, w) have in common, both of numpy or both of torch.
-
-    Raises:
-        LearningError: The shapes differ, or masks are not bool.
-    """
+    """Count the pixels that masks (n, h, w) have in common, both of numpy or both of torch."""
     if tuple(found.shape) != tuple(true.shape) or found.ndim != 3:
         raise LearningError(
             f"masks: found {tuple(found.shape)} and {tuple(true.shape)}; allowed: both (n, h, w)"
@@ -97,9 +93,6 @@ def structural_similarity(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> 
     """Return the structural similarity (n,) of images (n, h, w); 1 if they are equal.
 
     SSIM as defined by Wang et al. (2004), with Gaussian windows of 1.5 px.
-
-    Raises:
-        ValueError: The shapes differ, or images are smaller than the window of 11 px.
     """
     window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     pairs = zip(found, true, strict=True)
@@ -141,9 +134,6 @@ def marker_errors(
         found: Evaluated frames (n, h, w).
         true: True frames (n, h, w).
         smallest_px: Patches of fewer pixels are ignored.
-
-    Raises:
-        LearningError: Numbers or sizes of frames differ.
     """
     if found.shape != true.shape:
         raise LearningError(f"masks: found {found.shape} and {true.shape}; allowed: the same")
@@ -172,9 +162,6 @@ def endpoint_errors(
         displacement: True displacement in each frame (n, rows, columns, 2) [px].
         lattice: Lattice of the displacement.
         smallest_px: Patches of fewer pixels are ignored.
-
-    Raises:
-        LearningError: Numbers of fields and frames differ.
     """
     if len(found) != len(displacement):
         raise LearningError(
@@ -225,9 +212,6 @@ def nearest_frames(table: Table, wanted: Rows, known: Rows) -> Rows:
         table: Table of the target sensor: columns `depth`, `position`, `phase`.
         wanted: Rows to find a frame for (n,).
         known: Rows to choose from, e.g. those of training (m,).
-
-    Raises:
-        LearningError: There are no known rows.
     """
     if not len(known):
         raise LearningError("nearest frame: found no frames to choose from; allowed: one or more")
@@ -354,11 +338,7 @@ class TranslationScores:
     """Some features (n, d) of `SOURCE`, `TRANSLATED` and `FLOOR`, for plots."""
 
     def write(self, path: Path) -> None:
-        """Write the scores as an .npz.
-
-        Raises:
-            OSError: The file is not writable.
-        """
+        """Write the scores as an .npz."""
         reported = {
             "source": self.source,
             "target": self.target,
@@ -371,20 +351,12 @@ class TranslationScores:
 
 
 def read_scores(path: Path) -> TranslationScores:
-    """Read scores from a file.
-
-    Raises:
-        LearningError: The file is no result file, or holds no translation scores.
-    """
+    """Read scores from a file."""
     return scores_in(read_results(path), path)
 
 
 def scores_in(results: Results, path: Path) -> TranslationScores:
-    """Return the scores in a file's content; `path` is for error messages.
-
-    Raises:
-        LearningError: The results are of another kind, or incomplete.
-    """
+    """Return the scores in a file's content; `path` is for error messages."""
     if results.kind != KIND:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
     reported = results.reported
@@ -421,11 +393,7 @@ def score_line(one: TranslationScores, row: PairedScore | DistanceScore) -> dict
 
 
 def require_alone(scores: Sequence[TranslationScores]) -> None:
-    """Reject duplicate scores.
-
-    Raises:
-        LearningError: A pair, translator, role, method and extractor occurs twice.
-    """
+    """Reject duplicate scores."""
     seen = set()
     for one in scores:
         pair = (one.source, one.target, one.translator)
@@ -478,11 +446,7 @@ class Real:
 
 
 def real_frames(sensor: ArchivedSensor, rows: Rows) -> Real:
-    """Load real frames of a target.
-
-    Raises:
-        SessionError: A chunk is missing or corrupt.
-    """
+    """Load real frames of a target."""
     from learning.translation.translator import SensorView
 
     view = SensorView.of(sensor)
@@ -491,12 +455,7 @@ def real_frames(sensor: ArchivedSensor, rows: Rows) -> Real:
 
 
 def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedScore:
-    """Score frames (n, 38400) against the real ones of the same presses and phases.
-
-    Raises:
-        LearningError: The numbers of frames differ.
-        SessionError: A chunk of the displacement is missing or corrupt.
-    """
+    """Score frames (n, 38400) against the real ones of the same presses and phases."""
     from learning.data.images import shrink
 
     if packed.shape != real.packed.shape:
@@ -593,11 +552,6 @@ def score_translation(
         frames: Maximum number of location pairs of a role.
         seed: Seed of random draws.
         progress: Called with the number of frames scored and in total.
-
-    Raises:
-        LearningError: The sensor is not translated from and to sensors of the archive, or a role
-            has no pairs.
-        SessionError: The archive is corrupt.
     """
     from learning.data.images import shrink
 

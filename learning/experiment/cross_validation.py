@@ -55,9 +55,6 @@ def folds(
         sensor: One of its sensors, with labels.
         settings: Settings of the force model.
         progress: Called with the number of folds done and in total.
-
-    Raises:
-        LearningError: There are fewer than two indenters with labels, or the model does not fit.
     """
     one = archive[sensor]
     table = one.table

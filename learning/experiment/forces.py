@@ -68,9 +68,6 @@ def force_settings(
         archive: Archive of the training data.
         device: Device of the training.
         tuning: True for fine-tuning of the source's model on translated frames.
-
-    Raises:
-        LearningError: A preset or value is invalid, or the model does not use images.
     """
     changed = experiment.overrides(
         *experiment.force.set,
@@ -116,21 +113,11 @@ class Forces:
     _data: str = ""
 
     def own(self, sensor: str) -> Predictions:
-        """Return predictions on a sensor by the model that was trained on its own labels.
-
-        Raises:
-            LearningError: Presses have no labels, or a training diverged.
-            SessionError: The archive is corrupt.
-            KeyboardInterrupt: A training was stopped between two steps.
-        """
+        """Return predictions on a sensor by the model that was trained on its own labels."""
         return self._predicted(Pair(sensor, sensor), TARGET)
 
     def adopt(self, sensor: str, model: ForceModel) -> None:
-        """Store a model as that of a sensor, in place of training one.
-
-        Raises:
-            LearningError: The experiment's model of the sensor is another.
-        """
+        """Store a model as that of a sensor, in place of training one."""
         name = f"force-{sensor}"
         with self._open(name, self._settings(), sensor) as run:
             if not run.finished:
@@ -145,13 +132,7 @@ class Forces:
             )
 
     def untranslated(self, pair: Pair) -> Predictions:
-        """Return predictions on the target by the source's model.
-
-        Raises:
-            LearningError: Presses have no labels, or a training diverged.
-            SessionError: The archive is corrupt.
-            KeyboardInterrupt: A training was stopped between two steps.
-        """
+        """Return predictions on the target by the source's model."""
         return self._predicted(pair, BEFORE)
 
     def translated(
@@ -168,11 +149,6 @@ class Forces:
             translator: Name of the translator.
             model: The translator.
             compensation: Relabelling of labels; None if the settings request none.
-
-        Raises:
-            LearningError: Presses have no labels, or a training diverged.
-            SessionError: The archive is corrupt.
-            KeyboardInterrupt: A training was stopped between two steps.
         """
         # Targets of the same scale share the fields computed from the source's frames.
         known: dict[tuple[float, float], torch.Tensor] = {}
@@ -388,11 +364,7 @@ def adopt_model(
     places: Places,
     device: str,
 ) -> ExperimentSettings:
-    """Take a finished force model as that of a sensor; return settings with its network.
-
-    Raises:
-        LearningError: The folder holds no force model of images, or the experiment has another.
-    """
+    """Take a finished force model as that of a sensor; return settings with its network."""
     found = load_force_model(folder)
     keys = [("network", asdict(found.network)), ("input", asdict(found.inputs))]
     changed = [f"{key}.{name}={json.dumps(v)}" for key, each in keys for name, v in each.items()]
@@ -412,12 +384,7 @@ def _data(tuning: Tuning, shown: str) -> str:
 def relabelling(
     archive: MarkerArchive, pair: Pair, method: str, compensation: StoredCompensation | None
 ) -> Relabelling | None:
-    """Return the compensation of a pair's labels for a method, or None.
-
-    Raises:
-        LearningError: A sensor has no forces of a twin that the method needs.
-        SessionError: The archive is corrupt.
-    """
+    """Return the compensation of a pair's labels for a method, or None."""
     if method == SIMULATED:
         return simulated_labels(archive[pair.source], archive[pair.target])
     if compensation is None or method not in CHOICE_OF_METHOD:

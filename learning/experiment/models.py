@@ -103,9 +103,6 @@ def training_settings(
         translator: Name of the translator.
         training: Its training.
         changed: Further overrides.
-
-    Raises:
-        LearningError: A preset or value is invalid.
     """
     choice: ModelChoice = getattr(settings, translator)
     overrides = settings.overrides(*choice.set, *changed)
@@ -120,33 +117,20 @@ def train_translator(
     name: str,
     device: torch.device,
 ) -> None:
-    """Train a translator, unless it needs no training or is trained already.
-
-    Raises:
-        LearningError: The training was rejected.
-        KeyboardInterrupt: It was interrupted; running the experiment again continues it.
-    """
+    """Train a translator, unless it needs no training or is trained already."""
     if (training := training_of(name)) is not None:
         own = training_settings(settings, name, training, f"launch.device={device.type}")
         training.train_in(places.model(name), archive, split, own)
 
 
 def open_translator(places: Places, name: str, device: torch.device) -> Model:
-    """Open a translator.
-
-    Raises:
-        LearningError: It is not trained, or its files are corrupt.
-    """
+    """Open a translator."""
     folder: str | Path = name if name == FLOW else places.model(name)
     return Model(load_translator(folder, device), name, hash_of(folder), str(device))
 
 
 def check_translators(settings: ExperimentSettings) -> None:
-    """Read the presets of all translators, which are used only hours later.
-
-    Raises:
-        LearningError: A preset or value is invalid, or there are no weights to start from.
-    """
+    """Read the presets of all translators, which are used only hours later."""
     for name in settings.translators:
         if (training := training_of(name)) is None:
             continue
@@ -197,10 +181,6 @@ def tune_batched(
         settings: Settings of the training.
         start_from: Model with the initial weights.
         open_run: Opens the run folder of a model.
-
-    Raises:
-        LearningError: The models cannot share presses or settings, or a training diverged.
-        KeyboardInterrupt: The training was stopped; nothing is stored.
     """
     with ExitStack() as opened:
         runs = [opened.enter_context(open_run(each)) for each in tunings]

@@ -46,12 +46,7 @@ class Tested:
 
 
 def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair, ...]:
-    """Return the requested pairs, SOURCE:TARGET; None: all directed pairs from labelled sensors.
-
-    Raises:
-        LearningError: The text is not of that form, names an unknown sensor, or no source has
-            labels.
-    """
+    """Return the requested pairs, SOURCE:TARGET; None: all directed pairs from labelled sensors."""
     labelled = labelled_sensors(archive)
     if asked is None:
         if not labelled:
@@ -106,11 +101,7 @@ def trained_on(
     settings: ExperimentSettings,
     device: torch.device,
 ) -> Presses | None:
-    """Load the training presses of a source, packed; None if there are none.
-
-    Raises:
-        SessionError: The archive is corrupt.
-    """
+    """Load the training presses of a source, packed; None if there are none."""
     rows = _some(sensor, split, role, settings.train_presses, settings.seed)
     return _loaded(sensor, rows, device, packed=True) if len(rows) else None
 
@@ -118,12 +109,7 @@ def trained_on(
 def tested_on(
     sensor: ArchivedSensor, split: Split, settings: ExperimentSettings, device: torch.device
 ) -> Tested:
-    """Load the presses of a target for which forces are predicted.
-
-    Raises:
-        LearningError: The split has none.
-        SessionError: The archive is corrupt.
-    """
+    """Load the presses of a target for which forces are predicted."""
     rows = np.concatenate(
         [_some(sensor, split, role, settings.test_presses, settings.seed) for role in TESTED]
     )
@@ -153,11 +139,7 @@ def frames_of_a_press(archive: MarkerArchive) -> int:
 
 
 def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> TargetView:
-    """Return a target's references at the locations of a source's presses.
-
-    Raises:
-        SessionError: The archive is corrupt.
-    """
+    """Return a target's references at the locations of a source's presses."""
     of_press = target_references(presses.location.numpy(), target.table).astype(np.int64)
     return TargetView(
         target.name,

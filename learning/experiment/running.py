@@ -54,11 +54,6 @@ def run_experiment(
         jobs: Number of models trained in parallel, each in its own process.
         say: Called with a line for each completed part.
         where: Place of the settings in errors, such as their file.
-
-    Raises:
-        LearningError: The folder belongs to another experiment, or data are unusable.
-        SessionError: The archive is corrupt.
-        KeyboardInterrupt: It was stopped; repeating the call continues it.
     """
     if jobs < 1:
         raise LearningError(f"--jobs: found {jobs}; allowed: 1 or more")

@@ -106,9 +106,6 @@ def flow_fields(
         target: View of the target's images.
         processes: Number of processes.
         progress: Called with the number of frames done and in total.
-
-    Raises:
-        LearningError: A reference has no markers.
     """
     packed = PackedPresses(
         presses.images.cpu().numpy(),

@@ -87,13 +87,7 @@ class Worker:
     """Executes tasks; caches data that several of them read."""
 
     def __init__(self, work: Job, say: Callable[[str], None]) -> None:
-        """Open the archive and the split.
-
-        Raises:
-            LearningError: The split cannot be read, or a sensor has no forces of a twin that are
-                asked for.
-            SessionError: The archive is corrupt.
-        """
+        """Open the archive and the split."""
         self._work, self._say = work, say
         self._device = torch.device(work.device)
         self._places = Places(work.out, work.archive)
@@ -113,13 +107,7 @@ class Worker:
         )
 
     def do(self, task: Task) -> TaskResult:
-        """Execute a task and return its result.
-
-        Raises:
-            LearningError: Presses have no labels, or a training was rejected or diverged.
-            SessionError: The archive is corrupt.
-            KeyboardInterrupt: A training was stopped between two steps.
-        """
+        """Execute a task and return its result."""
         name, *arguments = task
         done: TaskResult = getattr(self, name)(*arguments)
         return done
@@ -224,13 +212,6 @@ def do_all(work: Job, jobs: int, say: Say) -> list[TaskResult]:
         work: Inputs of the experiment.
         jobs: Number of tasks at once, each in its own process; 1: all in this process.
         say: Called with a line for each completed part.
-
-    Raises:
-        LearningError: A task failed, or there is not enough memory for it next to the others; tasks
-            that are running are completed first.
-        SessionError: The archive is corrupt.
-        WorkerLost: A process was killed, e.g. for lack of memory.
-        KeyboardInterrupt: It was stopped; trainings save their state.
     """
     if jobs == 1:
         worker = Worker(work, say)

@@ -57,9 +57,6 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
         out: Folder to write.
         marker_value: Value of a marker in their training images: 1, or 1/255 in their code for
             homogeneous and material sensors.
-
-    Raises:
-        LearningError: The file is missing or no such model, or another run is in the folder.
     """
     tensors = _read(file)
     network = _network(file, tensors)

@@ -57,10 +57,6 @@ def train_batched(
         compensation: Changes of labels, one per sensor; empty: none.
         stopped: Called before every step; True stops training.
         progress: Called with the number of steps done and the total.
-
-    Raises:
-        LearningError: Presses differ, have no labels or the wrong form, models cannot share the
-            settings, `start_from` has another network, or a loss is not finite.
     """
     if settings.input.alone:
         presses = [each.each_frame_alone() for each in presses]
@@ -140,11 +136,7 @@ def train_batched(
 
 
 def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
-    """Reject presses and settings that models cannot share.
-
-    Raises:
-        LearningError: The presses differ, or one model's training would affect another's.
-    """
+    """Reject presses and settings that models cannot share."""
     if not presses or not len(presses[0]):
         raise LearningError("presses: found none; allowed: one or more, of one or more sensors")
     for each in presses:

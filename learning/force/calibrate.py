@@ -76,10 +76,6 @@ def calibrated(
         wanted: Forces to compare with.
         calibrates: True for the rows (n,) of the table that calibrate, which it did not learn from.
         learned: True for rows (n,) that it learned from.
-
-    Raises:
-        LearningError: Too few frames have a force to compare with.
-        SessionError: The archive is corrupt.
     """
     own = archive[sensor]
     names = np.array(archive.indenters)[own.table["indenter"]]
@@ -116,10 +112,6 @@ def calibrated_by_twin(
     What they are compared with are forces of the same twin, on the frames that the split has under
     unseen indenters: an interval contains the model's errors there and the spread of the twin's
     forces. None without such frames.
-
-    Raises:
-        LearningError: The sensor has no forces of a twin, or none under those indenters.
-        SessionError: The archive is corrupt.
     """
     table = archive[sensor].table
     masks = []
@@ -141,11 +133,7 @@ def calibrated_by_twin(
 
 
 def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:
-    """Return the scale of forces of a twin, by the spread of its normal forces in some rows.
-
-    Raises:
-        LearningError: The sensor has no forces of a twin.
-    """
+    """Return the scale of forces of a twin, by the spread of its normal forces in some rows."""
     twin = twin_forces(sensor)
     size, spread = np.abs(twin.force[rows, 2]), twin.spread[rows, 2]
     pressed = size > _PRESSED * np.nanmax(size, initial=0.0)
@@ -154,11 +142,7 @@ def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:
 
 
 def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
-    """Return the shapes of frames (n, 7), as `shapes_of` does.
-
-    Raises:
-        SessionError: The archive is corrupt.
-    """
+    """Return the shapes of frames (n, 7), as `shapes_of` does."""
     found = np.zeros((len(rows), SHAPE))
     references = sensor.table["reference"]
     for first in range(0, len(rows), _AT_ONCE):
@@ -172,12 +156,7 @@ def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
 
 
 def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: ForceModel) -> Presses:
-    """Load presses as a model takes them.
-
-    Raises:
-        LearningError: Rows repeat or are invalid.
-        SessionError: The archive is corrupt.
-    """
+    """Load presses as a model takes them."""
     return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
 
 

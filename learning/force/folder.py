@@ -35,9 +35,6 @@ def model_folder(name: str | os.PathLike[str]) -> Path:
     Args:
         name: A folder, the web address of one, or the name of a model that is installed with the
             package: `demo`.
-
-    Raises:
-        LearningError: There is none, or the address cannot be read.
     """
     text = os.fspath(name)
     if text.startswith(("http://", "https://")):
@@ -53,11 +50,7 @@ def model_folder(name: str | os.PathLike[str]) -> Path:
 
 
 def model_name(name: str) -> str:
-    """Return a name of another package's model as it is, and the folder of another model.
-
-    Raises:
-        LearningError: There is no such model.
-    """
+    """Return a name of another package's model as it is, and the folder of another model."""
     return name if name in plugin_names() else str(model_folder(name))
 
 

@@ -156,11 +156,7 @@ class Intervals:
 
 
 def read_intervals(folder: Path) -> Intervals | None:
-    """Read the intervals of the model in a folder; None if it has none.
-
-    Raises:
-        LearningError: The file is corrupt, or of another version.
-    """
+    """Read the intervals of the model in a folder; None if it has none."""
     path = folder / FILE
     if not path.is_file():
         return None
@@ -315,9 +311,6 @@ def measured_scale(
         source: What the factor is then known from.
         independent: Number of presses with an error of their own. Weights on one indenter have the
             same error, which does not average out: 1.
-
-    Raises:
-        LearningError: There is none, a force is 0, or the predicted ones have another sign.
     """
     if not held:
         raise LearningError("weights: found none; allowed: one or more")

@@ -38,11 +38,7 @@ HALF = 0.05
 
 
 def labels_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor:
-    """Return the training labels (N, 3) N of presses, on their device; NaN is no label.
-
-    Raises:
-        LearningError: No frame has a label, or compensation changes which labels are finite.
-    """
+    """Return the training labels (N, 3) N of presses, on their device; NaN is no label."""
     presses.require_wrench()
     if compensation is None:
         return presses.wrench[:, :3]
@@ -117,10 +113,6 @@ def label_source(
         archive: Archive of the training.
         sensors: Sensors that are trained on.
         pair: A-to-B, labels of A for B; None: as the name of the only sensor says.
-
-    Raises:
-        LearningError: There is no such file, or it does not fit the sensors.
-        SessionError: An archive is corrupt.
     """
     if name is None:
         if pair is not None:

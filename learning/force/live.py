@@ -71,9 +71,6 @@ def shown_to(network: ForceStream, reference: Mask) -> Shown:
     Args:
         network: The force model.
         reference: The mask without contact (480, 640).
-
-    Raises:
-        LearningError: The network takes other inputs, or the reference has no markers.
     """
     shape = network.inputs.frame[1:]
     if (shape == SHADING.shape) != (reference.shape == SHADING.shape):
@@ -168,9 +165,6 @@ class Contact:
 
         Args:
             no_contact: Masks (n, 480, 640), or shading (n, 3, 128, 128) uint8, one or more.
-
-        Raises:
-            LearningError: There are no markers, or the frames differ too much.
         """
         self._is_shading = no_contact.dtype == np.uint8
         least, most = LEAST_PX, NOISE_PX
@@ -275,9 +269,6 @@ class LivePredictor:
             start_frames: Number of frames without contact for the reference.
             intervals: Intervals of the model.
             before: Stream of another model, whose forces are shown beside.
-
-        Raises:
-            LearningError: `start_frames` is below 1.
         """
         if start_frames < 1:
             raise LearningError(f"start_frames: found {start_frames}; allowed: 1 or more")
@@ -311,9 +302,6 @@ class LivePredictor:
 
         Args:
             frames: Pictures (n, h, w, 3) uint8, RGB, or counts of taxels (n, 16, 3).
-
-        Raises:
-            LearningError: There are no frames, they have no markers, or they differ too much.
         """
         if not len(frames):
             raise LearningError("frames without contact: found none; allowed: one or more")
@@ -328,9 +316,6 @@ class LivePredictor:
 
         Args:
             frame: Picture (h, w, 3) uint8, RGB, or counts of taxels (16, 3).
-
-        Raises:
-            LearningError: Another shape, no markers, or the sensor was touched at the beginning.
         """
         if self._contact is None:
             self._first.append(np.array(frame))
@@ -402,9 +387,6 @@ def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset
 
     It is the one by which the model's own markers of this sensor were found, else that of the
     sensor's name, else the only one by which all markers of the model were found.
-
-    Raises:
-        LearningError: None of them is known.
     """
     if network.inputs.frame[1:] == SHADING.shape:
         return preset(ShadingPreset.KIND)

@@ -474,9 +474,6 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
             the 640 x 480 image] and the change of the logarithm of a marker's area.
         references: Images without contact (n, 256, 256) uint8, if the form needs them.
         inputs: Settings of the network input.
-
-    Raises:
-        LearningError: Frames have another shape or type, or a reference is missing.
     """
     require_stored(frames, inputs, "frames")
     if inputs.form == "field":
@@ -505,11 +502,7 @@ def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) ->
 
 
 def require_form(presses: Presses, inputs: InputSettings) -> None:
-    """Reject presses of another form than a model takes.
-
-    Raises:
-        LearningError: Images instead of marker fields, or vice versa.
-    """
+    """Reject presses of another form than a model takes."""
     if presses.form != inputs.stored_form:
         raise LearningError(
             f"presses of {presses.sensor}: found {presses.form}; allowed: {inputs.stored_form}, as "
@@ -530,11 +523,7 @@ def prepared_rows(presses: Presses, rows: Tensor, inputs: InputSettings) -> Tens
 
 
 def require_stored(frames: Tensor, inputs: InputSettings, name: str) -> None:
-    """Reject frames that are not in the stored form of an input.
-
-    Raises:
-        LearningError: Another shape or type.
-    """
+    """Reject frames that are not in the stored form of an input."""
     expected = stored_shape(inputs)
     kind = torch.float32 if inputs.form == "field" else torch.uint8
     if tuple(frames.shape[1:]) != expected or frames.dtype != kind:
@@ -552,11 +541,7 @@ def _reduced(images: Tensor, inputs: InputSettings) -> Tensor:
 def new_force_model(
     plugin: str | None, network: NetworkSettings, inputs: InputSettings
 ) -> ForceModel:
-    """Return an untrained model: ours, or that of another package, which has its own settings.
-
-    Raises:
-        LearningError: No package offers it.
-    """
+    """Return an untrained model: ours, or that of another package, which has its own settings."""
     if plugin is None:
         return ForceModel(network, inputs)
     model: ForceModel = load_plugin(plugin, ForceModel)

@@ -166,9 +166,6 @@ def read_force_settings(preset: str, overrides: Sequence[str] = ()) -> ForceSett
     Args:
         preset: Name of a preset, or a YAML file.
         overrides: `key=value` or `key.sub=value`, the value in YAML.
-
-    Raises:
-        LearningError: A preset or value is invalid, or no package offers the model.
     """
     settings = read_settings(ForceSettings, PRESETS, preset, overrides)
     if settings.plugin is None:
@@ -463,10 +460,6 @@ def train_force(
             sensors without a label among them are left out.
         start_from: A model with the same network, for the initial weights.
         compensation: Changes all labels, before the force range is computed.
-
-    Raises:
-        LearningError: Presses of a sensor have no label or the wrong form, `start_from` has another
-            network, or a loss is not finite.
     """
     session = session or Session(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
@@ -593,11 +586,7 @@ def begun_model(
     start_from: ForceModel | None,
     device: torch.device,
 ) -> ForceModel:
-    """Return the initial model of a training, for the labels (N, 3) N of each sensor.
-
-    Raises:
-        LearningError: `start_from` has another network.
-    """
+    """Return the initial model of a training, for the labels (N, 3) N of each sensor."""
     seed_torch(settings.seed, "force", "weights")
     model = new_force_model(settings.plugin, settings.network, settings.input).to(device)
     if start_from is not None:

@@ -100,11 +100,7 @@ def recorded_sensor(
     sam: EfficientSam | None = None,
     irregular: bool = False,
 ) -> RecordedSensor:
-    """Return a sensor of a group with the given preset, or the one for its name.
-
-    Raises:
-        LearningError: There is no preset for it, or the preset does not fit.
-    """
+    """Return a sensor of a group with the given preset, or the one for its name."""
     chosen = preset_name or preset_of_sensor(one.name)
     if chosen is None:
         raise LearningError(
@@ -125,11 +121,7 @@ def recorded_sensor(
 
 
 def told(path: Path) -> tuple[str, ...]:
-    """Return lines that summarise an archive: frames, flags and missing frames of each sensor.
-
-    Raises:
-        SessionError: There is no archive, or it is corrupt.
-    """
+    """Return lines that summarise an archive: frames, flags and missing frames of each sensor."""
     lines = []
     for name, sensor in MarkerArchive(path).items():
         of = sensor.table["source"]

@@ -233,9 +233,6 @@ class Matcher:
         Args:
             reference: The mask without contact (480, 640).
             smoothing: Smoothing of the spline.
-
-        Raises:
-            LearningError: The input is no mask, or has no markers.
         """
         found = find_centres(reference)
         # Markers at the border are excluded, as their visible centre moves with the cut.
@@ -385,9 +382,6 @@ class FieldReader:
         Args:
             reference: The mask without contact (480, 640).
             smoothing: Weight of bending against misfit at the markers (`Spline`).
-
-        Raises:
-            LearningError: The mask is not bool (480, 640), or has no markers.
         """
         self._matcher = Matcher(_required(reference, "reference", 2), smoothing=smoothing)
         self._operators: dict[tuple[float, float], Floats] = {}
@@ -403,9 +397,6 @@ class FieldReader:
         Args:
             frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
             ordered: True if the frames are one press in order of time; markers are tracked then.
-
-        Raises:
-            LearningError: Frames have another shape or type.
         """
         self._matcher.restart()
         matches = []
@@ -434,9 +425,6 @@ class FieldReader:
             ordered: True if the frames are one press in order of time; markers are tracked then.
             source: View of the frames; None: the target's.
             target: View of the target.
-
-        Raises:
-            LearningError: Frames have another shape or type.
         """
         scale = _scale(source, target)
         operator = self._operator(scale)
@@ -452,9 +440,6 @@ class FieldReader:
         Args:
             frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
             ordered: True if the frames are one press in order of time; markers are tracked then.
-
-        Raises:
-            LearningError: Frames have another shape or type.
         """
         matches = self.matches(frames, ordered=ordered)
         values = np.stack(
@@ -533,11 +518,7 @@ class PackedPresses:
     """Row of `references` for each frame (n,); constant within a press."""
 
     def __post_init__(self) -> None:
-        """Validate shapes.
-
-        Raises:
-            LearningError: Names the field.
-        """
+        """Validate shapes."""
         for name in ("packed", "references"):
             found = getattr(self, name)
             if found.dtype != np.uint8 or found.ndim != 2 or found.shape[1] != PACKED:
@@ -577,10 +558,6 @@ def fields_of_presses(
         target: View of the sensor whose image a displacement is for.
         processes: Number of processes.
         progress: Called with the number of frames done and in total.
-
-    Raises:
-        LearningError: A reference has no markers.
-        WorkerLost: A process was killed, e.g. for lack of memory.
     """
     total = len(presses.packed)
     shape = LATTICE.shape if form == "displacement" else (3, MAP_SIDE, MAP_SIDE)

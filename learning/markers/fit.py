@@ -112,9 +112,6 @@ def fit_preset(
     Args:
         pictures: One or more, without contact; their median is used.
         pitch_mm: Distance between neighbouring markers [mm], for the scale of the preset.
-
-    Raises:
-        LearningError: No pictures, or pictures without a regular pattern of markers.
     """
     if not pictures:
         raise LearningError("pictures: found none; allowed: one or more without contact")
@@ -293,11 +290,7 @@ def _soft(view: Picture) -> NDArray[np.int16]:
 def draw_outlines(
     preset: CameraPreset, no_contact: Sequence[Picture], pressed: Sequence[Picture], path: Path
 ) -> None:
-    """Write the views of pictures with the outlines of their markers, two in a row, as a PNG.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write the views of pictures with the outlines of their markers, two in a row, as a PNG."""
     segmenter = Segmenter(preset)
     finder = with_reference(segmenter, segmenter.view(no_contact[0]))
     drawn = []
@@ -310,11 +303,7 @@ def draw_outlines(
 
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
-    """Return the pictures, and those of folders in the order of their names.
-
-    Raises:
-        LearningError: A path does not exist, or a folder has no pictures.
-    """
+    """Return the pictures, and those of folders in the order of their names."""
     found: list[Path] = []
     for path in paths:
         if path.is_dir():
@@ -330,11 +319,7 @@ def files_of(paths: Sequence[Path]) -> list[Path]:
 
 
 def read_picture(path: Path) -> Picture:
-    """Return a picture (h, w, 3) uint8, RGB.
-
-    Raises:
-        LearningError: Not a picture.
-    """
+    """Return a picture (h, w, 3) uint8, RGB."""
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
         raise LearningError(f"{path}: not a picture; allowed: {', '.join(ENDINGS)}")

@@ -23,9 +23,6 @@ class Flagger:
             name: Name of the sensor.
             references: Packed masks of the sensor without contact (K, 38400).
             count: Settings of the marker count; None: markers are not counted.
-
-        Raises:
-            LearningError: A reference has no markers.
         """
         self._checks: list[MarkerCheck] = []
         if count is None:

@@ -90,9 +90,6 @@ class RecordedSensor:
             unseen: Indenters that models may not be trained on.
             sam: Model that refines the masks; None: no refinement.
             irregular: True for markers without a regular pattern; False rejects their references.
-
-        Raises:
-            LearningError: The preset is for another kind of sensor, or the pixel size is unknown.
         """
         of = "camera" if isinstance(preset, ShadingPreset) else preset.KIND
         if group.kind != of:
@@ -115,11 +112,7 @@ class RecordedSensor:
 
     @cached_property
     def plan(self) -> SensorPlan:
-        """Plan of its part of the archive.
-
-        Raises:
-            LearningError: The preset finds no markers in a reference.
-        """
+        """Plan of its part of the archive."""
         attrs: dict[str, Any] = {
             "made_from": "sessions",
             "sessions": [_identity(placed.recording) for placed in self._group.placed],
@@ -147,12 +140,7 @@ class RecordedSensor:
         )
 
     def read(self, rows: slice) -> Frames:
-        """Make some of the frames.
-
-        Raises:
-            LearningError: The preset does not fit a picture.
-            SessionError: The session is corrupt.
-        """
+        """Make some of the frames."""
         parts = []
         for index, placed in enumerate(self._group.placed):
             begin, end = int(self._ends[index]), int(self._ends[index + 1])

@@ -44,9 +44,6 @@ class Lattice:
             segmenter: Detection of markers.
             detector: Its detector that looks for hidden markers.
             reference: View without contact (480, 640, 3), of `Segmenter.view`.
-
-        Raises:
-            LearningError: The reference has no markers.
         """
         self._segmenter, self._detector = segmenter, detector
         patches = _Patches(segmenter.mask_of_view(reference))
@@ -153,9 +150,6 @@ def with_reference(segmenter: Segmenter, reference: Picture) -> Segmenter | Latt
     Args:
         segmenter: Detection of markers.
         reference: View without contact (480, 640, 3), of `Segmenter.view`.
-
-    Raises:
-        LearningError: Markers are to be found again, and the reference has none.
     """
     for detector in segmenter.preset.detectors:
         if isinstance(detector, Hat) and detector.lattice:

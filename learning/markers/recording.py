@@ -82,11 +82,7 @@ class Recording:
 
     @property
     def camera(self) -> Stream:
-        """Its first camera, whose images the column `image` of `frames` numbers.
-
-        Raises:
-            LearningError: There is none.
-        """
+        """Its first camera, whose images the column `image` of `frames` numbers."""
         found = self.session.first("camera")
         if found is None:
             raise LearningError(f"{self.name}: has no camera")
@@ -100,11 +96,7 @@ class Recording:
         return np.stack([np.asarray(column, np.int64) for column in columns], axis=1)
 
     def plan(self) -> PressShear | None:
-        """Return the press-shear plan stored in the session; None if there is none.
-
-        Raises:
-            LearningError: The stored plan is invalid.
-        """
+        """Return the press-shear plan stored in the session; None if there is none."""
         from trajectories import PressShear, plan_from_json  # all kinds of plans
 
         stored = self.session.attrs.get("plan")
@@ -158,10 +150,6 @@ def read_recording(path: Path, sensor: str | None = None) -> Recording:
     Args:
         path: The session.
         sensor: Name of its sensor; None: the name in the session.
-
-    Raises:
-        LearningError: The session cannot be trained on; the message names it and the missing part.
-        SessionError: There is no session, or it is corrupt.
     """
     session = Session(path)
     name = Path(str(session.path)).name
@@ -364,10 +352,6 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
     Args:
         paths: The sessions, in any order.
         sensor: Name of their sensor, instead of the names in the sessions.
-
-    Raises:
-        LearningError: Two sessions are incompatible; both are named.
-        SessionError: There is no session, or one is corrupt.
     """
     if not paths:
         raise LearningError("sessions: found none; allowed: one or more")

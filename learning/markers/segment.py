@@ -295,11 +295,7 @@ _COARSE = 2
 
 
 def view_of(picture: Picture, region: Region) -> Picture:
-    """Return a region of a picture (h, w, 3) as (480, 640, 3).
-
-    Raises:
-        LearningError: The picture is invalid, or smaller than the region.
-    """
+    """Return a region of a picture (h, w, 3) as (480, 640, 3)."""
     if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
         raise LearningError(
             f"picture: found {picture.dtype} {picture.shape}; allowed: uint8 (h, w, 3), RGB"
@@ -538,11 +534,7 @@ def read_preset(path: Path) -> Preset:
 
 
 def built_preset(content: Any, where: str) -> Preset:
-    """Return the preset of a file's content.
-
-    Raises:
-        LearningError: A key or value is invalid.
-    """
+    """Return the preset of a file's content."""
     made: Preset = READER.build_one_of(get_args(Preset), content, where)
     return made
 

@@ -15,11 +15,7 @@ Cells = NDArray[np.float32]
 
 
 def cells_of(picture: NDArray[Any], preset: ShadingPreset) -> Cells:
-    """Return the mean colours (3, 128, 128) of the cells of a picture (h, w, 3) uint8, RGB.
-
-    Raises:
-        LearningError: The picture is invalid, or smaller than the preset's region.
-    """
+    """Return the mean colours (3, 128, 128) of the cells of a picture (h, w, 3) uint8, RGB."""
     view = view_of(picture, preset.region).astype(np.float32)
     small = cv2.resize(view, (SHADING_SIDE, SHADING_SIDE), interpolation=cv2.INTER_AREA)
     return np.ascontiguousarray(np.moveaxis(np.asarray(small, np.float32), 2, 0))

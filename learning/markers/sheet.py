@@ -37,11 +37,6 @@ def draw_sheet(archive_path: Path, group: Group, out: Path) -> None:
         archive_path: The archive.
         group: The sessions that it was made from.
         out: File to write.
-
-    Raises:
-        LearningError: The archive was not made from these sessions.
-        SessionError: The archive or a session is corrupt.
-        OSError: The file is not writable.
     """
     archive = MarkerArchive(archive_path)
     rows = [(sensor, placed) for sensor in group.sensors for placed in sensor.placed]

@@ -69,9 +69,6 @@ class Tracker:
 
         Args:
             reference: Column and row (m, 2) of the markers without contact [px].
-
-        Raises:
-            LearningError: There are no markers, or positions are not finite.
         """
         self.reference = np.array(reference, np.float64)
         if self.reference.ndim != 2 or self.reference.shape[1:] != (2,) or not len(self.reference):

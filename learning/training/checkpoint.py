@@ -50,11 +50,7 @@ def save_weights(model: nn.Module | Mapping[str, Tensor], path: Path) -> None:
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:
-    """Read the tensors of a file, on the CPU.
-
-    Raises:
-        LearningError: The file is missing or is not safetensors.
-    """
+    """Read the tensors of a file, on the CPU."""
     try:
         weights: dict[str, Tensor] = load_file(path)
     except FileNotFoundError:
@@ -72,9 +68,6 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
             which NaN has a meaning.
         weights: The file, or its content.
         where: Prefix of error messages; replaced by the path if `weights` is a file.
-
-    Raises:
-        LearningError: The file is missing, names or shapes differ, or a value is NaN or infinite.
     """
     if isinstance(weights, Path):
         where, weights = str(weights), read_weights(weights)
@@ -109,11 +102,7 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
 
 
 def weights_hash(path: Path) -> str:
-    """Return the SHA-256 of a file, 64 hexadecimal digits.
-
-    Raises:
-        LearningError: The file is missing.
-    """
+    """Return the SHA-256 of a file, 64 hexadecimal digits."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -153,11 +142,7 @@ class Config:
     """Validation score, lower is better; None: not scored."""
 
     def write(self, folder: Path) -> None:
-        """Write it to a folder, atomically.
-
-        Raises:
-            LearningError: Settings or metadata are not plain values.
-        """
+        """Write it to a folder, atomically."""
         try:
             text = yaml_text(asdict(self))
         except yaml.YAMLError as error:
@@ -173,11 +158,7 @@ class ModelFolder:
     config: Config
 
     def settings(self, kind: type[Settings], key: str = "") -> Settings:
-        """Return those of its settings that a dataclass has, or those under a key.
-
-        Raises:
-            LearningError: They do not fit that class.
-        """
+        """Return those of its settings that a dataclass has, or those under a key."""
         where = f"{self.path / CONFIG}.settings"
         if key:
             return READER.build(kind, self.config.settings.get(key), f"{where}.{key}")
@@ -186,28 +167,16 @@ class ModelFolder:
         return READER.build(kind, own, where)
 
     def weights(self) -> dict[str, Tensor]:
-        """Read its weights.
-
-        Raises:
-            LearningError: The file is missing or corrupt.
-        """
+        """Read its weights."""
         return read_weights(self.file())
 
     def load(self, model: Network, device: torch.device | str = "cpu") -> Network:
-        """Load its weights into a module; return the module on a device, in evaluation mode.
-
-        Raises:
-            LearningError: The file is missing, or its weights belong to another network.
-        """
+        """Load its weights into a module; return the module on a device, in evaluation mode."""
         load_weights(model, self.file())
         return model.to(device).eval()
 
     def hash(self) -> str:
-        """Return the SHA-256 of its weights.
-
-        Raises:
-            LearningError: The file is missing.
-        """
+        """Return the SHA-256 of its weights."""
         return weights_hash(self.file())
 
     def file(self) -> Path:
@@ -221,9 +190,6 @@ def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:
     Args:
         path: A finished run, or a checkpoint of one.
         kind: Required kind; None: any.
-
-    Raises:
-        LearningError: The folder is missing, holds no finished model, or one of another kind.
     """
     config = read_config(path)
     if kind is not None and config.kind != kind:
@@ -237,11 +203,7 @@ def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:
 
 
 def read_config(folder: Path) -> Config:
-    """Read the `Config` of a folder.
-
-    Raises:
-        LearningError: The file is missing or invalid.
-    """
+    """Read the `Config` of a folder."""
     path = folder / CONFIG
     if not path.is_file():
         raise LearningError(f"{folder}: found no {CONFIG}; allowed: the folder of a training run")

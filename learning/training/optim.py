@@ -26,9 +26,6 @@ class Ema:
         Args:
             module: The module to average; not wrapped by Accelerate.
             decay: Fraction of the average that an update keeps, 0 to less than 1.
-
-        Raises:
-            LearningError: The decay is out of range.
         """
         if not 0 <= decay < 1:
             raise LearningError(f"ema: found decay {decay}; allowed: 0 to less than 1")
@@ -69,11 +66,7 @@ class Ema:
         return {"decay": self.decay, "updates": self._updates, "average": self._average}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore the state from `state_dict`.
-
-        Raises:
-            LearningError: It belongs to another module or decay.
-        """
+        """Restore the state from `state_dict`."""
         average = state["average"]
         shapes = {name: tuple(value.shape) for name, value in average.items()}
         own = {name: tuple(value.shape) for name, value in self._average.items()}

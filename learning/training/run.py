@@ -478,9 +478,6 @@ def batch(
         rank: Number of the process.
         ranks: Number of processes.
         what: Name of the choice, if there are several.
-
-    Raises:
-        LearningError: `size` or `count` is less than 1.
     """
     if count < 1 or size < 1:
         raise LearningError(f"batch: found {size} of {count}; allowed: 1 and more of 1 and more")

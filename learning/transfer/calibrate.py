@@ -44,10 +44,6 @@ def calibrate(
         compensation: Scaling of the labels that the model was trained on.
         indenters: Indenters that calibrate: seen in the archive, never by the model.
         scale: What is known of the scale of its forces.
-
-    Raises:
-        LearningError: Too few frames of the target match labels of the source.
-        SessionError: The archive is corrupt.
     """
     its = archive[target].table
     calibrates = np.isin(np.array(archive.indenters)[its["indenter"]], indenters)
@@ -64,11 +60,7 @@ def calibrate(
 def wanted_forces(
     archive: MarkerArchive, source: str, target: str, compensation: Relabelling | None
 ) -> Floats:
-    """Return the source's labels at the target's frames (n, 3) [N], scaled; NaN without one.
-
-    Raises:
-        SessionError: The archive is corrupt.
-    """
+    """Return the source's labels at the target's frames (n, 3) [N], scaled; NaN without one."""
     labels = _source_labels(archive, source, compensation)
     return labels_by_place(archive[source].table, labels, archive[target].table)
 
@@ -88,11 +80,7 @@ def _source_labels(archive: MarkerArchive, source: str, compensation: Relabellin
 def forces_at(
     sensor: ArchivedSensor, rows: Sequence[int] | NDArray[np.int64], model: ForceModel
 ) -> Floats:
-    """Return the forces that a model predicts in some rows (n, 3) [N], from their whole presses.
-
-    Raises:
-        SessionError: The archive is corrupt.
-    """
+    """Return the forces that a model predicts in some rows (n, 3) [N], from their whole presses."""
     table = sensor.table
     keys = np.stack([table[name] for name in ("location", "indenter", "target")], axis=1)
     wanted = np.unique(keys[rows], axis=0)

@@ -98,11 +98,7 @@ def card_content(card: Card) -> dict[str, Any]:
 
 
 def read_card(model_folder: Path, intervals: Intervals) -> Card:
-    """Return the card of a delivered model.
-
-    Raises:
-        LearningError: The folder holds no model that `tactile transfer` made.
-    """
+    """Return the card of a delivered model."""
     content = read_model_folder(model_folder).config.metadata.get("transfer")
     if not isinstance(content, Mapping):
         raise LearningError(

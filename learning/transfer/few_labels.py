@@ -29,9 +29,6 @@ def gains_of_labels(
         labels: Labels of the target.
         predicted: Forces predicted there (n, 3) [N].
         intervals: Intervals of the model.
-
-    Raises:
-        LearningError: The labels' forces are of another sign than the predicted ones.
     """
     text = f"scale from {labels.presses} labelled presses of the target"
     gains, scale = _gains(labels, predicted, intervals, labels.presses, text)

@@ -52,10 +52,6 @@ def join_pair(
         unseen: Indenters that models may not be trained on; None: as in the archives.
         source_labels: CSV of labels of the source, in place of those of its archive.
         keep_curve: True to keep the forces of the target's force-depth presses.
-
-    Raises:
-        LearningError: Nothing meets, anything is ambiguous, or the CSV is invalid.
-        SessionError: An archive is corrupt, or another one is at `out`.
     """
     wrenches = {target.name: _without_labels(target, keep_curve=keep_curve)}
     if source_labels is not None:
@@ -93,9 +89,6 @@ def split_pair(
         path: File of the split.
         calibrate_on: Indenters that calibrate; None: a quarter, from soft to hard contacts.
         seed: Seed of the split.
-
-    Raises:
-        LearningError: An indenter is unknown or unseen, or none remains to train on.
     """
     sensor = archive[source]
     seen = _peaks(archive, sensor)

@@ -98,13 +98,7 @@ class Request:
 
 
 def run_transfer(asked: Request, say: Say = print) -> Card:
-    """Run or continue a transfer, and return the card of its model.
-
-    Raises:
-        LearningError: Nothing meets, data are unusable, or the folder is of another transfer.
-        SessionError: An archive is corrupt.
-        KeyboardInterrupt: It was stopped; repeating the call continues it.
-    """
+    """Run or continue a transfer, and return the card of its model."""
     source, target = asked.source.name, asked.target.name
     places = Places(asked.out, asked.out / "pairs.markers.zarr")
     asked.out.mkdir(parents=True, exist_ok=True)
@@ -221,11 +215,7 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
 
 
 def _begin(asked: Request) -> None:
-    """Write what the models of a folder are made of, or check that it is the same.
-
-    Raises:
-        LearningError: Names the first difference.
-    """
+    """Write what the models of a folder are made of, or check that it is the same."""
     plain: dict[str, Any] = {
         **{
             name: f"{archive_fingerprint(each.archive)} {each.sensor} as {each.name}"
@@ -313,11 +303,7 @@ def _scale(asked: Request, method: str) -> Scale:
 
 
 def _require_as_deep(asked: Request, archive: MarkerArchive) -> None:
-    """Reject an assumed scale between sensors that are not pressed as deep.
-
-    Raises:
-        LearningError: Names both depths.
-    """
+    """Reject an assumed scale between sensors that are not pressed as deep."""
     if asked.ratio is not None:
         return
     deepest = []

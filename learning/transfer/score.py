@@ -86,12 +86,7 @@ class NewFrames:
 
 
 def new_frames(model_folder: Path, truth: Chosen) -> NewFrames:
-    """Predict the frames of an archive that are new to a model.
-
-    Raises:
-        LearningError: The model has no card or intervals, or the archive has no such frame.
-        SessionError: The archive is corrupt.
-    """
+    """Predict the frames of an archive that are new to a model."""
     intervals = read_intervals(model_folder)
     if intervals is None:
         raise LearningError(
@@ -119,12 +114,7 @@ def new_frames(model_folder: Path, truth: Chosen) -> NewFrames:
 
 
 def score(model_folder: Path, truth: Chosen) -> Score:
-    """Return errors and coverage on indenters that the model neither saw nor was calibrated on.
-
-    Raises:
-        LearningError: The model has no card, or the archive has no such labelled frame.
-        SessionError: The archive is corrupt.
-    """
+    """Return errors and coverage on indenters that the model neither saw nor was calibrated on."""
     new = new_frames(model_folder, truth)
     return score_of(new.predicted, new.true, new.intervals, new.shapes, new.indenters)
 
@@ -136,11 +126,7 @@ def score_of(
     shapes: Floats,
     indenters: tuple[str, ...],
 ) -> Score:
-    """Return errors and coverage of predicted forces (n, 3) [N].
-
-    Raises:
-        LearningError: No label can be compared with a prediction.
-    """
+    """Return errors and coverage of predicted forces (n, 3) [N]."""
     if not can_be_scored(true, predicted):
         raise LearningError("found no label to compare with; allowed: true forces of the target")
     low, high = intervals.of(predicted)

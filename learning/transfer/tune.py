@@ -55,11 +55,6 @@ def tune_by_place(
 
     Returns:
         Folder of the model; `trained` itself if no training press matches.
-
-    Raises:
-        LearningError: The training diverged.
-        SessionError: The archive is corrupt.
-        KeyboardInterrupt: It was stopped; repeating the call continues it.
     """
     sensor = archive[target]
     rows = split.rows(sensor.table, "train")

@@ -37,9 +37,6 @@ def weigh(
         out: Folder to write.
         known: Weights [N].
         predicted: Fz that the model predicts under each [N].
-
-    Raises:
-        LearningError: The model has no card, intervals or Fz, or a weight fits no prediction.
     """
     intervals = read_intervals(model_folder)
     if intervals is None or intervals.axes[2] is None:
@@ -78,12 +75,7 @@ def weigh(
 
 
 def forces_of_holds(path: Path, count: int) -> list[float]:
-    """Return the settled Fz of each hold in the forces that `tactile live --out` wrote [N].
-
-    Raises:
-        LearningError: The file is no such table, has another number of holds, or a hold does not
-            settle.
-    """
+    """Return the settled Fz of each hold in the forces that `tactile live --out` wrote [N]."""
     force, contact = _read(path)
     holds = [span for span in _spans(contact) if span[1] - span[0] >= SHORTEST]
     if len(holds) != count:
@@ -110,12 +102,7 @@ def forces_of_holds(path: Path, count: int) -> list[float]:
 
 
 def forces_of_rows(model_folder: Path, named: str, rows: Sequence[int]) -> list[float]:
-    """Return the Fz that a model predicts in some rows of an archive [N].
-
-    Raises:
-        LearningError: No such sensor or row.
-        SessionError: The archive is corrupt.
-    """
+    """Return the Fz that a model predicts in some rows of an archive [N]."""
     where, _, sensor_name = named.rpartition(":")
     archive = MarkerArchive(where)
     if sensor_name not in archive:

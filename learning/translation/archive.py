@@ -92,11 +92,6 @@ def translate_archive(
         split: Translate only the parts of this split that have one of `roles`.
         roles: Names of roles of the split.
         progress: Called with the number of frames done and the total.
-
-    Raises:
-        LearningError: Sensors or references are missing, or a part has no frames.
-        SessionError: The archive is damaged, or a different one exists at `out`.
-        OSError: The disk is full, or not writable.
     """
     if archive.warning is not None:
         raise LearningError(archive.warning)
@@ -128,10 +123,6 @@ class TranslatedSensor:
             pair: Source and target.
             model: The translator.
             rows: Rows of the source to translate.
-
-        Raises:
-            LearningError: A sensor is missing, or a reference has no markers.
-            SessionError: The archive is damaged.
         """
         self._source, self._target = _sensor(archive, pair.source), _sensor(archive, pair.target)
         self._table = self._source.table
@@ -161,23 +152,14 @@ class TranslatedSensor:
 
     @property
     def simulated(self) -> Simulated | None:
-        """Forces of the source's twin in its frames, None without.
-
-        Raises:
-            SessionError: The archive is damaged.
-        """
+        """Forces of the source's twin in its frames, None without."""
         found = self._source.simulated
         if found is None:
             return None
         return replace(found, force=found.force[self._rows], spread=found.spread[self._rows])
 
     def read(self, rows: slice) -> Frames:
-        """Translate some frames.
-
-        Raises:
-            LearningError: The translator rejects the frames.
-            SessionError: A chunk of the archive is missing or damaged.
-        """
+        """Translate some frames."""
         wanted = self._rows[rows]
         packed = np.zeros((len(wanted), PACKED), np.uint8)
         presses = self._presses[wanted]
@@ -320,11 +302,6 @@ def draw_sheet(archive: MarkerArchive, translated: MarkerArchive, out: Path) -> 
         archive: The original archive.
         translated: The archive translated from it.
         out: Path of the picture.
-
-    Raises:
-        LearningError: `translated` was not made from `archive`.
-        SessionError: An archive is damaged.
-        OSError: Not writable.
     """
     rows = [row for sensor in translated.values() for row in _chosen(archive, sensor)]
     height = HEAD + TILE[1] + CAPTION + GAP

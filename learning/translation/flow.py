@@ -73,9 +73,6 @@ class FlowTranslator:
         """Return the frames as the target would have shown them, as `Translator.translate`.
 
         Markers are tracked on the CPU in one thread; the warp runs on the device of the frames.
-
-        Raises:
-            LearningError: As there, or a reference has no markers.
         """
         require_masks(source, target_reference, source_reference)
         if not len(source):

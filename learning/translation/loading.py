@@ -59,11 +59,7 @@ def _foreign(name: str, folder: Path | None, device: torch.device | str) -> Tran
 
 
 def hash_of(name_or_folder: str | Path) -> str:
-    """Return the SHA-256 of a model's weights; of what it is if it has no folder.
-
-    Raises:
-        LearningError: The folder has no weights.
-    """
+    """Return the SHA-256 of a model's weights; of what it is if it has no folder."""
     name = str(name_or_folder)
     if name == FLOW:
         return hashlib.sha256(FLOW.encode()).hexdigest()

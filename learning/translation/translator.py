@@ -133,11 +133,7 @@ def require_masks(
 def source_reference_of(
     source: torch.Tensor, source_reference: torch.Tensor | None, *, ordered: bool
 ) -> torch.Tensor:
-    """Return the source's reference, bool (480, 640): given, or an ordered press's first frame.
-
-    Raises:
-        LearningError: No reference, and the frames are not ordered.
-    """
+    """Return the source's reference, bool (480, 640): given, or an ordered press's first frame."""
     if source_reference is not None:
         return source_reference
     if not ordered:

@@ -142,11 +142,7 @@ class ArrayLayout:
         write_json(self.path / "zarr.json", self.spec.document())
 
     def write_shard(self, number: int, values: Array) -> None:
-        """Write all rows of a shard; equal rows give equal bytes.
-
-        Raises:
-            SessionError: Not the rows of that shard, or of a different type.
-        """
+        """Write all rows of a shard; equal rows give equal bytes."""
         rows = self.rows_of_shard(number)
         due = (rows.stop - rows.start, *self.spec.shape[1:])
         if values.shape != due or values.dtype != self.dtype:
@@ -165,11 +161,7 @@ class ArrayLayout:
         replace_file(path, data, temporary=own_temporary(path))
 
     def decoded(self, data: bytes) -> Array:
-        """Return the rows of a chunk (chunk_rows, ...), padding of the last one included.
-
-        Raises:
-            SessionError: The chunk is corrupt.
-        """
+        """Return the rows of a chunk (chunk_rows, ...), padding of the last one included."""
         body, crc = data[:-CRC_BYTES], data[-CRC_BYTES:]
         if int(google_crc32c.value(body)) != int.from_bytes(crc, "little"):
             raise SessionError(f"{self.files.name(self.path)}: checksum of a chunk does not match")
@@ -189,11 +181,7 @@ class ArrayLayout:
 
     @classmethod
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
-        """Return the layout described by an array's metadata.
-
-        Raises:
-            SessionError: Not an array of this kind.
-        """
+        """Return the layout described by an array's metadata."""
         document = read_document(files, path / "zarr.json")
         where = files.name(path)
         try:
@@ -253,19 +241,11 @@ class ArrayReader:
         return self.layout.rows
 
     def all(self) -> Array:
-        """Return all rows (n, ...).
-
-        Raises:
-            SessionError: A chunk is missing or corrupt.
-        """
+        """Return all rows (n, ...)."""
         return self.read(slice(None))
 
     def read(self, rows: Rows) -> Array:
-        """Return some rows (n, ...) in the requested order; each chunk is decoded once.
-
-        Raises:
-            SessionError: No such row, or a chunk that is missing or corrupt.
-        """
+        """Return some rows (n, ...) in the requested order; each chunk is decoded once."""
         numbers = self._numbers(rows)
         out = np.empty((len(numbers), *self.layout.spec.shape[1:]), self.layout.dtype)
         chunk, within = np.divmod(numbers, self.layout.spec.chunk_rows)
@@ -281,11 +261,7 @@ class ArrayReader:
         return out
 
     def fetch(self, shard: int, places: Sequence[int]) -> list[bytes]:
-        """Return encoded chunks of one shard.
-
-        Raises:
-            SessionError: The shard or a chunk is missing or truncated.
-        """
+        """Return encoded chunks of one shard."""
         files, path = self.layout.files, self.layout.shard(shard)
         if shard not in self._indices:
             self._indices[shard] = read_index(path, files, self.layout.slots)

@@ -65,9 +65,6 @@ class Ledger:
             unit: Number of the unit.
             columns: Its rows of the table, without `source`.
             lines: One provenance line per row.
-
-        Raises:
-            FileNotFoundError: The ledger was removed, because the archive is complete.
         """
         different = tuple(dict.fromkeys(lines))
         numbers = {line: number for number, line in enumerate(different)}
@@ -80,12 +77,7 @@ class Ledger:
         replace_file(path, data.getvalue(), temporary=own_temporary(path))
 
     def read(self, unit: int) -> UnitEntry:
-        """Return the rows of a unit.
-
-        Raises:
-            SessionError: The entry is corrupt.
-            FileNotFoundError: There is no entry.
-        """
+        """Return the rows of a unit."""
         path = self._entry(unit)
         try:
             with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:

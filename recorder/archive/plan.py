@@ -70,11 +70,7 @@ class SensorPlan:
     """Content of its frames."""
 
     def __post_init__(self) -> None:
-        """Reject plans that the format cannot hold.
-
-        Raises:
-            SessionError: States the field, the value found and the values allowed.
-        """
+        """Reject plans that the format cannot hold."""
         if not _NAME.fullmatch(self.name):
             raise SessionError(
                 f"sensor: found name {self.name!r}; allowed: letters, digits, dot, dash and "
@@ -186,12 +182,7 @@ class ArchivePlan:
     """Further JSON-compatible attributes."""
 
     def __post_init__(self) -> None:
-        """Reject plans that the format cannot hold.
-
-        Raises:
-            SessionError: No sensors or indenters, repeated names, or a sensor that shares the
-                fields of one that has none or a different number.
-        """
+        """Reject plans that the format cannot hold."""
         for what, names in (
             ("sensors", [sensor.name for sensor in self.sensors]),
             ("indenters", list(self.indenters)),
@@ -212,9 +203,6 @@ def begin(path: Path, plan: ArchivePlan) -> None:
     """Create the archive of a plan, or check that the existing one at `path` has the same plan.
 
     A new archive is created atomically, with status `writing`, by one process at a time.
-
-    Raises:
-        SessionError: `path` is something else, or the plan has values that JSON cannot hold.
     """
     building = path.with_name(path.name + _CREATING)
     shutil.rmtree(building, ignore_errors=True)

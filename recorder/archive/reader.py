@@ -40,11 +40,7 @@ class ArchivedSensor:
     """One sensor of an archive: its frames, their references and their table."""
 
     def __init__(self, path: Path, files: Files = LOCAL) -> None:
-        """Open a sensor; use `MarkerArchive` instead.
-
-        Raises:
-            SessionError: Not a sensor of an archive.
-        """
+        """Open a sensor; use `MarkerArchive` instead."""
         self.name, self.path, self.files = path.name, path, files
         self.attrs: dict[str, Any] = read_document(files, path / "zarr.json").get("attributes", {})
         if not isinstance(self.attrs.get("mm_per_px"), int | float):
@@ -232,9 +228,6 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
         Args:
             path: A directory, or a URL that fsspec knows, such as `s3://bucket/x.markers.zarr`.
             storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
-
-        Raises:
-            SessionError: Not an archive, a newer format, or unreachable.
         """
         self.files, self.path = locate(path, storage_options)
         self.attrs = read_archive_attrs(self.path, self.files)
@@ -268,11 +261,7 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
         return None
 
     def __getitem__(self, name: str) -> ArchivedSensor:
-        """Return a sensor.
-
-        Raises:
-            KeyError: No such sensor.
-        """
+        """Return a sensor."""
         if name not in self._sensors:
             raise KeyError(f"{self.name}: no sensor {name!r}; known: {', '.join(self._sensors)}")
         return self._sensors[name]
@@ -287,11 +276,7 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
 
 
 def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
-    """Return the attributes of an archive.
-
-    Raises:
-        SessionError: Not an archive, a newer format, or a required attribute is missing.
-    """
+    """Return the attributes of an archive."""
     attrs = read_attrs(path, files, what="archive", format_=FORMAT, version=FORMAT_VERSION)
     for key, kind in (("status", str), ("sensors", list), ("indenters", list)):
         if not isinstance(attrs.get(key), kind):
@@ -305,11 +290,7 @@ def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
 
 
 def require_plain_name(name: object) -> str:
-    """Return the name of a sensor after checking that it does not lead out of the archive.
-
-    Raises:
-        SessionError: The name is not plain.
-    """
+    """Return the name of a sensor after checking that it does not lead out of the archive."""
     if not isinstance(name, str) or Path(name).name != name:
         raise SessionError(f"found sensor {name!r}, expected a plain name")
     return name

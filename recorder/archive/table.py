@@ -117,10 +117,6 @@ def checked_columns(
         rows: Required number of rows.
         limits: Upper limits of the codes.
         where: Prefix of error messages.
-
-    Raises:
-        SessionError: A column is missing, unknown, of a different shape or type, or has a value
-            that is not allowed.
     """
     if set(table) != set(GIVEN):
         raise SessionError(

@@ -42,11 +42,7 @@ class ArchiveWriter:
     """Writer of an archive. Holds only its path, so that every process can open its own."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Open an archive that `begin` created.
-
-        Raises:
-            SessionError: Not an archive, or a newer format.
-        """
+        """Open an archive that `begin` created."""
         self.path = Path(path)
         attrs = self._attrs()
         self.sensors: Mapping[str, SensorWriter] = {

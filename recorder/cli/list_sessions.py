@@ -53,11 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the sessions that meet all conditions; return the exit code.
-
-    Raises:
-        SessionError: No such folder.
-    """
+    """Print the sessions that meet all conditions; return the exit code."""
     catalogue = Catalogue(options.folder)
     catalogue.refresh()
     query = Query(

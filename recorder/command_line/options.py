@@ -36,11 +36,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(**{"formatter_class": _Help, **settings})
 
     def error(self, message: str) -> NoReturn:
-        """Reject the options.
-
-        Raises:
-            CommandError: Always; the message names the option.
-        """
+        """Reject the options."""
         raise CommandError(f"{message.removeprefix('argument ')}; see {self.prog} --help")
 
 

@@ -35,9 +35,6 @@ def write(
 
     Contact points are numbered from 1 by target; frames are numbered through all phases. The layout
     has no times, positions or validity.
-
-    Raises:
-        SessionError: No press has four phases, or the archive is incomplete or corrupt.
     """
     if archive.warning:
         raise SessionError(archive.warning)

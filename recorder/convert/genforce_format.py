@@ -37,11 +37,7 @@ Array = np.ndarray[Any, Any]
 
 
 def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
-    """Write a session as the folders of one sensor.
-
-    Raises:
-        SessionError: No complete press, neither camera nor taxels, or a corrupt stream.
-    """
+    """Write a session as the folders of one sensor."""
     folders = _folders(session)
     if not {"camera", "taxels"} & {session.streams[name].traits.kind for name in folders}:
         raise SessionError(f"{session.name}: has neither camera nor taxels")

@@ -30,11 +30,7 @@ _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletc
 
 
 def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
-    """Write a session as one HDF5 file.
-
-    Raises:
-        SessionError: A stream is corrupt.
-    """
+    """Write a session as one HDF5 file."""
     with _room_to_close(path) as give_up_room:
         # Attributes above 64 kB, such as a long plan, need the format of HDF5 1.8.
         file = h5py.File(path, "w", libver=("v108", "v108"))

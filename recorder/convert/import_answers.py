@@ -159,11 +159,7 @@ def _rate(option: str, text: str) -> float:
 
 
 def indenter_of(take: str, answers: Answers) -> str:
-    """Return the name of what touched the sensor in a recording.
-
-    Raises:
-        MissingAnswer: Neither a name nor that recordings are named after it.
-    """
+    """Return the name of what touched the sensor in a recording."""
     if answers.indenter:
         return answers.indenter
     by_name = re.sub(r"[_\-. ]*\d+$", "", take)

@@ -59,12 +59,7 @@ class _Topic:
 
 
 def read_bag(path: Path, answers: Answers) -> Take:
-    """Return the recording in a `.bag`, `.mcap` or `.db3`, or in the folder of a rosbag 2.
-
-    Raises:
-        SessionError: No topic that can be read, or a corrupt file.
-        MissingAnswer: Something the bag does not tell.
-    """
+    """Return the recording in a `.bag`, `.mcap` or `.db3`, or in the folder of a rosbag 2."""
     topics: dict[str, _Topic] = {}
     left_out: dict[str, str] = {}
     for topic, kind_name, log_ns, message in _messages(path):

@@ -54,10 +54,6 @@ def find_takes(
         paths: Files and folders, whose kinds are found out.
         stated: Kind, stream (or an empty text) and path of files that are one recording.
         answers: What the files cannot tell.
-
-    Raises:
-        SessionError: Nothing can be imported, or a file is damaged.
-        MissingAnswer: Something that the files do not tell.
     """
     takes: list[Take] = []
     groups: dict[str, list[_File]] = {}

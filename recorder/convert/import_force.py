@@ -62,11 +62,7 @@ _OTHERS: dict[str, tuple[str, dict[str, float]]] = {
 
 
 def parse_unit(text: str, known: dict[str, float], where: str) -> float:
-    """Return the SI factor of a unit; its parts may be separated (`N-mm`, `Nmm`, `N*mm`).
-
-    Raises:
-        SessionError: The unit is not in `known`.
-    """
+    """Return the SI factor of a unit; its parts may be separated (`N-mm`, `Nmm`, `N*mm`)."""
     plain = re.sub(r"[\s\-*·.]", "", text)
     for name, factor in known.items():
         if plain == name.replace(" ", ""):
@@ -81,9 +77,6 @@ def parse_header(names: list[str], answers: Answers, where: str) -> list[tuple[s
         names: Names in the file, such as `Fx (N)`, `Tz[N mm]`, `time_ms`.
         answers: Units of columns without one, and names of columns to leave out.
         where: The file, for error messages.
-
-    Raises:
-        SessionError: An unknown or repeated column, or one without a unit.
     """
     columns: list[tuple[str, float] | None] = []
     for raw in names:
@@ -157,9 +150,6 @@ def wrenches_of(
         t_ns: Times since the start of the recording.
         rate_hz: Rows per second; None: by the times.
         assumed: Messages so far.
-
-    Raises:
-        SessionError: A force is beyond the counts' range.
     """
     rate_hz = rate_hz or rate_of(t_ns)
     missing = [axis for axis in AXES if axis not in axes]
@@ -181,11 +171,7 @@ def wrenches_of(
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the numbers of an .npy or .npz file by source: the file, and in an .npz the array.
-
-    Raises:
-        SessionError: Not such a file, truncated, or not numeric.
-    """
+    """Return the numbers of an .npy or .npz file by source: the file, and in an .npz the array."""
     try:
         content = np.load(path, allow_pickle=False)
         if isinstance(content, np.ndarray):
@@ -208,10 +194,6 @@ def forces_of_array(name: str, numbers: NDArray[Any], t_ns: Times, answers: Answ
     """Return an array (n,), (n, 3) or (n, 6) at times (n,) [ns] as forces in whole counts.
 
     An axis without a single number was not measured; any other NaN is refused.
-
-    Raises:
-        SessionError: Another shape, NaN or infinity.
-        MissingAnswer: A unit that nothing states.
     """
     if answers.units is None:
         raise MissingAnswer("units", f"{name}: forces say no unit", ("N", "mN", "gf", "kgf"))
@@ -254,11 +236,7 @@ class Table:
 
 
 def read_lines(path: Path) -> list[list[str]]:
-    """Return the words of a CSV file, line by line, the first of which may be a header.
-
-    Raises:
-        SessionError: No text, or fewer than two lines.
-    """
+    """Return the words of a CSV file, line by line, the first of which may be a header."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             lines = list(csv.reader(file))
@@ -276,9 +254,6 @@ def read_table(name: str, lines: list[list[str]], answers: Answers) -> Table:
         name: The file, for messages.
         lines: Its words, the header first.
         answers: Units that the file does not state, and columns to leave out.
-
-    Raises:
-        SessionError: An unknown column, a line of another length, or something that is no number.
     """
     columns = parse_header(lines[0], answers, name)
     rows = read_rows(name, lines, [place for place, each in enumerate(columns) if each is not None])
@@ -299,11 +274,7 @@ def read_table(name: str, lines: list[list[str]], answers: Answers) -> Table:
 
 
 def read_rows(name: str, lines: list[list[str]], used: list[int], first: int = 1) -> Floats:
-    """Return the numbers of the lines from `first` on; 0 in columns that are not used.
-
-    Raises:
-        SessionError: A line of another length, or a used value that is no finite number.
-    """
+    """Return the numbers of the lines from `first` on; 0 in columns that are not used."""
     rows = np.zeros((len(lines) - first, len(lines[0])))
     for place, line in enumerate(lines[first:]):
         number = place + first + 1

@@ -28,12 +28,7 @@ def is_lerobot(path: Path) -> bool:
 
 
 def read_lerobot(path: Path, answers: Answers) -> list[Take]:
-    """Return the episodes of a folder, each as a recording.
-
-    Raises:
-        SessionError: A file is missing or damaged, or no feature can be read.
-        MissingAnswer: A feature does not state its unit.
-    """
+    """Return the episodes of a folder, each as a recording."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -24,10 +24,6 @@ def numbers_of(name: str, array: NDArray[Any], t_ns: Times, kind: As, answers: A
         t_ns: Times of the rows.
         kind: What they are, other than `video` and `skip`.
         answers: Units, and the order of the counts of taxels.
-
-    Raises:
-        SessionError: The numbers cannot be of that kind.
-        MissingAnswer: A unit or an order is unknown.
     """
     if len(array) != len(t_ns):
         raise SessionError(f"{name}: found {len(array)} rows and {len(t_ns)} times")

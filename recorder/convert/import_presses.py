@@ -73,11 +73,7 @@ class Signal:
     """Pressing force (n,) [N], the larger the harder; None if the signal has no direction."""
 
     def change(self, no_contact: Span) -> Trace:
-        """Return the size of the change from a span.
-
-        Raises:
-            SessionError: The span holds no sample.
-        """
+        """Return the size of the change from a span."""
         inside = (self.t_ns >= no_contact[0]) & (self.t_ns < no_contact[1])
         if not inside.any():
             raise SessionError(
@@ -107,9 +103,6 @@ def find_no_contact(signal: Signal, recording: str) -> Span:
     Args:
         signal: Signal that shows contacts.
         recording: Name of the recording, for errors.
-
-    Raises:
-        MissingAnswer: The recording does not tell.
     """
     t_ns, count = signal.t_ns, len(signal.t_ns)
     step = float(np.median(np.diff(t_ns))) * NS if count > 1 else 1.0
@@ -177,11 +170,7 @@ def find_presses(trace: Trace, no_contact: Span) -> list[Press]:
 
 
 def press_within(trace: Trace, span: Span) -> Press:
-    """Return the contact within a span that was stated [ns].
-
-    Raises:
-        SessionError: The span holds fewer than two samples.
-    """
+    """Return the contact within a span that was stated [ns]."""
     inside = np.flatnonzero((trace.t_ns >= span[0]) & (trace.t_ns < span[1]))
     if len(inside) < 2:
         raise SessionError(
@@ -274,9 +263,6 @@ def find_lag(shown: Trace, force: Trace, where: str) -> Lag:
 
     The change that is shown is compared with the force, shifted; residuals are correlated in time,
     so the interval counts only the independent ones.
-
-    Raises:
-        MissingAnswer: The signals do not tell: too flat, too short or too different.
     """
 
     def refuse(why: str) -> MissingAnswer:

@@ -39,10 +39,6 @@ def counts_of(
         t_ns: Time of each row.
         order: Order of the numbers in a row. None: by the resting counts, which differ more between
             the axes of a uSkin than between its taxels.
-
-    Raises:
-        SessionError: A different shape, a row that is NaN, negative or beyond uint16, or an order
-            that cannot be told or contradicts the shape.
     """
     if not is_taxels(array.shape) or not len(array):
         raise SessionError(

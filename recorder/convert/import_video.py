@@ -46,12 +46,7 @@ class MotionJpeg:
 
 
 def read_avi(path: Path) -> MotionJpeg | None:
-    """Return the frames of an AVI file with a Motion JPEG stream; None for any other file.
-
-    Raises:
-        SessionError: The file is truncated, or its stream has no rate.
-        OSError: The file cannot be read.
-    """
+    """Return the frames of an AVI file with a Motion JPEG stream; None for any other file."""
     with path.open("rb") as file:
         if file.read(12)[:4] != b"RIFF":
             return None
@@ -126,9 +121,6 @@ def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
     Args:
         jpeg: One file.
         where: Name of the file in error messages.
-
-    Raises:
-        SessionError: Not a JPEG, or truncated.
     """
     if not jpeg.rstrip(b"\0").endswith(_EOI):
         raise SessionError(f"{where}: no whole JPEG: it does not end with one's end marker")
@@ -180,9 +172,6 @@ def open_film(path: Path, fps: float | None, *, stills: bool = False) -> Film:
         fps: Images per second; None takes the times of the video.
         stills: True if each picture of a folder shows a contact of its own: they have no times,
             and are numbered one second apart.
-
-    Raises:
-        SessionError: No images, corrupt ones, unequal sizes, or an unknown rate.
     """
     if path.is_dir():
         return _folder(path, fps, stills)
@@ -333,11 +322,7 @@ def _stamped(
 
 
 def size_of_picture(name: str, picture: Path | bytes) -> tuple[int, int]:
-    """Return rows and columns of the content of a picture's file [px].
-
-    Raises:
-        SessionError: It is no picture.
-    """
+    """Return rows and columns of the content of a picture's file [px]."""
     try:
         with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as image:
             return image.height, image.width
@@ -346,11 +331,7 @@ def size_of_picture(name: str, picture: Path | bytes) -> tuple[int, int]:
 
 
 def pixels_of_picture(name: str, picture: Path | bytes) -> Any:
-    """Return the pixels (h, w, 3) uint8, RGB, of the content of a picture's file.
-
-    Raises:
-        SessionError: It is damaged.
-    """
+    """Return the pixels (h, w, 3) uint8, RGB, of the content of a picture's file."""
     try:
         with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as image:
             return np.asarray(image.convert("RGB"))

@@ -268,11 +268,7 @@ def _feature(stream: Stream) -> Feature:
 
 
 def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
-    """Write a session as a LeRobot dataset folder.
-
-    Raises:
-        SessionError: No frames, a rate below 1 Hz, a run without a UTC anchor, or a corrupt stream.
-    """
+    """Write a session as a LeRobot dataset folder."""
     episodes = need_presses(session, valid_only=options.valid_only)
     path.mkdir()
     (path / "meta").mkdir()

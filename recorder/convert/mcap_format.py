@@ -44,11 +44,7 @@ TOPICS: Mapping[str, str] = {
 
 
 def topics(session: Session) -> dict[str, str]:
-    """Return the topic of each stream, in the session's order.
-
-    Raises:
-        SessionError: A stream has the name of another topic.
-    """
+    """Return the topic of each stream, in the session's order."""
     found: dict[str, str] = {}
     for name in session.order:
         kind = session.streams[name].traits.kind
@@ -168,11 +164,7 @@ class Message:
 
 
 def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
-    """Write a session as one MCAP file.
-
-    Raises:
-        SessionError: A run without a UTC anchor, or a corrupt stream.
-    """
+    """Write a session as one MCAP file."""
     named = topics(session)
     total = sum(len(session.streams[name]) for name in named)
     sources = [_samples(session, session.streams[name], topic) for name, topic in named.items()]

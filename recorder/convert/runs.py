@@ -40,9 +40,6 @@ def need_presses(session: Session, *, valid_only: bool) -> list[RecordedPress]:
     Args:
         session: A finished session.
         valid_only: If true, leave out rows that are not `valid`.
-
-    Raises:
-        SessionError: The session has no frames, or none of these rows.
     """
     frames = session.frames
     if "t_ns" not in frames or not len(frames["t_ns"]):
@@ -71,11 +68,7 @@ Clock = NDArray[np.int64]
 
 
 def utc_offset(session: Session, run: int) -> int:
-    """Return the offset from host times of a run to UTC [ns since 1970].
-
-    Raises:
-        SessionError: The run has no anchor.
-    """
+    """Return the offset from host times of a run to UTC [ns since 1970]."""
     entry: dict[str, Any] = session.runs[run] if run < len(session.runs) else {}
     attrs = session.attrs
     t0_ns = entry.get("t0_ns", attrs.get("t0_ns"))
@@ -92,11 +85,7 @@ def utc_offset(session: Session, run: int) -> int:
 
 
 def parse_utc(text: str) -> int:
-    """Return an ISO 8601 time as ns since 1970; a time without a zone is UTC.
-
-    Raises:
-        SessionError: The text is not a valid time.
-    """
+    """Return an ISO 8601 time as ns since 1970; a time without a zone is UTC."""
     whole, _, rest = text.strip().removesuffix("Z").partition(".")
     digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
     try:
@@ -115,9 +104,6 @@ def utc_of_rows(session: Session, name: str, times: Times) -> Clock:
         session: The session.
         name: A stream, `segments` or `reference`.
         times: Host times (n,) [ns], one per row.
-
-    Raises:
-        SessionError: A run has no anchor.
     """
     tables = {"segments": session.segments, "reference": session.reference}
     out = times.copy()

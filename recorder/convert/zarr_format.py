@@ -19,11 +19,7 @@ from recorder.store.shard import ColumnLog
 
 
 def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
-    """Copy a session, each chunk verified, and seal the copy by a manifest of its own.
-
-    Raises:
-        SessionError: A remote session, or a corrupt chunk.
-    """
+    """Copy a session, each chunk verified, and seal the copy by a manifest of its own."""
     if not session.files.local:
         raise SessionError(f"{session.name}: remote stores are only read; copy it here first")
     columns = _columns(session)

@@ -49,11 +49,7 @@ class DiscMap:
     """A pixel is set if the disc covers more than this fraction: grey above 50 of 255."""
 
     def __post_init__(self) -> None:
-        """Reject a map that draws nothing.
-
-        Raises:
-            ValueError: Reversed limits, or a coverage outside (0, 0.5].
-        """
+        """Reject a map that draws nothing."""
         for low, high in (
             ("size_min", "size_max"),
             ("centre_min", "centre_max"),

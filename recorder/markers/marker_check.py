@@ -78,9 +78,6 @@ class MarkerCheck:
             tolerance: Number of missing or extra markers allowed beyond those the border explains.
             travel_px: Largest travel of a marker near the border [px]; if None, half the median
                 distance to the nearest neighbour.
-
-        Raises:
-            ValueError: Not a mask, no markers in the reference, or a negative tolerance or travel.
         """
         require_masks(reference)
         if tolerance < 0:

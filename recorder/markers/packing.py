@@ -42,11 +42,7 @@ def unpack(packed: Packed) -> Masks:
 
 
 def require_masks(masks: Masks) -> None:
-    """Reject arrays that are neither a mask nor a batch of masks.
-
-    Raises:
-        ValueError: Not bool, or not 480 x 640.
-    """
+    """Reject arrays that are neither a mask nor a batch of masks."""
     if masks.dtype != np.bool_ or masks.shape[-2:] != (HEIGHT, WIDTH):
         raise ValueError(
             f"masks: found {masks.dtype} {masks.shape}; expected bool (..., {HEIGHT}, {WIDTH})"

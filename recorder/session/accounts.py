@@ -76,11 +76,7 @@ class Account:
 
 
 def account_of(session: Session, name: str) -> Account:
-    """Return the samples of a stream that a session has and lost, run by run.
-
-    Raises:
-        SessionError: A corrupt column.
-    """
+    """Return the samples of a stream that a session has and lost, run by run."""
     stream = session.streams[name]
     runs: list[Losses] = []
     targets: dict[int, int] = {}

@@ -49,9 +49,6 @@ class Stream:
             path: Group of the stream.
             files: Access to its files.
             live: True to include the rows that are not sealed yet, up to this moment.
-
-        Raises:
-            SessionError: Not a stream.
         """
         self.layout = StreamLayout.load(path, files)
         self.name = path.name

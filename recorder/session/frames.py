@@ -50,9 +50,6 @@ def write_frames(path: Path, rate_hz: float) -> None:
     """Build the `frames` group of a session with closed streams, replacing an existing one.
 
     After a kill at any point, the group is either complete or absent; the next call rebuilds it.
-
-    Raises:
-        SessionError: A stream is corrupt.
     """
     building, old, final = path / _BUILDING, path / _OLD, path / "frames"
     remove_leftovers(path)
@@ -102,11 +99,7 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
 
 
 def grid(anchor: int, start: int, end: int, rate_hz: float) -> Times:
-    """Return the ticks anchor + k / rate_hz with start <= tick < end (n,) [ns].
-
-    Raises:
-        SessionError: There are more than `TICKS_MAX`.
-    """
+    """Return the ticks anchor + k / rate_hz with start <= tick < end (n,) [ns]."""
     period = 1e9 / rate_hz
     if (end - start) / period > TICKS_MAX:
         raise SessionError(

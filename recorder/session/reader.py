@@ -48,10 +48,6 @@ class Session:
             storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
             unsealed: True to read a closed session although a manifest is lost, with a `warning`;
                 its chunks are verified by their checksums, its other files cannot be.
-
-        Raises:
-            SessionError: Not a session, a newer format, unreachable, remote and unfinished, or its
-                files differ from its manifest. Data that differ are refused when they are read.
         """
         self.files, self.path = locate(path, storage_options)
         with self.files.remembering():

@@ -26,11 +26,7 @@ class StreamRecovery:
 
 
 def recover_streams(path: Path) -> list[StreamRecovery]:
-    """Seal every stream and table of a session that was not closed.
-
-    Raises:
-        SessionError: A stream is being written, or has damage that a crash cannot cause.
-    """
+    """Seal every stream and table of a session that was not closed."""
     groups = sorted(entry.parent for entry in (path / "streams").glob("*/zarr.json"))
     return [_recover(path, group) for group in (*groups, path / "segments", path / "reference")]
 

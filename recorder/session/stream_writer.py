@@ -67,11 +67,7 @@ class StreamState:
 
 
 def survey(layout: StreamLayout) -> StreamState:
-    """Return the state of a stream without changing it.
-
-    Raises:
-        SessionError: A sealed shard that is needed to count the rows is corrupt.
-    """
+    """Return the state of a stream without changing it."""
     journalled = read_journals(layout)
     if journalled is None:  # closed, or never opened: the declared lengths hold
         lengths = [column.rows() for column in layout.columns]
@@ -142,11 +138,7 @@ class OpenStream:
 
 
 def restore(layout: StreamLayout) -> OpenStream:
-    """Open a stream after its last complete row. If killed, it can be called again.
-
-    Raises:
-        SessionError: The stream is corrupt where it has to be read.
-    """
+    """Open a stream after its last complete row. If killed, it can be called again."""
     for path in unfinished_files(layout):
         if path.name.endswith(TEMPORARY) or path.name == _RESERVED:
             path.unlink()
@@ -442,11 +434,7 @@ class StreamWriter:
 
 
 def lock_stream(layout: StreamLayout) -> int:
-    """Lock the stream for this process until the returned file descriptor is closed.
-
-    Raises:
-        SessionError: Another writer holds the lock.
-    """
+    """Lock the stream for this process until the returned file descriptor is closed."""
     fd = os.open(layout.time.path, os.O_RDONLY)
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -41,11 +41,7 @@ class LiveStream:
         self._journals: dict[Path, GrowingLog] = {}
 
     def update(self) -> LiveRows:
-        """Return the complete rows at this moment.
-
-        Raises:
-            SessionError: A sealed shard is corrupt, or files keep changing faster than read.
-        """
+        """Return the complete rows at this moment."""
         for _ in range(_ATTEMPTS):
             before = self.layout.journals()
             try:

@@ -119,9 +119,6 @@ def align_window(
         ticks: Ticks (n,) [ns], ascending.
         sources: Streams of a run.
         methods: Methods by stream, in place of its own alignment.
-
-    Raises:
-        SessionError: An unknown stream or method.
     """
     methods = methods or {}
     for name in methods:

@@ -114,9 +114,6 @@ def check_stream_attrs(attrs: Mapping[str, Any], where: str) -> None:
     Args:
         attrs: Attributes of its group.
         where: Place of the group, for messages.
-
-    Raises:
-        SessionError: Names the attribute, its value and what is allowed.
     """
     stream = _Attributes(attrs, where)
     stream.number("latency", LATENCY_LEAST, SECONDS_MAX)

@@ -50,19 +50,11 @@ class ColumnReader:
         self._decoded: Kept[Array] = Kept()
 
     def chunk(self, number: int) -> bytes:
-        """Return an encoded chunk, without its checksum.
-
-        Raises:
-            SessionError: It is missing, truncated or corrupt.
-        """
+        """Return an encoded chunk, without its checksum."""
         return next(self.chunks([number]))
 
     def chunks(self, numbers: Sequence[int]) -> Iterator[bytes]:
-        """Yield encoded chunks; from a remote store several are fetched concurrently.
-
-        Raises:
-            SessionError: One is missing, truncated or corrupt.
-        """
+        """Yield encoded chunks; from a remote store several are fetched concurrently."""
         for data in self._verified_chunks(numbers):
             yield bytes(data)
 
@@ -72,9 +64,6 @@ class ColumnReader:
         Args:
             rows: Rows of the images (n,); nothing is written for a row below 0.
             out: Destination, contiguous; of the column's shape and little-endian type.
-
-        Raises:
-            SessionError: A chunk is missing, truncated or corrupt, or not such an image.
         """
         decode = images.decoder_into(self.layout.column)
         first = {row: place for place, row in reversed(list(enumerate(rows))) if row >= 0}
@@ -89,11 +78,7 @@ class ColumnReader:
                 out[place] = out[first[row]]
 
     def rows_between(self, start: int, stop: int) -> Array:
-        """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
-
-        Raises:
-            SessionError: A chunk is missing or corrupt.
-        """
+        """Return rows [start, stop) (n, ...) of a small column, reading only their chunks."""
         step, per_shard = self.layout.rows_per_chunk, self.layout.chunks_per_shard
         stop = min(stop, self.rows)
         numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
@@ -106,19 +91,11 @@ class ColumnReader:
         return out
 
     def read(self) -> Array:
-        """Return all rows (n, ...) of a small column.
-
-        Raises:
-            SessionError: A chunk is missing or corrupt.
-        """
+        """Return all rows (n, ...) of a small column."""
         return self.rows_between(0, self.rows)
 
     def gathered(self, numbers: Array) -> Array:
-        """Return the rows with the given numbers (n, ...), reading only their chunks.
-
-        Raises:
-            SessionError: A chunk is missing or corrupt.
-        """
+        """Return the rows with the given numbers (n, ...), reading only their chunks."""
         chunk, within = np.divmod(numbers, self.layout.rows_per_chunk)
         out = np.empty((len(numbers), *self.layout.column.shape), self.layout.dtype)
         for number, rows in self._decoded_chunks(np.unique(chunk).tolist()):

@@ -14,11 +14,7 @@ DOCUMENT_MAX = 1 << 28
 
 
 def read_document(files: Files, path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file, whose attributes, if any, are an object as well.
-
-    Raises:
-        SessionError: The file is missing, larger than `DOCUMENT_MAX`, or not a JSON object.
-    """
+    """Return the JSON object in a file, whose attributes, if any, are an object as well."""
     try:
         check_document_size(files, path)
         document = json.loads(files.read(path))
@@ -38,11 +34,6 @@ def read_document(files: Files, path: Path) -> dict[str, Any]:
 
 
 def check_document_size(files: Files, path: Path) -> None:
-    """Reject a local file that is too large for metadata, before it is read.
-
-    Raises:
-        FileNotFoundError: No such file.
-        SessionError: It is larger than `DOCUMENT_MAX`.
-    """
+    """Reject a local file that is too large for metadata, before it is read."""
     if files.local and (size := path.stat().st_size) > DOCUMENT_MAX:
         raise SessionError(f"{path}: found {size} bytes; allowed for metadata: {DOCUMENT_MAX}")

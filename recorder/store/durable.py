@@ -71,19 +71,12 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
     """Replace a JSON file atomically.
 
     Numpy scalars and arrays become numbers and lists.
-
-    Raises:
-        SessionError: The document has a value that JSON cannot hold, such as NaN.
     """
     replace_file(path, json_bytes(path, document))
 
 
 def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
-    """Return the content of a JSON file as `write_json` writes it.
-
-    Raises:
-        SessionError: The document has a value that JSON cannot hold, such as NaN.
-    """
+    """Return the content of a JSON file as `write_json` writes it."""
     try:
         return json.dumps(document, indent=2, allow_nan=False, default=_plain).encode()
     except (TypeError, ValueError) as error:
@@ -91,11 +84,7 @@ def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file.
-
-    Raises:
-        SessionError: The file is missing, or not a JSON object.
-    """
+    """Return the JSON object in a file."""
     return read_document(LOCAL, path)
 
 
@@ -142,11 +131,7 @@ class Background:
         self._thread.join()
 
     def drain(self) -> None:
-        """Run the remaining jobs in the calling thread, after `stop`.
-
-        Raises:
-            OSError, SessionError: A job failed again.
-        """
+        """Run the remaining jobs in the calling thread, after `stop`."""
         while self._jobs:
             self._jobs[0]()
             self._jobs.popleft()

@@ -153,9 +153,6 @@ def locate(
     Args:
         place: A path, or a URL that fsspec knows.
         storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
-
-    Raises:
-        SessionError: An unknown kind of URL, a missing library, or options for a local path.
     """
     if is_url(place):
         return open_url(str(place), storage_options or {})
@@ -316,11 +313,7 @@ _WEB = ("http", "https")
 
 
 def open_url(url: str, options: Mapping[str, Any]) -> tuple[RemoteFiles, Path]:
-    """Return the store of a URL and the path in it.
-
-    Raises:
-        SessionError: fsspec or the store's library is missing, or the URL is of an unknown kind.
-    """
+    """Return the store of a URL and the path in it."""
     fsspec = _fsspec()
     protocol = url.partition("://")[0]
     try:

@@ -35,11 +35,7 @@ class GrowingLog:
         self._last_head = b""
 
     def update(self) -> None:
-        """Read the records that were added.
-
-        Raises:
-            FileNotFoundError: There is no such log.
-        """
+        """Read the records that were added."""
         fd = os.open(self.path, os.O_RDONLY)
         try:
             found = os.fstat(fd)
@@ -94,11 +90,7 @@ class GrowingColumn:
         self._indices: dict[int, ShardIndex] = {}
 
     def update(self) -> int:
-        """Read what was added and return the number of chunks without a gap.
-
-        Raises:
-            SessionError: A sealed shard is corrupt.
-        """
+        """Read what was added and return the number of chunks without a gap."""
         self._indices.clear()
         for number in [n for n in self._logs if not self.layout.partial(n).exists()]:
             del self._logs[number]
@@ -134,11 +126,7 @@ class GrowingColumn:
 
 
 def index_now(layout: Layout, number: int) -> ShardIndex:
-    """Return the complete chunks of a growing shard at this moment.
-
-    Raises:
-        FileNotFoundError: It is not growing, or was just sealed.
-    """
+    """Return the complete chunks of a growing shard at this moment."""
     log = _log_of(layout, number)
     log.update()
     return _index_of(layout, log)

@@ -44,11 +44,7 @@ def compress(data: bytes | memoryview, level: int = ZSTD_LEVEL) -> bytes:
 
 
 def decompress(data: Any, nbytes: int) -> bytes:
-    """Return the content of one zstd frame, which must be `nbytes` long.
-
-    Raises:
-        SessionError: The frame is corrupt, or declares another length; nothing is allocated then.
-    """
+    """Return the content of one zstd frame, which must be `nbytes` long."""
     _check_content_size(data, nbytes)
     try:
         plain: bytes = numcodecs.zstd.decompress(data)
@@ -91,11 +87,7 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...]) -> Image:
 
 
 def decode_jpeg_into(data: Any, out: Image) -> None:
-    """Write the pixels of a JPEG, RGB, into `out` (h, w, 1 or 3) uint8, contiguous.
-
-    Raises:
-        SessionError: Not a JPEG, corrupt, or of a different size; its size is checked first.
-    """
+    """Write the pixels of a JPEG, RGB, into `out` (h, w, 1 or 3) uint8, contiguous."""
     try:
         found = simplejpeg.decode_jpeg_header(data)[:2]
         if found != out.shape[:2]:

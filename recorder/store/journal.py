@@ -175,10 +175,6 @@ class RecordLog:
         """Add one record, given as its header and the parts of its payload.
 
         Returns the byte offset of the payload.
-
-        Raises:
-            OSError: The record could not be written completely (ENOSPC if the disk is full). The
-                file is truncated to its last complete record, and the log remains usable.
         """
         nbytes = sum(map(len, parts))
         start = self.end
@@ -206,11 +202,7 @@ class RecordLog:
         return start + HEADER.size
 
     def finish(self, trailer: bytes) -> None:
-        """Append bytes that are not a record as the end of the file, and make the file durable.
-
-        Raises:
-            OSError: As for `append`.
-        """
+        """Append bytes that are not a record as the end of the file, and make the file durable."""
         try:
             if os.pwrite(self._fd, trailer, self.end) != len(trailer):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
@@ -276,11 +268,7 @@ class Journal:
         return len(self.rows) == self._block
 
     def append(self, row: bytes, t_ns: int) -> None:
-        """Append one packed row; this commits the row.
-
-        Raises:
-            OSError: It could not be written completely; the journal is unchanged.
-        """
+        """Append one packed row; this commits the row."""
         self._log.append(header(row, t_ns, self.first_row + len(self.rows)) + row)
         self.rows.append(row)
 
@@ -310,9 +298,6 @@ class Journal:
         """Turn a retired journal into the empty one that starts at a row.
 
         Its blocks on the disk are kept: zeros take the place of its rows.
-
-        Raises:
-            OSError: It is still a retired one.
         """
         self._log.clear()
         self._rename(self.path.with_name(f"journal-{first_row}"))

@@ -99,11 +99,7 @@ class Layout:
         return [n for n in numbers if self.shard(n).exists() or self.partial(n).exists()]
 
     def rows(self) -> int:
-        """Return the declared length of the array, as every Zarr reader sees it.
-
-        Raises:
-            SessionError: The metadata is missing, not readable, or declares an impossible shape.
-        """
+        """Return the declared length of the array, as every Zarr reader sees it."""
         document = read_document(self.files, self.path / "zarr.json")
         check_shape(document.get("shape"), self.column.dtype, self.files.name(self.path))
         return int(document["shape"][0])
@@ -155,11 +151,7 @@ class Layout:
 
     @classmethod
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
-        """Return the layout described by an array's metadata.
-
-        Raises:
-            SessionError: Not an array of this kind.
-        """
+        """Return the layout described by an array's metadata."""
         document = read_document(files, path / "zarr.json")
         try:
             check_shape(document["shape"], document["data_type"], files.name(path))
@@ -204,11 +196,7 @@ class Layout:
 
 
 def check_shape(shape: object, dtype: str, where: str) -> None:
-    """Reject the shape of an array that no session has, before anything is allocated for it.
-
-    Raises:
-        SessionError: Not a list of whole numbers, or too large.
-    """
+    """Reject the shape of an array that no session has, before anything is allocated for it."""
     if (
         not isinstance(shape, list)
         or not shape
@@ -224,11 +212,7 @@ def check_shape(shape: object, dtype: str, where: str) -> None:
 
 
 def check_rate(rate_hz: object, where: str) -> None:
-    """Reject a rate that no device has.
-
-    Raises:
-        SessionError: Not a number above 0, or above `RATE_MAX_HZ`.
-    """
+    """Reject a rate that no device has."""
     number = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool)
     if not number or not 0 < rate_hz <= RATE_MAX_HZ:  # type: ignore[operator]
         raise SessionError(
@@ -297,11 +281,7 @@ class StreamLayout:
 
     @classmethod
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
-        """Return the layout of a stream on disk.
-
-        Raises:
-            SessionError: Not a stream, or its columns are inconsistent.
-        """
+        """Return the layout of a stream on disk."""
         attrs = read_document(files, path / "zarr.json").get("attributes", {})
         names = attrs.get("columns") if isinstance(attrs, dict) else None
         if not isinstance(names, list) or not names:
@@ -320,12 +300,7 @@ class StreamLayout:
 
 
 def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
-    """Create the group and the empty arrays of a stream.
-
-    Raises:
-        SessionError: Attributes that JSON cannot hold.
-        FileExistsError: The path exists.
-    """
+    """Create the group and the empty arrays of a stream."""
     path.mkdir()
     attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
     write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs})
@@ -337,11 +312,7 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
 
 
 def read_order(path: Path, files: Files = LOCAL) -> list[str]:
-    """Return the names of the streams in the order in which the session declared them.
-
-    Raises:
-        SessionError: The attribute is missing, or not a list of names.
-    """
+    """Return the names of the streams in the order in which the session declared them."""
     order = read_document(files, path / "zarr.json").get("attributes", {}).get("order")
     if not isinstance(order, list) or not all(isinstance(name, str) for name in order):
         raise SessionError(f"{files.name(path)}: found order {order!r:.80}, expected names")
@@ -388,11 +359,7 @@ def _numbered(shape: tuple[int, ...]) -> list[str]:
 
 
 def decoded_rows(layout: Layout, data: bytes) -> np.ndarray[Any, Any]:
-    """Return the rows of one chunk of a small column, fill values included.
-
-    Raises:
-        SessionError: The chunk is corrupt.
-    """
+    """Return the rows of one chunk of a small column, fill values included."""
     try:
         plain = images.decompress(data, layout.chunk_bytes)
     except SessionError as error:
@@ -413,11 +380,7 @@ class _Attributes(dict[str, Any]):
 
 
 def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
-    """Return the attributes of a session.
-
-    Raises:
-        SessionError: Not a session, another version, or an impossible status, run or rate.
-    """
+    """Return the attributes of a session."""
     attrs = read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
     name = files.name(path)
     for key, allowed in (("status", STATUSES), (REBUILDING, STATUSES[1:])):
@@ -461,9 +424,6 @@ def read_attrs(
         what: Kind of object, for messages.
         format_: Expected value of `format`.
         version: The `format_version` that can be read.
-
-    Raises:
-        SessionError: Missing, a different format, or another version.
     """
     name = files.name(path)
     if files.local and path.is_file():

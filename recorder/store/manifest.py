@@ -80,11 +80,7 @@ def manifest_runs(session: Path) -> list[int]:
 
 
 def read_manifest(files: Files, session: Path, run: int) -> Manifest:
-    """Return the manifest of a run.
-
-    Raises:
-        SessionError: It is missing or was changed.
-    """
+    """Return the manifest of a run."""
     path = manifest_path(session, run)
     where = files.name(path)
     try:
@@ -119,11 +115,7 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
 
 
 def read_chain(files: Files, session: Path, run: int) -> list[Manifest]:
-    """Return the manifest of a run and those before it, the newest first.
-
-    Raises:
-        SessionError: One is missing or changed, or an earlier one differs from what a later names.
-    """
+    """Return the manifest of a run and those before it, the newest first."""
     chain, broken = readable_chain(files, session, run)
     if broken is not None:
         raise broken
@@ -169,9 +161,6 @@ def seal(session: Path, **attrs: Any) -> None:
     """Write the manifest of the last run, then merge into the session's attributes.
 
     The streams must be closed. If killed, the session is as before, and the call can be repeated.
-
-    Raises:
-        SessionError: A shard that a stream declares is missing or corrupt.
     """
     path = session / "zarr.json"
     remove_unfinished(session)
@@ -190,9 +179,6 @@ def write_manifest(session: Path, run: int, root: bytes) -> None:
         session: The session.
         run: Number of its last run.
         root: Content that the session's own `zarr.json` has when it is closed.
-
-    Raises:
-        SessionError: A shard that a stream declares is missing or corrupt.
     """
     manifest_path(session, run).parent.mkdir(parents=True, exist_ok=True)
     earlier = [number for number in manifest_runs(session) if number < run]

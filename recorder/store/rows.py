@@ -36,11 +36,7 @@ class RowPacker:
         )
 
     def pack(self, columns: Mapping[str, Any]) -> bytes:
-        """Return the packed row.
-
-        Raises:
-            SessionError: A column is missing, unknown, or of the wrong shape or type.
-        """
+        """Return the packed row."""
         if len(columns) != len(self._names) or self._names[0] not in columns:
             raise self._wrong_names(columns)
         try:

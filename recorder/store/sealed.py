@@ -52,12 +52,7 @@ class SealedFiles:
         return self.inner.name(path)
 
     def read(self, path: Path) -> bytes:
-        """Return a whole file.
-
-        Raises:
-            FileNotFoundError: No such file.
-            SessionError: It differs from the manifest.
-        """
+        """Return a whole file."""
         data = self.inner.read(path)
         key = self._key(path)
         shard = self.manifest.shards.get(key)
@@ -70,12 +65,7 @@ class SealedFiles:
         return data
 
     def tail(self, path: Path, nbytes: int) -> bytes:
-        """Return the last `nbytes` of a file, or all of a shorter one.
-
-        Raises:
-            FileNotFoundError: No such file.
-            SessionError: It is the end of a shard, and differs from the manifest.
-        """
+        """Return the last `nbytes` of a file, or all of a shorter one."""
         data = self.inner.tail(path, nbytes)
         shard = self.manifest.shards.get(self._key(path))
         if shard is not None and nbytes == shard.end_bytes:
@@ -135,9 +125,6 @@ def sealed_files(
         session: The session.
         attrs: Its attributes.
         unsealed: True to accept that a manifest is lost; the second value then says which one.
-
-    Raises:
-        SessionError: A manifest is missing or changed, or a file is missing or of another size.
     """
     if attrs["status"] == "recording":
         closed = [run for run in manifest_runs(session) if run < run_of(attrs)]
@@ -227,10 +214,6 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
 
 
 def hold(session: Path, attrs: dict[str, Any]) -> None:
-    """Hold a local session against its manifests.
-
-    Raises:
-        SessionError: A file is missing, added or changed; the message names the first.
-    """
+    """Hold a local session against its manifests."""
     for key, message in wrong_files(LOCAL, session, attrs):
         raise SessionError(f"{session / key}: {message}")

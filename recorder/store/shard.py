@@ -65,11 +65,7 @@ class OpenShard:
         return len(self._entries) == self._layout.chunks_per_shard
 
     def append(self, chunk: bytes, t_ns: int) -> None:
-        """Add one encoded chunk.
-
-        Raises:
-            OSError: It could not be written completely; the shard is unchanged.
-        """
+        """Add one encoded chunk."""
         index = self.number * self._layout.chunks_per_shard + len(self._entries)
         crc = packed_crc(chunk)
         head = chunk_header(len(chunk), crc, t_ns, index)
@@ -88,11 +84,7 @@ class OpenShard:
         self._log.sync()
 
     def seal(self) -> None:
-        """Turn the log into a shard and rename it, replacing a shorter one. May be called twice.
-
-        Raises:
-            OSError: No space for the index; the shard is unchanged.
-        """
+        """Turn the log into a shard and rename it, replacing a shorter one. May be called twice."""
         if self._sealed:
             return
         self._log.finish(_shard_end(self._layout, self._entries, self._crcs))
@@ -126,11 +118,7 @@ def packed_index(entries: list[tuple[int, int]], slots: int) -> bytes:
 
 
 def read_index(path: Path, files: Files, slots: int) -> Index:
-    """Return the index of a sealed shard with the given number of slots.
-
-    Raises:
-        SessionError: No such shard, or its index is corrupt.
-    """
+    """Return the index of a sealed shard with the given number of slots."""
     return _unpacked(_tail(path, files, 16 * slots + CRC_BYTES), path, files, slots)
 
 
@@ -169,11 +157,7 @@ def end_bytes(layout: Layout) -> int:
 
 
 def read_shard_index(layout: Layout, number: int) -> ShardIndex:
-    """Return the end of a sealed shard.
-
-    Raises:
-        SessionError: No such shard, or its index is corrupt.
-    """
+    """Return the end of a sealed shard."""
     path, files, slots = layout.shard(number), layout.files, layout.chunks_per_shard
     end = _tail(path, files, end_bytes(layout))
     listed, index = end[: CRC_BYTES * slots], end[CRC_BYTES * slots :]
@@ -204,9 +188,6 @@ def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
     """Open a shard for appending after its first `chunks` chunks, which must exist.
 
     A sealed shard is not moved; its chunks are copied, and it is replaced when the copy is sealed.
-
-    Raises:
-        SessionError: The shard has fewer complete records.
     """
     partial, sealed = layout.partial(number), layout.shard(number)
     records = scan_partial(layout, number)[0] if partial.exists() else []
@@ -245,11 +226,7 @@ class ColumnLog:
     """
 
     def __init__(self, layout: Layout, chunks: int) -> None:
-        """Open the column after its first `chunks` chunks and drop any later ones.
-
-        Raises:
-            SessionError: The column has fewer chunks.
-        """
+        """Open the column after its first `chunks` chunks and drop any later ones."""
         self.layout = layout
         self.chunks = chunks
         self._shard: OpenShard | None = None
@@ -265,11 +242,7 @@ class ColumnLog:
             layout.partial(number).unlink(missing_ok=True)
 
     def append(self, chunk: bytes, t_ns: int) -> None:
-        """Add one encoded chunk, whose last sample is from `t_ns`.
-
-        Raises:
-            OSError: It could not be written completely; the column is unchanged.
-        """
+        """Add one encoded chunk, whose last sample is from `t_ns`."""
         if self._shard is None:
             self._shard = OpenShard(self.layout, self.chunks // self.layout.chunks_per_shard, [])
         self._shard.append(chunk, t_ns)

@@ -36,9 +36,6 @@ def write_table(
         columns: Arrays (n, ...) of equal length.
         units: Units and description by column.
         attrs: Attributes of the group.
-
-    Raises:
-        SessionError: Columns of unequal length.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
@@ -85,11 +82,7 @@ def _write_column(path: Path, column: Array, attrs: dict[str, Any]) -> None:
 
 
 def declared_rows(path: Path, files: Files) -> int:
-    """Return the number of rows that a column declares, whether or not its chunks are there.
-
-    Raises:
-        SessionError: Its metadata is missing, or differs from the manifest.
-    """
+    """Return the number of rows that a column declares, whether or not its chunks are there."""
     shape = read_document(files, path / "zarr.json").get("shape")
     if not isinstance(shape, list) or not shape or type(shape[0]) is not int:
         raise SessionError(f"{files.name(path)}: found shape {shape!r:.200}, expected a list")
@@ -148,23 +141,14 @@ class Table(Mapping[str, Array]):
 
     @classmethod
     def of_group(cls, path: Path, files: Files = LOCAL) -> "Table":
-        """Return the table in a group written by `write_table`; empty if there is none.
-
-        Raises:
-            SessionError: Its metadata is missing, or differs from the manifest.
-        """
+        """Return the table in a group written by `write_table`; empty if there is none."""
         names = tuple(sorted(entry.name for entry in files.groups(path)))
         if names:
             read_document(files, path / "zarr.json")
         return cls(path, names, partial(_column, files, path))
 
     def __getitem__(self, name: str) -> Array:
-        """Return a column (n, ...).
-
-        Raises:
-            KeyError: No such column.
-            SessionError: A chunk is missing or corrupt.
-        """
+        """Return a column (n, ...)."""
         if name not in self._names:
             raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
         found = self._read.get(name)

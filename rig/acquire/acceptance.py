@@ -30,9 +30,6 @@ class SetupRecord:
         folder: Folder of the calibrations.
         bench: The bench as its file describes it.
         content: Content of the file.
-
-    Raises:
-        ConfigError: The file of an earlier set-up cannot be read.
     """
 
     def __init__(self, folder: Path, bench: Bench, content: Mapping[str, Any]) -> None:
@@ -69,9 +66,6 @@ class SetupRecord:
             number: Its number, from 1.
             count: Number of steps.
             findings: Its findings, before a person decides on them.
-
-        Raises:
-            ConfigError: The file cannot be written.
         """
         step = {"step": name, "number": number, "count": count, "pid": os.getpid()}
         self._running = {**step, "findings": [asdict(each) for each in findings]}
@@ -84,11 +78,7 @@ class SetupRecord:
         answers: Mapping[str, Any],
         findings: Sequence[Finding],
     ) -> None:
-        """Store a finished step; an earlier acceptance no longer holds.
-
-        Raises:
-            ConfigError: The file cannot be written.
-        """
+        """Store a finished step; an earlier acceptance no longer holds."""
         states = {each.state for each in findings}
         self.steps[name] = {
             "date_utc": now_utc(),
@@ -101,11 +91,7 @@ class SetupRecord:
         self._write()
 
     def keep_picture(self, name: str, content: bytes) -> None:
-        """Keep a picture for the report, such as `camera.jpeg` or `press.png`.
-
-        Raises:
-            ConfigError: The file cannot be written.
-        """
+        """Keep a picture for the report, such as `camera.jpeg` or `press.png`."""
         self._replace(self.path.with_suffix(f".{name}"), content)
 
     def accept(self, names: Sequence[str], operator: str) -> None:
@@ -114,9 +100,6 @@ class SetupRecord:
         Args:
             names: Names of the steps, in order.
             operator: Name of the operator.
-
-        Raises:
-            ConfigError: A file cannot be written.
         """
         steps = {name: self.steps[name] for name in names}
         faults = [name for name in names if steps[name]["state"] == "FAULT"]

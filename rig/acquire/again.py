@@ -18,11 +18,7 @@ _HEAD = "# Targets to record again, marked on the page (tactile page).\n"
 
 
 def marked(file: Path, session: Path) -> tuple[int, ...]:
-    """Return the targets of a session that the file lists, numbered from 1.
-
-    Raises:
-        ConfigError: The file is wrong.
-    """
+    """Return the targets of a session that the file lists, numbered from 1."""
     return next((e.again for e in _entries(file) if Path(e.session) == session), ())
 
 
@@ -34,9 +30,6 @@ def write_marks(file: Path, path: Path, session: Session, targets: Sequence[int]
         path: Path of the session, relative to the folder where commands run.
         session: The session.
         targets: Numbers from 1; none: the session is no longer listed.
-
-    Raises:
-        ConfigError: The file is wrong or cannot be written, or the indenter is unknown.
     """
     kept = [entry for entry in _entries(file) if Path(entry.session) != path]
     if targets:

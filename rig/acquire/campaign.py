@@ -115,9 +115,6 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
         path: YAML with `out`, `operator` (both optional) and `sessions`, a list of entries; or the
             name of the packaged one, `campaigns/day.yaml`.
         benches: Folder of bench files; packaged ones are found without it.
-
-    Raises:
-        ConfigError: The file, or a bench in it, is invalid.
     """
     file = build(CampaignFile, read_yaml(packaged(path, CAMPAIGNS)), str(path))
     times: Counter[str] = Counter()

@@ -100,9 +100,6 @@ class Collector:
             request: Request of the operator.
             plan: Targets to press.
             total: Number of the plan's targets to press.
-
-        Raises:
-            ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
         """
         started_ns = self._clock.now_ns()
         with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:

@@ -69,12 +69,7 @@ class Interlocks:
         self.close()
 
     def open(self) -> dict[str, dict[str, Any]]:
-        """Connect to all devices, start watching, and return their properties by device.
-
-        Raises:
-            ConfigError, DeviceLost: Devices are missing, or the gripper holds nothing; the message
-                names all of them.
-        """
+        """Connect to all devices, start watching, and return their properties by device."""
         description: dict[str, dict[str, Any]] = {}
         failures: list[Exception] = []
         if self._grip is not None:
@@ -95,11 +90,6 @@ class Interlocks:
 
         Args:
             pressing: True if the arm presses, or is about to: a dead-man pedal must be held.
-
-        Raises:
-            SafetyStop: The grip is lost.
-            DeviceLost: The pedal was unplugged for too long.
-            DeadManReleased: The dead-man pedal is not held, or was released since `armed` was True.
         """
         with contextlib.suppress(BlockingIOError):
             while self.wake.recv(64):

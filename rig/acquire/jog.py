@@ -124,13 +124,7 @@ class Jog:
         self._loaded = False
 
     def run(self) -> Point:
-        """Follow the cap until a button sets the origin; return the tip in the contact frame [m].
-
-        Raises:
-            SafetyStop: The hard force limit was reached, or the controller made a safety stop.
-            DeviceLost: Arm, SpaceMouse or a stream is gone; the arm stands still.
-            Interrupted: The operator requested the end.
-        """
+        """Follow the cap until a button sets the origin; return the tip, contact frame [m]."""
         box = self._bench.guard_limits().box
         while True:
             cap = self._look(0.02)

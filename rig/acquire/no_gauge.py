@@ -101,11 +101,7 @@ def touching(bench: Bench) -> Bench:
 
 
 def rough_height(session: Session) -> float:
-    """Return the height of the tip at the first contact of a recorded search [m].
-
-    Raises:
-        SafetyStop: There was no contact.
-    """
+    """Return the height of the tip at the first contact of a recorded search [m]."""
     lowest = float(tip_heights(session)[1].min())
     outcomes = list(session.segments["outcome"])
     if not outcomes or outcomes[0] != OUTCOMES.index("force_limited"):
@@ -131,9 +127,6 @@ def check_surface(found: TouchedSurface, shift: float) -> None:
     Args:
         found: The touches, in a frame that the search moved.
         shift: Height of the surface above the place that the bench file states [m].
-
-    Raises:
-        SafetyStop: Names the value, and the range that is allowed.
     """
     if found.surface.width > SURFACE_WIDTH:
         raise SafetyStop(
@@ -164,9 +157,6 @@ def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
         bench: A bench without a gauge.
         calibration: What is known of its sensor with the indenter on the arm.
         hint: Command that measures the surface.
-
-    Raises:
-        ConfigError: States what is wrong and the command.
     """
     home = calibration.home
     if home is None:
@@ -247,10 +237,6 @@ def find_surface(bench: Bench, content: dict[str, Any], record: Record) -> HomeC
         bench: The bench as its file describes it.
         content: Content of the file.
         record: Records a stage.
-
-    Raises:
-        StageStopped: A session was stopped.
-        SafetyStop: The surface is not where it may be.
     """
     found = record("search", search_plan(bench), searching, contact_change=CONTACT)
     rough = rough_height(found)
@@ -280,9 +266,6 @@ def press_in_steps(
         depth: Depth of the last press [m].
         record: Records the stage.
         ask: Called with the lines to show after each step; raises to stop.
-
-    Raises:
-        StageStopped: The session was stopped.
     """
     plan = FirstPress(depth)
     largest: list[float] = []

@@ -35,12 +35,7 @@ _LOOK_NS = SECOND_NS // 20
 
 
 def require_arrival(result: MoveResult, *, pressing: bool) -> None:
-    """Accept a move that arrived, or a press ended by the soft force limit.
-
-    Raises:
-        DeviceLost: The arm stopped before its target by itself.
-        SafetyStop: The arm met a force where no contact was expected.
-    """
+    """Accept a move that arrived, or a press ended by the soft force limit."""
     if result.outcome == "stopped":
         raise DeviceLost(f"arm: {result.reason}")
     if result.outcome == "force_limited" and not pressing:
@@ -98,12 +93,7 @@ class PlanRunner:
         """Targets among those that ended at the soft force limit."""
 
     def press(self, plan: Plan, targets: Iterable[Target]) -> None:
-        """Press targets of a plan, one after the other.
-
-        Raises:
-            SafetyStop, DeviceLost, SessionError: The run was stopped; the arm stands still.
-            Interrupted: The operator requested a stop.
-        """
+        """Press targets of a plan, one after the other."""
         for target in targets:
             self._live.at(target, None)
             limited = self.limited
@@ -315,9 +305,6 @@ def zero_stand_ins(bench: Bench, streams: Streams, found: Mapping[str, Mapping[s
         bench: The bench; one with an F/T sensor has no such guards.
         streams: Recording.
         found: Mean of the streams that have one, by name.
-
-    Raises:
-        DeviceLost: The arm reports no wrench.
     """
     if not bench.no_gauge:
         return

@@ -46,11 +46,7 @@ class Tare:
 
 
 def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None = None) -> Found:
-    """Open every device and measure its rate.
-
-    Raises:
-        ConfigError, DeviceLost: A device rejects its settings, is silent or far too slow.
-    """
+    """Open every device and measure its rate."""
     description: dict[str, dict[str, Any]] = {}
     failures: list[Exception] = []
     # All are tried, so that a bench with nothing attached is one message and not one per start.
@@ -109,11 +105,7 @@ def notes_on(
 
 
 def tip_position(bench: Bench, streams: Streams) -> Point:
-    """Return the position of the tip in the contact frame [m].
-
-    Raises:
-        DeviceLost: No pose has arrived yet.
-    """
+    """Return the position of the tip in the contact frame [m]."""
     latest = streams["pose"].latest()
     if latest is None:
         raise DeviceLost("pose: no sample yet")
@@ -122,11 +114,7 @@ def tip_position(bench: Bench, streams: Streams) -> Point:
 
 
 def check_clear(bench: Bench, streams: Streams) -> None:
-    """Reject a tip at or below the surface, or outside the box.
-
-    Raises:
-        SafetyStop: The tip is in such a place.
-    """
+    """Reject a tip at or below the surface, or outside the box."""
     x, y, z = tip_position(bench, streams)
     limits = bench.limits
     inside = (
@@ -142,11 +130,7 @@ def check_clear(bench: Bench, streams: Streams) -> None:
 
 
 def take_tares(bench: Bench, streams: Streams) -> dict[str, Tare]:
-    """Measure the zero of every F/T sensor, none of which may be touched.
-
-    Raises:
-        DeviceLost: There are no samples, or their spread shows motion or contact.
-    """
+    """Measure the zero of every F/T sensor, none of which may be touched."""
     gauges = bench.of_kind("force")
     names = [gauge.name for gauge in gauges]
     window = max([bench.preflight.tare_window, *(settling(gauge) for gauge in gauges)])
@@ -198,10 +182,6 @@ def check_no_contact(bench: Bench, gauge: BenchStream, force: np.ndarray, point:
         gauge: One of its F/T sensors.
         force: Mean tared wrench (6,) of that sensor there [N, N m].
         point: Number of the contact point.
-
-    Raises:
-        SafetyStop: There is contact.
-        DeviceLost: A measured axis is not a number.
     """
     _require_numbers(gauge, force, f"above point {point}")
     forces = [axis for axis in _measured_axes(gauge) if axis < 3]

@@ -54,11 +54,6 @@ def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> 
         request: Request of the operator.
         bench: Bench with its limits.
         plan: Replaces the bench's trajectory.
-
-    Raises:
-        ConfigError: Another sensor's session, an invalid `targets` or `again`, or a plan that
-            breaks a limit.
-        SessionError: The session to resume cannot be read, or the new one exists.
     """
     if not request.resume and request.path.exists():
         raise SessionError(f"{request.path}: exists already; resume it or choose another name")

@@ -230,11 +230,7 @@ def tool(bench: Bench, clock: Clock, length: float) -> Iterator[Finding]:
 
 
 def read_for(bench: Bench, name: str, clock: Clock, seconds: float) -> list[Any]:
-    """Return the values of a stream's samples for a time [s], those that have settled.
-
-    Raises:
-        ConfigError, DeviceLost: The device rejects its settings, or is gone.
-    """
+    """Return the values of a stream's samples for a time [s], those that have settled."""
     driver = make_driver(bench, name, clock)
     try:
         driver.open(bench.preflight.timeout)

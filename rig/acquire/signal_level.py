@@ -44,11 +44,7 @@ class Level(NamedTuple):
 
 
 def picture(jpeg: bytes) -> Floats:
-    """Return the grey values of a JPEG at a quarter of its size.
-
-    Raises:
-        ValueError: It cannot be decoded.
-    """
+    """Return the grey values of a JPEG at a quarter of its size."""
     import cv2
 
     found = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_4)

@@ -63,11 +63,7 @@ class StreamHandle:
         self._failure: Exception | None = None
 
     def wait_opened(self) -> dict[str, Any]:
-        """Wait until the driver is open and return the properties of its device.
-
-        Raises:
-            ConfigError, DeviceLost: The driver failed.
-        """
+        """Wait until the driver is open and return the properties of its device."""
         description: dict[str, Any] = self._answer("opened", self._bench.preflight.timeout)
         return description
 
@@ -113,11 +109,7 @@ class StreamHandle:
         return self._counters.read()
 
     def check(self) -> None:
-        """Raise if the stream has failed.
-
-        Raises:
-            ConfigError, DeviceLost, SessionError: The stream failed with this error.
-        """
+        """Raise if the stream has failed."""
         if self._failure is not None:
             raise self._failure
         try:
@@ -231,11 +223,7 @@ class Streams:
         return self._handles[name]
 
     def wait_opened(self) -> dict[str, dict[str, Any]]:
-        """Wait until all drivers are open and return the properties of their devices by stream.
-
-        Raises:
-            ConfigError, DeviceLost: Drivers failed; the message names all of them.
-        """
+        """Wait until all drivers are open and return the properties of their devices by stream."""
         found: dict[str, dict[str, Any]] = {}
         failures: list[Exception] = []
         for handle in self:
@@ -254,11 +242,7 @@ class Streams:
         return {handle.name: handle.measured(seconds) for handle in chosen}
 
     def check(self) -> None:
-        """Raise if a stream failed or a signal went silent.
-
-        Raises:
-            ConfigError, DeviceLost, SessionError: A stream failed with this error.
-        """
+        """Raise if a stream failed or a signal went silent."""
         now_ns = self._clock.now_ns()
         # Stream errors first: the driver of a lost device knows more than `watch`.
         for handle in self:

@@ -333,11 +333,7 @@ class Bench:
         return (*single, *more)
 
     def row(self, name: str) -> BenchStream:
-        """Return the stream of a name.
-
-        Raises:
-            ConfigError: There is none.
-        """
+        """Return the stream of a name."""
         for row in self.rows:
             if row.name == name:
                 return row
@@ -374,9 +370,6 @@ class Bench:
 
         It is the lowest of the bench's `force_rating` and `torque_rating`, of what each gauge is
         rated for, and of the sensor's own rating, which holds for a force of any direction.
-
-        Raises:
-            ConfigError: A gauge states its rating in a file that cannot be read.
         """
         limits = self.limits
         sensor = math.inf if limits.sensor_rating is None else limits.sensor_rating
@@ -466,9 +459,6 @@ def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "--senso
         sensor: Name of the file without `.yaml`.
         folder: Searched first: its `lab/`, then itself; then the packaged mock benches.
         where: Where the name was given, for errors.
-
-    Raises:
-        ConfigError: None of them exists.
     """
     name = f"{sensor}.yaml"
     for path in (folder / "lab" / name, folder / name, BENCHES / name):
@@ -480,11 +470,7 @@ def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "--senso
 
 
 def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return `content` with `world` replaced by its `simulated`.
-
-    Raises:
-        ConfigError: `simulated` is missing, or this is no mock bench.
-    """
+    """Return `content` with `world` replaced by its `simulated`."""
     if not content.get("mock") or not isinstance(content.get("simulated"), dict):
         raise ConfigError(
             f"{where}.simulated: missing, or on a lab bench; allowed with --world sim: a mock "
@@ -494,11 +480,7 @@ def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 def bench_from(content: dict[str, Any], where: str) -> Bench:
-    """Build a bench from a mapping as read from YAML.
-
-    Raises:
-        ConfigError: See `rig.core.config.build`; or the tool points away from the sensor.
-    """
+    """Build a bench from a mapping as read from YAML."""
     bench = READER.build(Bench, content, where)
     if float(matrix_from_vector(bench.tool_rotation)[2, 2]) > -_POINTS_INTO_SENSOR:
         degrees = [round(from_si(angle, "deg"), 4) for angle in bench.tool_rotation]
@@ -520,28 +502,16 @@ class BenchFile:
 
     @classmethod
     def of(cls, content: dict[str, Any], path: Path) -> BenchFile:
-        """Build the bench of a content as read from YAML.
-
-        Raises:
-            ConfigError: See `bench_from`.
-        """
+        """Build the bench of a content as read from YAML."""
         return cls(path, content, bench_from(content, str(path)))
 
     @classmethod
     def read(cls, path: Path) -> BenchFile:
-        """Read a bench file; its `extends` may name a packaged bench as if it were in `benches/`.
-
-        Raises:
-            ConfigError: See `rig.core.config`.
-        """
+        """Read a bench file; its `extends` may name a packaged bench as one in `benches/`."""
         return cls.of(read_content(path), path)
 
     def with_indenter(self, name: str) -> BenchFile:
-        """Return the file with an indenter on the arm; an empty name: the file's own.
-
-        Raises:
-            ConfigError: No indenter has that name, or the simulated World does not know its shape.
-        """
+        """Return the file with an indenter on the arm; an empty name: the file's own."""
         indenter = find_indenter(name or self.bench.indenter)
         own = indenter.source is not None
         if own and indenter.stl is None and isinstance(self.bench.world, SimulatedSpec):
@@ -573,9 +543,5 @@ class BenchFile:
 
 
 def read_content(path: Path) -> dict[str, Any]:
-    """Return the content of a bench file, with what it `extends`.
-
-    Raises:
-        ConfigError: See `rig.core.config`.
-    """
+    """Return the content of a bench file, with what it `extends`."""
     return read_yaml(path, BENCHES)

@@ -100,9 +100,6 @@ def find_indenter(name: str, where: str = "--indenter", folder: Path = OWN) -> I
         name: Name as given by the user.
         where: Option or key with the name, for errors.
         folder: The lab's folder of indenters.
-
-    Raises:
-        ConfigError: No indenter has that name, or its file is wrong.
     """
     described, solid = folder / f"{name}.yaml", folder / f"{name}.stl"
     if described.is_file():
@@ -131,11 +128,7 @@ _HEAD = 84
 
 
 def stl_size(path: Path) -> tuple[float, float, float]:
-    """Return the extent along x, y and z of the body in an STL file, binary or text [mm].
-
-    Raises:
-        ConfigError: No STL file, or a body too small or large to be in mm.
-    """
+    """Return the extent along x, y and z of the body in an STL file, binary or text [mm]."""
     content = path.read_bytes()
     count = int.from_bytes(content[_HEAD - 4 : _HEAD], "little")
     if count and len(content) == _HEAD + count * _FACET.itemsize:

@@ -36,11 +36,7 @@ WRENCH_STREAM = "arm_wrench"
 
 
 def without_gauge(content: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return the content of a mock bench with `force: none` and the wrench of its arm.
-
-    Raises:
-        ConfigError: This is a lab bench, whose file alone may say that it has no gauge.
-    """
+    """Return the content of a mock bench with `force: none` and the wrench of its arm."""
     if not content.get("mock"):
         raise ConfigError(
             f"FORCE, --force: none; {where} is a lab bench; allowed: a mock bench; a lab bench "
@@ -79,9 +75,6 @@ def check_plan(bench: Bench, depth: float) -> None:
     Args:
         bench: A bench without a gauge.
         depth: Deepest indentation that is planned [m].
-
-    Raises:
-        ConfigError: States the stiffness, its source and the depth that is allowed.
     """
     given, rating = bench.stand_ins, bench.limits.sensor_rating
     if given is None or rating is None:

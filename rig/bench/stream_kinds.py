@@ -110,11 +110,7 @@ def expected_rate(bench: Bench, name: str) -> float:
 
 
 def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
-    """Create the driver of one stream; its vendor library is imported only here.
-
-    Raises:
-        ConfigError: The library is not installed.
-    """
+    """Create the driver of one stream; its vendor library is imported only here."""
     device = registry.device(bench.row(name).config.KIND)
     try:
         return device.make_driver(bench.row(name).config, clock)

@@ -33,11 +33,7 @@ _HAYES = np.array(
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """Soft layer bonded to a rigid base.
-
-    Raises:
-        ValueError: A value is outside the range of the formulas.
-    """
+    """Soft layer bonded to a rigid base."""
 
     modulus: float = field(metadata={"unit": "kpa"})
     """Young's modulus [Pa]."""

@@ -26,11 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Tap, correlate and store the result; return the exit code.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
-    """
+    """Tap, correlate and store the result; return the exit code."""
     depth = None if options.depth_mm is None else to_si(options.depth_mm, "mm")
     return calibrate(recording_of(options), taps=options.taps, depth=depth)
 
@@ -49,9 +45,6 @@ def calibrate(
         taps: Number of taps.
         depth: Deepest tap [m]; None: the depth of 1 N, at most 1 mm.
         width_max: Allowed width of the 95 % interval [s].
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
     bench, content = recording.bench, recording.file.content
     # Apply the surface calibration only: an old latency correction would bias the new measurement.

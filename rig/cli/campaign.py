@@ -49,9 +49,6 @@ def record_entry(progress: Progress, operator: str, calibrations: Path, world: s
         operator: Name of the operator.
         calibrations: Folder of the calibrations.
         world: `sim`: mock benches simulate the contact.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
     from rig.cli import collect, force_depth
 
@@ -77,11 +74,7 @@ def record_entry(progress: Progress, operator: str, calibrations: Path, world: s
 
 
 def run(options: argparse.Namespace) -> int:
-    """List or record; return the exit code.
-
-    Raises:
-        ConfigError: The campaign cannot be run.
-    """
+    """List or record; return the exit code."""
     import dataclasses
 
     from rig.acquire.campaign import load_campaign, progress_of, run_campaign, table

@@ -60,11 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def target_numbers(text: str) -> tuple[int, ...]:
-    """Read numbers of targets from 1, as `3,7`, and return their indices from 0.
-
-    Raises:
-        argparse.ArgumentTypeError: The text is no such list.
-    """
+    """Read numbers of targets from 1, as `3,7`, and return their indices from 0."""
     try:
         numbers = [int(word) for word in text.split(",")]
     except ValueError:
@@ -75,11 +71,7 @@ def target_numbers(text: str) -> tuple[int, ...]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Collect; return the exit code.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
-    """
+    """Collect; return the exit code."""
     if options.resume and (options.out or options.targets or options.indenter):
         raise ConfigError(
             "--resume: neither --out, --targets nor --indenter go with it: the session has them"
@@ -122,9 +114,6 @@ def collect(
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
         page: Opens the monitoring page.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
     """
     bench, sources = recording.bench, sources or Sources()
     session = resumed or recording.session(bench.indenter)

@@ -57,12 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print a line for each part, and its cures; return the exit code.
-
-    Raises:
-        ConfigError: See `chosen_bench`; or --fix without root, or without a terminal.
-        Interrupted: --fix was not confirmed.
-    """
+    """Print a line for each part, and its cures; return the exit code."""
     file = chosen_bench(options)
     bench = file.bench
     if options.fix:
@@ -102,12 +97,7 @@ def show(found: Finding) -> None:
 
 
 def fix(bench: Bench, user: str, etc: Path) -> int:
-    """Write the files of `missing_rights` after asking; return the exit code.
-
-    Raises:
-        ConfigError: They cannot be written by this user.
-        Interrupted: It was not confirmed.
-    """
+    """Write the files of `missing_rights` after asking; return the exit code."""
     files = missing_rights(bench, user, etc)
     if not files:
         print(f"doctor: {user} has these rights already")

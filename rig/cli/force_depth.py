@@ -18,20 +18,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press, print and draw; return the exit code.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
-    """
+    """Press, print and draw; return the exit code."""
     return press(recording_of(options))
 
 
 def press(recording: Recording) -> int:
-    """Press along the bench's `force_depth`, print and draw the curve; return the exit code.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Before anything was recorded.
-    """
+    """Press along the bench's `force_depth`, print and draw the curve; return the exit code."""
     bench = recording.bench
     if bench.force_depth is None:
         raise ConfigError(

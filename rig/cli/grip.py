@@ -22,13 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Activate the gripper, open or close it; return the exit code.
-
-    Raises:
-        ConfigError: The bench has no gripper, is a mock bench, or there is no terminal to ask on.
-        Interrupted: The answer to the question was not the word.
-        DeviceLost: The gripper does not answer, or closed on nothing.
-    """
+    """Activate the gripper, open or close it; return the exit code."""
     from rig.devices.gripper.robotiq import RobotiqDriver
 
     path = bench_path(options)

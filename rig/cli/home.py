@@ -36,11 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Touch, fit and store the result; return the exit code.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
-    """
+    """Touch, fit and store the result; return the exit code."""
     recording = recording_of(options)
     if recording.bench.no_gauge:
         return find_by_signal(recording)
@@ -70,9 +66,6 @@ def find_by_force(
         force: Force that ends an approach [N].
         travel: Distance to go below the assumed surface [m]; None: 1 mm, or the bench's limit.
         corners: Also touch four corners, for the tilt.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError: Nothing was stored.
     """
     bench, content = recording.bench, recording.file.content
     require_gauge(bench, "home")
@@ -104,9 +97,6 @@ def find_by_signal(recording: Recording) -> int:
     """Find and store the surface without a gauge; return the exit code.
 
     `out` is then the folder of the stages' sessions.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Nothing was stored.
     """
     from rig.acquire import no_gauge
     from rig.cli import without_gauge

@@ -31,21 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Follow the SpaceMouse until its first button sets the origin; return the exit code.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, Interrupted: See `follow`.
-    """
+    """Follow the SpaceMouse until its first button sets the origin; return the exit code."""
     return follow(chosen_bench(options))
 
 
 def follow(file: BenchFile) -> int:
-    """Move a bench's arm as its SpaceMouse directs, print the origin; return the exit code.
-
-    Raises:
-        ConfigError: The bench has no `jog`.
-        DeviceLost, SafetyStop, Interrupted: Jogging was ended; the arm has stopped.
-    """
+    """Move a bench's arm as its SpaceMouse directs, print the origin; return the exit code."""
     bench = file.bench
     if bench.no_gauge:
         raise ConfigError(

@@ -78,11 +78,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Predict, print and summarise; return the exit code.
-
-    Raises:
-        ConfigError, DeviceLost, SessionError: Before the first force.
-    """
+    """Predict, print and summarise; return the exit code."""
     from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
     from rig.monitor.predictor import open_predictor
 
@@ -167,12 +163,7 @@ class _Source(NamedTuple):
 
 
 def _source(options: argparse.Namespace) -> _Source:
-    """Return the chosen sensor.
-
-    Raises:
-        ConfigError: An option of a mock bench goes with something else.
-        SessionError: The session cannot be read.
-    """
+    """Return the chosen sensor."""
     from rig.monitor import watched
 
     session = options.session

@@ -17,11 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve until Ctrl-C.
-
-    Raises:
-        ConfigError: The bench is no mock bench.
-    """
+    """Serve until Ctrl-C."""
     from rig.mock.bench import MockBench
 
     file = chosen_bench(options)

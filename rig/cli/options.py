@@ -139,12 +139,7 @@ def recording_options(
 
 
 def bench_path(options: argparse.Namespace) -> Path:
-    """Return the bench file of --bench or --sensor, or that of the session to resume.
-
-    Raises:
-        ConfigError: Neither option is given, or the file does not exist.
-        SessionError: The session to resume cannot be read.
-    """
+    """Return the bench file of --bench or --sensor, or that of the session to resume."""
     if options.bench is not None:
         path: Path = options.bench
         return path
@@ -157,11 +152,7 @@ def bench_path(options: argparse.Namespace) -> Path:
 
 
 def chosen_bench(options: argparse.Namespace) -> BenchFile:
-    """Return the selected bench file, with --world and --force applied.
-
-    Raises:
-        ConfigError, SessionError: See `bench_path` and `bench_file`.
-    """
+    """Return the selected bench file, with --world and --force applied."""
     chosen = {name: getattr(options, name, None) for name in ("world", "force", "resume")}
     return bench_file(bench_path(options), **chosen)
 
@@ -178,10 +169,6 @@ def bench_file(
         world: `sim`: the contact of a mock bench is simulated.
         force: `none`: a mock bench is used without its gauge.
         resume: The session to resume.
-
-    Raises:
-        ConfigError: See `rig.core.config`; or the bench has no simulated world.
-        SessionError: The session to resume cannot be read.
     """
     content = read_content(path)
     began = {} if resume is None else Session(resume).attrs["bench"]
@@ -193,11 +180,7 @@ def bench_file(
 
 
 def sources_of(options: argparse.Namespace, file: BenchFile) -> Sources:
-    """Return the recordings of --camera, --still and --taxels.
-
-    Raises:
-        ConfigError: A path does not exist, or the bench has no device that could play it.
-    """
+    """Return the recordings of --camera, --still and --taxels."""
     path, bench = file.path, file.bench
     for option, given, device in (
         ("--camera", options.camera, bench.of_kind("camera")),
@@ -317,11 +300,7 @@ def page_access(text: str) -> AccessPolicy:
 
 
 def check_page(option: str, access: AccessPolicy | None) -> None:
-    """Check the address of a page before anything is started.
-
-    Raises:
-        ConfigError: It is not this machine's, or its port is in use.
-    """
+    """Check the address of a page before anything is started."""
     if access is None:
         return
     try:
@@ -355,11 +334,7 @@ def opened_page(
     plan: Plan,
     total: int,
 ) -> Iterator[CollectionPage | None]:
-    """Run the monitoring page during the context; yield None without --watch.
-
-    Raises:
-        ConfigError: The port or the address cannot be used.
-    """
+    """Run the monitoring page during the context; yield None without --watch."""
     access: AccessPolicy | None = options.watch
     if access is None:
         yield None

@@ -34,12 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Serve; return the exit code.
-
-    Raises:
-        ConfigError: The port or the address cannot be used.
-        SessionError: No such folder.
-    """
+    """Serve; return the exit code."""
     import asyncio
 
     from rig.core.clock import SystemClock

@@ -62,9 +62,6 @@ def started_bench(
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
         folder: Folder for the files of a mock bench; by default a temporary one.
-
-    Raises:
-        ConfigError, DeviceLost: An emulator did not start.
     """
     if not file.bench.mock:
         yield StartedBench(file, None)
@@ -109,12 +106,7 @@ class Recording:
         return self.out or free_path(Path("sessions") / f"{name}.zarr")
 
     def calibration(self, resumed: Path | None = None) -> Calibration:
-        """Load and print the calibration: from the store, or that of the session to resume.
-
-        Raises:
-            ConfigError: The calibration is invalid; see `rig.acquire.calibration.store.load`.
-            SessionError: The session to resume cannot be read.
-        """
+        """Load and print the calibration: from the store, or that of the session to resume."""
         warnings: list[str] = []
         if resumed is not None:
             calibration = Calibration.from_attrs(Session(resumed).attrs.get("calibration") or {})
@@ -125,11 +117,7 @@ class Recording:
         return calibration
 
     def uncalibrated(self) -> Calibration:
-        """Return the calibration of a session that measures one: only the bench's acceptance.
-
-        Raises:
-            ConfigError: The file of the acceptance cannot be read.
-        """
+        """Return the calibration of a session that measures one: only the bench's acceptance."""
         return Calibration(acceptance=store.acceptance_of(self.calibrations, self.bench))
 
     def next(self, name: str, **others: object) -> str:
@@ -142,11 +130,7 @@ class Recording:
 
 
 def recording_of(options: argparse.Namespace) -> Recording:
-    """Return what the options of a command that records say, and print which bench it is.
-
-    Raises:
-        ConfigError, SessionError: See `chosen_bench`; or no indenter has that name.
-    """
+    """Return what the options of a command that records say, and print which bench it is."""
     file = chosen_bench(options)
     print(banner(file), flush=True)
     resumed = getattr(options, "resume", None)
@@ -183,10 +167,6 @@ def record(
         sources: Real recordings for a mock bench to play.
         truth: File for a mock bench to log the World's truth to.
         page: Opens the monitoring page.
-
-    Raises:
-        ConfigError, DeviceLost, SafetyStop, SessionError, Interrupted: Before anything was
-            recorded.
     """
     placed = request.calibration.applied
     prepare = prepare or placed

@@ -32,12 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay; return the exit code.
-
-    Raises:
-        SessionError: The source cannot be replayed.
-        ConfigError, DeviceLost: Before anything was recorded.
-    """
+    """Replay; return the exit code."""
     from rig.cli.options import log_to
     from rig.replay.replay import Replay, ReplayRequest
 

@@ -100,11 +100,7 @@ class AtBench:
         self._stack.close()
 
     def ask(self, name: str, text: str, default: float | str) -> float | str:
-        """Return an answer: of `--answer`, of the person, or with `--yes` the default.
-
-        Raises:
-            ConfigError: There is no terminal, or the answer of `--answer` is no number.
-        """
+        """Return an answer: of `--answer`, of the person, or with `--yes` the default."""
         if name in self.given:
             return _as(type(default), self.given[name], f"--answer {name}")
         while not self.options.yes:
@@ -147,11 +143,7 @@ class AtBench:
         self.do("take everything off the sensor", (0.0, 0.0, _CLEAR))
 
     def read(self, row: BenchStream, seconds: float = _WINDOW) -> list[Any]:
-        """Return the values of a stream for a time [s], or longer if its readings must settle.
-
-        Raises:
-            ConfigError, DeviceLost: The device, or an emulator of a mock bench, is gone.
-        """
+        """Return the values of a stream for a time [s], or longer if its readings must settle."""
         if self.watch is not None:
             self.watch()
         return checks.read_for(self.ready, row.name, self.clock, max(seconds, 2 * settling(row)))
@@ -452,11 +444,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Go through the steps; return the exit code.
-
-    Raises:
-        ConfigError: See `chosen_bench`; or no terminal to ask on.
-    """
+    """Go through the steps; return the exit code."""
     given: Answers = {}
     for stated in options.answer:
         name, equals, value = stated.partition("=")

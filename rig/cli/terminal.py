@@ -11,11 +11,7 @@ from rig.core.errors import ConfigError
 
 
 def require_terminal() -> None:
-    """Reject a bench that will ask before it moves, if there is no terminal to ask on.
-
-    Raises:
-        ConfigError: There is none.
-    """
+    """Reject a bench that will ask before it moves, if there is no terminal to ask on."""
     if not sys.stdin.isatty():
         raise ConfigError("lab bench: no terminal to ask on; allowed: a terminal at the bench")
 
@@ -39,12 +35,7 @@ def answer(question: str) -> str | None:
 
 
 def confirm(lines: list[str], word: str = "move") -> None:
-    """Print what will happen, and wait until `word` is typed on this terminal.
-
-    Raises:
-        ConfigError: There is no terminal to ask on.
-        Interrupted: Something else was typed.
-    """
+    """Print what will happen, and wait until `word` is typed on this terminal."""
     print("\n".join(lines), flush=True)
     require_terminal()
     try:

@@ -66,11 +66,7 @@ class StageRecorder:
 
 
 def check_before(recording: Recording, calibration: Calibration, depth: float) -> None:
-    """Reject a collection without a gauge before anything is started, and print what stands in.
-
-    Raises:
-        ConfigError: The plan could overload the sensor, or the surface of a lab bench is unknown.
-    """
+    """Reject a collection without a gauge before anything is started, and print what stands in."""
     bench = recording.bench
     check_plan(bench, depth)
     print("\n".join(lines(bench, depth)), flush=True)
@@ -93,10 +89,6 @@ def prepare(
         folder: Folder for the sessions of the stages.
         calibration: Earlier calibration of the sensor.
         depth: Deepest indentation of the plan [m].
-
-    Raises:
-        StageStopped: A stage was stopped.
-        SafetyStop, ConfigError, DeviceLost, SessionError, Interrupted: Nothing may be pressed.
     """
     bench, content = recording.bench, recording.file.content
     stages = StageRecorder(recording, folder)

@@ -101,11 +101,7 @@ class Inbox:
             self._changed.notify()
 
     def take(self, timeout: float) -> list[dict[str, Any]]:
-        """Return all queued samples, waiting up to `timeout` [s] for the first.
-
-        Raises:
-            DeviceLost: The stream has ended and all samples were taken.
-        """
+        """Return all queued samples, waiting up to `timeout` [s] for the first."""
         with self._changed:
             if not self._samples and self._failure is None:
                 self._changed.wait(timeout)
@@ -172,11 +168,7 @@ class ReceivingDriver:
         return self._gaps + self._inbox.overflowed
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return the samples since the last call; see `Driver.read`.
-
-        Raises:
-            DeviceLost: The device is gone, or has been silent for the `silence` of its settings.
-        """
+        """Return the samples since the last call; see `Driver.read`."""
         if self._receiver is None:
             raise self._not_open()
         return self._inbox.take(timeout)

@@ -66,12 +66,7 @@ def answer(apply: Apply, line: str) -> str:
 
 
 def inject(host: str, port: int, fault: str, **values: Any) -> dict[str, Any]:
-    """Inject a fault through an emulator's fault port and return its device's state.
-
-    Raises:
-        OSError: No emulator listens there.
-        ValueError: The emulator does not know the fault, or a value is missing.
-    """
+    """Inject a fault through an emulator's fault port and return its device's state."""
     with (
         socket.create_connection((host, port), 5.0) as connection,
         connection.makefile("rw", encoding="utf-8", newline="\n") as lines,
@@ -103,11 +98,7 @@ class FaultPort:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Listen and serve.
-
-        Raises:
-            OSError: The address cannot be bound.
-        """
+        """Listen and serve."""
         self._server = _Server(self._address, self._apply)
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="fault-port"
@@ -343,9 +334,6 @@ class Pty:
 
     Args:
         link: Path of the link.
-
-    Raises:
-        OSError: No pty is available, or the link cannot be created.
     """
 
     def __init__(self, link: Path) -> None:
@@ -392,11 +380,7 @@ class PtyEmulator(ThreadedEmulator):
         return str(self._link)
 
     def start(self) -> None:
-        """Create the pty and the link to it, and serve.
-
-        Raises:
-            OSError: No pty is available, or the link cannot be created.
-        """
+        """Create the pty and the link to it, and serve."""
         self._pty = Pty(self._link)
         self._fd = self._pty.fd
         os.set_blocking(self._fd, False)
@@ -419,11 +403,7 @@ class PtyEmulator(ThreadedEmulator):
 
 
 def check_loopback(host: str) -> None:
-    """Reject every other address, so that no emulator can be mistaken for a lab's device.
-
-    Raises:
-        ValueError: `host` is not a loopback address, or a name.
-    """
+    """Reject every other address, so that no emulator can be mistaken for a lab's device."""
     try:
         if ipaddress.ip_address(host).is_loopback:
             return

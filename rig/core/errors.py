@@ -37,9 +37,6 @@ def raise_all(failures: Sequence[Exception]) -> None:
 
     Args:
         failures: Errors of devices, or errors that this function raised for several of them.
-
-    Raises:
-        Exception: There is at least one failure.
     """
     each = [one for failure in failures for one in getattr(failure, "failures", (failure,))]
     if len(each) == 1:

@@ -84,11 +84,7 @@ def origin_ns(session: Session, names: Sequence[str], run: int) -> int | None:
 def load_recorded_stream(
     session: Session, names: Sequence[str], name: str, run: int
 ) -> RecordedStream:
-    """Return the rows of stream `name` in a run, timed from the first sample of any of `names`.
-
-    Raises:
-        SessionError: Unknown stream, or a damaged one.
-    """
+    """Return the rows of stream `name` in a run, timed from the first sample of any of `names`."""
     stream = session.streams[name]
     rows = session.rows_of_run(name, run)
     start = origin_ns(session, names, run) or 0

@@ -69,11 +69,7 @@ PRESS_STATE = np.dtype(
 
 
 def latest_dtype(kind: str, shape: tuple[int, ...]) -> np.dtype[np.void]:
-    """Return the dtype of the newest sample of a stream of a kind, whose values have a shape.
-
-    Raises:
-        KeyError: No device sends streams of this kind.
-    """
+    """Return the dtype of the newest sample of a stream of a kind, whose values have a shape."""
     if kind == "taxels":
         # Raw counts by taxel and axis.
         return np.dtype([("t_ns", "<i8"), ("value", "<i4", shape)])

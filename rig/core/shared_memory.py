@@ -77,10 +77,6 @@ class SharedLatest:
             path: The file.
             dtype: Structured dtype of one record.
             slots: Records that it holds; `since` can return all of them but the oldest.
-
-        Raises:
-            FileExistsError: The file exists. Truncating it would kill readers that have it mapped
-                (SIGBUS).
         """
         size = _HEADER + slots * _slot(dtype).itemsize
         unfinished = path.with_name(f"{path.name}.{os.getpid()}-unfinished")

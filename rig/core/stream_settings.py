@@ -22,8 +22,4 @@ class StreamSettings:
     limits (F/T sensors only)."""
 
     def check_mock(self) -> None:
-        """Reject settings that no emulator can have, on a mock bench.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject settings that no emulator can have, on a mock bench."""

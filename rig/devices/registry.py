@@ -58,11 +58,7 @@ class Device:
         return getattr(self.settings, "STREAM", None)
 
     def make_driver(self, config: Any, clock: Clock) -> Driver:
-        """Return the driver of a device with these settings; its library is imported only here.
-
-        Raises:
-            ImportError: The library is not installed.
-        """
+        """Return the driver of a device with these settings; its library is imported only here."""
         module, _, name = self.driver.partition(":")
         driver: Driver = getattr(import_module(module), name)(config, clock)
         return driver
@@ -144,11 +140,7 @@ DEVICES = {
 
 
 def device(kind: str) -> Device:
-    """Return the device of a kind.
-
-    Raises:
-        ConfigError: No device has this kind, or that of another package cannot be used.
-    """
+    """Return the device of a kind."""
     if kind in DEVICES:
         return DEVICES[kind]
     if kind in _entry_points():
@@ -158,11 +150,7 @@ def device(kind: str) -> Device:
 
 
 def contract_devices() -> list[Device]:
-    """Return the devices that the contract suite tests, those of installed packages included.
-
-    Raises:
-        ConfigError: A device of another package cannot be used.
-    """
+    """Return the devices that the contract suite tests, those of installed packages included."""
     foreign = [_loaded(kind) for kind in _entry_points()]
     return [each for each in (*DEVICES.values(), *foreign) if each.example]
 
@@ -173,9 +161,6 @@ def settings_of(stream: str | None, kind: Any) -> dict[str, type[Any]]:
     Args:
         stream: Kind of the stream; None: any but the arm's own.
         kind: Kind that the bench file names: other packages are looked at if none of ours has it.
-
-    Raises:
-        ConfigError: The device of another package that has this kind cannot be used.
     """
     devices = list(DEVICES.values())
     if isinstance(kind, str) and kind not in DEVICES:
@@ -202,11 +187,7 @@ def _entry_points() -> dict[str, EntryPoint]:
 
 @functools.cache
 def _loaded(kind: str) -> Device:
-    """Return the device of an entry point.
-
-    Raises:
-        ConfigError: It cannot be imported, or is no device of this kind.
-    """
+    """Return the device of an entry point."""
     point = _entry_points()[kind]
     try:
         found = point.load()

@@ -101,11 +101,7 @@ class MockBench(StartedOrClosed):
         return self.file.bench
 
     def documents(self) -> dict[str, tuple[str, dict[str, Any]]]:
-        """Return the emulator and the settings of each process, by the name of the process.
-
-        Raises:
-            ConfigError: A device has an address that its emulator cannot have.
-        """
+        """Return the emulator and the settings of each process, by the name of the process."""
         bench, content, folder = self.bench, self.file.content, self._folder
         world = {
             "world": content["world"],
@@ -205,11 +201,7 @@ class MockBench(StartedOrClosed):
         return self._launched.processes
 
     def check(self) -> None:
-        """Raise if an emulator or the World has ended by itself.
-
-        Raises:
-            DeviceLost: Names it, with its last line of output.
-        """
+        """Raise if an emulator or the World has ended by itself."""
         self._launched.check()
 
     def close(self) -> None:
@@ -228,9 +220,6 @@ def free_loopback(taken: Collection[str] = ()) -> str:
 
     Args:
         taken: Addresses that are about to be used.
-
-    Raises:
-        DeviceLost: Every address tried is in use.
     """
     rng = np.random.default_rng(os.getpid())
     for _ in range(50):

@@ -91,11 +91,7 @@ class Players(StartedOrClosed):
         return {name: record.read() for name, record in self._positions.items()}
 
     def check(self) -> None:
-        """Raise if an emulator ended or failed.
-
-        Raises:
-            DeviceLost: Names it, with its last line of output.
-        """
+        """Raise if an emulator ended or failed."""
         self._launched.check()
         for name, record in self._positions.items():
             position = record.read()

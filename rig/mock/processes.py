@@ -44,10 +44,6 @@ class ProcessGroup:
 
         Args:
             documents: Emulator in `rig.mock.emulate` and its settings, by the name of the process.
-
-        Raises:
-            ConfigError: A library is missing, from an extra that is not installed.
-            DeviceLost: A process did not become ready; names it, with its last line of output.
         """
         for name, (_, settings) in documents.items():
             (self._folder / f"{name}.json").write_text(json.dumps(settings))
@@ -85,11 +81,7 @@ class ProcessGroup:
                 raise DeviceLost(f"{name} emulator did not start: {word}")
 
     def check(self) -> None:
-        """Raise if a process has ended by itself.
-
-        Raises:
-            DeviceLost: Names it, with its last line of output.
-        """
+        """Raise if a process has ended by itself."""
         for name, process in self.processes.items():
             if process.poll() is not None:
                 word = self.last_word(name)

@@ -44,9 +44,6 @@ class Finished:
     Args:
         folder: The folder.
         clock: Clock.
-
-    Raises:
-        SessionError: No such folder.
     """
 
     def __init__(self, folder: Path, clock: Clock) -> None:
@@ -71,9 +68,6 @@ class Finished:
 
         Args:
             conditions: Fields of `Query` as text; an empty one is no condition.
-
-        Raises:
-            ValueError: A day or `faults` that is neither.
         """
         since = date.fromisoformat(conditions["since"]) if conditions.get("since") else None
         faults = {"": None, "yes": True, "no": False}
@@ -100,23 +94,14 @@ class Finished:
         }
 
     def row(self, path: str) -> Row:
-        """Return the row of a session.
-
-        Raises:
-            KeyError: No session of the catalogue has that path.
-        """
+        """Return the row of a session."""
         for row in self.rows():
             if row.path == path:
                 return row
         raise KeyError(f"no session {path[:200]!r}")
 
     def session(self, path: str) -> Session:
-        """Return a session that is not being recorded.
-
-        Raises:
-            KeyError: No session of the catalogue has that path.
-            SessionError: It cannot be read, is being recorded or has too many frames.
-        """
+        """Return a session that is not being recorded."""
         row = self.row(path)
         if row.status == "recording":
             raise SessionError(f"{path}: is being recorded, or was killed while it was")
@@ -129,11 +114,7 @@ class Finished:
         return session
 
     def about(self, path: str) -> dict[str, Any]:
-        """Return what is constant about a session, its targets and its curves.
-
-        Raises:
-            KeyError, SessionError: See `session`.
-        """
+        """Return what is constant about a session, its targets and its curves."""
         session, row = self.session(path), self.row(path)
         frames, targets = session.frames, session.targets
         count, summary = len(frames["t_ns"]), session.attrs.get("summary") or {}
@@ -170,12 +151,7 @@ class Finished:
         }
 
     def frame(self, path: str, k: int) -> dict[str, Any]:
-        """Return the values of a frame.
-
-        Raises:
-            KeyError, SessionError: See `session`.
-            IndexError: No such frame.
-        """
+        """Return the values of a frame."""
         session = self.session(path)
         frames = session.frames
         if not 0 <= k < len(frames["t_ns"]):
@@ -212,11 +188,6 @@ class Finished:
             path: The session.
             k: Frame.
             camera: Name of the camera.
-
-        Raises:
-            KeyError: No such session, or it has no such camera.
-            IndexError: No such frame, or it has no image.
-            SessionError: See `session`; or the image is corrupt.
         """
         session = self.session(path)
         if camera not in session.of_kind("camera"):
@@ -231,12 +202,7 @@ class Finished:
         return _jpeg(Image.fromarray(pixels[..., 0] if pixels.shape[-1] == 1 else pixels))
 
     def thumbnail(self, path: str) -> bytes:
-        """Return a small picture of the frame with the largest force as JPEG.
-
-        Raises:
-            KeyError, SessionError: See `session`; or the image is corrupt.
-            IndexError: It has no frames.
-        """
+        """Return a small picture of the frame with the largest force as JPEG."""
         row = self.row(path)
         return self._thumbnails(row.path, row.stamp)
 

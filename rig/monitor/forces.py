@@ -122,11 +122,6 @@ def watch(
         is_over: Returns True if a stop was requested.
         seconds: Duration from the first force on [s]; None: until the frames end.
         out: CSV file to write; must not exist.
-
-    Raises:
-        ConfigError: The file exists.
-        DeviceLost: The sensor fell silent.
-        LearningError: The predictor cannot use the frames.
     """
     with _recording(out, predictor) as record:
         if watched.no_contact is not None:
@@ -158,11 +153,7 @@ def watch(
 
 
 def _frame(sample: dict[str, Any]) -> Any:
-    """Return the input of the predictor: pixels (480, 640, 3) or counts (16, 3).
-
-    Raises:
-        SessionError: The JPEG is corrupt.
-    """
+    """Return the input of the predictor: pixels (480, 640, 3) or counts (16, 3)."""
     value = sample["value"]
     return decode_jpeg(value, _SHAPE) if isinstance(value, bytes) else value
 

@@ -68,11 +68,7 @@ class Query(dict[str, str]):
         raise Refused(f"{key}: missing")
 
     def whole(self, key: str) -> int:
-        """Return a whole number.
-
-        Raises:
-            Refused: It is missing, or anything else.
-        """
+        """Return a whole number."""
         text = self[key]
         if not (text.isascii() and text.isdigit() and len(text) < 10):
             raise Refused(f"{key}: found {text!r}; allowed: a whole number")
@@ -85,9 +81,6 @@ class Lab:
     Args:
         folders: Its folders.
         clock: Clock.
-
-    Raises:
-        SessionError: No folder of sessions.
     """
 
     def __init__(self, folders: Folders, clock: Clock) -> None:
@@ -116,10 +109,6 @@ class Lab:
         Args:
             route: Name of the content.
             query: Values of the request.
-
-        Raises:
-            Refused, ValueError: A value is missing or wrong.
-            KeyError, IndexError, SessionError, ConfigError, OSError: There is no such content.
         """
         content = self._routes[route](Query(query))
         if not isinstance(content, bytes):
@@ -138,22 +127,13 @@ class Lab:
         }
 
     def session(self, path: str) -> dict[str, Any]:
-        """Return what is constant about a session, with the targets marked in it.
-
-        Raises:
-            KeyError, SessionError: See `Finished.session`.
-        """
+        """Return what is constant about a session, with the targets marked in it."""
         about = self.finished.about(path)
         marks = marked(self._folders.again, self._folders.sessions / path)
         return {**about, "again": list(marks), "queue": self._command(self._folders.again)}
 
     def mark(self, path: str, targets: tuple[int, ...]) -> dict[str, Any]:
-        """Mark targets of a session, numbered from 1, for recording again; none removes the marks.
-
-        Raises:
-            KeyError, SessionError: See `Finished.session`.
-            ConfigError: No such target; or the file of marks cannot be read or written.
-        """
+        """Mark targets of a session, from 1 on, for recording again; none removes the marks."""
         session, row = self.finished.session(path), self.finished.row(path)
         if row.plan not in ("press_shear", "force_depth"):
             raise ConfigError(f"{path}: found plan {row.plan!r}; allowed: press_shear, force_depth")
@@ -164,33 +144,20 @@ class Lab:
         return {"again": list(targets), "queue": self._command(self._folders.again)}
 
     def plan_picture(self, sensor: str) -> bytes:
-        """Return the drawing of a bench's plan as PNG.
-
-        Raises:
-            KeyError: No bench of `state` has that name.
-            ConfigError: The bench file is wrong.
-        """
+        """Return the drawing of a bench's plan as PNG."""
         bench, png = self._named(sensor), io.BytesIO()
         draw(bench, bench.dry_run(bench.trajectory)).save(png, "PNG")
         return png.getvalue()
 
     def indenter_picture(self, name: str) -> bytes:
-        """Return the drawing of an indenter as PNG.
-
-        Raises:
-            KeyError: No indenter has that name, or it has no drawing.
-        """
+        """Return the drawing of an indenter as PNG."""
         drawing = find_indenter(name).drawing if name in indenter_names() else None
         if drawing is None:
             raise KeyError(f"no drawing of {name!r}")
         return drawing.read_bytes()
 
     def report(self, sensor: str) -> bytes:
-        """Return the acceptance report of a bench as HTML.
-
-        Raises:
-            KeyError: No set-up of that sensor, or without a report.
-        """
+        """Return the acceptance report of a bench as HTML."""
         if sensor not in [setup["sensor"] for setup in self._setups()]:
             raise KeyError(f"no report of {sensor!r}")
         return self._report(sensor).read_bytes()

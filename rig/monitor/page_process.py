@@ -83,11 +83,7 @@ class PageProcess:
         return urls_of(self._settings.access, self.port)
 
     def start(self) -> None:
-        """Start the process, and wait until it serves the page.
-
-        Raises:
-            ConfigError: The port or the address cannot be used.
-        """
+        """Start the process, and wait until it serves the page."""
         self._process.start()
         self._far_end.close()
         answer: Any

@@ -17,9 +17,6 @@ def force_model(name: str) -> str:
 
     Args:
         name: A folder, the web address of one, `demo`, or such a name.
-
-    Raises:
-        ConfigError: There is no such model.
     """
     from learning.errors import LearningError
     from learning.force.folder import model_name
@@ -41,10 +38,6 @@ def open_predictor(
         runtime: auto, onnx, openvino, openvino-bf16 or torch.
         sensor: Name of the sensor, which selects the marker detection preset.
         preset: Name or file of a preset to use instead.
-
-    Raises:
-        ConfigError: The extra `learning` is not installed.
-        LearningError: Model or preset do not exist.
     """
     try:
         from learning.force.live import open_live
@@ -57,12 +50,7 @@ def open_predictor(
 
 
 def open_segmenter(sensor: str) -> Segmenter:
-    """Open the marker detection of a sensor, with the preset of its name.
-
-    Raises:
-        ConfigError: It has no preset, or one without markers.
-        LearningError: The preset is wrong.
-    """
+    """Open the marker detection of a sensor, with the preset of its name."""
     from learning.markers import CameraPreset, Segmenter, preset, preset_of_sensor
 
     name = preset_of_sensor(sensor)

@@ -109,9 +109,6 @@ class PageServer:
 
         Args:
             ready: Called with the port.
-
-        Raises:
-            ConfigError: The port or the address cannot be used.
         """
         access = self._access
         try:

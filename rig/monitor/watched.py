@@ -119,9 +119,6 @@ def lab_bench(
         clock: Clock.
         say: Called with a line about the gauge, which is opened too if there is one; None: it is
             not opened.
-
-    Raises:
-        ConfigError, DeviceLost: The sensor rejects its settings or does not answer.
     """
     if bench.signal is None:
         raise ConfigError(f"{bench.sensor}: no camera and no taxels to watch")
@@ -160,11 +157,7 @@ def _gauge(
 def mock_bench(
     file: BenchFile, folder: Path, clock: Clock, *, rate_hz: float | None
 ) -> Iterator[Watched]:
-    """Open the emulated sensor of a mock bench; a finger presses it once `begin` is called.
-
-    Raises:
-        ConfigError, DeviceLost: This is no mock bench, or an emulator does not start.
-    """
+    """Open the emulated sensor of a mock bench; a finger presses it once `begin` is called."""
     with (
         TouchedMock(file, folder, rate_hz=rate_hz) as mock,
         lab_bench(mock.bench, clock) as opened,
@@ -186,9 +179,6 @@ class RecordedSignal:
     Args:
         path: The session.
         clock: Clock.
-
-    Raises:
-        SessionError: It has no signal of a camera or of taxels.
     """
 
     dropped = 0
@@ -243,11 +233,7 @@ class RecordedSignal:
         return self._stream.jpeg(row) or self._stream.images([row])[0]
 
     def no_contact(self) -> np.ndarray | None:
-        """Return images (n, h, w, 3) or counts (n, 16, 3) up to the first reference, None without.
-
-        Raises:
-            SessionError: The images are corrupt.
-        """
+        """Return images (n, h, w, 3) or counts (n, 16, 3) up to the first reference, or None."""
         reference, stream = self._session.reference, self._stream
         of_run = np.flatnonzero(reference["run"] == _RUN)
         if not of_run.size:
@@ -276,11 +262,7 @@ class RecordedSignal:
 
 @contextlib.contextmanager
 def replayed(path: Path, clock: Clock) -> Iterator[Watched]:
-    """Open the sensor of a recorded session, played at the recorded times.
-
-    Raises:
-        SessionError: The session cannot be played.
-    """
+    """Open the sensor of a recorded session, played at the recorded times."""
     signal = RecordedSignal(path, clock)
     no_contact, over, wrench = signal.no_contact(), signal.over, signal.wrench
     yield Watched(signal.sensor, signal.name, signal, no_contact, over=over, wrench=wrench)

@@ -75,11 +75,7 @@ class Replay:
         self._start_ns: dict[int, int] = {}
 
     def run(self) -> int:
-        """Replay and return the exit code; recorded data is closed and readable however it ends.
-
-        Raises:
-            SessionError, DeviceLost, Interrupted: Before anything was recorded.
-        """
+        """Replay and return the exit code; recorded data is closed and readable however it ends."""
         request, source = self._request, self._source
         if request.out.exists():
             raise SessionError(f"{request.out}: exists already; choose another name")

@@ -26,11 +26,7 @@ _UINT16 = 1 << 16
 
 
 def check_force(stream: Stream, rows: slice) -> None:
-    """Reject force rows that no Net F/T box could send again.
-
-    Raises:
-        SessionError: Names the row.
-    """
+    """Reject force rows that no Net F/T box could send again."""
     force_counts(stream.array("value")[rows], force_bias(stream), force_page(stream), stream.name)
     status, seq = stream.array("status")[rows], stream.array("seq")[rows]
     no_status: npt.NDArray[np.bool_] = (status < 0) | (status >= _UINT32)
@@ -44,11 +40,7 @@ def check_force(stream: Stream, rows: slice) -> None:
 
 
 def check_pose(stream: Stream, rows: slice) -> None:
-    """Reject poses, or wrenches of an arm, that no controller could send again.
-
-    Raises:
-        SessionError: Names the row.
-    """
+    """Reject poses, or wrenches of an arm, that no controller could send again."""
     device_t, period = stream.array("device_t")[rows], 1.0 / stated_rate(stream)
     _refuse(stream.name, rows, ~np.isfinite(device_t), "device_t is not a time")
     late = np.concatenate([[True], np.rint(np.diff(device_t) / period) >= 1])
@@ -56,11 +48,7 @@ def check_pose(stream: Stream, rows: slice) -> None:
 
 
 def check_taxels(stream: Stream, rows: slice) -> None:
-    """Reject taxels that no uSkin server could send again.
-
-    Raises:
-        SessionError: Names the row.
-    """
+    """Reject taxels that no uSkin server could send again."""
     value = stream.array("value")[rows]
     if value.shape[1:] not in ((16, 3), (24, 3)):
         raise SessionError(
@@ -80,9 +68,6 @@ def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) 
         stream: A camera stream.
         rows: Rows to check; all are read.
         progress: Called with the number of images checked and their total.
-
-    Raises:
-        SessionError: Names the row, or reports that the images are stored as pixels.
     """
     for row in range(*rows.indices(len(stream))):
         jpeg = stream.jpeg(row)
@@ -114,9 +99,6 @@ def replayable(
         session: The source.
         without: Streams to leave out.
         progress: Called with the number of images checked and their total.
-
-    Raises:
-        SessionError: Still recording, nothing to replay, or a row cannot be sent again.
     """
     if session.warning is not None:
         raise SessionError(session.warning)

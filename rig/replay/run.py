@@ -55,10 +55,6 @@ class EndOfTape:
             now_ns: Current time [ns].
             taken: Rows taken by each stream's process.
             positions: POSITION of each emulator.
-
-        Raises:
-            DeviceLost: A stream has more rows than were recorded, or will never have all. The
-                message names the stream and the number of missing rows.
         """
         for name, total in self._totals.items():
             if taken[name] > total:
@@ -181,9 +177,6 @@ class ReplayedRun:
 
         Those of cameras are opened last: such a driver waits for the next frame with a timeout
         that also delays closing, so that timeout is short.
-
-        Raises:
-            ConfigError, DeviceLost, Interrupted: A driver failed; the first failure is raised.
         """
         description = {}
         cameras = [name for name in self._names if self._kinds[name] == "camera"]
@@ -219,11 +212,7 @@ class ReplayedRun:
         return start_ns
 
     def watch(self, interrupt: InterruptFlag) -> None:
-        """Wait until every stream has all its rows.
-
-        Raises:
-            DeviceLost, SessionError, Interrupted: The run ended before that.
-        """
+        """Wait until every stream has all its rows."""
         players = self._started()
         end = EndOfTape(self.totals, self._gap)
         start_ns = said_ns = self._clock.now_ns()

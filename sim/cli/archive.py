@@ -107,11 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make or continue an archive and return the exit code.
-
-    Raises:
-        SceneError: An option is invalid; nothing has been written.
-    """
+    """Make or continue an archive and return the exit code."""
     from sim.dataset import DatasetPlan, found, gel
 
     contents: str = options.contents

@@ -51,12 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Simulate, add the columns, and return the exit code.
-
-    Raises:
-        SceneError: The archive or the twin cannot be used.
-        SimulationDiverged: No press has a solution.
-    """
+    """Simulate, add the columns, and return the exit code."""
     from recorder import MarkerArchive, SessionError
     from recorder.archive import write_simulated
     from recorder.progress import Progress

@@ -109,13 +109,7 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
 
 
 def indenter_of(options: argparse.Namespace) -> Indenter:
-    """Return the indenter that the options describe, with its tilt.
-
-    Raises:
-        FileNotFoundError: The STL file does not exist.
-        SceneError: The shape is unknown, has missing or unknown measures, sizes or a file that make
-            no body, or an impossible tilt.
-    """
+    """Return the indenter that the options describe, with its tilt."""
     upright = _upright(options)
     about_x, about_y = map(math.radians, options.tilt)
     return upright.tilted(about_x, about_y) if about_x or about_y else upright
@@ -148,11 +142,7 @@ def _upright(options: argparse.Namespace) -> Indenter:
 
 
 def split_shape(text: str) -> tuple[str, dict[str, str]]:
-    """Return the name or file of `--shape` and the values that follow it.
-
-    Raises:
-        SceneError: What follows the colon are no values, or one is given twice.
-    """
+    """Return the name or file of `--shape` and the values that follow it."""
     name, colon, rest = text.rpartition(":")
     if not colon or "=" not in rest:
         return text, {}
@@ -234,11 +224,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
 
 
 def body_of(options: argparse.Namespace) -> Body:
-    """Return the body that the options describe.
-
-    Raises:
-        SceneError: A value is out of range.
-    """
+    """Return the body that the options describe."""
     x, y, z = options.size
     return Body(
         size_x=metres(x),
@@ -253,11 +239,7 @@ def body_of(options: argparse.Namespace) -> Body:
 
 
 def effects_of(options: argparse.Namespace) -> Effects:
-    """Return the effects that the options request; friction 0 requests none.
-
-    Raises:
-        SceneError: A value is out of range.
-    """
+    """Return the effects that the options request; friction 0 requests none."""
     friction, viscosity = options.friction, options.viscosity
     return Effects(
         friction=None if friction == 0 else Friction(friction),

@@ -55,11 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press, show every frame with contact and return the exit code.
-
-    Raises:
-        SceneError, SimulationDiverged: Nothing has been written.
-    """
+    """Press, show every frame with contact and return the exit code."""
     from sim.cli.report import run_motion
 
     before = 0.0
@@ -74,11 +70,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def motion_of(options: argparse.Namespace) -> Motion:
-    """Return the motion that the options describe.
-
-    Raises:
-        SceneError: A value is out of range.
-    """
+    """Return the motion that the options describe."""
     return press(
         [metres(depth) for depth in options.depths],
         hold=options.hold or 0.0,

@@ -177,11 +177,7 @@ def _plain_item(value: Any) -> Any:
 
 
 def run_motion(options: argparse.Namespace, motion: Motion) -> int:
-    """Simulate `motion` with the other options, show and save the result, return the exit code.
-
-    Raises:
-        SceneError, SimulationDiverged: Nothing has been written.
-    """
+    """Simulate `motion` with the other options, show and save the result, return the exit code."""
     began = time.perf_counter()
     scene = Scene(
         indenter=indenter_of(options),

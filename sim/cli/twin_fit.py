@@ -84,12 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Fit, write row and picture, and return the exit code: 1 if the twin is refused.
-
-    Raises:
-        SceneError: A session or the sensor cannot be used.
-        SimulationDiverged: A candidate has no solution.
-    """
+    """Fit, write row and picture, and return the exit code: 1 if the twin is refused."""
     from recorder import MarkerArchive, Session, SessionError
     from recorder.progress import Progress
     from sim.sensors import NAMES, sensor_of

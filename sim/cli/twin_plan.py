@@ -61,12 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Choose, write the files, print the intervals, and return the exit code.
-
-    Raises:
-        SceneError: The sensor or an indenter cannot be used, or the time is too short.
-        SimulationDiverged: A candidate's contact has no solution.
-    """
+    """Choose, write the files, print the intervals, and return the exit code."""
     from recorder.progress import Progress
     from sim.indenters import NAMES
     from sim.sensors import sensor_of

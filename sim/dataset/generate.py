@@ -84,11 +84,7 @@ class Reader:
 
     @property
     def camera(self) -> Camera:
-        """The camera as mounted.
-
-        Raises:
-            SceneError: The sensor has taxels.
-        """
+        """The camera as mounted."""
         if isinstance(self._readout, CameraReadout):
             return self._readout.camera
         raise SceneError(f"{self.sensor.name}.signal: taxels; allowed: a camera")

@@ -138,11 +138,7 @@ def solve(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> list[Solved]:
-    """Solve scenes of bodies of equal thickness, and retry failed ones with other settings.
-
-    Raises:
-        SceneError: `simulate` rejects a scene.
-    """
+    """Solve scenes of bodies of equal thickness, and retry failed ones with other settings."""
     if solving.tolerance is not None:
         return [_within(scene, solving.tolerance, device) for scene in scenes]
     first = solving.settings(scenes[0].body)
@@ -312,11 +308,7 @@ def names(sensor: SimulatedSensor) -> tuple[str, ...]:
 
 
 def code(indenter: str) -> int:
-    """Return the code of an indenter, the same in archives with all or some indenters.
-
-    Raises:
-        SceneError: The name is unknown.
-    """
+    """Return the code of an indenter, the same in archives with all or some indenters."""
     return NAMES.index(indenter) if indenter in NAMES else len(NAMES) + number_of(indenter)
 
 
@@ -359,11 +351,7 @@ FORCE_DEPTH_INDENTER = "prism"
 
 
 def target_presses(plan: DatasetPlan, each: SimulatedSensor) -> tuple[PlannedPress, ...]:
-    """Return a sensor's presses: the chosen targets by indenter, then the force-depth presses.
-
-    Raises:
-        SceneError: The sensor has no trajectory.
-    """
+    """Return a sensor's presses: the chosen targets by indenter, then the force-depth presses."""
     if each.trajectory is None:
         raise SceneError(f"{each.name}.trajectory: None; allowed: a sensor that has one")
     targets = chosen_targets(each.trajectory, plan.fraction)

@@ -28,9 +28,6 @@ def summary(
         path: Path of the archive.
         check: True to count markers, about a millisecond per image.
         progress: Called with the fraction of the sensors that are counted.
-
-    Raises:
-        SessionError: The archive is damaged.
     """
     archive = MarkerArchive(path)
     images = sum(len(sensor) for sensor in archive.values())
@@ -106,9 +103,6 @@ def draw_sheet(archive_path: Path, out: Path) -> None:
 
     Each picture shows the deepest valid frame: of several, the one nearest to the middle, and of
     these the last before the indenter rises.
-
-    Raises:
-        SessionError: Not an archive, or an incomplete one.
     """
     archive = MarkerArchive(archive_path)
     shown = {name: _deepest(sensor) for name, sensor in archive.items()}

@@ -137,12 +137,7 @@ def coarsest_spacing(body: Body) -> float:
 
 
 def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
-    """Return the numbers of elements of about `spacing` [m] along x, y, z.
-
-    Raises:
-        SceneError: The spacing leaves fewer than 3 elements through the thickness or 4 across, or
-            makes more than `CELLS_MAX`.
-    """
+    """Return the numbers of elements of about `spacing` [m] along x, y, z."""
     sizes = (body.size_x, body.size_y, body.thickness)
     if not (np.isfinite(spacing) and spacing > 0):
         raise SceneError(f"mesh: {spacing!r} m; allowed: above 0")
@@ -199,9 +194,6 @@ def axes(
             elements are equal.
         grading: Growth of the elements.
         at_least: Least numbers of elements along x and y, with a window.
-
-    Raises:
-        SceneError: See `cell_counts`.
     """
     nx, ny, _nz = cell_counts(body, spacing)
     unit = body.thickness
@@ -527,9 +519,6 @@ def meshes_of(
         numerics: Settings of the meshes.
         sizes: Element sizes that the contacts of each scene require, if the mesh follows them;
             None: estimated here.
-
-    Raises:
-        SceneError: See `mesh.cell_counts`.
     """
     if numerics.follows:
         sizes = sizes or [stages_of(scene)[0].sizes for scene in scenes]
@@ -553,9 +542,6 @@ def agreed(scenes: Sequence[Scene], numerics: Fem) -> Fem:
     """Return settings by which each scene alone has as many elements as all have with each other.
 
     `numerics` must not follow the contact: its meshes have a `spacing` or a `grading`.
-
-    Raises:
-        SceneError: See `mesh.cell_counts`.
     """
     most = _most_cells(_plans(scenes, numerics), numerics.cells_least)
     return replace(numerics, cells_least=most)

@@ -65,9 +65,6 @@ def simulate_fem(
         progress: Called with the fraction done, 0 to 1.
         required: Element sizes that solutions of the same scenes on coarser meshes required; those
             required by these solutions are added. They save building a mesh that proves too coarse.
-
-    Raises:
-        SceneError: A mesh cannot be built, or the device does not exist.
     """
     check_device(device)
     if not numerics.follows:

@@ -120,9 +120,6 @@ def lowest(upright: Indenter, turn: Array) -> float:
 
     From each local minimum on a grid, a point slides over the surface by steps straight down and
     back along the normal, until a step gains nothing.
-
-    Raises:
-        SceneError: The body is unbounded and has no lowest point when tilted.
     """
     x_side, y_side, _ = upright.bounds
     endless = not np.isfinite([x_side, y_side]).all()

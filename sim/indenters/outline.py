@@ -94,12 +94,7 @@ class OutlinePiece:
 
 
 def check(values: Sequence[float]) -> None:
-    """Check that values are a valid closed path.
-
-    Raises:
-        SceneError: There are fewer than 2 corners, a number is missing, two neighbouring corners
-            are equal, or the path turns back on itself.
-    """
+    """Check that values are a valid closed path."""
     if len(values) % 3 or len(values) < 6:
         raise SceneError(
             f"part.values: {len(values)} for a path; allowed: 3 for each of 2 or more corners"
@@ -158,11 +153,7 @@ def rounded(values: Sequence[float], radius: float) -> list[OutlinePiece] | None
 
 
 def fitted(values: tuple[float, ...], radius: float) -> list[OutlinePiece]:
-    """Return the path with an arc of `radius` [m] in every convex corner.
-
-    Raises:
-        SceneError: The arcs do not fit.
-    """
+    """Return the path with an arc of `radius` [m] in every convex corner."""
     path = rounded(values, radius)
     if path is None:
         raise SceneError(
@@ -185,11 +176,7 @@ def radius_max(values: tuple[float, ...]) -> float:
 
 
 def extent(values: tuple[float, ...], radius: float) -> tuple[Pair, Pair]:
-    """Return least and greatest u and v of the rounded path [m]; infinite if material is outside.
-
-    Raises:
-        SceneError: The rounding does not fit.
-    """
+    """Return extremes of u and v of the rounded path [m]; infinite if material is outside."""
     points: list[Pair] = []
     area = 0.0
     for piece in fitted(values, radius):
@@ -257,9 +244,6 @@ def rows(values: tuple[float, ...], radius: float) -> Array:
     Rows are (kind, u, v, direction u, direction v, size, cosine). For a line: start, direction and
     length. For an arc: centre, direction of its middle, radius (below 0 if concave) and cosine of
     half its angle. For a corner: position and mean outward normal. Corners come last.
-
-    Raises:
-        SceneError: The arcs do not fit.
     """
     path = fitted(values, radius)
     table: list[tuple[float, ...]] = []

@@ -169,10 +169,6 @@ def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Tr
         unit: Unit of the file's numbers.
         up: Axis of the file that points away from the skin.
         axis: Origin of x and y: the `middle` of the bounding box, or that of the `file`.
-
-    Raises:
-        SceneError: The file is truncated or no STL file, or its triangles do not enclose a body of
-            a plausible size.
     """
     mesh = _read(data, name)
     if not np.isfinite(mesh.vertices).all():

@@ -74,9 +74,6 @@ def simulate_layers(
         layer: Pixels and tolerance.
         device: `cuda:0` and the like, or `cpu` (slower than `simulate_layer`).
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        SceneError: As in `simulate_layer`, or there is no such device.
     """
     check_device(device)
     for scene in scenes:

@@ -240,11 +240,7 @@ class LayerPress:
         return 0.5 * self.grid.area * (rest + sum(branches))
 
     def move(self, tip: Array, duration: float) -> None:
-        """Move the tip straight to `tip` (3,) [m] in `duration` [s], in as many steps as needed.
-
-        Raises:
-            SimulationDiverged: A step did not converge after repeated halving.
-        """
+        """Move the tip straight to `tip` (3,) [m] in `duration` [s], in as many steps as needed."""
         start, left = self.tip, 1.0
         length = float(np.linalg.norm(tip - start))
         while left > 0:
@@ -440,10 +436,6 @@ def simulate_layer(
         scene: Scene with friction and viscosity that relaxes all, but no mass.
         layer: Pixels and tolerance.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        SceneError: This tier does not support an effect, the body or a setting.
-        SimulationDiverged: The contact of a step did not converge.
     """
     check_known(scene, layer.tolerance)
     began = time.perf_counter()
@@ -479,11 +471,7 @@ def simulate_layer(
 
 
 def check_known(scene: Scene, tolerance: float) -> None:
-    """Reject scenes that this tier does not support.
-
-    Raises:
-        SceneError: An effect or a tolerance is not supported.
-    """
+    """Reject scenes that this tier does not support."""
     effects = scene.effects
     for name in ("inertia", "gravity"):
         if getattr(effects, name) is not None:

@@ -156,11 +156,7 @@ def _cover_kernel():
 
 
 def see_triangles(vertex, samples: int) -> wp.array:
-    """Return the numbers of `samples` x `samples` samples per pixel (F, H, W) int64.
-
-    Raises:
-        SceneError: There are more cells along an axis than a number can hold.
-    """
+    """Return the numbers of `samples` x `samples` samples per pixel (F, H, W) int64."""
     frames, x, y = vertex.shape
     if max(x, y) > CELL_MASK:
         raise SceneError(

@@ -32,12 +32,7 @@ class Textures:
     def __init__(
         self, patterns: Sequence[Pattern], body: Body, *, step: float = STEP, device: str = "cpu"
     ) -> None:
-        """Sample patterns every `step` [m].
-
-        Raises:
-            SceneError: There is no pattern, a marker lies beyond the gel's border, or the step is
-                out of range.
-        """
+        """Sample patterns every `step` [m]."""
         if not patterns:
             raise SceneError("patterns: none; allowed: at least one")
         check_range("texture", "step", step, 1e-6, 1e-3, unit="m")

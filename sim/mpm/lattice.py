@@ -73,9 +73,6 @@ def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> Lattice:
     """Return the particles of the body that the scenes share, on a grid with room for all scenes.
 
     Columns of particles under a dome are shortened to fit, and their volumes with them.
-
-    Raises:
-        SceneError: There are fewer than two particles along an axis, or too many in all.
     """
     body = scenes[0].body
     cell = numerics.cell_in(body)
@@ -139,11 +136,7 @@ def _grid(
 
 
 def same_body(scenes: Sequence[Scene]) -> Body:
-    """Return the body whose shape all scenes share.
-
-    Raises:
-        SceneError: A scene has a body of another shape.
-    """
+    """Return the body whose shape all scenes share."""
     first = scenes[0].body
     for index, scene in enumerate(scenes):
         for name in ("size_x", "size_y", "thickness", "dome_radius"):
@@ -201,12 +194,7 @@ class Pace:
 
 
 def pace_of(scene: Scene, numerics: Mpm, cell: float) -> Pace:
-    """Return the mass and the schedule of a scene on a grid with cells of this size [m].
-
-    Raises:
-        SceneError: The published time step is unstable in the body, or the motion has more steps
-            than allowed.
-    """
+    """Return the mass and the schedule of a scene on a grid with cells of this size [m]."""
     body = scene.body
     corners = _corners(scene)
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)

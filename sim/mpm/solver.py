@@ -185,10 +185,6 @@ def simulate_mpm(
         numerics: Our grid, or published settings.
         device: `cpu`, or `cuda:0` and the like.
         progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        SceneError: A scene has an effect other than friction, the scenes cannot share a lattice, or
-            the lattice or the time step is not possible.
     """
     scenes = list(scenes)
     if not scenes:

@@ -25,11 +25,7 @@ DEEPEST = 0.9
 def draw_sensor(
     centre: SimulatedSensor, posterior: Posterior, random: np.random.Generator
 ) -> SimulatedSensor:
-    """Return a sensor drawn from an uncertainty about `centre`; it keeps no posterior itself.
-
-    Raises:
-        SceneError: The sensor has no such quantity.
-    """
+    """Return a sensor drawn from an uncertainty about `centre`; it keeps no posterior itself."""
     spread = np.array(posterior.spreads)
     matrix = np.array(posterior.correlations) * np.outer(spread, spread)
     values, axes = np.linalg.eigh((matrix + matrix.T) / 2)
@@ -63,11 +59,7 @@ def camera_quantities(sensor: SimulatedSensor) -> dict[str, float]:
 
 
 def with_camera(sensor: SimulatedSensor, values: Mapping[str, float]) -> SimulatedSensor:
-    """Return a sensor with some of `CAMERA` replaced, whose layout looks the same.
-
-    Raises:
-        SceneError: A value is out of range, no marker is on the body, or there is no camera.
-    """
+    """Return a sensor with some of `CAMERA` replaced, whose layout looks the same."""
     if isinstance(sensor.signal, TaxelSignal):
         raise SceneError(f"{sensor.name}.signal: taxels; allowed: a camera")
     known = {**camera_quantities(sensor), **values}
@@ -96,11 +88,7 @@ def quantities(sensor: SimulatedSensor) -> dict[str, float]:
 
 
 def with_quantities(sensor: SimulatedSensor, values: Mapping[str, float]) -> SimulatedSensor:
-    """Return the sensor with some quantities replaced; presses beyond its skin are dropped.
-
-    Raises:
-        SceneError: A value is out of range, or the sensor has no such branch.
-    """
+    """Return the sensor with some quantities replaced; presses beyond its skin are dropped."""
     known = quantities(sensor)
     if missing := [name for name in values if name not in known and name != "friction"]:
         raise SceneError(f"{sensor.name}: {', '.join(missing)}; allowed: {', '.join(known)}")

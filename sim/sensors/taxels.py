@@ -74,9 +74,6 @@ class Interior:
         body: A flat layer.
         depth: Depth of the places below the undeformed top [m], up to the thickness.
         places: x and y of the places (n, 2) [m].
-
-    Raises:
-        SceneError: The depth is outside the layer.
     """
 
     def __init__(self, body: Body, depth: float, places: Array) -> None:

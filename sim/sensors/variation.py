@@ -25,9 +25,6 @@ def generator(seed: int, *names: str | int) -> np.random.Generator:
 
     Equal seeds and names give equal numbers, in any process and any order; different ones give
     independent numbers (NumPy's `SeedSequence` with the names as its spawn key).
-
-    Raises:
-        SceneError: The seed or a number among the names is below 0.
     """
     numbers = [name for name in (seed, *names) if not isinstance(name, str)]
     if any(number < 0 for number in numbers):

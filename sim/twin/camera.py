@@ -149,12 +149,7 @@ class Scenery:
         grid: int,
         changed: Mapping[str, float] | None = None,
     ) -> Scenery:
-        """Return the skin of a fit, with some quantities changed.
-
-        Raises:
-            SceneError: Its design has no camera.
-            SimulationDiverged: No contact was found.
-        """
+        """Return the skin of a fit, with some quantities changed."""
         pins, values = _signal(fit.design).pins, {**fit.values, **(changed or {})}
         of_tracks = [list(own) for _, own in groupby(sights, key=lambda each: id(each.track))]
         model = Model(fit.design, [own[0].track for own in of_tracks], grid=grid)
@@ -259,11 +254,7 @@ def viewed(
 
 
 def unmirrored(scenery: Scenery, design: Camera) -> tuple[Any, bool]:
-    """Return SciPy's result of the best camera, and whether mirrored images would fit as well.
-
-    Raises:
-        SceneError: Mirrored images fit far better.
-    """
+    """Return SciPy's result of the best camera, and whether mirrored images would fit as well."""
     best, other = _best(scenery, design), _best(scenery.mirrored(), design)
     if best.cost > MIRRORED**2 * other.cost:
         raise SceneError(

@@ -62,12 +62,7 @@ class TwinForces:
 
 
 def archived_presses(sensor: ArchivedSensor, indenters: Sequence[str]) -> Iterator[ArchivedPress]:
-    """Yield the presses of a sensor of an archive that have a location.
-
-    Raises:
-        SceneError: An indenter is unknown.
-        SessionError: The archive is corrupt, or still being written.
-    """
+    """Yield the presses of a sensor of an archive that have a location."""
     table = sensor.table
     for part in press_rows(table).values():
         name = indenters[int(table["indenter"][part[0]])]
@@ -93,10 +88,6 @@ def forces(
         press: The press.
         grid: Pixels along the body's longer side.
         true: The twin's forces by tier `fem` (n, 3) [N], if they are known already.
-
-    Raises:
-        SceneError: The tier does not support a sensor.
-        SimulationDiverged: There is no solution.
     """
     found = by_layer(sensors, press, grid)
     twin = sensors[0]
@@ -140,12 +131,7 @@ def by_fem_at_once(
 
 
 def by_layer(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array:
-    """Return the force on each sensor at each frame of a press (k, n, 3) [N], by tier `layer`.
-
-    Raises:
-        SceneError: The tier does not support a sensor.
-        SimulationDiverged: No contact was found.
-    """
+    """Return the force on each sensor at each frame of a press (k, n, 3) [N], by tier `layer`."""
     found = np.zeros((len(sensors), len(press.rows), 3))
     indenter = indenter_of(press.indenter)
     for number, sensor in enumerate(sensors):
@@ -188,11 +174,6 @@ def simulated_forces(
         device: Device of tier `fem`; a GPU solves many presses at once.
         processes: Number of processes.
         progress: Called with the fraction done.
-
-    Raises:
-        SceneError: The twin has no posterior to draw from, or an indenter is unknown.
-        SimulationDiverged: No press has a solution.
-        SessionError: The archive is corrupt, or still being written.
     """
     if draws and twin.posterior is None:
         raise SceneError(

@@ -121,11 +121,7 @@ class Candidate:
         return Solved(force, elastic, _rates(self.track.time, force))
 
     def by_fem(self, finer: float, device: str) -> Array:
-        """Return the force at each point of the track by tier `fem` (n, 3) [N].
-
-        Raises:
-            SimulationDiverged: It has no solution.
-        """
+        """Return the force at each point of the track by tier `fem` (n, 3) [N]."""
         time = self.track.time - self.track.time[0]
         return by_fem(self.sensor, *self.seen(), time, finer, device)
 
@@ -150,9 +146,6 @@ def by_fem(
         time: Their times (n,) [s], from 0 on.
         finer: Elements through the thickness, over `CELLS`.
         device: Device of the solver.
-
-    Raises:
-        SimulationDiverged: It has no solution.
     """
     scene, first = sensor.scene(indenter, motion_of(tip, time)), fem_of(sensor, finer)
     try:

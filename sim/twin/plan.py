@@ -167,11 +167,7 @@ class Planner:
         return self._after(sum((self.information(each) for each in chosen), self._prior))
 
     def information(self, each: Presses) -> Array:
-        """Return the information (p, p) of presses: the inverse of a covariance.
-
-        Raises:
-            SimulationDiverged: Their contact did not converge.
-        """
+        """Return the information (p, p) of presses: the inverse of a covariance."""
         if each not in self._known:
             track = self._track(each)
             model, rougher = (
@@ -223,9 +219,6 @@ class Planner:
             seconds: Time for all [s], with changes of the indenter.
             change: Time to mount an indenter [s].
             progress: Called with the fraction of candidates that is solved.
-
-        Raises:
-            SceneError: No candidate fits into the time, or all are rough on the grid.
         """
         _require(candidates, seconds, change)
         for done, each in enumerate(candidates):

@@ -94,11 +94,7 @@ class PublishedSensor:
         )
 
     def read(self, rows: slice) -> Frames:
-        """Read some of the frames.
-
-        Raises:
-            LearningError: A file is corrupt or of another shape; the message names it.
-        """
+        """Read some of the frames."""
         packed, parts = [], []
         lines: list[dict[str, Any]] = []
         begin = 0
@@ -170,11 +166,7 @@ def read_mask(path: Path) -> Packed:
 
 
 def read_array(path: Path) -> NDArray[np.generic]:
-    """Read the array in a .npy file.
-
-    Raises:
-        LearningError: The file is missing, truncated, or no .npy file.
-    """
+    """Read the array in a .npy file."""
     try:
         array: NDArray[np.generic] = np.load(path, allow_pickle=False)
     except FileNotFoundError:
@@ -224,9 +216,6 @@ def read_forces(path: Path) -> tuple[Array, bool]:
     """Read the wrenches (n, 6) of an ft.csv [N, N m]; the flag is True if it has torques.
 
     Torques are 0 if the file has forces only.
-
-    Raises:
-        LearningError: The file is missing, has other columns, or a value is not a number.
     """
     names, rows = _table(path)
     if names not in (FORCE_COLUMNS, FORCE_COLUMNS[:3]):
@@ -240,11 +229,7 @@ def read_forces(path: Path) -> tuple[Array, bool]:
 
 
 def read_poses(path: Path) -> Array:
-    """Read the poses (n, 6) of a pose.csv [m, rad].
-
-    Raises:
-        LearningError: The file is missing, has other columns, or a value is not a number.
-    """
+    """Read the poses (n, 6) of a pose.csv [m, rad]."""
     names, rows = _table(path)
     if names != POSE_COLUMNS:
         raise LearningError(
@@ -254,11 +239,7 @@ def read_poses(path: Path) -> Array:
 
 
 def read_depths(path: Path) -> Array:
-    """Read the numbers (n,) of an inc_z.csv or dec_z.csv [mm], one per line, no header.
-
-    Raises:
-        LearningError: The file is missing, or a line is not one number.
-    """
+    """Read the numbers (n,) of an inc_z.csv or dec_z.csv [mm], one per line, no header."""
     rows = [line.split(",") for line in _lines(path)]
     values = [_numbers(row, path, number + 1) for number, row in enumerate(rows)]
     if any(len(row) != 1 for row in values):
@@ -267,12 +248,7 @@ def read_depths(path: Path) -> Array:
 
 
 def read_last(path: Path, frames: int) -> tuple[int, ...]:
-    """Read the numbers of the last frames of the four phases from a last.csv.
-
-    Raises:
-        LearningError: The file is missing, has not four frames in order, or does not fit its
-            folder.
-    """
+    """Read the numbers of the last frames of the four phases from a last.csv."""
     names = [line.strip() for line in _lines(path)]
     stems = [PureWindowsPath(name).stem for name in names]
     if len(stems) != 4 or not all(stem.isdecimal() for stem in stems):

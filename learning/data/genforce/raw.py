@@ -77,10 +77,6 @@ def read_raw(
         codes: Codes of the indenters, by name; locations are numbered by them.
         turns: Angle from the robot's x axis to the image's, counter-clockwise, by sensor [rad].
             Without one, positions stay in the robot's frame.
-
-    Raises:
-        LearningError: A file or folder is missing or invalid, or a turn is of no sensor of the
-            folder; the message names it.
     """
     sensors, turns = _sensors(root), turns or {}
     if unknown := sorted(set(turns) - {sensor.name for sensor in sensors}):
@@ -125,11 +121,7 @@ def turned(presses: Iterable[GenForcePress], angle: float) -> tuple[GenForcePres
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Read the pixels (480, 640, 3) of a camera's JPEG, RGB, decoded as sessions decode it.
-
-    Raises:
-        LearningError: The file is missing, corrupt, or of another size.
-    """
+    """Read the pixels (480, 640, 3) of a camera's JPEG, RGB, decoded as sessions decode it."""
     try:
         return decode_jpeg(path.read_bytes(), (HEIGHT, WIDTH, 3))
     except FileNotFoundError:
@@ -139,11 +131,7 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
 
 
 def read_counts(path: Path) -> Array:
-    """Read the counts (16, 3) in a file of taxels.
-
-    Raises:
-        LearningError: The file is missing, corrupt, or of another shape.
-    """
+    """Read the counts (16, 3) in a file of taxels."""
     array = read_array(path)
     if array.shape != (16, 3) or array.dtype.kind not in "iuf":
         raise LearningError(f"{path}: found {array.dtype} {array.shape}; expected numbers (16, 3)")

@@ -38,9 +38,6 @@ def read_states(
 
     Places are numbered by x, then y, depths in ascending order, over all files; a location is a
     place and a depth. Simulated archives are numbered in the same way.
-
-    Raises:
-        LearningError: A file is missing or invalid; the message names it.
     """
     names = sorted(path.stem.removesuffix("_ref") for path in root.glob("*_ref.*"))
     shapes = sorted(indenters_of(root))

@@ -78,9 +78,6 @@ def read_training(
         codes: Codes of the indenters, by name; locations are numbered by them.
         surfaces_mm: Sensors whose depth files hold heights, and the height of their surface [mm].
         plans: Plans of sensors: the number of a press tells its place, direction and depth.
-
-    Raises:
-        LearningError: A file or folder is missing or invalid; the message names it.
     """
     images = _images(root)
     sensors = _folders(images)
@@ -108,11 +105,7 @@ def indenters_of(root: Path) -> set[str]:
 
 
 def frame_files(folder: Path) -> tuple[Path, ...]:
-    """Return the files of the frames in a folder, in order.
-
-    Raises:
-        LearningError: There are no frames, frames of two kinds, or a gap in the numbers.
-    """
+    """Return the files of the frames in a folder, in order."""
     files = [path for path in folder.iterdir() if path.suffix in SUFFIXES]
     files = sorted(path for path in files if path.stem.isdecimal())
     if not files:
@@ -250,11 +243,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def contact_points(folder: Path) -> list[Path]:
-    """Return the folders of contact points by number.
-
-    Raises:
-        LearningError: There are none, or another folder is among them.
-    """
+    """Return the folders of contact points by number."""
     points = _folders(folder)
     for point in points:
         if not point.name.isdecimal() or int(point.name) < 1:

@@ -63,9 +63,6 @@ def turn_of(
         presses: Its presses, with positions along the axes of the robot.
         references: Packed masks without contact (K, 38400).
         read: Reads the packed mask of a frame's file.
-
-    Raises:
-        LearningError: The images are mirrored against the robot.
     """
     sheared = [press for press in presses if _ends(press) is not None]
     chosen = np.unique(np.linspace(0, len(sheared) - 1, _PRESSES).round().astype(int))
@@ -95,9 +92,6 @@ def fitted_turn(name: str, shears: Floats, motions: Floats) -> Turn | None:
     """Return the turn that takes shears (n, 2) to motions (n, 2), x to the right and y up.
 
     None if they are few, do not agree, or all lie along one line.
-
-    Raises:
-        LearningError: A mirrored turn fits, and none without.
     """
     if len(shears) < _FEWEST:
         return None

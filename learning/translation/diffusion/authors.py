@@ -60,11 +60,7 @@ class AuthorsCheckpoint:
 
 
 def read_authors(path: Path) -> AuthorsCheckpoint:
-    """Read one of the authors' checkpoints.
-
-    Raises:
-        LearningError: The file is missing, or is not such a checkpoint.
-    """
+    """Read one of the authors' checkpoints."""
     content = read_plain(path)
     if not isinstance(content, dict):
         raise LearningError(f"{path}: found {type(content).__name__}; allowed: a checkpoint")
@@ -137,9 +133,6 @@ def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
 
     Returns:
         Kind of model, and its number of parameters.
-
-    Raises:
-        LearningError: The file is not such a checkpoint or does not fit, or `out` is not empty.
     """
     found = read_authors(path)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

@@ -48,12 +48,7 @@ class ReferenceTokens(nn.Module):
             """Embeddings added to the tokens of the target and of the source."""
 
     def forward(self, target: torch.Tensor, source: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the tokens (n, count, width) of one or two latents (n, channels, h, w).
-
-        Raises:
-            LearningError: The source's reference is given but not an input, or missing; or the
-                latent's size does not fit `channel_tokens`.
-        """
+        """Return the tokens (n, count, width) of one or two latents (n, channels, h, w)."""
         if not self.source_reference:
             if source is not None:
                 raise LearningError("source_reference: found one; this network reads none")

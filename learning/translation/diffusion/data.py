@@ -105,11 +105,6 @@ def read_image_pairs(
         preset: Rule for pairing frames of a press (`recorder.archive.PRESETS`).
         device: Device for the images.
         progress: Called with the number of images read and the total.
-
-    Raises:
-        LearningError: A sensor is unknown, the split belongs to another archive, or there are no
-            pairs.
-        SessionError: The archive is unfinished or damaged.
     """
     if split is not None:
         split.check(archive)
@@ -189,10 +184,6 @@ def read_role_images(
         sensors: Names of the sensors.
         device: Device for the images.
         progress: Called with the number of images read and the total.
-
-    Raises:
-        LearningError: A sensor is unknown.
-        SessionError: The archive is unfinished or damaged.
     """
     if unknown := sorted(set(sensors) - set(archive)):
         raise LearningError(

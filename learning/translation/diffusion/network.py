@@ -369,9 +369,6 @@ def build(
         settings: Ranks, tokens, range.
         vae_adapter: Trained adapter of the autoencoder, or all its weights if all are trained;
             None: untrained.
-
-    Raises:
-        LearningError: The adapter belongs to another network or has another rank.
     """
     if not settings.whole:
         add_adapter(unet, UNET_ADAPTER, settings.unet_rank, UNET_TARGETS, seed=settings.seed)
@@ -402,11 +399,7 @@ def build(
 
 
 def rank_of(adapter: Mapping[str, torch.Tensor]) -> int:
-    """Return the rank of an adapter's tensors.
-
-    Raises:
-        LearningError: There are none, or their ranks differ.
-    """
+    """Return the rank of an adapter's tensors."""
     ranks = {len(tensor) for name, tensor in adapter.items() if ".lora_A." in name}
     if len(ranks) != 1:
         raise LearningError(f"adapter: found ranks {sorted(ranks)}; allowed: a single rank")

@@ -141,11 +141,7 @@ class Pretrained:
 
 
 def read_pretrained(settings: TranslatorSettings) -> Pretrained:
-    """Load the networks that a training needs from the user's files.
-
-    Raises:
-        LearningError: A file is missing; the message names the model to download.
-    """
+    """Load the networks that a training needs from the user's files."""
     weights, losses = settings.weights, settings.losses
     return Pretrained(
         read_unet(weights.base),
@@ -349,9 +345,6 @@ def train(
         session: Surroundings of the training; None: in memory, on the device of the settings.
         vae_adapter: Adapter of the marker VAE, for encoder, decoder and reference.
         start_from: State of a trained network with the same settings.
-
-    Raises:
-        LearningError: There are no pairs, weights do not fit, or a loss is not finite.
     """
     if not len(pairs):
         raise LearningError("pairs: found none; allowed: one or more")
@@ -562,10 +555,6 @@ def train_in(
         marker_vae: Folder of the marker VAE to start from; None: it is trained first.
         start_from: Folder of a translator to start from instead.
         pairing: Rule for pairing frames of a press.
-
-    Raises:
-        LearningError: Another run is in the folder, or the training was rejected.
-        KeyboardInterrupt: It was stopped, after its state was saved.
     """
     sensors = trained_on(archive, split, sensors)
     require_base_folder(settings.weights.base)

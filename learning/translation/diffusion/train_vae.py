@@ -172,9 +172,6 @@ def train_vae(
         settings: Settings of the training (`of_marker_vae`).
         validation: Validation images; None: no validation.
         session: Surroundings of the training; None: in memory, on the device of the settings.
-
-    Raises:
-        LearningError: There are no images, or a loss is not finite.
     """
     if not len(images):
         raise LearningError("images: found none; allowed: one or more")
@@ -282,9 +279,6 @@ def marker_vae_of(
 
     Returns:
         The adapter; None if the training was stopped.
-
-    Raises:
-        LearningError: The folder has another training, or a loss is not finite.
     """
     own, base = settings.of_marker_vae(), fingerprint(settings.weights.base)
     folder, writes = session.run.path / KIND, session.run.writes

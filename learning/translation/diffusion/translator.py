@@ -126,11 +126,7 @@ def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTra
 
 
 def load_network(found: ModelFolder) -> MarkerToMarker:
-    """Return the network in a folder, with adapters separate from the published weights.
-
-    Raises:
-        LearningError: The published weights are missing or different, or the folder's do not fit.
-    """
+    """Return the network in a folder, with adapters separate from the published weights."""
     settings = found.settings(NetworkSettings)
     own = found.weights()
     base = base_of(found)

@@ -90,11 +90,7 @@ class MarkerVae(nn.Module):
 
 
 def load_vae(folder: Path, device: str = "cpu") -> MarkerVae:
-    """Return the marker VAE in a folder, in evaluation mode.
-
-    Raises:
-        LearningError: Not such a folder, or the published weights are missing or different.
-    """
+    """Return the marker VAE in a folder, in evaluation mode."""
     found = read_model_folder(folder, KIND)
     return found.load(MarkerVae(read_vae(base_of(found)), found.settings(VaeSettings)), device)
 
@@ -105,9 +101,6 @@ def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
     Args:
         folder: Run folder of the autoencoder.
         base: Fingerprint of the published weights that it will be applied to.
-
-    Raises:
-        LearningError: Not such a folder, or trained from other published weights.
     """
     found = read_model_folder(Path(folder), KIND)
     require_base(found, base)

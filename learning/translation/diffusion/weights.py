@@ -129,11 +129,7 @@ _OLD_OUTPUT = ".proj_attn.", ".to_out.0."
 
 
 def vendor(module: str) -> Any:
-    """Import diffusers, peft or transformers, which only this translator needs.
-
-    Raises:
-        LearningError: The package is not installed.
-    """
+    """Import diffusers, peft or transformers, which only this translator needs."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
@@ -141,29 +137,17 @@ def vendor(module: str) -> Any:
 
 
 def read_unet(folder: str) -> nn.Module:
-    """Return the UNet in a folder of SD-Turbo, in float32 on the CPU.
-
-    Raises:
-        LearningError: The folder is missing, or holds another network.
-    """
+    """Return the UNet in a folder of SD-Turbo, in float32 on the CPU."""
     return _diffusers_model(vendor("diffusers").UNet2DConditionModel, folder, "unet")
 
 
 def read_vae(folder: str) -> nn.Module:
-    """Return the autoencoder in a folder of SD-Turbo, in float32 on the CPU.
-
-    Raises:
-        LearningError: The folder is missing, or holds another network.
-    """
+    """Return the autoencoder in a folder of SD-Turbo, in float32 on the CPU."""
     return _diffusers_model(vendor("diffusers").AutoencoderKL, folder, "vae")
 
 
 def read_clip(folder: str) -> Any:
-    """Return CLIP's image encoder in a folder, a `CLIPVisionModelWithProjection`.
-
-    Raises:
-        LearningError: The folder is missing or not a CLIP model's.
-    """
+    """Return CLIP's image encoder in a folder, a `CLIPVisionModelWithProjection`."""
     where = Path(folder)
     if not folder or not (where / "config.json").is_file():
         raise LearningError(f"weights.clip: found {folder!r}; needed: {CLIP}")
@@ -181,11 +165,7 @@ def read_clip(folder: str) -> Any:
 
 
 def read_perceptual(vgg: str, lpips: str) -> PerceptualDistance:
-    """Return LPIPS with the weights of VGG16 and of its linear heads.
-
-    Raises:
-        LearningError: A file is missing or holds other weights.
-    """
+    """Return LPIPS with the weights of VGG16 and of its linear heads."""
     for key, path, wanted in (("vgg", vgg, VGG), ("lpips", lpips, LPIPS)):
         if not path or not Path(path).is_file():
             raise LearningError(f"weights.{key}: found {path!r}; needed: {wanted}")
@@ -205,11 +185,7 @@ def read_perceptual(vgg: str, lpips: str) -> PerceptualDistance:
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Return the tensors of a file by name: safetensors, or a pickle of tensors only.
-
-    Raises:
-        LearningError: The file is missing, or is neither.
-    """
+    """Return the tensors of a file by name: safetensors, or a pickle of tensors only."""
     content = read_plain(path)
     if not isinstance(content, dict) or not all(
         isinstance(value, torch.Tensor) for value in content.values()
@@ -219,11 +195,7 @@ def read_tensors(path: Path) -> dict[str, torch.Tensor]:
 
 
 def read_plain(path: Path) -> Any:
-    """Return the content of a weights file; pickles may hold only tensors and plain values.
-
-    Raises:
-        LearningError: The file is missing, not readable, or a pickle that would run code.
-    """
+    """Return the content of a weights file; pickles may hold only tensors and plain values."""
     if not path.is_file():
         raise LearningError(f"{path}: no such file")
     if path.suffix == ".safetensors":
@@ -235,11 +207,7 @@ def read_plain(path: Path) -> Any:
 
 
 def require_base_folder(folder: str) -> None:
-    """Reject a folder that does not hold SD-Turbo.
-
-    Raises:
-        LearningError: The folder is incomplete; the message names the model to download.
-    """
+    """Reject a folder that does not hold SD-Turbo."""
     for part in ("unet", "vae"):
         if not folder or not (Path(folder) / part / "config.json").is_file():
             raise LearningError(
@@ -267,11 +235,7 @@ def fingerprint(folder: str) -> str:
 
 
 def require_base(found: ModelFolder, base: str) -> None:
-    """Reject published weights other than those the run was trained from.
-
-    Raises:
-        LearningError: The fingerprints differ.
-    """
+    """Reject published weights other than those the run was trained from."""
     expected = found.config.metadata.get(BASE)
     if expected != base:
         raise LearningError(
@@ -284,9 +248,6 @@ def base_of(found: ModelFolder) -> str:
     """Return the folder of the published weights that a run was trained from.
 
     It is `base/` in the run's folder (a folder or a link), else the path used in training.
-
-    Raises:
-        LearningError: The weights are missing, or differ.
     """
     beside = found.path / BASE
     folder = str(beside) if beside.exists() else found.settings(Weights, "weights").base

@@ -88,11 +88,7 @@ class Frames:
     """True shift (n, 2, 64, 64) float16 [px], NaN if a frame has none; None: no frame has one."""
 
     def __post_init__(self) -> None:
-        """Reject inconsistent tensors.
-
-        Raises:
-            LearningError: A shape differs from the one documented above, or there are no frames.
-        """
+        """Reject inconsistent tensors."""
         count, square = len(self.images), (IMAGE_SIDE, IMAGE_SIDE)
         due = {
             "images": (count, *square),
@@ -153,11 +149,6 @@ def gather_role(
         every: Take every n-th frame of a press, and all paired frames.
         device: Device for the frames.
         progress: Called with the number of frames read and the total.
-
-    Raises:
-        LearningError: A sensor is unknown, a reference has no markers, or there are more frames
-            than fit in memory.
-        SessionError: The archive is damaged.
     """
     rows, device = {}, torch.device(device)
     for name in sensors:

@@ -75,11 +75,7 @@ class LossWeights:
     """Mean change [px] by the map between two random patterns on the same gel and camera."""
 
     def __post_init__(self) -> None:
-        """Reject invalid weights.
-
-        Raises:
-            LearningError: A weight is negative, or no weight refers to the image.
-        """
+        """Reject invalid weights."""
         require(self, "cross_entropy", "dice", "truth", "rough", "growth", "unknown", least=0)
         if not self.cross_entropy and not self.dice:
             raise LearningError("cross_entropy, dice: found 0 and 0; allowed: one of them above 0")
@@ -406,9 +402,6 @@ def train_field(
         settings: Settings of model and training.
         validation: Validation frames and pairs; None: no validation.
         session: Surroundings of the training; None: in memory, on the device of the settings.
-
-    Raises:
-        LearningError: The map has no pairs to learn from, or a loss is not finite.
     """
     session = session or Session(accelerator(settings.launch))
     run, runs_on = session.run, session.accelerator
@@ -540,10 +533,6 @@ def train_in(
         split: Roles of its presses.
         settings: Settings of model and training.
         sensors: Sensors to learn from; None: all that the split does not hold out.
-
-    Raises:
-        LearningError: Another run is in the folder, or the training was rejected.
-        KeyboardInterrupt: It was stopped, after its state was saved.
     """
     sensors = trained_on(archive, split, sensors)
 

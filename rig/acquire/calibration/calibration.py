@@ -171,11 +171,7 @@ def at_surface(bench: Bench, shift: float) -> Bench:
 
 
 def require_gauge(bench: Bench, what: str) -> None:
-    """Reject a bench without an F/T sensor, for a command that measures with one.
-
-    Raises:
-        ConfigError: It has none.
-    """
+    """Reject a bench without an F/T sensor, for a command that measures with one."""
     if not bench.gauges:
         raise ConfigError(
             f"{what}: {bench.sensor} has no F/T sensor; allowed: a bench with force, or with a "
@@ -184,11 +180,7 @@ def require_gauge(bench: Bench, what: str) -> None:
 
 
 def stream_of(session: Session, kind: str) -> Stream:
-    """Return a session's first stream of a kind, such as `force` or `pose`.
-
-    Raises:
-        SessionError: The session has none.
-    """
+    """Return a session's first stream of a kind, such as `force` or `pose`."""
     name = session.first(kind)
     if name is None:
         raise SessionError(f"{session.name}: needs a {kind} stream")
@@ -196,11 +188,7 @@ def stream_of(session: Session, kind: str) -> Stream:
 
 
 def tip_heights(session: Session) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return times (n,) [ns] and heights (n,) [m] of the tip in a session's contact frame.
-
-    Raises:
-        SessionError: The session has no pose.
-    """
+    """Return times (n,) [ns] and heights (n,) [m] of the tip in a session's contact frame."""
     pose = stream_of(session, "pose")
     frame = invert(session.attrs["contact_frame"])
     return pose.t_ns, transform(frame, np.asarray(pose.array("value"))[:, :3])[:, 2]

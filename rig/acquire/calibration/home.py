@@ -67,10 +67,6 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
         session: Session recorded along `plan`.
         plan: The touches.
         width_max: Widest accepted interval [m].
-
-    Raises:
-        SafetyStop: There was no contact within the travel, or the interval is too wide: the bench
-            differs from its file and must be inspected.
     """
     found: dict[int, list[Onset]] = {}
     for index, target in enumerate(plan.targets()):
@@ -171,11 +167,7 @@ def truth_lines(bench: Bench, height: float) -> list[str]:
 
 
 def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequence[int]) -> Touch:
-    """Return the touches for a bench: from 1 mm above its surface to `travel` below.
-
-    Raises:
-        ConfigError: `travel` exceeds the bench's deepest indentation, or there are no repeats.
-    """
+    """Return the touches for a bench: from 1 mm above its surface to `travel` below."""
     most = bench.limits.depth_max
     depth = min(1e-3, most) if travel is None else travel
     if not 0 < depth <= most:

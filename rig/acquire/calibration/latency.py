@@ -79,9 +79,6 @@ def find_lag(
         force: Magnitude of the force (n,) [N]; about zero without contact.
         motion_t_ns: Times of the motion (m,) [ns], ascending.
         motion: Distance from the state without contact (m,), any unit.
-
-    Raises:
-        ValueError: There are too few samples or taps, or no motion.
     """
     grid, raster = _rastered(force_t_ns, force)
     seconds = (motion_t_ns - force_t_ns[0]) * 1e-9
@@ -251,11 +248,7 @@ class Latency:
 
 
 def plan_for(bench: Bench, *, depth: float | None, count: int) -> Taps:
-    """Return the taps for a bench: about 1 N, at most 1 mm deep.
-
-    Raises:
-        ConfigError: The depth is too large for the sensor, or there are fewer than 4 taps.
-    """
+    """Return the taps for a bench: about 1 N, at most 1 mm deep."""
     limits = bench.limits
     most = limits.depth_max / 2
     light = min(_FORCE / limits.stiffness, _DEEPEST, most)
@@ -271,11 +264,7 @@ def plan_for(bench: Bench, *, depth: float | None, count: int) -> Taps:
 
 
 def signal_of(bench: Bench) -> str:
-    """Return the stream whose latency is measured: the bench's signal.
-
-    Raises:
-        ConfigError: The bench has no signal, or no F/T sensor to hold it against.
-    """
+    """Return the stream whose latency is measured: the bench's signal."""
     require_gauge(bench, "calibrate-latency")
     if bench.signal is None:
         raise ConfigError(
@@ -297,9 +286,6 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
         session: Session recorded along `Taps`.
         stream: Name of the stream.
         exposure: See `exposure_of` [s].
-
-    Raises:
-        SafetyStop: Force or signal show no taps: the bench differs from its file.
     """
     force, (moved_ns, height) = stream_of(session, "force"), tip_heights(session)
     pressed = -np.asarray(force.array("value"))[:, 2]
@@ -343,11 +329,7 @@ def refusal(found: Latency, *, width_max: float = WIDTH_MAX) -> str | None:
 
 
 def motion_of(signal: Stream, start_ns: int) -> Floats:
-    """Return each sample's distance (n,) from those without contact before `start_ns`, in its unit.
-
-    Raises:
-        ValueError: There is no sample before `start_ns`.
-    """
+    """Return samples' distances (n,) from those without contact before `start_ns`, in its unit."""
     before = np.flatnonzero(signal.t_ns < start_ns)
     if not before.size:
         raise ValueError(f"{signal.name}: no sample before the first tap")

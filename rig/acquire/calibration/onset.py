@@ -101,9 +101,6 @@ def find_onset(z: Floats, force: Floats) -> Onset | None:
     Args:
         z: Height of the tip (n,) along one approach [m], from above downward.
         force: Compression (n,) at those heights [N], positive.
-
-    Raises:
-        ValueError: There are too few samples, or values are not finite.
     """
     z, force = np.asarray(z, np.float64), np.asarray(force, np.float64)
     if z.shape != force.shape or len(z) < _LEAST:
@@ -142,9 +139,6 @@ def combine(onsets: Sequence[Onset]) -> Surface:
 
     The half-width is the larger of Student's t times the standard error between approaches, and
     the root mean square half-width of the single intervals divided by the root of their number.
-
-    Raises:
-        ValueError: There is no onset.
     """
     if not onsets:
         raise ValueError("onsets: found none; allowed: at least one")
@@ -172,9 +166,6 @@ def tilt(places: Floats, heights: Floats) -> tuple[float, float, float]:
     Args:
         places: x and y of the points (n, 2) [m], three or more, not on one line.
         heights: Surface height there (n,) [m].
-
-    Raises:
-        ValueError: The points do not span a plane.
     """
     matrix = np.column_stack([places, np.ones(len(places))])
     if len(places) < 3 or np.linalg.matrix_rank(matrix, tol=1e-9) < 3:

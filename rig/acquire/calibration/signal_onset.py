@@ -145,9 +145,6 @@ def evaluate(session: Session, plan: Plan) -> TouchedSurface:
     Args:
         session: Session recorded along `plan`, of a bench without a gauge.
         plan: The touches.
-
-    Raises:
-        SafetyStop: An approach shows no contact.
     """
     found: dict[int, list[tuple[Onset, float]]] = {}
     places: dict[int, Sequence[float]] = {}
@@ -175,11 +172,7 @@ def evaluate(session: Session, plan: Plan) -> TouchedSurface:
 
 
 def span_of(session: Session, index: int, phase: str = "normal_inc") -> tuple[int, int]:
-    """Return start and end of the last recorded move of target `index` in a phase [ns].
-
-    Raises:
-        SafetyStop: The target was not pressed.
-    """
+    """Return start and end of the last recorded move of target `index` in a phase [ns]."""
     segments = session.segments
     rows = np.flatnonzero(
         (np.asarray(segments["target"]) == index)

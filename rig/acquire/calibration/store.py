@@ -58,9 +58,6 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
         folder: Folder of the calibration files.
         bench: The bench as described by its file, without a calibration.
         indenter: Name of the indenter on the arm.
-
-    Raises:
-        ConfigError: The file cannot be read, or belongs to another sensor, bench or device.
     """
     path = folder / f"{bench.sensor}.yaml"
     acceptance = acceptance_of(folder, bench)
@@ -124,21 +121,13 @@ def report_path(folder: Path, sensor: str) -> Path:
 
 
 def acceptance_of(folder: Path, bench: Bench) -> dict[str, Any] | None:
-    """Return the summary of a bench's acceptance report; None if it was not set up to the end.
-
-    Raises:
-        ConfigError: The file cannot be read.
-    """
+    """Return the summary of a bench's acceptance report; None if it was not set up to the end."""
     accepted: dict[str, Any] | None = read_setup(folder, bench).get("acceptance")
     return accepted
 
 
 def read_setup(folder: Path, bench: Bench) -> dict[str, Any]:
-    """Return the stored set-up of a bench; empty without one, or if it is of the other kind.
-
-    Raises:
-        ConfigError: The file cannot be read.
-    """
+    """Return the stored set-up of a bench; empty without one, or if it is of the other kind."""
     path = setup_path(folder, bench.sensor)
     try:
         found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
@@ -174,11 +163,7 @@ def store(
     latency: LatencyCalibration | None = None,
     first_press: dict[str, FirstPressRecord] | None = None,
 ) -> Path:
-    """Add to a sensor's calibration file, atomically; other entries stay.
-
-    Raises:
-        ConfigError: The existing file belongs to another sensor, or cannot be written.
-    """
+    """Add to a sensor's calibration file, atomically; other entries stay."""
     path = folder / f"{sensor}.yaml"
     content: dict[str, Any] = read_yaml(path) if path.exists() else {"sensor": sensor}
     if content.get("sensor") != sensor:
@@ -236,11 +221,7 @@ def _refuse_foreign(mock: bool, bench: Bench, where: str) -> None:
 
 
 def age_hours(date_utc: str, where: str = "home") -> float:
-    """Return the age of a calibration [h].
-
-    Raises:
-        ConfigError: Its date is none.
-    """
+    """Return the age of a calibration [h]."""
     try:
         then = np.datetime64(date_utc.removesuffix("Z"), "s")
     except ValueError:

@@ -72,13 +72,7 @@ class Arm:
         self._child = Child(setup, clock or SystemClock())
 
     def start(self, timeout: float) -> None:
-        """Start the child and wait at most `timeout` [s] until the arm accepts commands.
-
-        Raises:
-            DeviceLost: The controller does not answer, is off, in local control, or rejects the
-                setup.
-            SafetyStop: A safety stop is active.
-        """
+        """Start the child and wait at most `timeout` [s] until the arm accepts commands."""
         if self._child.alive:
             return
         reply = self._child.start(timeout)
@@ -111,10 +105,6 @@ class Arm:
             on_wait: Called about 20 times a second. An exception it raises (or Ctrl-C) leaves the
                 arm moving: call `halt`.
             wake: When it becomes readable, `on_wait` is called at once and must drain it.
-
-        Raises:
-            SafetyStop: A hard limit, the box, or a safety stop of the controller.
-            DeviceLost: The arm, or data the guard needs, is gone.
         """
         config, target = self._config, _floats(pose)
         slow = mode == "guarded"
@@ -128,12 +118,7 @@ class Arm:
         return MoveResult(reply.outcome, reply.start_ns, reply.end_ns, reply.reason)
 
     def halt(self) -> None:
-        """Stop and wait until the arm is at rest; a `move` in another thread ends as "stopped".
-
-        Raises:
-            SafetyStop: The controller is already in a safety stop.
-            DeviceLost: Child or controller are gone; the controller's watchdog stops the arm.
-        """
+        """Stop and wait until the arm is at rest; a `move` in another thread ends as "stopped"."""
         reply = self._child.ask(Halt, _STOP_ANSWER)
         if reply.outcome != "done":
             _raise_for(reply)
@@ -166,12 +151,7 @@ class Arm:
         return self.retract()
 
     def check(self) -> None:
-        """Raise if the guard found a problem while no command was running.
-
-        Raises:
-            SafetyStop: A hard limit or a safety stop.
-            DeviceLost: The child, the arm, or data the guard needs, is gone.
-        """
+        """Raise if the guard found a problem while no command was running."""
         self._child.poll()
         alarm, self._child.alarm = self._child.alarm, None
         if alarm is not None:

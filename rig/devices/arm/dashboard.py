@@ -14,11 +14,7 @@ BANNER = "Connected: Universal Robots Dashboard Server\n"
 
 
 def ask(host: str, questions: list[str], timeout: float) -> list[str]:
-    """Return the dashboard's answers to `questions`, in order, over one connection.
-
-    Raises:
-        DeviceLost: No dashboard server at `host`, or it does not answer within `timeout` [s].
-    """
+    """Return the dashboard's answers to `questions`, in order, over one connection."""
     answers = []
     try:
         with (

@@ -152,9 +152,6 @@ class Robot:
     Args:
         pose: TCP pose (6,) in the base frame at power on [m, rad].
         tcp: TCP (6,) in the flange frame at power on, as in the installation [m, rad].
-
-    Raises:
-        ValueError: The UR5e cannot reach `pose`.
     """
 
     def __init__(self, pose: Array, tcp: Array) -> None:

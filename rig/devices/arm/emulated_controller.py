@@ -259,9 +259,6 @@ class Controller:
         pose: TCP pose (6,) in the base frame at start [m, rad].
         tcp: TCP (6,) in the flange frame set in the installation [m, rad].
         force_limit: Contact force that triggers a protective stop [N].
-
-    Raises:
-        ValueError: The UR5e cannot reach `pose`.
     """
 
     def __init__(self, pose: Array, tcp: Array, *, force_limit: float = 150.0) -> None:
@@ -297,11 +294,7 @@ class Controller:
         self._sources = self._make_sources()
 
     def lead(self, pose: Array) -> None:
-        """Put the TCP at `pose` (6,) [m, rad], as a person in freedrive does.
-
-        Raises:
-            ValueError: A program runs, or the arm cannot reach the pose.
-        """
+        """Put the TCP at `pose` (6,) [m, rad], as a person in freedrive does."""
         if self._program is not None or self.robot.solve(pose) is None:
             raise ValueError("freedrive: allowed: without a program, to a pose in reach")
         self.robot.pose = np.array(pose, np.float64)

@@ -315,11 +315,7 @@ class ArmEmulator(ThreadedEmulator):
         return self._host
 
     def start(self) -> None:
-        """Listen on all ports and run; return when clients can connect.
-
-        Raises:
-            OSError: A port is taken.
-        """
+        """Listen on all ports and run; return when clients can connect."""
         try:
             self._listen(rtde.PORT, self._new_rtde)
             self._listen(dashboard.PORT, self._new_dashboard)
@@ -500,12 +496,7 @@ class ArmEmulatorConfig(PlayableConfig):
 
 
 def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
-    """Return the emulated arm.
-
-    Raises:
-        ConfigError: Another fault port than the arm's own, which its loop serves.
-        ValueError: The arm cannot reach the pose.
-    """
+    """Return the emulated arm."""
     if settings.fault_port not in (None, emulator_faults.PORT):
         raise ConfigError(
             f"fault_port: found {settings.fault_port}; allowed: {emulator_faults.PORT}, always open"

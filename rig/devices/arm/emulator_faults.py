@@ -46,12 +46,7 @@ class Network(Protocol):
 
 
 def apply(controller: Controller, network: Network, fault: str, **values: Any) -> dict[str, Any]:
-    """Inject one fault and return the controller's state.
-
-    Raises:
-        ValueError: Unknown fault.
-        KeyError: A value that the fault needs is missing.
-    """
+    """Inject one fault and return the controller's state."""
 
     def set_slider() -> None:
         controller.robot.slider = float(values["fraction"])
@@ -108,10 +103,5 @@ def answer(controller: Controller, network: Network, line: str) -> str:
 
 
 def inject(host: str, fault: str, **values: Any) -> dict[str, Any]:
-    """Inject a fault into the emulator at `host` and return the state of its controller.
-
-    Raises:
-        OSError: No emulator there.
-        ValueError: The emulator does not know the fault, or a value is missing.
-    """
+    """Inject a fault into the emulator at `host` and return the state of its controller."""
     return emulation.inject(host, PORT, fault, **values)

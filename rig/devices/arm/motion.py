@@ -98,11 +98,7 @@ def _serve(setup: Setup, pipe: Connection) -> int:
 
 
 def _connected(config: ArmConfig, clock: Clock) -> tuple[RtdeLink, UrControl]:
-    """Return the open pose link and the running control of an arm.
-
-    Raises:
-        DeviceLost, SafetyStop: It does not answer, or may not be moved.
-    """
+    """Return the open pose link and the running control of an arm."""
     check_ready(config.host, _CONNECT)
     link = RtdeLink(config.host, min(config.rate_hz, _LINK_HZ), clock)
     link.open(_CONNECT)
@@ -140,11 +136,7 @@ class Motion:
         self._ending = True
 
     def serve(self) -> int:
-        """Obey commands until closed, and return the exit code.
-
-        Raises:
-            DeviceLost: The arm was lost while there was no parent to report it to.
-        """
+        """Obey commands until closed, and return the exit code."""
         number = START
         try:
             self._mover.wait_for_pose(_CONNECT)

@@ -66,11 +66,7 @@ class Watch:
         return None if self._sample is None else np.array(self._sample["value"])
 
     def look(self, mode: Mode) -> Violation | None:
-        """Process all samples since the last look and return the most serious violation.
-
-        Raises:
-            DeviceLost: The controller closed the link or is silent.
-        """
+        """Process all samples since the last look and return the most serious violation."""
         arrived = self._link.receive(0.0)
         for sample in arrived:
             self._take(sample)
@@ -114,11 +110,7 @@ class Watch:
         return age_ns <= round(_FRESH * SECOND_NS)
 
     def require_fresh(self) -> None:
-        """Ensure that it is safe to call ur_rtde.
-
-        Raises:
-            DeviceLost: The controller has not been heard from recently.
-        """
+        """Ensure that it is safe to call ur_rtde."""
         if not self.fresh() and not self._heard_after_waiting():
             raise DeviceLost(
                 f"arm at {self._host}: silent; is the controller on and its network cable in?"
@@ -219,11 +211,7 @@ class Mover:
         """Safety stop after which no command is sent any more."""
 
     def wait_for_pose(self, timeout: float) -> None:
-        """Run the loop until the first pose has arrived.
-
-        Raises:
-            DeviceLost: No pose arrived within `timeout` [s].
-        """
+        """Run the loop until the first pose has arrived."""
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while self._watch.pose is None:
             self.step("retreat")
@@ -231,11 +219,7 @@ class Mover:
                 raise DeviceLost(f"arm at {self._config.host}: no pose for {timeout} s")
 
     def step(self, mode: Mode) -> Violation | None:
-        """Run one cycle of the loop: wait, check poses and forces, kick the watchdog.
-
-        Raises:
-            DeviceLost: The controller is silent, or no longer runs our program.
-        """
+        """Run one cycle of the loop: wait, check poses and forces, kick the watchdog."""
         self._pacer.wait()
         violation = self._watch.look(mode)
         if violation is not None and violation.kind in _SAFETY:
@@ -248,11 +232,7 @@ class Mover:
         return violation
 
     def _kick(self) -> Violation | None:
-        """Kick the watchdog; return the safety stop that ended the program, if one did.
-
-        Raises:
-            DeviceLost: The controller no longer runs our program, for another reason.
-        """
+        """Kick the watchdog; return the safety stop that ended the program, if one did."""
         if self._control.connected() and self._control.kick():
             return None
         # The safety status may reach us one package after the program's end.
@@ -266,11 +246,7 @@ class Mover:
         return self.latched
 
     def halt(self) -> None:
-        """Stop and wait until at rest; do nothing after a safety stop, which stops by itself.
-
-        Raises:
-            DeviceLost: The controller is silent, or the arm did not stop in time.
-        """
+        """Stop and wait until at rest; do nothing after a safety stop, which stops by itself."""
         if self.latched is not None:
             return
         self._watch.require_fresh()
@@ -304,9 +280,6 @@ class Mover:
         Args:
             command: The move.
             on_start: Called at the start with the longest time the move can take [s].
-
-        Raises:
-            DeviceLost: The controller is silent, or no longer runs our program.
         """
         start_ns = self._clock.now_ns()
         goal = np.array(command.pose)

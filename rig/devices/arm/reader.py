@@ -100,11 +100,7 @@ class RtdeLink:
         return f"arm at {self._host}:{rtde.PORT} (RTDE)"
 
     def open(self, timeout: float) -> None:
-        """Connect, negotiate the variables and start the stream within `timeout` [s].
-
-        Raises:
-            DeviceLost: Refused, silent, or not an RTDE server that knows our variables.
-        """
+        """Connect, negotiate the variables and start the stream within `timeout` [s]."""
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         try:
             self._socket = socket.create_connection((self._host, rtde.PORT), timeout)
@@ -167,12 +163,7 @@ class RtdeLink:
         return True
 
     def receive(self, timeout: float) -> list[dict[str, Any]]:
-        """Return every sample that has arrived, waiting up to `timeout` [s] for one.
-
-        Raises:
-            DeviceLost: Closed, silent for SILENCE, invalid data, or a controller that restarted.
-                The samples before it are returned first.
-        """
+        """Return every sample that has arrived, waiting up to `timeout` [s] for one."""
         if self._failure is not None:
             raise self._failure
         if not self._fill(timeout):
@@ -265,11 +256,7 @@ class RtdePoseDriver(ReceivingDriver):
         return {"repeated": self._link.duplicates, "late": self._link.late}
 
     def open(self, timeout: float) -> None:
-        """Connect and start the stream within `timeout` [s].
-
-        Raises:
-            DeviceLost: Refused, silent, or not an RTDE server that knows our variables.
-        """
+        """Connect and start the stream within `timeout` [s]."""
         self._reset()
         self._link.open(timeout)
         self._start_receiving(f"pose {self._config.host}")

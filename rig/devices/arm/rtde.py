@@ -129,11 +129,7 @@ def pack_message(kind: int, payload: bytes = b"") -> bytes:
 
 
 def split_messages(buffer: bytearray) -> list[tuple[int, bytes]]:
-    """Remove every complete (type, payload) from the front of `buffer`; keep a partial one in it.
-
-    Raises:
-        ValueError: The size field is impossible, so the following data cannot be framed.
-    """
+    """Remove every complete (type, payload) from the front of `buffer`; keep a partial one."""
     messages = []
     start = 0
     while len(buffer) - start >= 3:
@@ -159,11 +155,7 @@ def unpack_output_request(payload: bytes) -> tuple[float, list[str]]:
 
 
 def unpack_names(payload: bytes) -> list[str]:
-    """Return the names of an I request or the types of a reply, empty ones dropped.
-
-    Raises:
-        ValueError: Not text.
-    """
+    """Return the names of an I request or the types of a reply, empty ones dropped."""
     return [name for name in payload.decode().split(",") if name]
 
 
@@ -173,11 +165,7 @@ def pack_recipe(number: int, types: Sequence[str]) -> bytes:
 
 
 def unpack_recipe(payload: bytes) -> tuple[int, list[str]]:
-    """Return recipe number and types of the controller's reply to O or I.
-
-    Raises:
-        ValueError: Empty, or not text.
-    """
+    """Return recipe number and types of the controller's reply to O or I."""
     if not payload:
         raise ValueError("RTDE recipe reply without content")
     return payload[0], unpack_names(payload[1:])
@@ -185,11 +173,7 @@ def unpack_recipe(payload: bytes) -> tuple[int, list[str]]:
 
 @cache
 def layout(types: tuple[str, ...]) -> struct.Struct:
-    """Return the packing of one recipe's values, without the recipe number.
-
-    Raises:
-        ValueError: A type is unknown to this module (such as NOT_FOUND and IN_USE).
-    """
+    """Return the packing of one recipe's values, without the recipe number."""
     unknown = [name for name in types if name not in _CODES]
     if unknown:
         raise ValueError(f"RTDE types {unknown}; known: {sorted(_CODES)}")
@@ -213,11 +197,7 @@ def pack_values(types: tuple[str, ...], values: Sequence[Value]) -> bytes:
 
 
 def unpack_values(types: tuple[str, ...], data: bytes) -> list[Value]:
-    """Return the values of one data package, in recipe order; vectors as tuples.
-
-    Raises:
-        ValueError: The package's length differs from the recipe's.
-    """
+    """Return the values of one data package, in recipe order; vectors as tuples."""
     packing = layout(types)
     if len(data) != packing.size:
         raise ValueError(f"RTDE package of {len(data)} bytes; the recipe has {packing.size}")

@@ -74,11 +74,7 @@ class Child:
         return self._process.pid if self._process is not None else None
 
     def start(self, timeout: float) -> Reply:
-        """Start a new process and return its first reply.
-
-        Raises:
-            DeviceLost: It died, or sent no reply within `timeout` [s] and was killed.
-        """
+        """Start a new process and return its first reply."""
         self.discard()
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
@@ -108,9 +104,6 @@ class Child:
             timeout: For the reply, or for the report of its start and time limit [s].
             on_wait: Called about 20 times a second; an exception leaves the command running.
             wake: When it becomes readable, `on_wait` is called at once and must drain it.
-
-        Raises:
-            DeviceLost: No child, it died, or it did not answer in time and was killed.
         """
         number = next(self._numbers)
         command = make(number)
@@ -122,11 +115,7 @@ class Child:
         return self._answer(number, timeout, on_wait, wake)
 
     def poll(self) -> None:
-        """File the reports that have arrived.
-
-        Raises:
-            DeviceLost: No child, or it died.
-        """
+        """File the reports that have arrived."""
         self._pump(0.0)
 
     def _require_pipe(self) -> Connection:

@@ -26,12 +26,7 @@ _T = TypeVar("_T")
 
 
 def check_ready(host: str, timeout: float) -> None:
-    """Check that the controller listens and may be moved, before ur_rtde connects to it.
-
-    Raises:
-        DeviceLost: A port does not answer; powered off; not in remote control.
-        SafetyStop: A safety stop is active.
-    """
+    """Check that the controller listens and may be moved, before ur_rtde connects to it."""
     for port, what in _PORTS.items():
         try:
             socket.create_connection((host, port), timeout).close()
@@ -58,9 +53,6 @@ class UrControl:
 
     Args:
         config: Address, TCP, payload, watchdog.
-
-    Raises:
-        DeviceLost: The controller does not run the program, or rejects TCP or payload.
     """
 
     def __init__(self, config: ArmConfig) -> None:

@@ -24,11 +24,7 @@ class RtdeWrenchDriver(RtdePoseDriver):
     MORE: ClassVar[Mapping[str, str]] = {"actual_TCP_force": "wrench"}
 
     def read(self, timeout: float) -> list[dict[str, Any]]:
-        """Return every sample since the last call, waiting up to `timeout` [s] for one.
-
-        Raises:
-            DeviceLost: The stream is over and everything received has been read.
-        """
+        """Return every sample since the last call, waiting up to `timeout` [s] for one."""
         return [
             {
                 "value": np.array(sample["wrench"]),

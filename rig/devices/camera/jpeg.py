@@ -50,11 +50,7 @@ _STAMP = re.compile(rb"tactile-rig emulator seq=(\d+) state_t_ns=(-?\d+)")
 
 
 def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Yield marker, offset and content of each segment up to and including SOS.
-
-    Raises:
-        ValueError: The data is not a JPEG file, or ends before SOS.
-    """
+    """Yield marker, offset and content of each segment up to and including SOS."""
     if jpeg[:2] != SOI:
         raise ValueError("no SOI")
     at = 2
@@ -76,11 +72,7 @@ def segments(jpeg: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def jpeg_size(jpeg: bytes) -> tuple[int, int]:
-    """Return width and height [px].
-
-    Raises:
-        ValueError: The header is invalid or has no SOF segment.
-    """
+    """Return width and height [px]."""
     for marker, _, content in segments(jpeg):
         if marker in _SOF and len(content) >= 5:
             height, width = struct.unpack(">HH", content[1:5])
@@ -112,11 +104,7 @@ def is_whole(jpeg: bytes) -> bool:
 
 
 def with_huffman_tables(jpeg: bytes) -> bytes:
-    """Return the file with the standard tables added if it has none, else unchanged.
-
-    Raises:
-        ValueError: The header is invalid.
-    """
+    """Return the file with the standard tables added if it has none, else unchanged."""
     for marker, at, _ in segments(jpeg):
         if marker == _DHT:
             return jpeg

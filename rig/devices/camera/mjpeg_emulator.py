@@ -98,9 +98,6 @@ class LoopSource:
     Args:
         path: A folder of images, shown in natural order, or a video file.
         hold: Number of ticks for which each picture is shown.
-
-    Raises:
-        ValueError: `path` has no picture.
     """
 
     def __init__(self, path: Path, *, hold: int = 1) -> None:
@@ -138,11 +135,7 @@ def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def halved(jpeg: bytes) -> bytes:
-    """Return the picture at half its width and height.
-
-    Raises:
-        ValueError: The picture cannot be decoded.
-    """
+    """Return the picture at half its width and height."""
     return _encoded(cv2.resize(_decoded(jpeg), None, fx=0.5, fy=0.5), QUALITY_RENDERED)
 
 
@@ -299,11 +292,7 @@ class MjpegEmulator(ThreadedEmulator):
         return f"http://{self._config.host}:{self._port}/"
 
     def start(self) -> None:
-        """Start serving.
-
-        Raises:
-            OSError: The address is not available.
-        """
+        """Start serving."""
         self._server = _Server((self._config.host, self._port), self)
         accept = functools.partial(self._server.serve_forever, 0.05)
         source = self._source
@@ -441,12 +430,7 @@ class _Handler(DeviceHandler):
 
 
 def emulate(settings: MjpegEmulatorConfig, clock: Clock) -> Served:
-    """Return the emulated camera.
-
-    Raises:
-        ConfigError: Not exactly one of view and source is given, or the World has no camera.
-        OSError, ValueError: The source has no picture.
-    """
+    """Return the emulated camera."""
     source: FrameSource | Playback
     world = None
     if (playback := settings.playback(clock)) is not None:

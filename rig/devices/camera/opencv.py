@@ -75,12 +75,7 @@ class OpenCvDriver(CameraDriver):
         self._newest: bytes | None = None
 
     def open(self, timeout: float) -> None:
-        """Open the stream and check the first frame.
-
-        Raises:
-            DeviceLost: No camera answers within `timeout` [s].
-            ConfigError: The address is no http address, or has settings a network camera refuses.
-        """
+        """Open the stream and check the first frame."""
         self._begin()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         self._newest = None

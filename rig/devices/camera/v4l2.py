@@ -51,12 +51,7 @@ class V4l2Driver(CameraDriver):
         self._stamps: dict[str, str] = {}
 
     def open(self, timeout: float) -> None:
-        """Open the camera, apply its settings, and check the first frame.
-
-        Raises:
-            DeviceLost: No camera answers within `timeout` [s].
-            ConfigError: The camera rejects a setting.
-        """
+        """Open the camera, apply its settings, and check the first frame."""
         self._begin()
         self._silent_s, self._sequence = 0.0, None
         address = self._config.address

@@ -137,9 +137,6 @@ class Node:
 
     Args:
         path: The device file.
-
-    Raises:
-        OSError: It does not open.
     """
 
     def __init__(self, path: str) -> None:
@@ -173,11 +170,7 @@ class Node:
         return int(control.value)
 
     def start(self) -> None:
-        """Map the buffers and start the stream.
-
-        Raises:
-            OSError: The driver refuses, or has no memory.
-        """
+        """Map the buffers and start the stream."""
         request = _Request(count=_BUFFERS, type=_CAPTURE, memory=_MMAP)
         fcntl.ioctl(self._fd, _REQBUFS, request)
         if request.count < 2:
@@ -191,11 +184,7 @@ class Node:
         fcntl.ioctl(self._fd, _STREAMON, ctypes.c_int(_CAPTURE))
 
     def next_frame(self, seconds: float) -> Frame | None:
-        """Return the next frame, or None if none comes within `seconds`.
-
-        Raises:
-            OSError: The camera is gone.
-        """
+        """Return the next frame, or None if none comes within `seconds`."""
         events = self._poll.poll(max(round(1e3 * seconds), 0))
         if not events:
             return None

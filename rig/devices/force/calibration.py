@@ -144,11 +144,7 @@ _CONDITION_MAX = 1e6
 
 
 def read_calibration(path: Path) -> TransducerCalibration:
-    """Read the calibration in a `.cal` file.
-
-    Raises:
-        ConfigError: The file is missing, or see `parse_calibration`.
-    """
+    """Read the calibration in a `.cal` file."""
     try:
         with path.open("rb") as file:
             content = file.read(_BYTES_MAX + 1)
@@ -166,11 +162,6 @@ def parse_calibration(content: bytes, where: str) -> TransducerCalibration:
     Args:
         content: Content of the file.
         where: Name of the file, for errors.
-
-    Raises:
-        ConfigError: Not XML or no FTSensor, more than 1 MB, a document type (nothing is expanded
-            or fetched), not exactly one calibration of six gauges, an axis missing, repeated or
-            without six finite values, an unknown unit, or a matrix without inverse.
     """
     root = _root(content, where)
     gauges = _attribute(root, "NumGages", f"{where}.FTSensor")

@@ -70,11 +70,7 @@ class StampedSocket:
                 udp.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
 
     def receive(self, size: int) -> tuple[bytes, int]:
-        """Return the next packet and its arrival [ns].
-
-        Raises:
-            OSError: Like `socket.recv`, including TimeoutError.
-        """
+        """Return the next packet and its arrival [ns]."""
         packet, ancillary, _, _ = self._udp.recvmsg(size, 64)
         now_ns = self._clock.now_ns()
         if not 0 <= now_ns - self._anchor.t0_ns < _ANCHOR_NS:
@@ -107,11 +103,7 @@ class _UntilDeadline(io.RawIOBase):
         return True
 
     def readinto(self, buffer: Any) -> int:
-        """Receive into `buffer`; return the number of bytes, 0 at the end.
-
-        Raises:
-            OSError: Like `socket.recv`; TimeoutError at the deadline.
-        """
+        """Receive into `buffer`; return the number of bytes, 0 at the end."""
         self._connection.settimeout(remaining(self._clock, self._deadline_ns))
         return self._connection.recv_into(buffer)
 
@@ -121,11 +113,7 @@ class _UntilDeadline(io.RawIOBase):
 
 
 def remaining(clock: Clock, deadline_ns: int) -> float:
-    """Return the time until a deadline [s].
-
-    Raises:
-        TimeoutError: It has passed.
-    """
+    """Return the time until a deadline [s]."""
     left_ns = deadline_ns - clock.now_ns()
     if left_ns <= 0:
         raise TimeoutError("timed out")
@@ -141,10 +129,6 @@ def fetch(host: str, port: int, path: str, clock: Clock, deadline_ns: int) -> by
         path: Path of the page, without its first slash.
         clock: Clock of the deadline.
         deadline_ns: Time by which the whole answer must be here [ns].
-
-    Raises:
-        OSError: No connection, another status than 200, or not complete at the deadline.
-        http.client.HTTPException: The answer is not HTTP.
     """
     with socket.create_connection((host, port), remaining(clock, deadline_ns)) as connection:
         connection.sendall(
@@ -271,12 +255,7 @@ class NetFtDriver(ReceivingDriver):
         return {"repeated": self.duplicates, "late": self.late, "corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
-        """Read the settings, set the rate, start the stream and wait for its first record.
-
-        Raises:
-            DeviceLost: No answer within `timeout` [s], or the box reports an error.
-            ConfigError: The box has unknown units, or rejects the rate.
-        """
+        """Read the settings, set the rate, start the stream and wait for its first record."""
         self._reset()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         inbox = self._inbox

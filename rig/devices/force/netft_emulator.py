@@ -97,11 +97,7 @@ class NetFtEmulator(ThreadedEmulator):
         return f"{c.host}:{c.device.udp_port} http://{c.host}:{c.device.http_port}"
 
     def start(self) -> None:
-        """Start serving.
-
-        Raises:
-            OSError: The address or a port is not available.
-        """
+        """Start serving."""
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._udp.bind((self._config.host, self._config.device.udp_port))

@@ -20,11 +20,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def force_page(stream: Stream) -> Page:
-    """Return the settings of the F/T box that recorded a force stream; defaults if not stored.
-
-    Raises:
-        SessionError: Units that no Net F/T box has.
-    """
+    """Return the settings of the F/T box that recorded a force stream; defaults if not stored."""
     device = stream.attrs.get("device") or {}
     default = Page()
     page = Page(
@@ -56,9 +52,6 @@ def force_counts(value: Floats, bias: Floats, page: Page, name: str = "force") -
         bias: (6,) [N, N m].
         page: Settings of the box.
         name: Name of the stream, for errors.
-
-    Raises:
-        SessionError: A row is not a whole number of counts, or beyond int32.
     """
     scale = np.repeat(page.scale(), 3)
     whole = np.rint((value + bias) / scale)

@@ -115,11 +115,7 @@ class Page:
     """comrdtrate: records per second."""
 
     def scale(self) -> tuple[float, float]:
-        """Return newton per count and newton metre per count.
-
-        Raises:
-            ConfigError: A unit is not in the tables, or counts per unit are not positive.
-        """
+        """Return newton per count and newton metre per count."""
         if self.force_unit not in FORCE_UNITS:
             raise ConfigError(f"scfgfu: {self.force_unit!r}; known: {sorted(FORCE_UNITS)}")
         if self.torque_unit not in TORQUE_UNITS:
@@ -183,11 +179,7 @@ def emit_page(page: Page) -> bytes:
 
 
 def parse_page(content: bytes) -> Page:
-    """Parse netftapi2.xml.
-
-    Raises:
-        ValueError: Not such a page: not XML, a tag missing, or not a number where one is required.
-    """
+    """Parse netftapi2.xml."""
     try:
         root = ET.fromstring(content)
     except ET.ParseError as error:

@@ -57,13 +57,7 @@ class NidaqDriver(ReceivingDriver):
         """Number of times the card's buffer overflowed before it was read."""
 
     def open(self, timeout: float) -> None:
-        """Read the calibration, set up the card, verify its settings, wait for a first sample.
-
-        Raises:
-            ConfigError: The calibration file, the library or the driver is missing or wrong, or the
-                card rejects a setting.
-            DeviceLost: No such card, or nothing answers within `timeout` [s].
-        """
+        """Read the calibration, set up the card, verify its settings, wait for a first sample."""
         self._reset()
         config = self._config
         calibration = read_calibration(packaged(Path(config.calibration), BENCHES))

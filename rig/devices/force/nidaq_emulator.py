@@ -397,11 +397,7 @@ class NidaqEmulator:
         return self.faults.unplugged
 
     def start(self) -> None:
-        """Start serving.
-
-        Raises:
-            OSError: The address is not available.
-        """
+        """Start serving."""
         # Several threads: a client that waits for samples occupies one.
         self._pool = ThreadPoolExecutor(4, "nidaq-emulator")
         self._server = grpc.server(self._pool, options=(("grpc.so_reuseport", 0),))

@@ -62,10 +62,6 @@ class AnalogTask:
         server: host:port of an NI gRPC Device Server, or None.
         clock: Clock for `timeout`.
         timeout: Time limit for each answer of the device server [s].
-
-    Raises:
-        DeviceLost: The card or server is missing or does not answer.
-        ConfigError: No driver on this computer, or the card rejects a setting.
     """
 
     def __init__(
@@ -140,11 +136,7 @@ class AnalogTask:
         self._reader.verify_array_shape = False
 
     def _check(self, rate_hz: float, volts_range: tuple[float, float]) -> None:
-        """Check the settings read back against the requested ones.
-
-        Raises:
-            ConfigError: They differ.
-        """
+        """Check the settings read back against the requested ones."""
         problem = ""
         low, high = volts_range
         slack = _RANGE_TOLERANCE * (high - low)
@@ -165,20 +157,12 @@ class AnalogTask:
             raise ConfigError(f"{self._place}: {problem}")
 
     def start(self) -> None:
-        """Start the sample clock; the first sample is number 0.
-
-        Raises:
-            DeviceLost: The card is gone.
-        """
+        """Start the sample clock; the first sample is number 0."""
         with self._errors("starting"):
             self._task.start()
 
     def restart(self) -> None:
-        """Stop and start after an overrun; the count begins at 0 again.
-
-        Raises:
-            DeviceLost: The card is gone.
-        """
+        """Stop and start after an overrun; the count begins at 0 again."""
         with contextlib.suppress(Overrun), self._errors("stopping"):
             self._task.stop()
         self.start()
@@ -188,22 +172,12 @@ class AnalogTask:
         self._deadline.seconds = seconds
 
     def acquired(self) -> int:
-        """Return the number of samples per channel since the start.
-
-        Raises:
-            DeviceLost: The card is gone.
-            Overrun: The buffer overflowed.
-        """
+        """Return the number of samples per channel since the start."""
         with self._errors("reading"):
             return int(self._task.in_stream.total_samp_per_chan_acquired)
 
     def read(self, count: int) -> npt.NDArray[np.float64]:
-        """Return the next `count` samples (count, 6) [V], which must already be acquired.
-
-        Raises:
-            DeviceLost: The card is gone.
-            Overrun: The buffer overflowed.
-        """
+        """Return the next `count` samples (count, 6) [V], which must already be acquired."""
         volts = np.empty((_GAUGES, count))
         with self._errors("reading"):
             self._reader.read_many_sample(volts, count, timeout=_READ_TIMEOUT)

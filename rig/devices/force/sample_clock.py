@@ -40,11 +40,7 @@ class SampleTimeline:
         self._least.append((second, delay_ns))
 
     def time_ns(self, number: int) -> int:
-        """Return the best current estimate of the time of sample `number` [ns].
-
-        Raises:
-            ValueError: No observation yet.
-        """
+        """Return the best current estimate of the time of sample `number` [ns]."""
         return min(delay_ns for _, delay_ns in self._least) + round(number * self._period_ns)
 
     def take(self, first: int, count: int) -> npt.NDArray[np.int64]:

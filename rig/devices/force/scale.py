@@ -52,11 +52,7 @@ class Reading:
 
 
 def parse(line: str) -> Reading:
-    """Return the reading of a line.
-
-    Raises:
-        ValueError: It is none.
-    """
+    """Return the reading of a line."""
     found = _LINE.match(line.strip())
     if found is None:
         raise ValueError(f"{line!r} is no reading")
@@ -100,12 +96,7 @@ class ScaleDriver(ReceivingDriver):
         return {"corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
-        """Open the port and wait for the first reading.
-
-        Raises:
-            DeviceLost: No such port, or no scale answers within `timeout` [s].
-            ConfigError: The address is no serial port.
-        """
+        """Open the port and wait for the first reading."""
         self._reset()
         config = self._config
         self._buffer, self._unit, self._sequence, self._wrong = b"", "", -1, 0

@@ -32,11 +32,7 @@ class ForceSettings(StreamSettings):
     """Axes that the sensor measures; values of the others, such as NaN, are stored and ignored."""
 
     def __post_init__(self) -> None:
-        """Reject a list without axes, or with one twice.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject a list without axes, or with one twice."""
         if not self.axes_measured or len(set(self.axes_measured)) < len(self.axes_measured):
             raise ValueError(
                 f"axes_measured: {list(self.axes_measured)}; allowed: one or more of "
@@ -99,11 +95,7 @@ class NidaqConfig(ForceSettings):
     """host:port of an NI gRPC Device Server that has the card; None: this computer has it."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject invalid values."""
         ForceSettings.__post_init__(self)
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0 Hz")
@@ -128,9 +120,6 @@ class NidaqConfig(ForceSettings):
         """Rated load per axis (6,) in the frame of the wrench, by the .cal file [N, N m].
 
         In a turned frame each axis has the lowest of the transducer's three.
-
-        Raises:
-            ConfigError: See `read_calibration`.
         """
         rated = read_calibration(packaged(Path(self.calibration), BENCHES)).rated
         if any(self.tool.rotation):
@@ -182,11 +171,7 @@ class ScaleConfig(ForceSettings):
     """Label only: a scale is too slow to stop an arm."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values, and a scale that is to guard.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject invalid values, and a scale that is to guard."""
         if self.axes_measured != ("Fz",):
             raise ValueError(f"axes_measured: {list(self.axes_measured)}; allowed: Fz")
         if "guard" in (self.roles or ()):

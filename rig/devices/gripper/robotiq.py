@@ -71,11 +71,7 @@ class RobotiqDriver:
         self.close()
 
     def open(self, timeout: float) -> None:
-        """Open the port and wait at most `timeout` [s] for a gripper's answer; nothing moves.
-
-        Raises:
-            DeviceLost: No such port, no permission, or no answer.
-        """
+        """Open the port and wait at most `timeout` [s] for a gripper's answer; nothing moves."""
         self.close()
         config = self._config
         try:
@@ -98,11 +94,7 @@ class RobotiqDriver:
             raise
 
     def status(self) -> GripperStatus:
-        """Return the gripper's current status.
-
-        Raises:
-            DeviceLost: No answer, or an invalid one.
-        """
+        """Return the gripper's current status."""
         return parse_status(self._ask(READ_INPUT, STATUS_ADDRESS))
 
     def activate(self, timeout: float) -> GripperStatus:
@@ -110,9 +102,6 @@ class RobotiqDriver:
 
         Args:
             timeout: For the whole activation; a gripper takes one to two seconds [s].
-
-        Raises:
-            DeviceLost: No answer, a fault, or not active in time.
         """
         if self.status().state == ACTIVE:
             return self.status()
@@ -131,10 +120,6 @@ class RobotiqDriver:
             speed: 0 slowest to 255.
             force: 0 weakest to 255.
             timeout: For the movement [s].
-
-        Raises:
-            DeviceLost: Not active, no answer, a fault, or not at rest in time.
-            ValueError: A number is not in 0 to 255.
         """
         command = GripperCommand(go=True, position=position, speed=speed, force=force)
         if self.status().state != ACTIVE:
@@ -149,27 +134,15 @@ class RobotiqDriver:
         )
 
     def close_fingers(self) -> GripperStatus:
-        """Close with the configured speed and force; the status shows if it holds an object.
-
-        Raises:
-            DeviceLost: See `move`.
-        """
+        """Close with the configured speed and force; the status shows if it holds an object."""
         return self.move(255, speed=self._config.speed, force=self._config.force)
 
     def open_fingers(self) -> GripperStatus:
-        """Open with the configured speed and force.
-
-        Raises:
-            DeviceLost: See `move`.
-        """
+        """Open with the configured speed and force."""
         return self.move(0, speed=self._config.speed, force=self._config.force)
 
     def describe(self) -> dict[str, Any]:
-        """Return properties for the session.
-
-        Raises:
-            DeviceLost: No answer.
-        """
+        """Return properties for the session."""
         status = self.status()
         return {
             "kind": self._config.KIND,
@@ -219,11 +192,7 @@ class RobotiqDriver:
             self._clock.sleep_until(self._clock.now_ns() + _LOOK_NS)
 
     def _ask(self, function: int, address: int, values: tuple[int, ...] = ()) -> tuple[int, ...]:
-        """Send one request and return the registers of its reply.
-
-        Raises:
-            DeviceLost: The port is gone, nobody answers, or the answer is invalid.
-        """
+        """Send one request and return the registers of its reply."""
         request = Request(self._config.slave, function, address, REGISTERS, values)
         with self._lock:
             port = self._serial
@@ -302,9 +271,6 @@ def swap_held(
         pause: Time before the fingers open, and before each attempt to close [s].
         patience: Time limit without an object to hold [s].
         speed: Speed of the fingers while they search for an object, 0 to 255.
-
-    Raises:
-        DeviceLost: The gripper is gone or in fault, or there was no object in time.
     """
     say(f"gripper: opens in {pause:g} s: support the object it holds")
     _rest(clock, pause)
@@ -377,11 +343,7 @@ class GripWatch:
         """Number of answers so far."""
 
     def open(self, timeout: float) -> dict[str, Any]:
-        """Connect, check that something is held, start polling, return its properties.
-
-        Raises:
-            DeviceLost: Nobody answers, or the gripper holds nothing.
-        """
+        """Connect, check that something is held, start polling, return its properties."""
         self._driver.open(timeout)
         status = self._driver.status()
         why = judge(status, status, self._config.position_tolerance)

@@ -211,11 +211,7 @@ class RobotiqEmulator(PtyEmulator):
         self._lock = threading.Lock()
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Inject a fault and return the emulator's state.
-
-        Raises:
-            ValueError, KeyError, TypeError: Unknown fault, or a value is missing.
-        """
+        """Inject a fault and return the emulator's state."""
         own: dict[str, Callable[[], None]] = {
             "lose_grip": self.fingers.lose_grip,
             "slip": lambda: self.fingers.slip(int(values["counts"])),

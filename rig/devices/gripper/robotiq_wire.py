@@ -58,11 +58,7 @@ class GripperCommand:
     """rFR: 0 weakest to 255."""
 
     def __post_init__(self) -> None:
-        """Reject values that do not fit one byte.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject values that do not fit one byte."""
         for name in ("position", "speed", "force"):
             value = getattr(self, name)
             if not 0 <= value <= 255:
@@ -228,11 +224,7 @@ def sealed(content: bytes) -> bytes:
 
 
 def emit_request(request: Request) -> bytes:
-    """Return the frame of `request`.
-
-    Raises:
-        ValueError: An unknown function, or values that do not fit it.
-    """
+    """Return the frame of `request`."""
     head = struct.pack(">BBHH", request.slave, request.function, request.address, request.count)
     if request.function in (READ_HOLDING, READ_INPUT):
         return sealed(head)
@@ -253,12 +245,7 @@ def reply_length(request: Request) -> int:
 
 
 def parse_reply(frame: bytes, request: Request) -> tuple[int, ...]:
-    """Return the registers in a reply to `request`; empty after a write.
-
-    Raises:
-        FrameError: Too short, too long, a wrong checksum, or not the answer to `request`.
-        RefusedError: The device refused; states the reason.
-    """
+    """Return the registers in a reply to `request`; empty after a write."""
     if len(frame) < 5:
         raise FrameError(f"{len(frame)} bytes; a reply has at least 5")
     content, (crc,) = frame[:-2], struct.unpack("<H", frame[-2:])
@@ -291,11 +278,7 @@ def request_length(head: bytes) -> int | None:
 
 
 def parse_request(frame: bytes) -> Request:
-    """Parse the frame of a request of any function: the inverse of `emit_request`.
-
-    Raises:
-        FrameError: A wrong checksum, or a count that does not fit the bytes.
-    """
+    """Parse the frame of a request of any function: the inverse of `emit_request`."""
     content = frame[:-2]
     if len(frame) < 8 or sealed(content) != frame:
         raise FrameError("not a request, or a wrong checksum")

@@ -36,11 +36,7 @@ class HidDevice:
         """Path of the opened node."""
 
     def open(self) -> None:
-        """Find and open the device.
-
-        Raises:
-            DeviceLost: The device is missing or may not be read; names the missing udev rule.
-        """
+        """Find and open the device."""
         self.close()
         self.path = self._device if "/" in self._device else self._found()
         handle = hidraw.device()
@@ -51,11 +47,7 @@ class HidDevice:
         self._handle = handle
 
     def read(self, timeout: float) -> bytes:
-        """Return the next report, empty if none comes within `timeout` [s].
-
-        Raises:
-            DeviceLost: Not open, or unplugged.
-        """
+        """Return the next report, empty if none comes within `timeout` [s]."""
         if self._handle is None:
             raise DeviceLost(f"{self._where}: not open")
         try:

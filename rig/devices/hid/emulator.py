@@ -85,9 +85,6 @@ class HidEmulator(ThreadedEmulator):
         path: Path of its node; must end with `.hidraw`.
         clock: Paces repeated reports.
         seed: Seed of the fault injector's garbage.
-
-    Raises:
-        ConfigError: The kind or the ending of the path is not allowed.
     """
 
     def __init__(self, kind: str, path: Path, clock: Clock, *, seed: int = 0) -> None:
@@ -112,20 +109,12 @@ class HidEmulator(ThreadedEmulator):
         return str(self._path)
 
     def start(self) -> None:
-        """Create the node and serve.
-
-        Raises:
-            OSError: The node cannot be created.
-        """
+        """Create the node and serve."""
         self._plug()
         self._run_threads(self._run)
 
     def inject(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Inject a fault or a person's action, and return the emulator's state.
-
-        Raises:
-            ValueError, KeyError, TypeError: Unknown fault, or a value is missing.
-        """
+        """Inject a fault or a person's action, and return the emulator's state."""
         own: dict[str, Callable[[], None]] = {
             "press": lambda: self.send(emit_keys([_KEY])),
             "release": lambda: self.send(emit_keys([])),
@@ -229,11 +218,7 @@ class HidEmulatorConfig(EmulatorConfig):
 
 
 def emulate(settings: HidEmulatorConfig, clock: Clock) -> Served:
-    """Return the emulated device.
-
-    Raises:
-        ConfigError: The ending of the node is not allowed.
-    """
+    """Return the emulated device."""
     kind = "pedal" if isinstance(settings.device, PedalConfig) else "spacemouse"
     emulator = HidEmulator(kind, Path(settings.device.device), clock, seed=settings.seed)
     return Served(kind, emulator, emulator.inject)

@@ -37,19 +37,11 @@ class PedalDriver:
         """Number of reports that were not from a keyboard; each counted as a release."""
 
     def open(self) -> None:
-        """Find and open the pedal.
-
-        Raises:
-            DeviceLost: The pedal is missing, or may not be read.
-        """
+        """Find and open the pedal."""
         self._device.open()
 
     def read(self, timeout: float) -> bool | None:
-        """Return True if the next report shows it down; None if none comes in `timeout` [s].
-
-        Raises:
-            DeviceLost: Not open, or unplugged.
-        """
+        """Return True if the next report shows it down; None if none comes in `timeout` [s]."""
         report = self._device.read(timeout)
         if not report:
             return None
@@ -133,11 +125,7 @@ class PedalWatch:
         """Current state; replaced as a whole, so that any thread may read it."""
 
     def open(self) -> dict[str, Any]:
-        """Open the pedal, watch it from now on, and return its properties.
-
-        Raises:
-            DeviceLost: The pedal is missing, or may not be read.
-        """
+        """Open the pedal, watch it from now on, and return its properties."""
         self._driver.open()
         description = self._driver.describe()
         logger.info("preflight  foot pedal at %s (%s)", description["path"], self._config.mode)

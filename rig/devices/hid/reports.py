@@ -27,11 +27,7 @@ Axes = tuple[float, float, float]
 
 
 def parse_keys(report: bytes) -> frozenset[int]:
-    """Return the HID usages of the keys held down, modifiers as 0xE0 to 0xE7.
-
-    Raises:
-        ValueError: Not a keyboard report, or one that reports an error.
-    """
+    """Return the HID usages of the keys held down, modifiers as 0xE0 to 0xE7."""
     if len(report) == _KEYBOARD + 1:
         report = report[1:]
     if len(report) != _KEYBOARD:
@@ -46,11 +42,7 @@ def parse_keys(report: bytes) -> frozenset[int]:
 
 
 def emit_keys(keys: Sequence[int]) -> bytes:
-    """Return the boot keyboard report that holds up to six `keys` down, and any modifiers.
-
-    Raises:
-        ValueError: More than six keys.
-    """
+    """Return the boot keyboard report that holds up to six `keys` down, and any modifiers."""
     plain = [key for key in keys if key < _MODIFIER_USAGE]
     if len(plain) > 6:
         raise ValueError(f"keys: found {len(plain)}; allowed: up to 6")
@@ -71,11 +63,7 @@ class CapReport:
 
 
 def parse_cap(report: bytes) -> CapReport:
-    """Parse a SpaceMouse's report.
-
-    Raises:
-        ValueError: An unknown report, or too short.
-    """
+    """Parse a SpaceMouse's report."""
     if len(report) >= 13 and report[0] == 1:
         return CapReport(shift=_axes(report, 1), turn=_axes(report, 7))
     if len(report) >= 7 and report[0] == 1:
@@ -89,11 +77,7 @@ def parse_cap(report: bytes) -> CapReport:
 
 
 def emit_cap(report: CapReport) -> bytes:
-    """Return the report of one field, or of shift and turn together as in wireless models.
-
-    Raises:
-        ValueError: No field is set, or more than one report can contain.
-    """
+    """Return the report of one field, or of shift and turn together as in wireless models."""
     shift, turn, buttons = report.shift, report.turn, report.buttons
     if buttons is not None and shift is None and turn is None:
         return b"\x03" + sum(1 << k for k in buttons).to_bytes(2, "little")

@@ -33,11 +33,7 @@ class PedalConfig:
     """An unplugged pedal counts as released, and after this time as lost [s]."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject invalid values."""
         _check_device(self.device)
         if not 0 <= self.key <= 255:
             raise ValueError(f"key: {self.key!r}; allowed: 0 to 255")
@@ -61,11 +57,7 @@ class SpaceMouseConfig:
     """Silence after which the cap counts as released [s]."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject invalid values."""
         _check_device(self.device)
         if not 0 < self.speed_max <= 0.01:
             raise ValueError(

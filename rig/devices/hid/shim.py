@@ -22,11 +22,7 @@ SOURCE = Path(__file__).with_name("hidraw_shim.c")
 
 
 def build(folder: Path) -> Path:
-    """Compile the library into `folder` and return its path.
-
-    Raises:
-        ConfigError: No compiler, not Linux, or the compilation fails.
-    """
+    """Compile the library into `folder` and return its path."""
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None or not sys.platform.startswith("linux"):
         raise ConfigError("hidraw shim: needs Linux and a C compiler; found none of gcc, cc")

@@ -51,19 +51,11 @@ class SpaceMouseDriver:
         """Number of reports that were not from a SpaceMouse."""
 
     def open(self) -> None:
-        """Find and open the SpaceMouse.
-
-        Raises:
-            DeviceLost: The SpaceMouse is missing, or may not be read.
-        """
+        """Find and open the SpaceMouse."""
         self._device.open()
 
     def read(self, timeout: float) -> Cap:
-        """Return the state of the cap after waiting up to `timeout` [s] for a report.
-
-        Raises:
-            DeviceLost: Not open, or unplugged.
-        """
+        """Return the state of the cap after waiting up to `timeout` [s] for a report."""
         pressed: frozenset[int] = frozenset()
         report = self._device.read(timeout)
         while report:

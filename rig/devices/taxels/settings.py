@@ -44,11 +44,7 @@ class XelaConfig(TaxelSettings):
     """Expected messages per second; the server decides, the rig measures."""
 
     def __post_init__(self) -> None:
-        """Reject a patch that XELA does not make.
-
-        Raises:
-            ValueError: Names the field, the value found and the values allowed.
-        """
+        """Reject a patch that XELA does not make."""
         if self.taxels not in _PATCHES:
             raise ValueError(f"taxels: {self.taxels}; allowed: 16 (4 x 4), 24 (4 x 6)")
 

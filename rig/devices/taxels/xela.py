@@ -65,12 +65,7 @@ class XelaDriver(ReceivingDriver):
         return {"repeated": self.duplicates, "late": self.late, "corrupt": self.corrupt}
 
     def open(self, timeout: float) -> None:
-        """Connect and wait for the first scan of the sensor.
-
-        Raises:
-            DeviceLost: No such server answers within `timeout` [s].
-            ConfigError: The address is not a WebSocket address.
-        """
+        """Connect and wait for the first scan of the sensor."""
         self._reset()
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         self._first = self._newest = self._sequence = None

@@ -123,11 +123,7 @@ class XelaEmulator(ThreadedEmulator):
         return f"ws://{self._config.host}:{self._port}"
 
     def start(self) -> None:
-        """Start serving.
-
-        Raises:
-            OSError: The address is not available.
-        """
+        """Start serving."""
         source = self._source
         if isinstance(source, Playback):
             message = _recorded_messages(source, self._config)
@@ -263,9 +259,6 @@ def load_log(path: Path) -> Log:
     """Load a log of raw counts from an .npy file, as (T, 3 x taxels): x y z of each taxel in turn.
 
     A file with x of all taxels, then y, then z, is reordered; its resting counts show that.
-
-    Raises:
-        ValueError: The array has another shape.
     """
     from recorder.convert import in_order, told_order  # not needed to play the World
 
@@ -277,11 +270,7 @@ def load_log(path: Path) -> Log:
 
 
 def emulate(settings: XelaEmulatorConfig, clock: Clock) -> Served:
-    """Return the emulated server.
-
-    Raises:
-        OSError, ValueError: The log cannot be read, or has another shape.
-    """
+    """Return the emulated server."""
     source: WorldReader | Log | Playback
     playback = settings.playback(clock)
     if playback is not None:

@@ -52,9 +52,6 @@ def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
         text: The message.
         sensor: Key of the sensor in the message.
         taxels: Number of taxels it must have.
-
-    Raises:
-        ValueError: The message is not from a server with such a sensor.
     """
     if text[:1] in ("4", "0", b"4", b"0"):
         raise ValueError(f"{text[:24]!r}: {_SOCKET_IO}")

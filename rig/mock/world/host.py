@@ -58,12 +58,8 @@ class WorldHost(ThreadedEmulator):
     def apply(self, fault: str, **values: Any) -> dict[str, Any]:
         """Lay a weight on the sensor, or mount its gauge otherwise; see `FaultPort`.
 
-            hand  force    (3,) [N], added to that of the contact
-            mount  matrix  (3, 3), from a true force or torque to the one that the gauge shows
-
-        Raises:
-            ValueError: Another name.
-            KeyError: A value is missing.
+        hand  force    (3,) [N], added to that of the contact
+        mount  matrix  (3, 3), from a true force or torque to the one that the gauge shows
         """
         if fault == "hand":
             self._hand = np.reshape(values["force"], 3)

@@ -197,11 +197,7 @@ class SimulatedView:
 
 
 def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
-    """Return the simulated sensor under the indenter of that name.
-
-    Raises:
-        ConfigError: The sensor or indenter is unknown, or the simulator is not installed.
-    """
+    """Return the simulated sensor under the indenter of that name."""
     try:
         from sim.indenters import from_stl, named
         from sim.stream import LiveSensor
@@ -226,11 +222,7 @@ def note_on(spec: SimulatedSpec) -> str:
 
 
 def markers_of(spec: SimulatedSpec) -> tuple[LiveMarkers, tuple[int, int]]:
-    """Return the simulated sensor's markers, and the shape (X, Y) of its deformation's points.
-
-    Raises:
-        ConfigError: The sensor is unknown or has no camera, or the simulator is not installed.
-    """
+    """Return the simulated sensor's markers, and the shape (X, Y) of its deformation's points."""
     try:
         from sim.layer.spectral import Grid
         from sim.stream import LiveMarkers

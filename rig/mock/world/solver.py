@@ -146,11 +146,7 @@ class Solver:
         )
 
     def turn(self) -> None:
-        """Solve once, for the arm's newest pose.
-
-        Raises:
-            TimeoutError: The previous solution, also in contact, is too old.
-        """
+        """Solve once, for the arm's newest pose."""
         record = self._arm.read()
         if record is None or int(record["t_ns"]) == self._before_ns:
             return
@@ -184,11 +180,7 @@ class Solver:
 
 
 def emulate(settings: WorldConfig, clock: Clock) -> Served:
-    """Return the solver.
-
-    Raises:
-        ConfigError: The World is not a simulated one, or its sensor or indenter is unknown.
-    """
+    """Return the solver."""
     spec = settings.world
     if not isinstance(spec, SimulatedSpec):
         raise ConfigError(f"world.kind: found {spec.KIND!r}; allowed: 'simulated'")
