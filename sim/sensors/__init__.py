@@ -9,7 +9,7 @@ deformation. Assumptions and sources are in docs/reference/sensors.md.
 """
 
 from sim.sensors.field import EVEN_STEP, SurfaceField, cubic_weights
-from sim.sensors.optics import Lamp, Pins, Shading
+from sim.sensors.pins import Pins
 from sim.sensors.posterior import Posterior
 from sim.sensors.readout import CameraReadout, TaxelReadout, readout
 from sim.sensors.sensor import (
@@ -47,14 +47,12 @@ __all__ = [
     "Drift",
     "Framing",
     "Grip",
-    "Lamp",
     "Mount",
     "Pins",
     "Placement",
     "Posterior",
     "Segmentation",
     "Segmenter",
-    "Shading",
     "SimulatedSensor",
     "SurfaceField",
     "TaxelPad",

@@ -1,4 +1,4 @@
-"""Compute marker images, counts and pictures from the deformation of a sensor's top."""
+"""Compute marker images and counts from the deformation of a sensor's top."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.markers import HEIGHT, WIDTH, draw_discs, pack
-from sim.errors import SceneError
 from sim.markers import Camera, Pattern, Renderer
 from sim.sensors.field import SurfaceField
-from sim.sensors.optics import skin_normals, tip_coverage
+from sim.sensors.pins import tip_coverage
 from sim.sensors.sensor import CameraSignal, SimulatedSensor
 from sim.sensors.taxels import Counts, TaxelPad, TaxelSignal
 from sim.sensors.variation import Placement, Segmenter, generator
@@ -82,7 +81,7 @@ class TaxelReadout:
 
 
 class CameraReadout:
-    """Readout of a camera below the gel: marker masks, their displacement, colour pictures."""
+    """Readout of a camera below the gel: marker masks and their displacement."""
 
     def __init__(
         self,
@@ -146,27 +145,6 @@ class CameraReadout:
         """
         seen = self.seen(top)
         return self._renderer.displacement(seen.x, seen.y, seen.displacement)
-
-    def pictures(self, top: SurfaceField) -> NDArray[np.uint8]:
-        """Return pictures (F, 480, 640, 3) of the lit skin with the first pattern's markers.
-
-        Raises:
-            SceneError: The sensor has no lamps.
-        """
-        shading = self._signal.shading
-        if shading is None:
-            raise SceneError("signal.shading: None; allowed: a sensor with lamps")
-        seen = self.seen(top)
-        view = self._renderer.see(seen.x, seen.y, seen.displacement)
-        material = view.material()
-        coverage = view.coverage(self._textures)[:, 0] / 255.0
-        normals, x, y = skin_normals(seen)
-        return np.stack(
-            [
-                shading.image(normals[frame], x, y, material[frame], coverage[frame])
-                for frame in range(len(top))
-            ]
-        )
 
     def _tips(self, tips: SurfaceField, pattern: Pattern) -> NDArray[np.uint8]:
         """Return the coverage (F, 480, 640) by rigid, round tips of pins."""

@@ -15,7 +15,7 @@ from sim.indenters import Indenter
 from sim.markers import Camera, Pattern, named
 from sim.scene import Body, Motion, Scene
 from sim.sensors.config import READER
-from sim.sensors.optics import Pins, Shading
+from sim.sensors.pins import Pins
 from sim.sensors.posterior import Posterior
 from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.sensors.variation import DeviceVariation
@@ -43,8 +43,6 @@ class CameraSignal:
     without it that at which the paper's lens has the scale."""
     pins: Pins | None = None
     """Pins under the skin, whose tips are the markers; None: markers are on the skin."""
-    shading: Shading | None = None
-    """Lamps, for colour pictures; None gives marker images only."""
     layout: Pattern | None = field(default=None, metadata={"stored": "unless default"})
     """Markers of a sensor whose pattern has no name in `sim.markers`; `patterns` has its name."""
     shift_px: tuple[float, float] = field(default=(0.0, 0.0), metadata={"stored": "unless default"})
@@ -69,8 +67,6 @@ class CameraSignal:
             )
         if self.scale is None and self.distance is None:
             raise SceneError("signal: neither scale nor distance; allowed: one, or both")
-        if self.pins is not None and self.shading is not None:
-            raise SceneError("signal.shading: lamps with pins; allowed: lamps on a bare skin")
         self.camera()
 
     def camera(self) -> Camera:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError
 from sim.sensors.field import SurfaceField
-from sim.sensors.optics import Pins, tip_coverage
+from sim.sensors.pins import Pins, tip_coverage
 
 Array = NDArray[np.float64]
 

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from sim.errors import SceneError
-from sim.sensors import Lamp, Shading
+from benchmarks.sim.sensors.colour import Lamp, Shading
 
 RED = Lamp(azimuth=math.pi, elevation=0.5, colour=(200.0, 0.0, 0.0))
 BLUE = Lamp(azimuth=0.0, elevation=0.5, colour=(0.0, 0.0, 200.0))
@@ -59,23 +56,3 @@ def test_markers_are_ink_over_the_lit_skin_and_nothing_is_black() -> None:
     np.testing.assert_array_equal(picture[0, 1], np.rint(ink))
     np.testing.assert_array_equal(picture[1, 0], np.rint((level + ink) / 2))
     np.testing.assert_array_equal(picture[1, 1], 0)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"lamps": ()}, r"shading\.lamps: 0; allowed: 1 to 8"),
-        ({"ambient": -0.1}, r"shading\.ambient: -0\.1"),
-        ({"shininess": 0.5}, r"shading\.shininess: 0\.5; allowed: 1 to 1000"),
-        ({"ink": (0.0, 0.0)}, r"shading\.ink: .*allowed: red, green and blue"),
-        ({"background": (0.0, 0.0, 300.0)}, r"shading\.background\.colour: 300\.0"),
-    ],
-)
-def test_lights_that_mean_nothing_are_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        replace(SHADING, **change)
-
-
-def test_a_lamp_below_the_gel_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"lamp\.elevation: -0\.1 rad"):
-        Lamp(0.0, -0.1, (0.0, 0.0, 0.0))

@@ -20,7 +20,7 @@ from sim.sensors import (
     Segmentation,
     Segmenter,
 )
-from sim.sensors.optics import tip_coverage
+from sim.sensors.pins import tip_coverage
 from sim.sensors.variation import generator, softened
 
 MANY = [f"sensor {index}" for index in range(400)]

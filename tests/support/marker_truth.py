@@ -77,6 +77,7 @@ def mock_pictures(view: MarkerView, *, grey_noise: float, frames: int = 6) -> It
 
 def simulated_pictures() -> Iterator[Known]:
     """Yield coloured pictures of the simulator's GelSight under a sphere."""
+    from benchmarks.sim.sensors.colour import pictures
     from sim import press, simulate
     from sim.indenters import named
     from sim.sensors import CameraReadout, SurfaceField, readout, sensor
@@ -89,7 +90,7 @@ def simulated_pictures() -> Iterator[Known]:
         raise TypeError("the GelSight has a camera")
     masks = reader.masks(top)[:, 0]
     coverage = reader.coverage(top)[:, 0]
-    for picture, mask, cover in zip(reader.pictures(top), masks, coverage, strict=True):
+    for picture, mask, cover in zip(pictures(each, reader, top), masks, coverage, strict=True):
         truth = find_centres(mask, cover)
         yield Known(picture, mask, truth.place[truth.whole])
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion
 
+from benchmarks.sim.sensors.colour import pictures
 from recorder.plot import INK, PAPER, SOFT, font
 from sim.device import ready_device
 from sim.fem.numerics import FOR_EDGES, Fem
@@ -120,5 +121,5 @@ def _tiles(each: SimulatedSensor, result: Result) -> list[Tile]:
         for one in shown
     ]
     if each.name == "gelsight" and isinstance(reader, CameraReadout):
-        tiles.append(Tile(f"{each.name} in colour", text, reader.pictures(top)[-1]))
+        tiles.append(Tile(f"{each.name} in colour", text, pictures(each, reader, top)[-1]))
     return tiles
