@@ -58,6 +58,7 @@ BENCHMARKS = {
     ),
     "twin-demo": ("benchmarks.sim.twin.demo", "record a mock sensor and identify its twin"),
     "patterns": ("benchmarks.sim.pictures.patterns", "draw all marker patterns"),
+    "states": ("benchmarks.sim.pictures.states", "draw each indenter's press in an archive"),
     "indenters": ("benchmarks.sim.pictures.indenters", "draw all indenters"),
     "indenter-drawings": ("benchmarks.sim.pictures.drawings", "draw each indenter in mm"),
     # Learning

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,7 @@ from sim.cli.options import STEPS_MAX, metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.dataset import DatasetPlan, OpenArchive, Solving, Stop, Unit, UnitStats
+    from sim.dataset import DatasetPlan, OpenArchive, Solving, Unit
     from sim.result import ContactTier
     from sim.sensors import SimulatedSensor
 
@@ -101,9 +102,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"(at most {RENDERERS})",
     )
     group.add_argument("--no-check", action="store_true", help="do not count markers at the end")
-    group.add_argument(
-        "--sheet", type=Path, metavar="PNG", help="draw every sensor and indenter at the end (no)"
-    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -148,120 +146,48 @@ def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
 
 
 def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
-    """Make the missing units with progress and a summary, and return the exit code."""
+    """Make the missing units with progress, print a summary, and return the exit code."""
     from recorder import SessionError
-
-    try:
-        return _filled(options, opened) or _summed(options, opened) or _drawn(options, opened)
-    except SessionError as error:
-        raise SceneError(f"{error}; {_go_on(opened)}") from error
-
-
-def _filled(options: argparse.Namespace, opened: OpenArchive) -> int:
-    """Make the missing units; return 0 if the archive is then complete, else the exit code."""
     from recorder.processes import WorkerLost
     from recorder.progress import Progress
-    from sim.dataset import Stop, fill
+    from sim.dataset import fill
+    from sim.dataset.run import contents
+    from sim.dataset.summary import summary
     from sim.device import ready_device
 
-    go_on = _go_on(opened)
+    go_on = f"to continue: {next_command('sim', 'archive', opened.path)}"
     kernels = ready_device(options.device)
-    processes = _processes(options)
+    maker = _maker(options, opened)
     missing = opened.missing()
-    _tell_cost(opened, missing, processes, options)
-    with Stop(lambda line: print(f"\n{line}", file=sys.stderr, flush=True)) as stop:
-        maker = _maker(options, opened, processes, stop)
-        try:
-            with Progress("archive", sys.stderr, kernels=kernels) as progress:
-                run_summary = fill(opened, maker, stop, progress)
-        except KeyboardInterrupt:
-            print(f"interrupted; written files are kept; {go_on}", file=sys.stderr)
-            return EXIT_INTERRUPTED
-        except (OSError, WorkerLost) as error:
-            print(
-                f"stopped: {error}; written files are kept; {go_on}",
-                file=sys.stderr,
-            )
-            return EXIT_WRONG_INPUT
-    if not run_summary.complete:
-        print(
-            f"interrupted, {run_summary.left} units are missing; {go_on}",
-            file=sys.stderr,
-        )
-        return EXIT_INTERRUPTED
-    if run_summary.images:
-        rate = run_summary.images / max(run_summary.seconds, 1e-9)
-        print(
-            f"{run_summary.images:,} images in {run_summary.seconds:.0f} s, {rate:.0f} images/s; "
-            f"presses {run_summary.solving:.0f} s, images and writing {run_summary.seeing:.0f} s"
-        )
-    return 0
-
-
-def _summed(options: argparse.Namespace, opened: OpenArchive) -> int:
-    """Print the summary of a complete archive and return the exit code."""
-    from recorder.progress import Progress
-    from sim.dataset.summary import summary
-
+    told = contents(opened.plan, missing) if missing else "nothing is missing"
+    print(f"{opened.path}: {told}", flush=True)
+    began = time.perf_counter()
     try:
+        with Progress("archive", sys.stderr, kernels=kernels) as progress:
+            images = fill(opened, maker, progress)
+        if images:
+            seconds = time.perf_counter() - began
+            print(f"{images:,} images in {seconds:.0f} s, {images / seconds:.0f} images/s")
         with Progress("counting markers", sys.stderr) as progress:
             for line in summary(opened.path, check=not options.no_check, progress=progress):
                 print(line, flush=True)
+    except SessionError as error:
+        raise SceneError(f"{error}; {go_on}") from error
     except KeyboardInterrupt:
-        print(f"interrupted while counting; {opened.path} is complete", file=sys.stderr)
+        print(f"interrupted; written files are kept; {go_on}", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except (OSError, WorkerLost) as error:
+        print(f"stopped: {error}; written files are kept; {go_on}", file=sys.stderr)
+        return EXIT_WRONG_INPUT
     return 0
 
 
-def _drawn(options: argparse.Namespace, opened: OpenArchive) -> int:
-    """Draw the sheet of a complete archive, if one is wanted, and return the exit code."""
-    from sim.dataset.summary import draw_sheet
-
-    if options.sheet is not None:
-        draw_sheet(opened.path, options.sheet)
-        print(options.sheet)
-    return 0
-
-
-def _go_on(opened: OpenArchive) -> str:
-    return f"to continue: {next_command('sim', 'archive', opened.path)}"
-
-
-def _maker(
-    options: argparse.Namespace, opened: OpenArchive, processes: int, stop: Stop
-) -> partial[Iterator[UnitStats]]:
-    """Return the function that makes units, in this process or in several."""
+def _maker(options: argparse.Namespace, opened: OpenArchive) -> partial[Iterator[tuple[Unit, int]]]:
+    """Return the function that makes units: in processes on a CPU, else in this one."""
     from sim.dataset.run import make_here, make_in_processes
 
-    if options.device == "cpu":
-        return partial(
-            make_in_processes, opened, processes=processes, stop=stop, device=options.device
-        )
-    return partial(make_here, opened, device=options.device, stop=stop, processes=processes)
-
-
-def _tell_cost(
-    opened: OpenArchive, missing: Sequence[Unit], processes: int, options: argparse.Namespace
-) -> None:
-    from recorder.progress import duration
-    from sim.dataset.run import cost
-
-    if not missing:
-        print(f"{opened.path}: nothing is missing")
-        return
-    taken = cost(opened.plan, missing, options.device)
-    print(
-        f"{opened.path}: {taken.presses:,} presses ({'; '.join(taken.how)}), "
-        f"{taken.frames:,} frames, {taken.images:,} images, about {taken.size / 1e6:,.0f} MB"
-    )
-    seconds = taken.seconds(processes)
-    if seconds is None:
-        print("the time that this takes is estimated after the first unit", flush=True)
-    else:
-        print(
-            f"about {duration(seconds)} with --processes {processes}, or half or twice as long",
-            flush=True,
-        )
+    make = make_in_processes if options.device == "cpu" else make_here
+    return partial(make, opened, device=options.device, processes=_processes(options))
 
 
 def _processes(options: argparse.Namespace) -> int:

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, add the columns, and return the exit code."""
-    from recorder import MarkerArchive, SessionError
+    from recorder import MarkerArchive
     from recorder.archive import write_simulated
     from recorder.progress import Progress
     from sim.device import ready_device
@@ -71,31 +71,28 @@ def run(options: argparse.Namespace) -> int:
             )
         height = 1e-6 * options.height_um
     told = made_from(twin, options.draws, options.seed, options.grid, height)
-    try:
-        archive = MarkerArchive(options.archive)
-        if options.sensor not in archive:
-            raise SceneError(f"--sensor: {options.sensor!r}; allowed: {', '.join(archive)}")
-        archived = archive[options.sensor]
-        known = archived.simulated
-        if known is not None and known.made_from == told:
-            print(f"{options.archive}: {options.sensor} has these forces already")
-            return 0
-        with Progress("labels", sys.stderr) as progress:
-            found = simulated_forces(
-                archived,
-                archive.indenters,
-                twin,
-                draws=options.draws,
-                seed=options.seed,
-                grid=options.grid,
-                height=height,
-                device=options.device,
-                processes=options.processes,
-                progress=progress,
-            )
-        write_simulated(archived, found.force, found.spread, told)
-    except SessionError as error:
-        raise SceneError(str(error)) from error
+    archive = MarkerArchive(options.archive)
+    if options.sensor not in archive:
+        raise SceneError(f"--sensor: {options.sensor!r}; allowed: {', '.join(archive)}")
+    archived = archive[options.sensor]
+    known = archived.simulated
+    if known is not None and known.made_from == told:
+        print(f"{options.archive}: {options.sensor} has these forces already")
+        return 0
+    with Progress("labels", sys.stderr) as progress:
+        found = simulated_forces(
+            archived,
+            archive.indenters,
+            twin,
+            draws=options.draws,
+            seed=options.seed,
+            grid=options.grid,
+            height=height,
+            device=options.device,
+            processes=options.processes,
+            progress=progress,
+        )
+    write_simulated(archived, found.force, found.spread, told)
     deepest = float(archived.table["depth"].max(initial=0.0)) / twin.body.thickness
     if deepest > DEEP and tier_of(twin) == "layer":
         print(

@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write row and picture, and return the exit code: 1 if the twin is refused."""
-    from recorder import MarkerArchive, Session, SessionError
+    from recorder import MarkerArchive, Session
     from recorder.progress import Progress
     from sim.sensors import NAMES, sensor_of
     from sim.sensors.sensor import ROWS
@@ -96,14 +96,11 @@ def run(options: argparse.Namespace) -> int:
     design = sensor_of(options.sensor)
     if both := [path.name for path in options.held_out if path in options.sessions]:
         raise SceneError(f"--held-out: {', '.join(both)}, fitted as well; allowed: other sessions")
-    try:
-        tracks, others = (
-            [track for path in paths for track in tracks_of(Session(path))]
-            for paths in (options.sessions, options.held_out)
-        )
-        sights = sights_of([*tracks, *others], [MarkerArchive(path) for path in options.markers])
-    except SessionError as error:
-        raise SceneError(str(error)) from error
+    tracks, others = (
+        [track for path in paths for track in tracks_of(Session(path))]
+        for paths in (options.sessions, options.held_out)
+    )
+    sights = sights_of([*tracks, *others], [MarkerArchive(path) for path in options.markers])
     of_fit = [sight for sight in sights if sight.track in tracks]
     if options.markers and not of_fit:
         raise SceneError("--markers: of held-out sessions alone; allowed: of fitted ones as well")

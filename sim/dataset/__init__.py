@@ -4,7 +4,7 @@ A plan determines the contents of an archive and is stored in it. Its units can 
 process, by several, or by a cluster, in any order and more than once.
 """
 
-from sim.dataset.generate import UnitStats, make_unit
+from sim.dataset.generate import make_unit
 from sim.dataset.plan import (
     UNSEEN,
     DatasetPlan,
@@ -18,10 +18,7 @@ from sim.dataset.plan import (
 )
 from sim.dataset.run import (
     OpenArchive,
-    RunSummary,
-    Stop,
     begin,
-    cost,
     fill,
     found,
     make_here,
@@ -33,14 +30,10 @@ __all__ = [
     "DatasetPlan",
     "Family",
     "OpenArchive",
-    "RunSummary",
     "Solving",
-    "Stop",
     "Unit",
-    "UnitStats",
     "begin",
     "chosen_targets",
-    "cost",
     "families",
     "fill",
     "found",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -156,20 +155,6 @@ LATTICE = Lattice()
 
 
 @dataclass(frozen=True, slots=True)
-class UnitStats:
-    """Statistics of a finished unit."""
-
-    number: int
-    """Number of the unit."""
-    images: int
-    """Number of masks written."""
-    solving: float
-    """CPU time of the presses [s]; on a GPU, wall-clock time."""
-    seeing: float
-    """The same for images, fields, packing and writing."""
-
-
-@dataclass(frozen=True, slots=True)
 class Rows:
     """Rows of one sensor within one unit of files."""
 
@@ -190,8 +175,10 @@ def make_unit(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
     workers: Workers | None = None,
-) -> UnitStats:
-    """Solve, render and write one unit; existing files are kept. Reproducible to the byte on a CPU.
+) -> int:
+    """Solve, render and write one unit, and return the number of masks written.
+
+    Existing files are kept. Reproducible to the byte on a CPU.
 
     Args:
         path: The archive.
@@ -206,21 +193,18 @@ def make_unit(
         OSError: The disk is full, or the archive was removed.
         WorkerLost: A process was killed.
     """
-    clock = time.process_time if device == "cpu" else time.perf_counter
     family = families(plan)[unit.family]
     presses = family.presses[unit.first : unit.last]
-    began = clock()
     progress = progress or (lambda _fraction: None)
     solving = span_of(progress, 0.0, SOLVING)
     solved = solve(scenes(plan, family, presses), plan.solving, device=device, progress=solving)
-    pressed = clock()
     writer = ArchiveWriter(path)
     images, drawing = 0, span_of(progress, SOLVING, 1 - SOLVING)
     for place, sensor in enumerate(family.sensors):
         inside = part_of(drawing, place, len(family.sensors))
         parts = (writer, plan, family, sensor, unit, presses, solved)
         images += _write(*parts, device=device, workers=workers, progress=inside)
-    return UnitStats(unit.number, images, pressed - began, clock() - pressed)
+    return images
 
 
 def _write(

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,10 @@ import pytest
 from PIL import Image
 from support.simulated_archives import SKINS, UNITS, digests, make, own_grid, solved_once
 
+from benchmarks.sim.pictures.states import draw_sheet
 from recorder import MarkerArchive, check
 from recorder.processes import WorkerLost
-from sim.dataset import DatasetPlan, Stop, Unit, begin, fill, found
+from sim.dataset import DatasetPlan, OpenArchive, Unit, begin, fill, found, units
 from sim.dataset.plan import UNIT_PRESSES
 from sim.dataset.run import make_here, make_in_processes
 from sim.layer.batch import simulate_layers
@@ -54,25 +56,23 @@ def test_stopped_again_and_again_and_made_in_another_order_it_is_the_same(
     tmp_path: Path, undisturbed: dict[str, str]
 ) -> None:
     path = tmp_path / "a.markers.zarr"
-    left = []
-    while True:
-        begun, stop = begin(path, SKINS), Stop()
+    for left in range(UNITS - 1, -1, -1):
+        begun = begin(path, SKINS)
         fractions: list[float] = []
 
-        def one_and_stop(missing: Sequence[Unit], inside: object, stop: Stop = stop) -> Any:
-            begun = begin(path, SKINS)
-            for made in make_here(begun, backwards(missing), device="cpu", stop=stop):
-                stop.asked = True
-                yield made
+        def one_and_stop(
+            missing: Sequence[Unit], inside: object, begun: OpenArchive = begun
+        ) -> Any:
+            yield from make_here(begun, backwards(missing)[:1], device="cpu")
+            if len(missing) > 1:
+                raise KeyboardInterrupt
 
-        filled = fill(begun, one_and_stop, stop, fractions.append)
+        with pytest.raises(KeyboardInterrupt) if left else nullcontext():
+            fill(begun, one_and_stop, fractions.append)
         assert fractions == sorted(fractions)
-        left.append(filled.left)
-        if filled.complete:
-            break
-    assert left == list(range(len(left) - 1, -1, -1))
+        assert len(begun.missing()) == left
     assert digests(path) == undisturbed
-    assert make(path, SKINS).images == 0
+    assert make(path, SKINS) == 0
 
 
 def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
@@ -104,36 +104,24 @@ def test_a_full_disk_is_told_with_how_to_go_on_and_going_on_gives_the_same(
     assert digests(path) == undisturbed
 
 
-def test_one_ctrl_c_waits_for_the_unit_in_flight_and_a_second_does_not() -> None:
-    reported: list[str] = []
-    with Stop(reported.append) as stop:
-        signal.raise_signal(signal.SIGINT)
-        assert stop.asked
-        assert reported == [
-            "stopping: the units in flight are finished first; Ctrl-C again stops at once"
-        ]
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_a_stop_that_was_asked_for_leaves_units_and_exits_with_130(
+def test_ctrl_c_keeps_what_is_written_and_exits_with_130(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def stopped(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
+        yield from make_here(begun, missing[:1], device="cpu")
         signal.raise_signal(signal.SIGINT)
-        return iter(())
 
     monkeypatch.setattr("sim.dataset.run.make_in_processes", stopped)
     path = tmp_path / "a.markers.zarr"
     assert main(["sim", "archive", *OPTIONS, "--out", str(path)]) == 130
     reported = capsys.readouterr()
-    assert "7 presses" not in reported.out
-    assert "units are missing; to continue: tactile sim archive" in reported.err
+    assert "images in" not in reported.out
+    assert "interrupted; written files are kept; to continue: tactile sim archive" in reported.err
+    assert len(found(path).missing()) < len(units(SKINS_OF_THE_COMMAND))
 
 
 @pytest.mark.slow
-def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
+def test_the_command_tells_the_contents_before_and_the_sum_after_and_a_sheet_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sim.dataset.run.make_in_processes", _here)
@@ -149,7 +137,6 @@ def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     assert main(["sim", *begun, "--out", str(path)]) == 0
     reported = capsys.readouterr().out
     assert "9 presses (layer (small strain)), 45 frames, 45 images, about" in reported
-    assert "with --processes 2, or half or twice as long" in reported
     assert "1 sensors, 45 images" in reported
     assert list(MarkerArchive(path)) == ["Array3"]
     assert "marker count: 0 of 45 images flagged" in reported
@@ -158,7 +145,7 @@ def test_the_command_tells_the_cost_before_and_the_sum_after_and_draws_a_sheet(
     assert "nothing is missing" in capsys.readouterr().out
     assert main(["sim", *begun, "--seed", "3", "--out", str(path)]) == 2
     assert "another plan, which differs in seed; allowed" in capsys.readouterr().err
-    assert main(["sim", "archive", str(path), "--no-check", "--sheet", str(picture)]) == 0
+    draw_sheet(path, picture)
     with Image.open(picture) as drawn:
         assert drawn.size[0] > 144
         assert len(np.unique(np.asarray(drawn.convert("L")))) > 2
@@ -207,16 +194,13 @@ def in_one_process(own_grid: None, tmp_path: Path) -> dict[str, str]:
 def test_processes_give_the_bytes_of_one(
     tmp_path: Path, in_one_process: dict[str, str], maker: Any, processes: int
 ) -> None:
-    begun, stop = begin(tmp_path / "a.markers.zarr", SKINS), Stop()
-    filled = fill(
+    begun = begin(tmp_path / "a.markers.zarr", SKINS)
+    fill(
         begun,
-        lambda units, inside: maker(
-            begun, units, inside, processes=processes, stop=stop, device="cpu"
-        ),
-        stop,
+        lambda units, inside: maker(begun, units, inside, processes=processes, device="cpu"),
         lambda fraction: None,
     )
-    assert filled.complete
+    assert MarkerArchive(begun.path).status == "complete"
     assert digests(begun.path) == in_one_process
 
 
@@ -224,8 +208,8 @@ def test_processes_give_the_bytes_of_one(
 def test_a_process_that_is_killed_is_told_of_and_loses_its_unit_alone(
     tmp_path: Path, in_one_process: dict[str, str]
 ) -> None:
-    begun, stop = begin(tmp_path / "a.markers.zarr", SKINS), Stop()
-    making = make_in_processes(begun, begun.missing(), processes=1, stop=stop)
+    begun = begin(tmp_path / "a.markers.zarr", SKINS)
+    making = make_in_processes(begun, begun.missing(), processes=1)
     next(making)
     listed = Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split()
     for pid in map(int, listed):
@@ -288,7 +272,7 @@ def test_killed_at_random_moments_and_started_again_it_is_the_same(tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.timeout(200)
-def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
+def test_ctrl_c_between_processes_ends_with_130(tmp_path: Path) -> None:
     path = tmp_path / "a.markers.zarr"
     process = _verb(path)
     entries = lambda: list(path.glob("*/markers/ledger/*.npz"))  # noqa: E731
@@ -299,7 +283,6 @@ def test_ctrl_c_ends_after_the_units_in_flight_with_130(tmp_path: Path) -> None:
     reported = process.communicate(timeout=100)
     assert process.returncode == 130, reported
     assert "Traceback" not in reported[1]
-    assert "stopping: the units in flight are finished first" in reported[1]
     assert "to continue: tactile sim archive" in reported[1]
     assert found(path).plan == SKINS_OF_THE_COMMAND
     resumed = subprocess.run(
@@ -321,7 +304,7 @@ def test_presses_of_layer_are_solved_on_the_gpu_in_large_units(
 
     def here(begun: Any, missing: Any, inside: Any, **how: Any) -> Any:
         asked.append((begun.plan.batch_size, how["device"]))
-        return make_here(begun, missing, inside, stop=how["stop"], device="cuda:0")
+        return make_here(begun, missing, inside, device="cuda:0")
 
     def solved_there(scenes: Any, layer: Any, *, device: str, progress: Any) -> Any:
         assert device == "cuda:0"
@@ -339,6 +322,6 @@ def test_presses_of_layer_are_solved_on_the_gpu_in_large_units(
     assert solved
 
 
-def _here(begun: Any, missing: Any, inside: Any, *, processes: int, stop: Stop, device: str) -> Any:
+def _here(begun: Any, missing: Any, inside: Any, *, processes: int, device: str) -> Any:
     """Make units in this process instead of worker processes."""
-    return make_here(begun, missing, inside, device="cpu", stop=stop)
+    return make_here(begun, missing, inside, device="cpu")

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from sim.dataset import DatasetPlan, OpenArchive, RunSummary, Solving, Stop, Unit, begin, fill, run
+from sim.dataset import DatasetPlan, OpenArchive, Solving, Unit, begin, fill
 from sim.dataset import plan as solving
 from sim.dataset.run import make_here
 from sim.layer import Layer
@@ -50,27 +50,21 @@ LIVED = replace(
 )
 
 
-def make(
-    path: Path, plan: DatasetPlan, units: Callable[[Sequence[Unit]], Any] = tuple
-) -> RunSummary:
+def make(path: Path, plan: DatasetPlan, units: Callable[[Sequence[Unit]], Any] = tuple) -> int:
     """Make an archive's missing units in this process; `units` chooses and orders them."""
     begun: OpenArchive = begin(path, plan)
-    stop = Stop()
-    stop.asked = False
     return fill(
         begun,
-        lambda missing, inside: make_here(begun, units(missing), inside, device="cpu", stop=stop),
-        stop,
+        lambda missing, inside: make_here(begun, units(missing), inside, device="cpu"),
         lambda fraction: None,
     )
 
 
 @pytest.fixture(scope="module", autouse=True)
 def solved_once() -> Iterator[None]:
-    """Solve presses once, those of tier `layer` on a coarse grid; predict costs from one each."""
+    """Solve presses once, those of tier `layer` on a coarse grid."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solving, "simulate_many", _known)
-        patch.setattr(run, "SAMPLES", 1)
         yield
 
 
