@@ -24,7 +24,7 @@ import numpy as np
 from rig.acquire.control import Control
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
 from rig.acquire.preflight import check_clear, tip_position
-from rig.acquire.request import CollectRequest, plan_of
+from rig.acquire.request import CollectRequest
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.bench.bench import Bench
 from rig.bench.guards import guards_of
@@ -369,8 +369,9 @@ class _Handle:
 class _Streams:
     """All streams, as the plan runner uses them."""
 
-    def __init__(self, clock: SimulatedBench) -> None:
-        self._clock = clock
+    def __init__(self, clock: SimulatedBench, bench: Bench) -> None:
+        self._clock = self.clock = clock
+        self.bench = bench
 
     def __getitem__(self, name: str) -> _Handle:
         return _Handle(self._clock, name, self._clock.bench.row(name).kind)
@@ -481,10 +482,10 @@ class Stages:
         self._number += 1
         folder = clock.folder / str(self._number)
         bench = prepared(clock.bench)
-        plan_of(CollectRequest(folder / "none.zarr"), bench, plan)
+        bench.check_limits(plan)
         clock.publish_in(folder)
         since = (len(clock.poses), len(clock.signals))
-        streams: Any = _Streams(clock)
+        streams: Any = _Streams(clock, bench)
         segments, reference = _Table(), _Table()
         writer: Any = types.SimpleNamespace(segments=segments, reference=reference)
 
@@ -495,34 +496,24 @@ class Stages:
             at=idle, ended=idle, end=idle, tick=idle, waiting=idle, waited=idle
         )
         interlocks: Any = types.SimpleNamespace(
-            check=idle, armed=lambda: True, disarm=idle, wake=None, wish=""
+            control=Control(), check=idle, armed=lambda: True, disarm=idle, wake=None, wish=""
         )
         names = [row.name for row in bench.of_kind("arm_wrench")] or ["pose"]
         window = bench.preflight.tare_window
         streams.measure(bench.preflight.rate_window)
-        check_clear(bench, streams)
-        zero_stand_ins(bench, streams, streams.measure(window, *names))
+        check_clear(streams)
+        zero_stand_ins(streams, streams.measure(window, *names))
         arm = _Arm(clock, bench, folder, contact_change)
 
         def after(target: Target, _: Any) -> None:
             if after_target is not None:
                 after_target(target, Recorded(clock, bench, segments, since))
 
-        runner = PlanRunner(
-            bench,
-            arm,  # type: ignore[arg-type]
-            streams,
-            writer,
-            live,
-            Control(),
-            interlocks,
-            clock,
-            after_target=after,
-            run=0,
-            zeros={},
-        )
+        request = CollectRequest(folder / "none.zarr", plan, len(plan), after_target=after)
+        driven: Any = arm
+        runner = PlanRunner(streams, driven, interlocks, writer, live, request, run=0, zeros={})
         try:
-            x, y, z = tip_position(bench, streams)
+            x, y, z = tip_position(streams)
             pose = compose(
                 bench.contact_frame, (x, y, max(bench.arm.retract, z), *bench.tool_rotation)
             )
@@ -534,8 +525,8 @@ class Stages:
                 mode="travel",
             )
             require_arrival(result, pressing=False)
-            zero_stand_ins(bench, streams, streams.measure(window, *names))
-            runner.press(plan, itertools.islice(plan.targets(), total))
+            zero_stand_ins(streams, streams.measure(window, *names))
+            runner.press(itertools.islice(plan.targets(), total))
         finally:
             with contextlib.suppress(SafetyStop, DeviceLost):
                 arm.retract()

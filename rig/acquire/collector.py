@@ -29,8 +29,6 @@ from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
 from rig.acquire.preflight import (
-    Found,
-    Tare,
     check_clear,
     check_devices,
     notes_on,
@@ -38,13 +36,13 @@ from rig.acquire.preflight import (
     tip_position,
 )
 from rig.acquire.progress_line import LiveLine
-from rig.acquire.request import CollectRequest, first_open_target, targets_to_press
+from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.guards import guards_of
 from rig.bench.indenter import find_indenter
 from rig.bench.no_gauge import statement
-from rig.bench.stream_kinds import expected_rate, stream_names, stream_spec
+from rig.bench.stream_kinds import stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
@@ -93,14 +91,8 @@ class Collector:
         self._clock = SystemClock()
         self._bias: dict[str, np.ndarray] = {}
 
-    def run(self, request: CollectRequest, plan: Plan, total: int) -> int:
-        """Collect and return the exit code; recorded data is closed and readable however it ends.
-
-        Args:
-            request: Request of the operator.
-            plan: Targets to press.
-            total: Number of the plan's targets to press.
-        """
+    def run(self, request: CollectRequest) -> int:
+        """Collect and return the exit code; what was recorded is closed however it ends."""
         started_ns = self._clock.now_ns()
         with InterruptFlag() as interrupt, contextlib.ExitStack() as stack:
             control = Control(interrupt)
@@ -108,41 +100,39 @@ class Collector:
                 Streams(self._bench, self._folder, self._clock, self._watch)
             )
             interlocks = stack.enter_context(Interlocks(self._bench, control, self._clock))
-            found = check_devices(self._bench, streams, interlocks)
+            description, rates = check_devices(streams, interlocks)
             latency = request.calibration.latency
             signals = [row.name for row in self._bench.rows if "signal" in row.traits.roles]
             calibrated = [] if latency is None else [latency.stream]
-            notes = notes_on(found.description, signals, calibrated)
+            notes = notes_on(description, signals, calibrated)
             for note in notes:
                 logger.info("preflight  note: %s", note)
             interrupt.check()
-            check_clear(self._bench, streams)
+            check_clear(streams)
             self._zero_stand_ins(streams)
             arm = self._start_arm(request.contact_change)
             stack.callback(arm.close)
             self._rise(arm, streams, interlocks)
             self._zero_stand_ins(streams)
-            tares = take_tares(self._bench, streams)
+            tares = take_tares(streams)
             interrupt.check()
-            writer, first, run = self._open_session(request, plan, total, found, tares, notes)
-            planned = seconds_per_target(self._bench, plan)
-            targets = targets_to_press(request, plan, first, total)
+            entry = {
+                **_tare_entry(tares),
+                "rates_hz": rates,
+                "notes": notes,
+                "bench": self._content,
+                "devices": description,
+            }
+            writer, first, run = self._open_session(request, entry, tares)
+            targets = request.to_press(first)
             order = [target.index for target in targets]
-            live = LiveLine(streams, total, self._clock, planned=planned, pressing=order)
+            planned = seconds_per_target(self._bench, request.plan)
+            live = LiveLine(streams, request.total, planned=planned, pressing=order)
             if self._page is not None:
                 self._page.begin(control, live.progress, request.path, first)
+            zeros = {name: tare["mean"] - self._bias[name] for name, tare in tares.items()}
             runner = PlanRunner(
-                self._bench,
-                arm,
-                streams,
-                writer,
-                live,
-                control,
-                interlocks,
-                self._clock,
-                after_target=request.after_target,
-                run=run,
-                zeros={name: tare.mean - self._bias[name] for name, tare in tares.items()},
+                streams, arm, interlocks, writer, live, request, run=run, zeros=zeros
             )
             stop: BaseException | None = None
             try:
@@ -150,7 +140,7 @@ class Collector:
                     streams[name].set_bias(bias)
                 for handle in streams:
                     handle.record(writer.stream_path(handle.name))
-                runner.press(plan, targets)
+                runner.press(targets)
             except BaseException as error:
                 # On any error, the arm retracts and the session is closed before anything else.
                 stop = _first_cause(error, interrupt)
@@ -160,7 +150,11 @@ class Collector:
             if self._page is not None:
                 self._page.say("ending")
             retracted = self._retract(arm)
-            status, reason = self._outcome(stop, retracted)
+            status, reason = "complete", ""
+            if stop is not None:
+                status, reason = "stopped", str(stop) or type(stop).__name__
+                if not retracted:
+                    reason += "; THE ARM WAS NOT RETRACTED"
             try:
                 summaries = self._close(streams, writer, status, reason)
             except SessionError as error:
@@ -169,17 +163,14 @@ class Collector:
             if stop is not None and not isinstance(stop, tuple(_EXIT_CODES)):
                 raise stop
         seconds = (self._clock.now_ns() - started_ns) / 1e9
-        session = Session(request.path)
-        print(summary.cadence(self._bench, session, summaries))
-        self._print_clocks(request.path)
-        self._picture(request.path)
+        self._show(request.path, summaries)
         last_line = summary.last_line(
             status,
             reason,
             request.path,
             done=first + sum(target.index >= first for target in targets[: runner.done]),
             limited=runner.limited,
-            total=total,
+            total=request.total,
             seconds=seconds,
         )
         if stop is not None and request.go_on:
@@ -187,13 +178,15 @@ class Collector:
         print(last_line)
         if self._page is not None:
             self._page.say(status, last_line)
-        return self._exit_code(stop)
+        if stop is None:
+            return EXIT_DONE
+        return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
 
     def _zero_stand_ins(self, streams: Streams) -> None:
         if self._bench.no_gauge:
             names = [row.name for row in self._bench.of_kind("arm_wrench")]
             window = self._bench.preflight.tare_window
-            zero_stand_ins(self._bench, streams, streams.measure(window, *(names or ["pose"])))
+            zero_stand_ins(streams, streams.measure(window, *(names or ["pose"])))
 
     def _start_arm(self, contact_change: float) -> Arm:
         arm = Arm(
@@ -213,7 +206,7 @@ class Collector:
             interlocks.check()
             streams.check()
 
-        x, y, z = tip_position(self._bench, streams)
+        x, y, z = tip_position(streams)
         height = max(self._bench.arm.retract, z)
         pose = compose(self._bench.contact_frame, (x, y, height, *self._bench.tool_rotation))
         result = arm.move(
@@ -229,73 +222,66 @@ class Collector:
     def _open_session(
         self,
         request: CollectRequest,
-        plan: Plan,
-        total: int,
-        found: Found,
-        tares: Mapping[str, Tare],
-        notes: list[str],
+        entry: dict[str, Any],
+        tares: Mapping[str, Mapping[str, Any]],
     ) -> tuple[SessionWriter, int, int]:
-        """Return the session's writer, the first target to press and the number of this run."""
-        anchor = asdict(ClockAnchor.take())
-        entry = {
-            **anchor,
+        """Return the session's writer, the first target to press and the number of this run.
+
+        `entry` describes the run.
+        """
+        begun = {
+            **asdict(ClockAnchor.take()),
             "operator": request.operator or getpass.getuser(),
-            **_tare_entry(tares),
-            "rates_hz": found.rates,
-            "notes": notes,
-            "bench": self._content,
-            "devices": found.description,
+            **entry,
         }
         if request.resume:
             writer = SessionWriter.resume(request.path)
             previous = Session(request.path)
-            first = first_open_target(plan, previous.segments, total)
+            first = first_open_target(request.plan, previous.segments, request.total)
             run = len(previous.runs)
             # The whole stream has one bias, so that raw = value + bias holds in every run. Drift of
             # the zero since then is recorded in this run's tare and references.
             self._bias = {name: np.array(previous.streams[name].attrs["bias"]) for name in tares}
         else:
             # An axis that is not measured may be NaN, and is stored as it came.
-            self._bias = {name: np.nan_to_num(tare.mean) for name, tare in tares.items()}
+            self._bias = {name: np.nan_to_num(tare["mean"]) for name, tare in tares.items()}
             writer = SessionWriter.create(
                 request.path,
-                attrs=self._attrs(request, plan, total, anchor),
+                attrs=self._attrs(request, begun),
                 streams=[
                     stream_spec(
                         self._bench,
-                        name,
-                        found.description[name],
-                        expected_rate(self._bench, name),
-                        **self._stream_attrs(name, request),
+                        row.name,
+                        entry["devices"][row.name],
+                        row.rate_hz,
+                        **self._stream_attrs(row.name, request),
                     )
-                    for name in stream_names(self._bench)
+                    for row in self._bench.rows
                 ],
-                targets=target_table(plan, total, self._bench),
+                targets=target_table(request.plan, request.total, self._bench),
             )
             first, run = 0, 0
-        writer.begin_run(entry)
+        writer.begin_run(begun)
         return writer, first, run
 
-    def _attrs(
-        self, request: CollectRequest, plan: Plan, total: int, anchor: dict[str, Any]
-    ) -> dict[str, Any]:
+    def _attrs(self, request: CollectRequest, begun: dict[str, Any]) -> dict[str, Any]:
         bench = self._bench
-        started = np.datetime64(anchor["utc_ns"], "ns")
+        started = np.datetime64(begun["utc_ns"], "ns")
         return {
             "mock": bench.mock,
             "mock_sources": request.mock_sources or {},
             "sensor": bench.sensor,
             "indenter": bench.indenter,
             "indenter_description": find_indenter(bench.indenter).attrs(),
-            "operator": request.operator or getpass.getuser(),
-            "plan": plan_to_json(plan),
-            "targets_wanted": total,
+            "operator": begun["operator"],
+            "plan": plan_to_json(request.plan),
+            "targets_wanted": request.total,
             "bench": self._content,
             "contact_frame": list(bench.contact_frame),
             "rate_hz": bench.rate_hz,
             "started_utc": f"{started}Z",
             "clock": "CLOCK_MONOTONIC",
-            "t0_ns": anchor["t0_ns"],
+            "t0_ns": begun["t0_ns"],
             "software": software(),
             "calibration": request.calibration.attrs(),
             **({"without_gauge": statement(bench)} if bench.no_gauge else {}),
@@ -324,14 +310,6 @@ class Collector:
             logger.error("no retract: %s", error)
             return False
 
-    def _outcome(self, stop: BaseException | None, retracted: bool) -> tuple[str, str]:
-        if stop is None:
-            return "complete", ""
-        reason = str(stop) or type(stop).__name__
-        if not retracted:
-            reason += "; THE ARM WAS NOT RETRACTED"
-        return "stopped", reason
-
     def _close(
         self, streams: Streams, writer: SessionWriter, status: str, reason: str
     ) -> dict[str, Any]:
@@ -346,26 +324,20 @@ class Collector:
             ) from error
         return summaries
 
-    def _print_clocks(self, path: Path) -> None:
+    def _show(self, path: Path, summaries: dict[str, Any]) -> None:
+        """Print what was recorded, with a contact sheet."""
+        session, picture = Session(path), path.with_suffix(".png")
+        print(summary.cadence(self._bench, session, summaries))
         try:
-            for line in clock_lines(Session(path)):
+            for line in clock_lines(session):
                 print(line)
         except (SessionError, OSError) as error:
             logger.warning("no clocks: %s", error)
-
-    def _picture(self, path: Path) -> None:
-        picture = path.with_suffix(".png")
         try:
             contact_sheet(path, picture)
+            print(f"contact sheet: {picture}")
         except (SessionError, OSError) as error:
             logger.warning("no contact sheet: %s", error)
-        else:
-            print(f"contact sheet: {picture}")
-
-    def _exit_code(self, stop: BaseException | None) -> int:
-        if stop is None:
-            return EXIT_DONE
-        return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
 
 
 def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseException:
@@ -376,8 +348,8 @@ def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseExceptio
     if isinstance(error, DeviceLost):
         try:
             interrupt.check()
-        except Interrupted as asked:
-            return asked
+        except Interrupted as stop:
+            return stop
     return error
 
 
@@ -389,10 +361,10 @@ def seconds_per_target(bench: Bench, plan: Plan) -> float:
     return (moving.duration + held + points * bench.preflight.point_window) / len(plan)
 
 
-def _tare_entry(tares: Mapping[str, Tare]) -> dict[str, Any]:
+def _tare_entry(tares: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return the attributes of a run: `tare` of the first F/T sensor, `tares` of several."""
     found = {
-        name: {"mean": _or_null(tare.mean), "std": _or_null(tare.std)}
+        name: {"mean": _or_null(tare["mean"]), "std": _or_null(tare["std"])}
         for name, tare in tares.items()
     }
     first = {"tare": next(iter(found.values()))} if found else {}

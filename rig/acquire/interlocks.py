@@ -31,15 +31,12 @@ class DeadManReleased(Exception):
 class Interlocks:
     """Interlocks of a bench, its gripper and its pedal, if any; a context manager.
 
-    Args:
-        bench: The bench, with addresses filled in.
-        control: Paused by a pedal of mode `pause`.
-        clock: Clock.
+    A pedal of mode `pause` pauses `control`.
     """
 
     def __init__(self, bench: Bench, control: Control, clock: Clock) -> None:
         self._timeout = bench.preflight.timeout
-        self._control = control
+        self.control = control
         self._waker, self.wake = socket.socketpair()
         """Socket that becomes readable when `check` should be called."""
         for end in (self._waker, self.wake):
@@ -150,12 +147,12 @@ class Interlocks:
         if self._dead_man is None:
             if after.out_since_ns is not None:
                 # A user who relies on the pedal must not find it missing when it is needed.
-                self._control.pause(PEDAL)
+                self.control.pause(PEDAL)
             elif after.presses > before.presses:
-                if PEDAL in self._control.paused_by:
-                    self._control.resume(PEDAL)
+                if PEDAL in self.control.paused_by:
+                    self.control.resume(PEDAL)
                 else:
-                    self._control.pause(PEDAL)
+                    self.control.pause(PEDAL)
         self._tell()
 
     def _tell(self) -> None:

@@ -130,12 +130,10 @@ class Jog:
             cap = self._look(0.02)
             if TAKE in self._pressed:
                 self._end_line()
-                return tip_position(self._bench, self._streams)
+                return tip_position(self._streams)
             self._pressed = frozenset()
             self._arm.check()
-            step = planned(
-                cap.shift, tip_position(self._bench, self._streams), box, self._speed_max
-            )
+            step = planned(cap.shift, tip_position(self._streams), box, self._speed_max)
             if step is not None:
                 self._go(*step, cap)
 
@@ -190,7 +188,7 @@ class Jog:
             return
         terminal = self._out.isatty()
         self._due_ns = now_ns + _SHOW_NS[terminal]
-        x, y, z = (from_si(value, "mm") for value in tip_position(self._bench, self._streams))
+        x, y, z = (from_si(value, "mm") for value in tip_position(self._streams))
         felt = self._streams.pressing()
         text = f"tip x {x:+8.3f}  y {y:+8.3f}  z {z:+8.3f} mm  {felt}"
         self._out.write(f"\r{text}\x1b[K" if terminal else f"{text}\n")

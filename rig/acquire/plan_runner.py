@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -12,19 +12,19 @@ import numpy as np
 
 from recorder import OUTCOMES, SessionError, SessionWriter
 from recorder.spec import frame_columns, reference_spec
-from rig.acquire.control import Control
 from rig.acquire.interlocks import DeadManReleased, Interlocks
 from rig.acquire.preflight import check_no_contact, no_mean, settling, tip_position
 from rig.acquire.progress_line import LiveLine
+from rig.acquire.request import CollectRequest
 from rig.acquire.streams import Streams
-from rig.bench.bench import Bench, empty_spec
+from rig.bench.bench import empty_spec
 from rig.bench.stream_kinds import KINDS
-from rig.core.clock import SECOND_NS, Clock
+from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
 from rig.core.guard import Mode
 from rig.devices.arm.arm import Arm, MoveResult
-from trajectories import Move, Plan, Point, Target, dome_height
+from trajectories import Move, Point, Target, dome_height
 
 logger = logging.getLogger(__name__)
 
@@ -46,43 +46,37 @@ class PlanRunner:
     """Presses the targets of a plan, starting at a given one.
 
     Args:
-        bench: The bench.
-        arm: The arm, started, its tip inside the box and clear of the surface.
         streams: Recording.
+        arm: The arm, started, its tip inside the box and clear of the surface.
+        interlocks: Interlocks, checked while the arm moves; their control is checked after every
+            row, and for pauses before every target.
         writer: The session.
         live: The progress line.
-        control: Checked after every row, and for pauses before every target.
-        interlocks: Interlocks, checked while the arm moves.
-        clock: Clock.
-        after_target: Called after each target, with the tip clear of the surface.
+        request: Request of the operator.
         run: Number of this run.
         zeros: Reading of each F/T sensor without contact after the tare (6,) [N, N m], by stream.
     """
 
     def __init__(
         self,
-        bench: Bench,
-        arm: Arm,
         streams: Streams,
+        arm: Arm,
+        interlocks: Interlocks,
         writer: SessionWriter,
         live: LiveLine,
-        control: Control,
-        interlocks: Interlocks,
-        clock: Clock,
+        request: CollectRequest,
         *,
-        after_target: Callable[[Target, Streams], None] | None = None,
         run: int,
         zeros: Mapping[str, np.ndarray],
     ) -> None:
-        self._bench = bench
-        self._arm = arm
         self._streams = streams
+        self._bench, self._clock = streams.bench, streams.clock
+        self._arm = arm
+        self._interlocks = interlocks
+        self._control = interlocks.control
         self._writer = writer
         self._live = live
-        self._control = control
-        self._interlocks = interlocks
-        self._clock = clock
-        self._after_target = after_target
+        self._request = request
         self._run = run
         self._zeros = zeros
         # Contact point at whose p0 the tip is; None: at none.
@@ -92,27 +86,28 @@ class PlanRunner:
         self.limited = 0
         """Targets among those that ended at the soft force limit."""
 
-    def press(self, plan: Plan, targets: Iterable[Target]) -> None:
-        """Press targets of a plan, one after the other."""
+    def press(self, targets: Iterable[Target]) -> None:
+        """Press targets of the plan, one after the other."""
+        after_target = self._request.after_target
         for target in targets:
             self._live.at(target, None)
             limited = self.limited
-            while not self._attempt(plan, target):
+            while not self._attempt(target):
                 pass
             self.done += 1
             self._live.ended(target, "limited" if self.limited > limited else "done")
-            if self._after_target is not None:
+            if after_target is not None:
                 self._live.end()
-                self._after_target(target, self._streams)
+                after_target(target, self._streams)
 
-    def _attempt(self, plan: Plan, target: Target) -> bool:
+    def _attempt(self, target: Target) -> bool:
         """Press a target from its start; return False if the dead-man pedal was released."""
         self._hold()
         try:
             if target.point != self._point:
                 self._go_to_point(target)
                 self._point = target.point
-            self._press_target(plan, target)
+            self._press_target(target)
         except DeadManReleased as released:
             self._live.end()
             logger.warning("target %d: halted: %s", target.index + 1, released)
@@ -147,7 +142,7 @@ class PlanRunner:
 
     def _rise(self, target: Target) -> None:
         """Move straight up from an interrupted press, clear of the surface, to retract height."""
-        x, y, z = tip_position(self._bench, self._streams)
+        x, y, z = tip_position(self._streams)
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
         self._move((x, y, max(z, self._bench.arm.retract)), mode="travel")
 
@@ -156,7 +151,7 @@ class PlanRunner:
         x, y, clearance = target.origin
         approach = max(self._bench.approach, clearance)
         height = max(self._bench.arm.retract, approach)
-        here_x, here_y, here_z = tip_position(self._bench, self._streams)
+        here_x, here_y, here_z = tip_position(self._streams)
         if here_z < height:
             self._move((here_x, here_y, height), mode="travel")
         self._move((x, y, height), mode="travel")
@@ -177,7 +172,7 @@ class PlanRunner:
             check_no_contact(bench, gauge, tared, point)
         ended_ns = max((int(each["t_ns"]) for each in found.values()), default=0)
         self._writer.reference.append(
-            **_reference(bench, self._streams, found),
+            **reference_columns(self._streams, found),
             point=point,
             run=self._run,
             t_ns=ended_ns or self._clock.now_ns(),
@@ -200,7 +195,7 @@ class PlanRunner:
         waits = [settling(row) for row in self._bench.rows]
         window = max(self._bench.preflight.point_window, *waits)
         found = self._streams.measure(window, *averaged) if averaged else {}
-        zero_stand_ins(self._bench, self._streams, found)
+        zero_stand_ins(self._streams, found)
         return found
 
     def _check_signal(self, point: int) -> None:
@@ -216,8 +211,8 @@ class PlanRunner:
                 f"press; allowed: {allowed:.3g}; is the surface where it was found?"
             )
 
-    def _press_target(self, plan: Plan, target: Target) -> None:
-        for move in plan.moves(target):
+    def _press_target(self, target: Target) -> None:
+        for move in self._request.plan.moves(target):
             self._live.at(target, move)
             result = self._move(move.end, mode="guarded", record=move)
             if result.outcome == "force_limited":
@@ -230,7 +225,7 @@ class PlanRunner:
 
     def _leave(self, target: Target) -> None:
         """Move straight up from a press at the soft limit, then to p0 for the next one."""
-        x, y, z = tip_position(self._bench, self._streams)
+        x, y, z = tip_position(self._streams)
         self._move((x, y, max(z, target.origin[2])), mode="retreat")
         if self._bench.no_gauge:
             # What a soft sensor keeps of this press would end the next approach.
@@ -298,34 +293,30 @@ class PlanRunner:
         )
 
 
-def zero_stand_ins(bench: Bench, streams: Streams, found: Mapping[str, Mapping[str, Any]]) -> None:
+def zero_stand_ins(streams: Streams, measured: Mapping[str, Mapping[str, Any]]) -> None:
     """Tell the guards that stand in for an F/T sensor that nothing touches the sensor now.
 
-    Args:
-        bench: The bench; one with an F/T sensor has no such guards.
-        streams: Recording.
-        found: Mean of the streams that have one, by name.
+    `measured` has the mean of the streams that have one, by name.
     """
+    bench = streams.bench
     if not bench.no_gauge:
         return
     for row in bench.of_kind("arm_wrench"):
-        if "mean" not in found.get(row.name, {}):
+        if "mean" not in measured.get(row.name, {}):
             raise DeviceLost(f"{row.name}: no sample without contact")
-        streams[row.name].zero(found[row.name]["mean"])
+        streams[row.name].zero(measured[row.name]["mean"])
     if bench.signal is not None:
         streams[bench.signal.name].zero(None)
 
 
-def _reference(
-    bench: Bench, streams: Streams, found: Mapping[str, Mapping[str, Any]]
+def reference_columns(
+    streams: Streams, measured: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Return the columns of `reference` that come from the streams; NaN or -1 without them.
 
-    Args:
-        bench: The bench.
-        streams: Recording.
-        found: Mean and standard deviation of the streams that have them, by name.
+    `measured` has mean and standard deviation of the streams that have them, by name.
     """
+    bench = streams.bench
     specs = [empty_spec(row) for row in bench.rows]
     columns = {column.name: column for column in reference_spec(specs).columns[1:-2]}
     values: dict[str, Any] = {
@@ -337,8 +328,8 @@ def _reference(
         if kind.name == "camera":
             latest = streams[name].latest()
             values[place] = int(latest["row"]) if latest is not None else -1
-        elif place in columns and "mean" in found.get(name, {}):
-            values[place] = found[name]["mean"]
+        elif place in columns and "mean" in measured.get(name, {}):
+            values[place] = measured[name]["mean"]
             if f"{place}_std" in columns:
-                values[f"{place}_std"] = found[name]["std"]
+                values[f"{place}_std"] = measured[name]["std"]
     return values

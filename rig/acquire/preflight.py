@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from recorder.command_line.options import next_command
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench, BenchStream
-from rig.bench.stream_kinds import expected_rate
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
 from rig.core.geometry import compose, invert
 from trajectories import Point
@@ -25,28 +23,11 @@ _PERIODS = 4
 _AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """Properties and rates of the devices, found by the preflight."""
-
-    description: dict[str, dict[str, Any]]
-    """`Driver.describe()` by stream."""
-    rates: dict[str, float]
-    """Measured rate by stream [Hz]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Tare:
-    """Zero of the F/T sensor without contact."""
-
-    mean: np.ndarray
-    """Mean wrench (6,) [N, N m]."""
-    std: np.ndarray
-    """Standard deviation (6,) [N, N m]."""
-
-
-def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None = None) -> Found:
-    """Open every device and measure its rate."""
+def check_devices(
+    streams: Streams, interlocks: Interlocks | None = None
+) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
+    """Open every device; return `Driver.describe()` and the measured rate [Hz] of each."""
+    bench = streams.bench
     description: dict[str, dict[str, Any]] = {}
     failures: list[Exception] = []
     # All are tried, so that a bench with nothing attached is one message and not one per start.
@@ -58,8 +39,8 @@ def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None 
     raise_all(failures)
     rates: dict[str, float] = {}
     window = rate_window(bench, min(row.rate_hz for row in bench.rows))
-    for name, found in streams.measure(window).items():
-        rate, expected = found["rate_hz"], expected_rate(bench, name)
+    for name, measured in streams.measure(window).items():
+        rate, expected = measured["rate_hz"], bench.row(name).rate_hz
         rates[name] = rate
         deviation = rate / expected - 1
         logger.info(
@@ -67,7 +48,7 @@ def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None 
             name,
             rate,
             expected,
-            1e3 * found["longest_gap"],
+            1e3 * measured["longest_gap"],
         )
         if rate < 0.5 * expected:
             raise DeviceLost(
@@ -75,7 +56,7 @@ def check_devices(bench: Bench, streams: Streams, interlocks: Interlocks | None 
             )
         if abs(deviation) > bench.preflight.rate_tolerance:
             logger.warning("preflight  %s is %+.0f %% off its expected rate", name, 100 * deviation)
-    return Found(description, rates)
+    return description, rates
 
 
 def rate_window(bench: Bench, rate_hz: float) -> float:
@@ -86,13 +67,7 @@ def rate_window(bench: Bench, rate_hz: float) -> float:
 def notes_on(
     description: Mapping[str, Mapping[str, Any]], signals: Sequence[str], calibrated: Sequence[str]
 ) -> list[str]:
-    """Return what the recording will not tell: latencies not measured, and drops not seen.
-
-    Args:
-        description: `Driver.describe()` by stream.
-        signals: Streams that the others are aligned to.
-        calibrated: Streams whose latency was measured.
-    """
+    """Return what the recording will not tell: latencies not measured, and drops not seen."""
     notes = [
         f"{name} latency not calibrated ({next_command('calibrate-latency')})"
         for name in signals
@@ -104,19 +79,19 @@ def notes_on(
     return notes
 
 
-def tip_position(bench: Bench, streams: Streams) -> Point:
+def tip_position(streams: Streams) -> Point:
     """Return the position of the tip in the contact frame [m]."""
     latest = streams["pose"].latest()
     if latest is None:
         raise DeviceLost("pose: no sample yet")
-    x, y, z = compose(invert(bench.contact_frame), latest["value"])[:3].tolist()
+    x, y, z = compose(invert(streams.bench.contact_frame), latest["value"])[:3].tolist()
     return (x, y, z)
 
 
-def check_clear(bench: Bench, streams: Streams) -> None:
+def check_clear(streams: Streams) -> None:
     """Reject a tip at or below the surface, or outside the box."""
-    x, y, z = tip_position(bench, streams)
-    limits = bench.limits
+    x, y, z = tip_position(streams)
+    limits = streams.bench.limits
     inside = (
         limits.box_x[0] <= x <= limits.box_x[1]
         and limits.box_y[0] <= y <= limits.box_y[1]
@@ -129,13 +104,16 @@ def check_clear(bench: Bench, streams: Streams) -> None:
         raise SafetyStop(f"{where}: outside the bench's box; jog it above the sensor")
 
 
-def take_tares(bench: Bench, streams: Streams) -> dict[str, Tare]:
-    """Measure the zero of every F/T sensor, none of which may be touched."""
+def take_tares(streams: Streams) -> dict[str, dict[str, Any]]:
+    """Return `mean` and `std` (6,) [N, N m] of every F/T sensor, none of which may be touched."""
+    bench = streams.bench
     gauges = bench.of_kind("force")
     names = [gauge.name for gauge in gauges]
     window = max([bench.preflight.tare_window, *(settling(gauge) for gauge in gauges)])
-    found = streams.measure(window, *names) if names else {}
-    return {gauge.name: _tare(bench, gauge, found[gauge.name]) for gauge in gauges}
+    tares = streams.measure(window, *names) if names else {}
+    for gauge in gauges:
+        _check_tare(bench, gauge, tares[gauge.name])
+    return tares
 
 
 def settling(row: BenchStream) -> float:
@@ -150,13 +128,13 @@ def no_mean(gauge: BenchStream) -> str:
     return "no sample"
 
 
-def _tare(bench: Bench, gauge: BenchStream, found: dict[str, Any]) -> Tare:
-    if "mean" not in found:
+def _check_tare(bench: Bench, gauge: BenchStream, tare: dict[str, Any]) -> None:
+    if "mean" not in tare:
         raise DeviceLost(f"{gauge.name}: {no_mean(gauge)} during the tare")
     measured = _measured_axes(gauge)
-    _require_numbers(gauge, found["mean"], "during the tare")
+    _require_numbers(gauge, tare["mean"], "during the tare")
     axis, spread = max(
-        ((axis, float(found["std"][axis])) for axis in measured if axis < 3),
+        ((axis, float(tare["std"][axis])) for axis in measured if axis < 3),
         key=lambda each: each[1],
         default=(0, 0.0),
     )
@@ -168,21 +146,13 @@ def _tare(bench: Bench, gauge: BenchStream, found: dict[str, Any]) -> Tare:
     logger.info(
         "preflight  tare  %s%s N, spread %.4f N",
         "" if gauge.name == "force" else f"{gauge.name}  ",
-        " ".join(f"{value:+.3f}" for value in found["mean"][:3]),
+        " ".join(f"{value:+.3f}" for value in tare["mean"][:3]),
         spread,
     )
-    return Tare(found["mean"], found["std"])
 
 
 def check_no_contact(bench: Bench, gauge: BenchStream, force: np.ndarray, point: int) -> None:
-    """Check that there is no contact above a contact point.
-
-    Args:
-        bench: The bench.
-        gauge: One of its F/T sensors.
-        force: Mean tared wrench (6,) of that sensor there [N, N m].
-        point: Number of the contact point.
-    """
+    """Reject contact above a point: `force` is a gauge's mean tared wrench (6,) there [N, N m]."""
     _require_numbers(gauge, force, f"above point {point}")
     forces = [axis for axis in _measured_axes(gauge) if axis < 3]
     worst = max(forces, key=lambda axis: abs(force[axis]), default=0)

@@ -14,7 +14,7 @@ from typing import Any, TextIO
 
 from recorder.progress import duration
 from rig.acquire.streams import Streams
-from rig.core.clock import SECOND_NS, Clock
+from rig.core.clock import SECOND_NS
 from rig.core.paced_line import PacedLine
 from trajectories import PHASES, Move, Target
 
@@ -30,7 +30,6 @@ class LiveLine:
     Args:
         streams: Streams whose rates are shown.
         total: Number of targets of the session.
-        clock: Clock.
         planned: Predicted duration of a target [s]; it counts like one target that was measured,
             so that the remaining time is known from the beginning.
         pressing: Indices of the targets of this run, in order; None: all.
@@ -41,7 +40,6 @@ class LiveLine:
         self,
         streams: Streams,
         total: int,
-        clock: Clock,
         *,
         planned: float,
         pressing: Iterable[int] | None = None,
@@ -50,7 +48,7 @@ class LiveLine:
         self._streams = streams
         self._total = total
         self._planned_ns = round(planned * SECOND_NS)
-        self._clock = clock
+        self._clock = clock = streams.clock
         self._line = PacedLine(
             clock,
             out or sys.stdout,

@@ -26,12 +26,14 @@ class CollectRequest:
 
     path: Path
     """The session: a new one, or with `resume` a stopped one."""
+    plan: Plan
+    """Targets of the session."""
+    total: int
+    """Number of the plan's targets in the session."""
     resume: bool = False
     """Continue with the first incomplete target."""
     again: tuple[int, ...] = ()
     """With `resume`, indices of targets to press again, done or not; readers use the last press."""
-    targets: int | None = None
-    """Press only this many targets of the plan; None for all."""
     operator: str = ""
     """Name of the operator; empty: the login name."""
     mock_sources: dict[str, Any] | None = None
@@ -46,72 +48,70 @@ class CollectRequest:
     go_on: str = ""
     """Command that continues the session if it stops, or repeats it; empty: none is shown."""
 
+    @classmethod
+    def of(
+        cls,
+        bench: Bench,
+        path: Path,
+        plan: Plan | None = None,
+        *,
+        targets: int | None = None,
+        resume: bool = False,
+        again: tuple[int, ...] = (),
+        **others: Any,
+    ) -> CollectRequest:
+        """Check a request against a bench: its plan or `plan`, or that of the resumed session.
 
-def plan_of(request: CollectRequest, bench: Bench, plan: Plan | None = None) -> tuple[Plan, int]:
-    """Return the plan and its number of targets: the bench's, or the resumed session's.
+        `targets` is the number of targets to press, None for all.
+        """
+        if not resume and path.exists():
+            raise SessionError(f"{path}: exists already; resume it or choose another name")
+        plan = bench.trajectory if plan is None else plan
+        total = len(plan) if targets is None else targets
+        if resume:
+            plan, total = _resumed(path, bench)
+        if not 1 <= total <= len(plan):
+            raise ConfigError(f"--targets: found {total}; allowed: 1 to {len(plan)}")
+        if unknown := [index + 1 for index in again if not 0 <= index < total]:
+            raise ConfigError(f"--again: found {unknown[0]}; allowed: targets 1 to {total}")
+        bench.check_limits(plan)
+        return cls(path, plan, total, resume, again, **others)
 
-    Args:
-        request: Request of the operator.
-        bench: Bench with its limits.
-        plan: Replaces the bench's trajectory.
-    """
-    if not request.resume and request.path.exists():
-        raise SessionError(f"{request.path}: exists already; resume it or choose another name")
-    plan = bench.trajectory if plan is None else plan
-    total = len(plan) if request.targets is None else request.targets
-    if request.resume:
-        session = Session(request.path)
-        attrs = session.attrs
-        if attrs["sensor"] != bench.sensor:
-            raise ConfigError(
-                f"--sensor: found {bench.sensor!r}; {request.path} was recorded with "
-                f"{attrs['sensor']!r}"
-            )
-        recorded, present = set(session.streams), {row.name for row in bench.rows}
-        if recorded != present:
-            raise ConfigError(
-                f"{request.path}: was recorded with the streams {', '.join(sorted(recorded))}; the "
-                f"bench file has {', '.join(sorted(present))}; continue with the bench file of the "
-                "recording (--bench), or record a new session"
-            )
-        try:
-            plan = plan_from_json(attrs["plan"])
-        except (TypeError, ValueError) as error:
-            raise ConfigError(f"{request.path}: {error}") from None
-        total = int(attrs["targets_wanted"])
-    if not 1 <= total <= len(plan):
-        raise ConfigError(f"--targets: found {total}; allowed: 1 to {len(plan)}")
-    if unknown := [index + 1 for index in request.again if not 0 <= index < total]:
-        raise ConfigError(f"--again: found {unknown[0]}; allowed: targets 1 to {total}")
-    walked = bench.dry_run(plan)
-    if walked.broken:
-        raise ConfigError(f"{bench.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")
-    return plan, total
+    def to_press(self, first: int) -> tuple[Target, ...]:
+        """Return the targets of this run in order: those to press again, and those from `first`."""
+        return tuple(
+            target
+            for target in self.plan.targets()
+            if first <= target.index < self.total or target.index in self.again
+        )
 
-
-def targets_to_press(
-    request: CollectRequest, plan: Plan, first: int, total: int
-) -> tuple[Target, ...]:
-    """Return the targets of this run in order: those to press again, and those not done.
-
-    Args:
-        request: Request of the operator.
-        plan: The session's plan.
-        first: Index of its first target that is not done.
-        total: Number of the plan's targets in the session.
-    """
-    return tuple(
-        target
-        for target in plan.targets()
-        if first <= target.index < total or target.index in request.again
-    )
+    def is_complete(self) -> bool:
+        """Return True if the session has nothing to resume: it was closed with all targets done."""
+        session = Session(self.path)
+        done = first_open_target(self.plan, session.segments, self.total) == self.total
+        return done and session.status == "complete"
 
 
-def is_complete(path: Path, plan: Plan, total: int) -> bool:
-    """Return True if a session has nothing to resume: it was closed with all its targets done."""
+def _resumed(path: Path, bench: Bench) -> tuple[Plan, int]:
+    """Return plan and number of targets of a session, which must be of the bench."""
     session = Session(path)
-    done = first_open_target(plan, session.segments, total) == total
-    return done and session.status == "complete"
+    attrs = session.attrs
+    if attrs["sensor"] != bench.sensor:
+        raise ConfigError(
+            f"--sensor: found {bench.sensor!r}; {path} was recorded with {attrs['sensor']!r}"
+        )
+    recorded, present = set(session.streams), {row.name for row in bench.rows}
+    if recorded != present:
+        raise ConfigError(
+            f"{path}: was recorded with the streams {', '.join(sorted(recorded))}; the bench file "
+            f"has {', '.join(sorted(present))}; continue with the bench file of the recording "
+            "(--bench), or record a new session"
+        )
+    try:
+        plan = plan_from_json(attrs["plan"])
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return plan, int(attrs["targets_wanted"])
 
 
 # Targets that a session has completed, from which `--resume` continues.
@@ -132,11 +132,6 @@ def finished_targets(plan: Plan, segments: Mapping[str, np.ndarray], total: int)
     A target is done when all its phases were completed in the same attempt, or when it ended at the
     force limit (pressing it again would end there again). A run may hold several attempts at a
     target: a new one begins with a phase already completed in the last, or after an interruption.
-
-    Args:
-        plan: The session's plan.
-        segments: Its `segments`: target, phase, outcome, run.
-        total: Number of the plan's targets in the session.
     """
     complete: dict[tuple[int, int], set[int]] = {}
     attempts: dict[int, list[set[int]]] = {}

@@ -13,7 +13,7 @@ import numpy as np
 from recorder import SessionError
 from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import expected_rate, kind_of, stream_names
+from rig.bench.stream_kinds import kind_of
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost, raise_all
 from rig.core.samples import SIGNAL_LATEST
@@ -30,13 +30,7 @@ _CLOSE_TIMEOUT = 30.0
 
 
 class StreamHandle:
-    """Starts, queries and ends the process of one stream.
-
-    Args:
-        name: Name of the stream.
-        bench: The bench, with addresses filled in.
-        folder: Run folder for the shared records.
-    """
+    """Starts, queries and ends the process of one stream, with shared records in `folder`."""
 
     def __init__(self, name: str, bench: Bench, folder: Path) -> None:
         self.name = name
@@ -84,8 +78,7 @@ class StreamHandle:
     def zero(self, value: np.ndarray | None) -> None:
         """Take the present samples as those without contact, for the guards; none is stored so.
 
-        Args:
-            value: Mean without contact of an arm's wrench; None for a signal.
+        `value` is the mean without contact of an arm's wrench (6,) [N, N m]; None for a signal.
         """
         self._send("zero", None if value is None else [float(each) for each in value])
         self._answer("zeroed", 1.0)
@@ -189,25 +182,22 @@ SLOW_FRACTION, SLOW = 0.5, 3.0
 
 
 class Streams:
-    """Context manager of the streams of one bench.
+    """Context manager of the streams of one bench, with shared records in `folder`.
 
-    Args:
-        bench: The bench, with addresses filled in.
-        folder: Run folder for shared records.
-        clock: Clock.
-        watch: Raises if a backend of the devices is gone, such as a mock bench's World.
+    `watch` raises if a backend of the devices is gone, such as a mock bench's World.
     """
 
     def __init__(
         self, bench: Bench, folder: Path, clock: Clock, watch: Callable[[], None] | None = None
     ) -> None:
-        self._clock = clock
+        self.bench = bench
+        self.clock = clock
         self._watch = watch
-        self._handles = {name: StreamHandle(name, bench, folder) for name in stream_names(bench)}
+        self._handles = {row.name: StreamHandle(row.name, bench, folder) for row in bench.rows}
         self._gauges = [row.name for row in bench.of_kind("force")]
         self._summaries: dict[str, Any] = {}
         self._closed = False
-        self._expected = {name: expected_rate(bench, name) for name in self._handles}
+        self._expected = {row.name: row.rate_hz for row in bench.rows}
         self._slow_since_ns: dict[str, int] = {}
 
     def __enter__(self) -> Streams:
@@ -243,7 +233,7 @@ class Streams:
 
     def check(self) -> None:
         """Raise if a stream failed or a signal went silent."""
-        now_ns = self._clock.now_ns()
+        now_ns = self.clock.now_ns()
         # Stream errors first: the driver of a lost device knows more than `watch`.
         for handle in self:
             handle.check()

@@ -364,6 +364,12 @@ class Bench:
         arm = self.arm
         return dry_run(plan, self.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
 
+    def check_limits(self, plan: Plan) -> None:
+        """Reject a plan that breaks a limit of the bench."""
+        walked = self.dry_run(plan)
+        if walked.broken:
+            raise ConfigError(f"{self.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")
+
     @property
     def force_rating(self) -> tuple[float, ...]:
         """Largest load per axis (6,) in the F/T frame [N, N m].

@@ -52,7 +52,7 @@ def calibrate(
     stream = latency.signal_of(bench)
     plan = latency.plan_for(bench, depth=depth, count=taps)
     path = recording.session("latency")
-    request = CollectRequest(path, operator=recording.operator, calibration=home)
+    request = CollectRequest.of(bench, path, plan, operator=recording.operator, calibration=home)
 
     def stored(session: Session) -> Path:
         lags = latency.evaluate(session, stream, latency.exposure_of(bench, stream))
@@ -76,9 +76,4 @@ def calibrate(
         )
         return store.store(recording.calibrations, bench.sensor, latency=calibration)
 
-    return record(
-        recording,
-        request,
-        plan,
-        evaluate=lambda code: measured("calibrate-latency", path, code, stored),
-    )
+    return measured("calibrate-latency", path, record(recording, request), stored)

@@ -9,7 +9,7 @@ import functools
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
-from rig.acquire.request import CollectRequest, is_complete, plan_of
+from rig.acquire.request import CollectRequest
 from rig.bench.no_gauge import planned_depth
 from rig.cli.options import (
     add_page,
@@ -118,19 +118,19 @@ def collect(
     bench, sources = recording.bench, sources or Sources()
     session = resumed or recording.session(bench.indenter)
     calibration = recording.calibration(resumed)
-    request = CollectRequest(
-        path=session,
+    request = CollectRequest.of(
+        bench,
+        session,
+        targets=targets,
         resume=resumed is not None,
         again=again,
-        targets=targets,
         operator=recording.operator,
         mock_sources=sources.description() if bench.mock else None,
         calibration=calibration,
         go_on=recording.resume(session),
     )
-    plan, total = plan_of(request, calibration.applied(bench))
-    if request.resume and not again and is_complete(session, plan, total):
-        print(f"complete: all {total} targets are done; {session} is left as it is")
+    if request.resume and not again and request.is_complete():
+        print(f"complete: all {request.total} targets are done; {session} is left as it is")
         return EXIT_DONE
     with contextlib.ExitStack() as stack:
         prepare = None
@@ -138,7 +138,7 @@ def collect(
             from rig.acquire import no_gauge
             from rig.cli import without_gauge
 
-            depth = planned_depth(bench, plan, total)
+            depth = planned_depth(bench, request.plan, request.total)
             if not bench.mock:
                 require_terminal()
             without_gauge.check_before(recording, calibration, depth)
@@ -158,11 +158,4 @@ def collect(
 
             prepare = functools.partial(without_gauge.prepared, calibration, depth)
 
-        return record(
-            recording,
-            request,
-            prepare=prepare,
-            sources=sources,
-            truth=truth,
-            page=page,
-        )
+        return record(recording, request, prepare=prepare, sources=sources, truth=truth, page=page)

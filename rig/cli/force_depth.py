@@ -32,15 +32,14 @@ def press(recording: Recording) -> int:
         )
     require_gauge(bench, "force-depth")
     path = recording.session(bench.indenter, "force-depth")
-    request = CollectRequest(
+    request = CollectRequest.of(
+        bench,
         path,
+        bench.force_depth,
         operator=recording.operator,
         calibration=recording.calibration(),
         go_on=recording.resume(path),
     )
-
-    def shown(code: int) -> int:
-        show_curve(path)
-        return code
-
-    return record(recording, request, bench.force_depth, evaluate=shown)
+    code = record(recording, request)
+    show_curve(path)
+    return code

@@ -73,8 +73,9 @@ def find_by_force(
     plan = home.plan_for(bench, travel=travel, repeats=repeats, points=points)
     touching = home.touching_bench(bench, force)
     path = recording.session("home")
-    request = CollectRequest(
-        path, operator=recording.operator, calibration=recording.uncalibrated()
+    # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
+    request = CollectRequest.of(
+        bench, path, plan, operator=recording.operator, calibration=recording.uncalibrated()
     )
 
     def stored(session: Session) -> Path:
@@ -83,14 +84,8 @@ def find_by_force(
         surface = home.home_calibration(home.METHOD, approaches, touching, content)
         return store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
 
-    # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
-    return record(
-        recording,
-        request,
-        plan,
-        prepare=lambda ready: home.touching_bench(ready, force),
-        evaluate=lambda code: measured("home", path, code, stored),
-    )
+    code = record(recording, request, prepare=lambda ready: home.touching_bench(ready, force))
+    return measured("home", path, code, stored)
 
 
 def find_by_signal(recording: Recording) -> int:

@@ -75,7 +75,7 @@ def _jogged(
     stack.callback(mouse.close)
     mouse.open()
     streams = stack.enter_context(Streams(bench, folder, clock, watch))
-    check_devices(bench, streams)
+    check_devices(streams)
     arm = Arm(
         bench.arm,
         bench.contact_frame,
@@ -85,8 +85,8 @@ def _jogged(
     )
     arm.start(bench.preflight.timeout)
     stack.callback(arm.close)
-    for name, tare in take_tares(bench, streams).items():
-        streams[name].set_bias(tare.mean)
+    for name, tare in take_tares(streams).items():
+        streams[name].set_bias(tare["mean"])
     print(
         f"x, y, z of the cap move the tip at up to {1e3 * bench.jog.speed_max:g} mm/s; the first "
         "button takes the origin; Ctrl-C ends",

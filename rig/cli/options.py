@@ -31,7 +31,6 @@ from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
 if TYPE_CHECKING:
     from rig.acquire.request import CollectRequest
     from rig.monitor.collection_page import CollectionPage
-    from trajectories import Plan
 
 
 def bench_options(
@@ -331,8 +330,6 @@ def opened_page(
     bench: Bench,
     folder: Path,
     request: CollectRequest,
-    plan: Plan,
-    total: int,
 ) -> Iterator[CollectionPage | None]:
     """Run the monitoring page during the context; yield None without --watch."""
     access: AccessPolicy | None = options.watch
@@ -346,7 +343,7 @@ def opened_page(
 
     folders = Folders(request.path.parent, calibrations=options.calibrations)
     settings = PageSettings(access, folders, "--watch")
-    job = CollectionJob.of(bench, folder, request, plan, total)
+    job = CollectionJob.of(bench, folder, request)
     with CollectionPage(settings, job) as page:
         print("\n".join(page_lines(access, page.urls, "see, pause and abort")), flush=True)
         yield page

@@ -18,23 +18,20 @@ from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.collector import Collector
 from rig.acquire.motion_notice import deepest, motion_lines
-from rig.acquire.request import CollectRequest, plan_of
+from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench, BenchFile
 from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to
 from rig.cli.terminal import confirm
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
 from rig.core.sources import Sources
-from trajectories import Plan
 
 if TYPE_CHECKING:
     from rig.monitor.collection_page import CollectionPage
 
 
-# Opens the monitoring page: of a bench, a run folder, a request, a plan and a number of targets.
-OpenPage = Callable[
-    [Bench, Path, CollectRequest, Plan, int], AbstractContextManager["CollectionPage | None"]
-]
+# Opens the monitoring page: of a bench, a run folder and a request.
+OpenPage = Callable[[Bench, Path, CollectRequest], AbstractContextManager["CollectionPage | None"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +54,8 @@ def started_bench(
 ) -> Iterator[StartedBench]:
     """Start the emulators of a mock bench for the context; a lab bench needs nothing.
 
-    Args:
-        file: The bench file.
-        sources: Real recordings for a mock bench to play.
-        truth: File for a mock bench to log the World's truth to.
-        folder: Folder for the files of a mock bench; by default a temporary one.
+    The emulators play `sources`, log the World's truth to the file `truth`, and keep their files in
+    `folder`, by default a temporary one.
     """
     if not file.bench.mock:
         yield StartedBench(file, None)
@@ -147,32 +141,20 @@ def recording_of(options: argparse.Namespace) -> Recording:
 def record(
     recording: Recording,
     request: CollectRequest,
-    plan: Plan | None = None,
     *,
     prepare: Callable[[Bench], Bench] | None = None,
-    evaluate: Callable[[int], int] | None = None,
     sources: Sources | None = None,
     truth: Path | None = None,
     page: OpenPage | None = None,
 ) -> int:
-    """Record a plan from its first open target on, evaluate, and return the exit code.
+    """Record a plan from its first open target on, and return the collector's exit code.
 
-    Args:
-        recording: The bench.
-        request: Where to record, and with which settings.
-        plan: Targets to press; None: those of the bench, or of the session to resume.
-        prepare: Returns the final bench: speeds, limits, calibrated frame; None: the request's
-            calibration is applied. The mock's World does not see these changes.
-        evaluate: Takes the collector's exit code, and returns that of the command.
-        sources: Real recordings for a mock bench to play.
-        truth: File for a mock bench to log the World's truth to.
-        page: Opens the monitoring page.
+    `prepare` returns the final bench: speeds, limits, calibrated frame; None: the request's
+    calibration is applied. The mock's World does not see these changes.
     """
-    placed = request.calibration.applied
-    prepare = prepare or placed
-    plan, total = plan_of(request, placed(recording.bench), plan)
+    prepare = prepare or request.calibration.applied
     if not recording.bench.mock and not recording.agreed:
-        confirm(motion_lines(prepare(recording.bench), deepest(plan, total)))
+        confirm(motion_lines(prepare(recording.bench), deepest(request.plan, request.total)))
     request.path.parent.mkdir(parents=True, exist_ok=True)
     log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
@@ -181,22 +163,14 @@ def record(
             started_bench(recording.file, sources=sources, truth=truth, folder=folder)
         )
         bench = prepare(on.file.bench)
-        shown = (
-            None if page is None else stack.enter_context(page(bench, folder, request, plan, total))
-        )
-        collector = Collector(bench, on.file.content, folder, on.watch, shown)
-        code = collector.run(request, plan, total)
-    return code if evaluate is None else evaluate(code)
+        shown = None if page is None else stack.enter_context(page(bench, folder, request))
+        return Collector(bench, on.file.content, folder, on.watch, shown).run(request)
 
 
 def measured(name: str, session: Path, code: int, measure: Callable[[Session], Path]) -> int:
-    """Measure from a recorded session, and return the exit code.
+    """Measure from a session whose collection ended with `code`, and return the exit code.
 
-    Args:
-        name: Name of the command.
-        session: The session.
-        code: Exit code of its collection.
-        measure: Returns the file that the result was stored in.
+    `measure` returns the file in which it stored the result of the command `name`.
     """
     if code != EXIT_DONE:
         print(f"{name}: not finished, nothing is stored; repeat the command")

@@ -14,7 +14,7 @@ from rig.acquire import no_gauge
 from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.no_gauge import StageStopped
-from rig.acquire.request import CollectRequest, plan_of
+from rig.acquire.request import CollectRequest
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.no_gauge import check_plan, lines, slowed
@@ -51,15 +51,17 @@ class StageRecorder:
             if after_target is not None:
                 after_target(target, Session(path))
 
-        request = CollectRequest(
+        request = CollectRequest.of(
+            self.recording.bench,
             path,
+            plan,
             operator=self.recording.operator,
             calibration=self.recording.uncalibrated(),
             contact_change=contact_change,
             after_target=None if after_target is None else after,
         )
-        plan_of(request, prepared(self.recording.bench), plan)
-        code = record(self.recording, request, plan, prepare=prepared)
+        prepared(self.recording.bench).check_limits(plan)
+        code = record(self.recording, request, prepare=prepared)
         if code != EXIT_DONE:
             raise StageStopped(code)
         return Session(path)

@@ -17,7 +17,7 @@ from rig.monitor.finished import LETTERS
 from rig.monitor.live_state import LiveState
 from rig.monitor.live_view import Backlog, LiveView
 from rig.monitor.quality import LiveQuality, Quality
-from trajectories import Plan, PressShear, Target, dome_height
+from trajectories import PressShear, Target, dome_height
 
 # Commands of the page.
 COMMANDS = ("pause", "resume", "abort")
@@ -46,11 +46,10 @@ class CollectionJob:
     """Height above the surface at which the tip waits before a press [m]."""
 
     @classmethod
-    def of(
-        cls, bench: Bench, folder: Path, request: CollectRequest, plan: Plan, total: int
-    ) -> CollectionJob:
-        """Return the job of a collection of the first `total` targets of `plan`."""
-        targets = tuple(target for target in plan.targets() if target.index < total)
+    def of(cls, bench: Bench, folder: Path, request: CollectRequest) -> CollectionJob:
+        """Return the job of a collection."""
+        plan = request.plan
+        targets = tuple(target for target in plan.targets() if target.index < request.total)
         radius = bench.dome_radius
         heights = [t.origin[2] - dome_height(radius, *t.origin[:2]) for t in targets]
         directions = plan.direction_count if isinstance(plan, PressShear) else 1

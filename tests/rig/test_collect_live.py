@@ -31,6 +31,9 @@ class FakeStreams:
     _gauges, _handles = ("force",), {"force": FakeHandle()}
     pressing = Streams.pressing
 
+    def __init__(self, clock: FakeClock) -> None:
+        self.clock = clock
+
     def counters(self) -> dict[str, np.void]:
         count = np.zeros(1, COUNTERS)[0]
         count["rate_hz"], count["dropped"] = 59.9, 2
@@ -43,7 +46,7 @@ class Terminal(io.StringIO):
 
 
 def live(out: Any, clock: FakeClock) -> LiveLine:
-    return LiveLine(FakeStreams(), len(PLAN), clock, planned=2.0, out=out)  # type: ignore[arg-type]
+    return LiveLine(FakeStreams(clock), len(PLAN), planned=2.0, out=out)  # type: ignore[arg-type]
 
 
 def test_the_line_says_all_a_technician_asks() -> None:
@@ -106,9 +109,9 @@ def test_the_remaining_time_is_known_from_the_first_second_and_falls() -> None:
 
 def test_a_resumed_run_counts_its_own_targets_only() -> None:
     clock = FakeClock()
-    streams: Any = FakeStreams()
+    streams: Any = FakeStreams(clock)
     order = [3, *range(200, len(PLAN))]
-    line = LiveLine(streams, len(PLAN), clock, planned=2.0, pressing=order, out=Terminal())
+    line = LiveLine(streams, len(PLAN), planned=2.0, pressing=order, out=Terminal())
     assert line.progress() == {"left": 82.0}
     line.at(list(PLAN.targets())[200], None)
     clock.advance(1.0)

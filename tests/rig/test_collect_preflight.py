@@ -31,7 +31,10 @@ class FakeHandle:
 class FakeStreams:
     """Streams with measurements specified by the test."""
 
-    def __init__(self, place: Any = (0.0, 0.0, 0.03), **measured: Any) -> None:
+    def __init__(
+        self, place: Any = (0.0, 0.0, 0.03), bench: Bench = BENCH, **measured: Any
+    ) -> None:
+        self.bench = bench
         self._measured = measured
         self._record = None
         if place is not None:
@@ -57,26 +60,26 @@ def rates(**changed: float) -> Any:
 
 
 def test_expected_rates_pass_and_are_kept() -> None:
-    assert preflight.check_devices(BENCH, rates()).rates == RATES
+    assert preflight.check_devices(rates())[1] == RATES
 
 
 def test_a_rate_that_is_off_is_warned_of_and_half_of_it_is_refused(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with caplog.at_level(logging.WARNING):
-        preflight.check_devices(BENCH, rates(camera=24.0))
+        preflight.check_devices(rates(camera=24.0))
     assert "camera is -20 %" in caplog.text
     with pytest.raises(DeviceLost, match=r"camera: 14\.0 Hz measured; expected 30 Hz"):
-        preflight.check_devices(BENCH, rates(camera=14.0))
+        preflight.check_devices(rates(camera=14.0))
 
 
 def test_the_tip_is_found_in_the_contact_frame() -> None:
     streams: Any = FakeStreams(place=(1e-3, -2e-3, 5e-3))
-    assert preflight.tip_position(BENCH, streams) == pytest.approx([1e-3, -2e-3, 5e-3], abs=1e-12)
-    preflight.check_clear(BENCH, streams)
+    assert preflight.tip_position(streams) == pytest.approx([1e-3, -2e-3, 5e-3], abs=1e-12)
+    preflight.check_clear(streams)
     nowhere: Any = FakeStreams(place=None)
     with pytest.raises(DeviceLost, match="pose"):
-        preflight.tip_position(BENCH, nowhere)
+        preflight.tip_position(nowhere)
 
 
 @pytest.mark.parametrize(
@@ -92,19 +95,19 @@ def test_the_tip_is_found_in_the_contact_frame() -> None:
 def test_a_start_in_the_sensor_or_outside_the_box_is_refused(place: Any, word: str) -> None:
     streams: Any = FakeStreams(place=place)
     with pytest.raises(SafetyStop, match=word):
-        preflight.check_clear(BENCH, streams)
+        preflight.check_clear(streams)
 
 
 def test_a_still_gauge_is_tared_and_a_restless_or_silent_one_refused() -> None:
     mean, still = np.arange(6.0), np.full(6, 0.01)
     good: Any = FakeStreams(force={"n": 500, "mean": mean, "std": still})
-    assert (preflight.take_tares(BENCH, good)["force"].mean == mean).all()
+    assert (preflight.take_tares(good)["force"]["mean"] == mean).all()
     restless: Any = FakeStreams(force={"mean": mean, "std": np.array([0, 0.3, 0, 0, 0, 0])})
     with pytest.raises(DeviceLost, match=r"Fy spreads by 0\.300 N"):
-        preflight.take_tares(BENCH, restless)
+        preflight.take_tares(restless)
     silent: Any = FakeStreams(force={"n": 0})
     with pytest.raises(DeviceLost, match="no sample"):
-        preflight.take_tares(BENCH, silent)
+        preflight.take_tares(silent)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -139,10 +142,12 @@ def test_nan_hides_no_contact(axis: int) -> None:
 def test_an_axis_that_is_not_measured_needs_no_tare() -> None:
     mean, std = np.array([np.nan] * 2 + [0.5] + [np.nan] * 3), np.full(6, np.nan)
     std[2] = 0.01
-    streams: Any = FakeStreams(force={"n": 500, "mean": mean, "std": std})
-    assert preflight.take_tares(_measuring("Fz"), streams)["force"].mean[2] == 0.5
+    measured = {"n": 500, "mean": mean, "std": std}
+    streams: Any = FakeStreams(force=measured)
+    axis: Any = FakeStreams(bench=_measuring("Fz"), force=measured)
+    assert preflight.take_tares(axis)["force"]["mean"][2] == 0.5
     with pytest.raises(DeviceLost, match=r"Fx, Fy, Tx, Ty, Tz not a number during the tare"):
-        preflight.take_tares(BENCH, streams)
+        preflight.take_tares(streams)
     std[2] = 0.3
     with pytest.raises(DeviceLost, match=r"Fz spreads by 0\.300 N"):
-        preflight.take_tares(_measuring("Fz"), streams)
+        preflight.take_tares(axis)

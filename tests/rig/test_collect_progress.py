@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder import OUTCOMES
-from rig.acquire.request import CollectRequest, first_open_target, targets_to_press
+from rig.acquire.request import CollectRequest, first_open_target
 from trajectories import PressShear
 
 PLAN = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3, points=(1,))
@@ -60,6 +60,6 @@ def test_only_the_wanted_targets_count() -> None:
 
 
 def test_targets_are_pressed_again_in_order_before_those_that_are_open() -> None:
-    request = CollectRequest(Path("s.zarr"), resume=True, again=(5, 2, 9))
-    found = targets_to_press(request, PLAN, 8, 12)
+    request = CollectRequest(Path("s.zarr"), PLAN, 12, resume=True, again=(5, 2, 9))
+    found = request.to_press(8)
     assert [target.index for target in found] == [2, 5, 8, 9, 10, 11]

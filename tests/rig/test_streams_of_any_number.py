@@ -14,7 +14,7 @@ from support.collecting import Collection, faults_of, quick_bench
 from recorder import Session, SessionWriter, recover
 from recorder.convert import FORMATS, export
 from recorder.spec import frame_columns
-from rig.acquire.plan_runner import _reference
+from rig.acquire.plan_runner import reference_columns
 from rig.acquire.preflight import take_tares
 from rig.bench.bench import Bench, BenchFile, bench_from, empty_spec
 from rig.bench.stream_kinds import stream_spec
@@ -197,13 +197,13 @@ class Measured:
 
 def test_every_gauge_is_tared_and_has_its_own_reference(three: BenchFile, tmp_path: Path) -> None:
     bench, streams = three.bench, Measured(three.bench)
-    tares = take_tares(bench, streams)  # type: ignore[arg-type]
-    assert {name: tare.mean[0] for name, tare in tares.items()} == pytest.approx(
+    tares = take_tares(streams)  # type: ignore[arg-type]
+    assert {name: tare["mean"][0] for name, tare in tares.items()} == pytest.approx(
         {"force": 0.0, "left": 0.6, "right": 0.7}
     )
     found = streams.measure(1.0, "force", "left", "right")
     found |= {name: {"mean": np.ones((16, 3))} for name in ("taxels", "skin_2", "skin_3")}
-    row = _reference(bench, streams, found)  # type: ignore[arg-type]
+    row = reference_columns(streams, found)  # type: ignore[arg-type]
     assert {key: value for key, value in row.items() if np.ndim(value) == 0} == {
         "image": 7,
         "side": 7,

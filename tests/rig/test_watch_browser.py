@@ -147,13 +147,8 @@ def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
 
 def test_a_fault_of_the_recording_is_seen_by_words_and_colour(tmp_path: Path) -> None:
     with recording(GELSIGHT, tmp_path) as made, Chromium() as browser:
-        job = CollectionJob.of(
-            GELSIGHT,
-            tmp_path,
-            CollectRequest(made.path, targets=48),
-            GELSIGHT.trajectory,
-            48,
-        )
+        request = CollectRequest(made.path, GELSIGHT.trajectory, 48)
+        job = CollectionJob.of(GELSIGHT, tmp_path, request)
         with CollectionPage(
             PageSettings(AccessPolicy(port=0), Folders(tmp_path, BENCHES)), job
         ) as page:

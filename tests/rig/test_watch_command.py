@@ -33,8 +33,8 @@ def parse(*words: str) -> argparse.Namespace:
 def opened(
     options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack
 ) -> CollectionPage | None:
-    request = CollectRequest(folder / "s.zarr", targets=TARGETS)
-    page = opened_page(options, BENCH, folder, request, BENCH.trajectory, TARGETS)
+    request = CollectRequest(folder / "s.zarr", BENCH.trajectory, TARGETS)
+    page = opened_page(options, BENCH, folder, request)
     return stack.enter_context(page)
 
 
@@ -101,8 +101,8 @@ def test_the_address_is_printed_and_a_remote_one_has_the_token(
 
 def test_the_map_of_a_press_without_shear_has_one_direction(tmp_path: Path) -> None:
     plan = ForceDepth(depth_max=1.2e-3, repeats=3)
-    request = CollectRequest(tmp_path / "s.zarr")
-    job = CollectionJob.of(BENCH, tmp_path, request, plan, len(plan))
+    request = CollectRequest(tmp_path / "s.zarr", plan, len(plan))
+    job = CollectionJob.of(BENCH, tmp_path, request)
     assert job.directions == 1
     assert [(each.point, each.depth, each.direction) for each in job.targets] == [
         (1, 1.2e-3, -1)

@@ -69,8 +69,8 @@ class WatchedBench:
         self.camera = StreamWriter.open(self.session / "streams" / "camera")
 
     def job(self) -> CollectionJob:
-        request = CollectRequest(self.session, targets=TARGETS)
-        return CollectionJob.of(BENCH, self.folder, request, BENCH.trajectory, TARGETS)
+        request = CollectRequest(self.session, BENCH.trajectory, TARGETS)
+        return CollectionJob.of(BENCH, self.folder, request)
 
     def settings(self, access: AccessPolicy | None = None) -> PageSettings:
         return PageSettings(access or AccessPolicy(port=0), Folders(self.folder, BENCHES))
