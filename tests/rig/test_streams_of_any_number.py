@@ -176,6 +176,7 @@ class Measured:
     """Streams whose means are their place among the bench's rows."""
 
     def __init__(self, bench: Bench) -> None:
+        self.bench = bench
         self._places = {row.name: place for place, row in enumerate(bench.rows)}
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
