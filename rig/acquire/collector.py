@@ -42,7 +42,6 @@ from rig.bench.bench import Bench
 from rig.bench.guards import guards_of
 from rig.bench.indenter import find_indenter
 from rig.bench.no_gauge import statement
-from rig.bench.stream_kinds import stream_spec
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform
@@ -249,9 +248,7 @@ class Collector:
                 request.path,
                 attrs=self._attrs(request, begun),
                 streams=[
-                    stream_spec(
-                        self._bench,
-                        row.name,
+                    row.spec(
                         entry["devices"][row.name],
                         row.rate_hz,
                         **self._stream_attrs(row.name, request),

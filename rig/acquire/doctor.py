@@ -24,8 +24,8 @@ from rig.acquire.interlocks import Interlocks
 from rig.acquire.preflight import rate_window
 from rig.acquire.preview import draw
 from rig.acquire.streams import StreamHandle, Streams
-from rig.bench.bench import Bench, BenchStream
-from rig.bench.stream_kinds import expected_rate
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import BenchStream
 from rig.core.clock import SECOND_NS, Clock, utc_text
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose, invert
@@ -206,7 +206,7 @@ def _stream(
     bench: Bench, row: BenchStream, handle: StreamHandle, description: dict[str, Any]
 ) -> Finding:
     """Return the finding of a stream that is open: its rate, and its values at rest."""
-    expected = expected_rate(bench, row.name)
+    expected = row.rate_hz
     window = rate_window(bench, row.rate_hz)
     cures = _cures(row.config)
     try:

@@ -17,7 +17,6 @@ from rig.acquire.preflight import check_no_contact, no_mean, settling, tip_posit
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.request import CollectRequest
 from rig.acquire.streams import Streams
-from rig.bench.bench import empty_spec
 from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
@@ -317,15 +316,14 @@ def reference_columns(
     `measured` has mean and standard deviation of the streams that have them, by name.
     """
     bench = streams.bench
-    specs = [empty_spec(row) for row in bench.rows]
+    specs = [row.empty_spec() for row in bench.rows]
     columns = {column.name: column for column in reference_spec(specs).columns[1:-2]}
     values: dict[str, Any] = {
         name: np.full(column.shape, np.nan) if column.shape else -1
         for name, column in columns.items()
     }
     for name, place in frame_columns([(row.name, row.traits) for row in bench.rows]).items():
-        kind = KINDS[bench.row(name).kind]
-        if kind.name == "camera":
+        if bench.row(name).kind == "camera":
             latest = streams[name].latest()
             values[place] = int(latest["row"]) if latest is not None else -1
         elif place in columns and "mean" in measured.get(name, {}):

@@ -11,7 +11,8 @@ import numpy as np
 from recorder.command_line.options import next_command
 from rig.acquire.interlocks import Interlocks
 from rig.acquire.streams import Streams
-from rig.bench.bench import Bench, BenchStream
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import BenchStream
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
 from rig.core.geometry import compose, invert
 from trajectories import Point

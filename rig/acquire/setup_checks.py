@@ -21,8 +21,8 @@ from rig.acquire.doctor import Finding, State
 from rig.acquire.jog import origin_text
 from rig.acquire.no_gauge import CONTACT
 from rig.acquire.signal_level import SignalLevel, reading, shift, whole_grey
-from rig.bench.bench import Bench, BenchStream
-from rig.bench.stream_kinds import make_driver
+from rig.bench.bench import Bench
+from rig.bench.stream_kinds import BenchStream
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
 from rig.core.geometry import compose, invert
@@ -231,7 +231,7 @@ def tool(bench: Bench, clock: Clock, length: float) -> Iterator[Finding]:
 
 def read_for(bench: Bench, name: str, clock: Clock, seconds: float) -> list[Any]:
     """Return the values of a stream's samples for a time [s], those that have settled."""
-    driver = make_driver(bench, name, clock)
+    driver = bench.row(name).driver(clock)
     try:
         driver.open(bench.preflight.timeout)
         end_ns = clock.now_ns() + round(seconds * SECOND_NS)

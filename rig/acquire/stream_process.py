@@ -19,7 +19,7 @@ import numpy as np
 
 from recorder import SessionError, StreamWriter
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import StreamKind, kind_of, make_driver
+from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver, rejected
 from rig.core.errors import ConfigError, DeviceLost
@@ -65,8 +65,8 @@ class StreamJob:
 class _Measurement:
     """Samples of a time window: rate, mean, spread."""
 
-    def __init__(self, kind: StreamKind, start_ns: int, seconds: float) -> None:
-        self._averaged = kind.averaged
+    def __init__(self, averaged: bool, start_ns: int, seconds: float) -> None:
+        self._averaged = averaged
         self._start_ns = start_ns
         self.end_ns = start_ns + round(seconds * SECOND_NS)
         self._times: list[int] = []
@@ -99,12 +99,13 @@ class _StreamLoop:
     """State of the running process."""
 
     def __init__(self, job: StreamJob, pipe: Connection, driver: Driver, clock: Clock) -> None:
-        self._kind = kind_of(job.bench, job.name)
+        row = job.bench.row(job.name)
+        self._kind = KINDS[row.kind]
         self._pipe = pipe
         self._driver = driver
         self._clock = clock
         self._latest = SharedLatest.attach(
-            job.folder / f"{job.name}.latest", self._kind.latest, writable=True
+            job.folder / f"{job.name}.latest", row.latest, writable=True
         )
         self._counters = SharedLatest.attach(
             job.folder / f"{job.name}.counters", COUNTERS, writable=True
@@ -151,7 +152,7 @@ class _StreamLoop:
                 self._measurement = None
 
     def _on_measure(self, seconds: float) -> None:
-        self._measurement = _Measurement(self._kind, self._clock.now_ns(), seconds)
+        self._measurement = _Measurement(self._kind.averaged, self._clock.now_ns(), seconds)
 
     def _on_bias(self, bias: list[float]) -> None:
         self._bias = np.array(bias)
@@ -238,7 +239,7 @@ def run_stream(job: StreamJob, pipe: Connection) -> None:
     loop: _StreamLoop | None = None
     driver: Driver | None = None
     try:
-        driver = make_driver(job.bench, job.name, clock)
+        driver = job.bench.row(job.name).driver(clock)
         driver.open(job.bench.preflight.timeout)
         loop = _StreamLoop(job, pipe, driver, clock)
         pipe.send(("opened", {**driver.describe(), "granted": granted}))

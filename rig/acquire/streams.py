@@ -13,7 +13,6 @@ import numpy as np
 from recorder import SessionError
 from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import kind_of
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost, raise_all
 from rig.core.samples import SIGNAL_LATEST
@@ -38,8 +37,7 @@ class StreamHandle:
         self._patience = max(_START_TIMEOUT, _START_TIMEOUT_EACH * len(bench.rows))
         # The guard of the arm sees every record of the last two seconds.
         slots = max(SLOTS, math.ceil(2 * bench.row(name).rate_hz))
-        kind = kind_of(bench, name)
-        self._latest = SharedLatest.create(folder / f"{name}.latest", kind.latest, slots)
+        self._latest = SharedLatest.create(folder / f"{name}.latest", bench.row(name).latest, slots)
         self._counters = SharedLatest.create(folder / f"{name}.counters", COUNTERS)
         signal = bench.signal
         self._signal: SharedLatest | None = None

@@ -18,7 +18,6 @@ from recorder.session import (
     time_lines,
 )
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import expected_rate
 
 
 def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
@@ -29,7 +28,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
     for name, account in accounts.items():
         summary = summaries.get(name, {})
         lines.append(
-            f"{name:<{width}}{expected_rate(bench, name):>7.0f} Hz{account.measured_hz:>7.1f} Hz"
+            f"{name:<{width}}{bench.row(name).rate_hz:>7.0f} Hz{account.measured_hz:>7.1f} Hz"
             f"{1e3 * account.longest_gap:>10.1f} ms{account.lost:>9}"
             + omitted(summary.get("refused", {}))
         )

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from recorder import (
-    SessionError,
-    StreamSpec,
-    Traits,
-    arm_wrench_spec,
-    camera_spec,
-    force_spec,
-    pose_spec,
-    taxels_spec,
-)
+from recorder import SessionError
 from recorder.spec import check_streams, signal_of
 from rig.bench.indenter import find_indenter, paper_indenters
+from rig.bench.stream_kinds import BenchStream
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.config import READER as PLAIN_READER
 from rig.core.config import from_si, read_yaml
@@ -170,64 +162,6 @@ class Preflight:
     """Largest tared force above a contact point; more means there is contact [N]."""
     timeout: float = 5.0
     """Longest time for a device to answer [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class BenchStream:
-    """One stream of a bench."""
-
-    name: str
-    """Name of the stream, on disk and on screen."""
-    config: Any
-    """Settings of its device."""
-    listed: bool = False
-    """True if the bench file has it under `streams`."""
-
-    @property
-    def key(self) -> str:
-        """Key of the device in the bench file, for errors."""
-        return f"streams.{self.name}" if self.listed else self.name
-
-    @property
-    def kind(self) -> str:
-        """Kind of the stream: camera, force, pose, taxels or arm_wrench."""
-        return str(self.config.STREAM)
-
-    @property
-    def rate_hz(self) -> float:
-        """Rate that the bench file states [Hz]."""
-        return float(self.config.rate_hz)
-
-    @property
-    def shape(self) -> dict[str, int]:
-        """Number of taxels and of their axes of a stream of taxels, for its storage."""
-        if self.kind != "taxels":
-            return {}
-        rows, columns, axes = self.config.shape
-        return {"taxels": rows * columns, "axes": axes}
-
-    @property
-    def uses(self) -> dict[str, Any]:
-        """Alignment and roles where the bench file states them, as attributes of the stream."""
-        stated = {key: getattr(self.config, key, None) for key in ("align", "roles")}
-        return {key: value for key, value in stated.items() if value is not None}
-
-    @property
-    def traits(self) -> Traits:
-        """Kind, alignment and roles, as they are stored."""
-        return empty_spec(self).traits
-
-
-def empty_spec(row: BenchStream) -> StreamSpec:
-    """Return the storage of a stream as far as it is known before its device is open."""
-    make: dict[str, Callable[..., StreamSpec]] = {
-        "camera": camera_spec,
-        "force": force_spec,
-        "pose": pose_spec,
-        "arm_wrench": arm_wrench_spec,
-        "taxels": taxels_spec,
-    }
-    return make[row.kind](row.rate_hz, name=row.name, **row.shape, **row.uses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -453,7 +387,7 @@ def _check_streams(rows: Sequence[BenchStream]) -> None:
                 "is too inaccurate for a label"
             )
     try:
-        check_streams([empty_spec(row) for row in rows])
+        check_streams([row.empty_spec() for row in rows])
     except SessionError as error:
         raise ValueError(f"streams: {error}") from None
 

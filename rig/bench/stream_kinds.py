@@ -1,4 +1,4 @@
-"""Kinds of streams: their drivers, columns on disk, and records of the newest sample."""
+"""Streams of a bench: their drivers, columns on disk, and records of the newest sample."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 from recorder import (
     Column,
     StreamSpec,
+    Traits,
     arm_wrench_spec,
     camera_spec,
     force_spec,
     pose_spec,
     taxels_spec,
 )
-from rig.bench.bench import Bench
 from rig.core.clock import Clock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
@@ -29,141 +29,146 @@ from rig.devices import registry
 class StreamKind:
     """One row of the table below."""
 
-    name: str
-    """A kind of `recorder.spec.KINDS`."""
+    spec: Callable[..., StreamSpec]
+    """Returns its storage, given its rate [Hz]."""
     latest: np.dtype[Any]
     """Dtype of its newest sample in shared memory."""
     record: Callable[[dict[str, Any], int], tuple[Any, ...]]
     """Builds that record from a sample's columns and row (-1 while nothing is recorded)."""
-    columns: tuple[str, ...]
-    """Columns to store; a driver may return more, for the guard."""
     averaged: bool
     """True if a mean of its values is meaningful (a tare, a reference)."""
 
 
+# By the names of `recorder.spec.KINDS`. A driver may return more columns than are stored, for the
+# guard.
 KINDS = {
-    kind.name: kind
-    for kind in (
-        StreamKind(
-            "force",
-            FORCE_LATEST,
-            lambda sample, row: (sample["t_ns"], sample["status"], sample["value"]),
-            ("value", "seq", "status", "t_ns"),
-            True,
+    "force": StreamKind(
+        force_spec,
+        FORCE_LATEST,
+        lambda sample, row: (sample["t_ns"], sample["status"], sample["value"]),
+        True,
+    ),
+    "pose": StreamKind(
+        pose_spec,
+        POSE_LATEST,
+        lambda sample, row: (
+            sample["t_ns"],
+            sample["device_t"],
+            sample["safety_status"],
+            sample["runtime_state"],
+            sample["speed_scaling"],
+            sample["value"],
         ),
-        StreamKind(
-            "pose",
-            POSE_LATEST,
-            lambda sample, row: (
-                sample["t_ns"],
-                sample["device_t"],
-                sample["safety_status"],
-                sample["runtime_state"],
-                sample["speed_scaling"],
-                sample["value"],
-            ),
-            ("value", "device_t", "speed_scaling", "t_ns"),
-            False,
-        ),
-        StreamKind(
-            "arm_wrench",
-            FORCE_LATEST,
-            lambda sample, row: (sample["t_ns"], 0, sample["value"]),
-            ("value", "device_t", "t_ns"),
-            True,
-        ),
-        StreamKind(
-            "camera",
-            CAMERA_LATEST,
-            lambda sample, row: (sample["t_ns"], row),
-            ("value", "device_t", "t_ns"),
-            False,
-        ),
-        StreamKind(
-            "taxels",
-            latest_dtype("taxels", (16, 3)),
-            lambda sample, row: (sample["t_ns"], sample["value"]),
-            ("value", "device_t", "seq", "t_ns"),
-            True,
-        ),
-    )
+        False,
+    ),
+    "arm_wrench": StreamKind(
+        arm_wrench_spec,
+        FORCE_LATEST,
+        lambda sample, row: (sample["t_ns"], 0, sample["value"]),
+        True,
+    ),
+    "camera": StreamKind(
+        camera_spec, CAMERA_LATEST, lambda sample, row: (sample["t_ns"], row), False
+    ),
+    "taxels": StreamKind(
+        taxels_spec,
+        latest_dtype("taxels", (16, 3)),
+        lambda sample, row: (sample["t_ns"], sample["value"]),
+        True,
+    ),
 }
-
-
-def stream_names(bench: Bench) -> tuple[str, ...]:
-    """Return the streams that a bench records, in display order."""
-    return tuple(row.name for row in bench.rows)
-
-
-def kind_of(bench: Bench, name: str) -> StreamKind:
-    """Return the kind of a bench's stream."""
-    row = bench.row(name)
-    kind = KINDS[row.kind]
-    if row.shape:
-        return replace(kind, latest=latest_dtype(row.kind, tuple(row.shape.values())))
-    return kind
-
-
-def expected_rate(bench: Bench, name: str) -> float:
-    """Return the rate that the bench file states for a stream [Hz]."""
-    return bench.row(name).rate_hz
-
-
-def make_driver(bench: Bench, name: str, clock: Clock) -> Driver:
-    """Create the driver of one stream; its vendor library is imported only here."""
-    device = registry.device(bench.row(name).config.KIND)
-    try:
-        return device.make_driver(bench.row(name).config, clock)
-    except ImportError as error:
-        cure = "install the extra: pip install 'tactile-rig[rig]'"
-        if device.kind not in registry.DEVICES:
-            cure = f"the device {device.kind} of another package needs it"
-        raise ConfigError(f"{name}: {error.name} is not installed; {cure}") from None
-
 
 _READING = Column(
     "reading", "float64", units="N", description="Fz as read, also while it has not settled"
 )
 
 
-def stream_spec(
-    bench: Bench, name: str, description: dict[str, Any], rate_hz: float, **attrs: Any
-) -> StreamSpec:
-    """Return the storage spec of a stream, given the properties of its opened driver.
+@dataclass(frozen=True, slots=True)
+class BenchStream:
+    """One stream of a bench."""
 
-    Args:
-        bench: The bench.
-        name: Name of the stream.
-        description: `Driver.describe()`.
-        rate_hz: Declared rate.
-        **attrs: Further attributes.
-    """
-    row = bench.row(name)
-    attrs = {**row.uses, **attrs}
-    if row.kind == "force":
-        counted = "none" if description.get("device_clock") == "none" else "counter"
-        attrs = {"clock": counted, **attrs}
-        spec = force_spec(rate_hz, name=name, device=description, **attrs)
+    name: str
+    """Name of the stream, on disk and on screen."""
+    config: Any
+    """Settings of its device."""
+    listed: bool = False
+    """True if the bench file has it under `streams`."""
+
+    @property
+    def key(self) -> str:
+        """Key of the device in the bench file, for errors."""
+        return f"streams.{self.name}" if self.listed else self.name
+
+    @property
+    def kind(self) -> str:
+        """Kind of the stream: camera, force, pose, taxels or arm_wrench."""
+        return str(self.config.STREAM)
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate that the bench file states [Hz]."""
+        return float(self.config.rate_hz)
+
+    @property
+    def shape(self) -> dict[str, int]:
+        """Number of taxels and of their axes of a stream of taxels, for its storage."""
+        if self.kind != "taxels":
+            return {}
+        rows, columns, axes = self.config.shape
+        return {"taxels": rows * columns, "axes": axes}
+
+    @property
+    def uses(self) -> dict[str, Any]:
+        """Alignment and roles where the bench file states them, as attributes of the stream."""
+        stated = {key: getattr(self.config, key, None) for key in ("align", "roles")}
+        return {key: value for key, value in stated.items() if value is not None}
+
+    @property
+    def traits(self) -> Traits:
+        """Kind, alignment and roles, as they are stored."""
+        return self.empty_spec().traits
+
+    @property
+    def latest(self) -> np.dtype[Any]:
+        """Dtype of its newest sample in shared memory."""
+        if self.shape:
+            return latest_dtype(self.kind, tuple(self.shape.values()))
+        return KINDS[self.kind].latest
+
+    def empty_spec(self) -> StreamSpec:
+        """Return its storage as far as it is known before its device is open."""
+        return KINDS[self.kind].spec(self.rate_hz, name=self.name, **self.shape, **self.uses)
+
+    def spec(self, description: dict[str, Any], rate_hz: float, **attrs: Any) -> StreamSpec:
+        """Return its storage, with `Driver.describe()` of its opened driver and further attrs."""
+        attrs = {**self.uses, **attrs}
+        if self.kind == "force":
+            counted = "none" if description.get("device_clock") == "none" else "counter"
+            attrs = {"clock": counted, **attrs}
+        elif self.kind == "camera":
+            attrs = {
+                "height": description["height"],
+                "width": description["width"],
+                "codec": "jpeg" if description["jpeg_bytes_kept"] else "zstd",
+                "numbered": description.get("numbering") == "device",
+                "device_clock": description.get("device_clock", "none"),
+                **self.config.attrs(description),
+                **attrs,
+            }
+        make = KINDS[self.kind].spec
+        spec = make(rate_hz, name=self.name, device=description, **self.shape, **attrs)
         if description.get("settles"):
             # Readings that have not settled are no values of the force, but are kept beside them.
             spec = replace(spec, columns=(*spec.columns[:-1], _READING, spec.columns[-1]))
         return spec
-    if row.kind == "pose":
-        return pose_spec(rate_hz, name=name, device=description, **attrs)
-    if row.kind == "arm_wrench":
-        return arm_wrench_spec(rate_hz, name=name, device=description, **attrs)
-    if row.kind == "taxels":
-        return taxels_spec(rate_hz, name=name, device=description, **row.shape, **attrs)
-    attrs = {**row.config.attrs(description), **attrs}
-    codec = "jpeg" if description["jpeg_bytes_kept"] else "zstd"
-    return camera_spec(
-        rate_hz,
-        name=name,
-        height=description["height"],
-        width=description["width"],
-        codec=codec,
-        numbered=description.get("numbering") == "device",
-        device=description,
-        device_clock=description.get("device_clock", "none"),
-        **attrs,
-    )
+
+    def driver(self, clock: Clock) -> Driver:
+        """Create its driver, whose vendor library is imported only here."""
+        device = registry.device(self.config.KIND)
+        try:
+            return device.make_driver(self.config, clock)
+        except ImportError as error:
+            cure = "install the extra: pip install 'tactile-rig[rig]'"
+            if device.kind not in registry.DEVICES:
+                cure = f"the device {device.kind} of another package needs it"
+            raise ConfigError(f"{self.name}: {error.name} is not installed; {cure}") from None

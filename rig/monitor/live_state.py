@@ -17,7 +17,6 @@ from recorder import SessionError
 from recorder.session import ImageTail, open_tail
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import expected_rate, kind_of, stream_names
 from rig.core.clock import SECOND_NS
 from rig.core.config import from_si
 from rig.core.geometry import invert, transform
@@ -98,13 +97,11 @@ class LiveState:
     def __init__(self, bench: Bench, folder: Path, session: Path, start_ns: int) -> None:
         self._bench = bench
         self._start_ns = start_ns
-        names = stream_names(bench)
         self._latest = {
-            name: AwaitedRecord(folder / f"{name}.latest", kind_of(bench, name).latest)
-            for name in names
+            row.name: AwaitedRecord(folder / f"{row.name}.latest", row.latest) for row in bench.rows
         }
         self._counters = {
-            name: AwaitedRecord(folder / f"{name}.counters", COUNTERS) for name in names
+            name: AwaitedRecord(folder / f"{name}.counters", COUNTERS) for name in self._latest
         }
         self._to_contact = invert(bench.contact_frame)
         self._dome_radius = bench.dome_radius
@@ -141,7 +138,7 @@ class LiveState:
         for name, shared in self._counters.items():
             counters = shared.read()
             newest = self._latest[name].read()
-            row: dict[str, Any] = {"expected": expected_rate(self._bench, name)}
+            row: dict[str, Any] = {"expected": self._bench.row(name).rate_hz}
             if counters is not None:
                 row |= {
                     "rate": number(counters["rate_hz"], 1),

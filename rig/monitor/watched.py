@@ -14,7 +14,6 @@ import numpy as np
 from recorder import Session, SessionError
 from recorder.session import linear
 from rig.bench.bench import Bench, BenchFile
-from rig.bench.stream_kinds import make_driver
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.camera.jpeg import frame_stamp
@@ -123,7 +122,7 @@ def lab_bench(
     if bench.signal is None:
         raise ConfigError(f"{bench.sensor}: no camera and no taxels to watch")
     stream = bench.signal.name
-    driver = make_driver(bench, stream, clock)
+    driver = bench.signal.driver(clock)
     driver.open(bench.preflight.timeout)
     with contextlib.ExitStack() as stack:
         stack.callback(driver.close)
@@ -138,10 +137,10 @@ def _gauge(
     bench: Bench, clock: Clock, stack: contextlib.ExitStack, say: Callable[[str], None]
 ) -> GaugeBeside | None:
     """Open the bench's first gauge; None if there is none, or it does not answer."""
-    name = next((row.name for row in bench.of_kind("force")), None)
-    if name is None:
+    if not bench.of_kind("force"):
         return None
-    driver = make_driver(bench, name, clock)
+    row = bench.of_kind("force")[0]
+    name, driver = row.name, row.driver(clock)
     try:
         driver.open(bench.preflight.timeout)
     except DeviceLost as error:

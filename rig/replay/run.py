@@ -14,7 +14,7 @@ from recorder.progress import duration
 from rig.acquire.control import InterruptFlag
 from rig.acquire.streams import StreamHandle
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import KINDS, stream_spec
+from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
 from rig.core.playback import ENDED, load_recorded_stream
@@ -197,7 +197,7 @@ class ReplayedRun:
     def spec(self, name: str, description: dict[str, Any], attrs: dict[str, Any]) -> StreamSpec:
         """Return a stream's storage spec: device as found by the driver, rest from the source."""
         rate_hz = self._source.streams[name].rate_hz
-        return stream_spec(self._bench, name, description, rate_hz, **attrs)
+        return self._bench.row(name).spec(description, rate_hz, **attrs)
 
     def record(self, name: str, path: Path) -> None:
         """Append the stream's samples to the group at `path` from now on."""

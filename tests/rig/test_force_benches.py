@@ -14,7 +14,6 @@ from support.collecting import Collection, faults_of, quick_bench
 from recorder import Session
 from rig.acquire.motion_notice import motion_lines
 from rig.bench.bench import Bench, BenchFile
-from rig.bench.stream_kinds import expected_rate, make_driver
 from rig.core.clock import FakeClock
 from rig.core.config import READER
 from rig.core.errors import ConfigError
@@ -61,8 +60,8 @@ def mock_bench(folder: Path, force: str) -> MockBench:
 def test_one_word_picks_the_device(tmp_path: Path, kind: str, config: type, driver: type) -> None:
     bench = loaded(tmp_path, FORCES[kind])
     assert type(bench.force) is config
-    assert type(make_driver(bench, "force", FakeClock())) is driver
-    assert expected_rate(bench, "force") == bench.force.rate_hz
+    assert type(bench.row("force").driver(FakeClock())) is driver
+    assert bench.row("force").rate_hz == bench.force.rate_hz
     assert bench.force.address
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from recorder import Session, SessionWriter, StreamWriter, check, faults
 from rig.bench.bench import bench_from
-from rig.bench.stream_kinds import stream_spec
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost
@@ -140,7 +139,7 @@ def test_only_rows_between_settled_readings_get_a_label(tmp_path: Path) -> None:
     content = read_yaml(BENCHES / "gelsight.yaml", BENCHES)
     content = {**content, "force": None, "camera": None, "streams": {"scale": SCALE}}
     bench = bench_from({**content, "hold_ms": 2000}, "bench.yaml")
-    spec = stream_spec(bench, "scale", {"settles": True, "device_clock": "none"}, 10.0)
+    spec = bench.row("scale").spec({"settles": True, "device_clock": "none"}, 10.0)
     assert [column.name for column in spec.columns][-2:] == ["reading", "t_ns"]
     path = tmp_path / "s.zarr"
     writer = SessionWriter.create(path, attrs={"sensor": "x"}, streams=[spec], targets={})

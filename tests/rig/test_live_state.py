@@ -14,7 +14,6 @@ from support.watching import jpeg
 
 from recorder import SessionWriter, StreamWriter, camera_spec
 from rig.bench.bench import Bench, bench_from
-from rig.bench.stream_kinds import kind_of, stream_names
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.core.shared_memory import SharedLatest
@@ -45,10 +44,10 @@ def seen(bench: Bench, folder: Path) -> Iterator[tuple[LiveState, dict[str, Shar
         records = {
             name: stack.enter_context(
                 contextlib.closing(
-                    SharedLatest.create(folder / f"{name}.latest", kind_of(bench, name).latest)
+                    SharedLatest.create(folder / f"{name}.latest", bench.row(name).latest)
                 )
             )
-            for name in stream_names(bench)
+            for name in (row.name for row in bench.rows)
         }
         yield (
             stack.enter_context(contextlib.closing(LiveState(bench, folder, folder / "s.zarr", 0))),
@@ -83,7 +82,7 @@ def test_every_gauge_arm_and_taxel_array_has_its_own_values(tmp_path: Path) -> N
             2.0,
             3.0,
         ]
-        assert set(state.streams(5)) == set(stream_names(bench))
+        assert set(state.streams(5)) == {row.name for row in bench.rows}
 
 
 def test_each_camera_has_its_own_picture(tmp_path: Path) -> None:

@@ -16,8 +16,7 @@ from recorder.convert import FORMATS, export
 from recorder.spec import frame_columns
 from rig.acquire.plan_runner import reference_columns
 from rig.acquire.preflight import take_tares
-from rig.bench.bench import Bench, BenchFile, bench_from, empty_spec
-from rig.bench.stream_kinds import stream_spec
+from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError
 from rig.core.guard import Violation, most_serious
@@ -138,9 +137,9 @@ def test_a_v4l2_camera_stores_its_exposure_and_the_moment_of_its_times(
     bench = bench_from({**content, "camera": {**camera, "stamp": stated}}, "bench.yaml")
     properties: dict[str, Any] = {"jpeg_bytes_kept": True, "height": 480, "width": 640}
     properties |= {"stamp": driver, "device_clock": "monotonic"}
-    spec = stream_spec(bench, "camera", properties, 30.0)
+    spec = bench.row("camera").spec(properties, 30.0)
     assert (spec.traits.stamp, spec.attrs["exposure"]) == (stamp, 0.008)
-    assert stream_spec(bench, "camera", properties, 30.0, exposure=0.004).attrs["exposure"] == 0.004
+    assert bench.row("camera").spec(properties, 30.0, exposure=0.004).attrs["exposure"] == 0.004
 
 
 @pytest.mark.parametrize("force", [None, {"kind": "netft", "roles": ["label"]}])
@@ -210,7 +209,7 @@ def test_every_gauge_is_tared_and_has_its_own_reference(three: BenchFile, tmp_pa
         "side": 7,
         "room": 7,
     }
-    specs = [empty_spec(each) for each in bench.rows]
+    specs = [each.empty_spec() for each in bench.rows]
     targets = {"point": np.zeros(1, np.int16)}
     with SessionWriter.create(
         tmp_path / "s.zarr", attrs={}, streams=specs, targets=targets
