@@ -22,8 +22,8 @@ from recorder.command_line.options import whole
 from recorder.processes import Workers
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.no_gauge import find_surface, press_in_steps
-from rig.bench.bench import Bench, bench_from
-from rig.bench.no_gauge import check_plan, planned_depth, slowed, without_gauge
+from rig.bench.bench import Bench, BenchFile, bench_from
+from rig.bench.guards import check_plan, planned_depth, slowed, without_gauge
 from rig.bench.worlds import AnalyticSpec, Punch, Sphere
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
@@ -126,7 +126,7 @@ def collected(seed: int) -> Outcome:
         reason = ""
         try:
             with contextlib.redirect_stdout(io.StringIO()):
-                _collect(bench, content, stages)
+                _collect(BenchFile(Path(sensor), content, bench), stages)
         except (ConfigError, SafetyStop, DeviceLost) as error:
             reason = str(error)
     return Outcome(
@@ -134,10 +134,11 @@ def collected(seed: int) -> Outcome:
     )
 
 
-def _collect(bench: Bench, content: dict[str, object], stages: Stages) -> None:
+def _collect(file: BenchFile, stages: Stages) -> None:
+    bench = file.bench
     depth = planned_depth(bench, bench.trajectory)
     check_plan(bench, depth)
-    home = find_surface(bench, content, stages)
+    home = find_surface(file, stages)
     calibration = Calibration(home, file="found in the same run")
     press_in_steps(bench, calibration, depth, stages, lambda lines: None)
     plan = _Thinned(bench.trajectory)

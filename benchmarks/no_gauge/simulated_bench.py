@@ -505,7 +505,7 @@ class Stages:
         zero_stand_ins(streams, streams.measure(window, *names))
         arm = _Arm(clock, bench, folder, contact_change)
 
-        def after(target: Target, _: Any) -> None:
+        def after(target: Target) -> None:
             if after_target is not None:
                 after_target(target, Recorded(clock, bench, segments, since))
 

@@ -39,9 +39,8 @@ from rig.acquire.progress_line import LiveLine
 from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
-from rig.bench.guards import guards_of
+from rig.bench.guards import guards_of, statement
 from rig.bench.indenter import find_indenter
-from rig.bench.no_gauge import statement
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, transform

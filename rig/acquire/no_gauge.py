@@ -5,20 +5,22 @@ touched at every point of the plan at 0.5 mm/s, in and out. The first press of a
 indenter goes through the air, touches, and presses 10, 25, 50 and 100 % of the planned depth. Each
 stage is a session of its own, and the surface it found moves the contact frame of the next.
 
-`rig.bench.no_gauge` has the rules.
+`rig.bench.guards` has the rules.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from PIL import Image
 
 from recorder import OUTCOMES, Session
-from rig.acquire.calibration import signal_onset
+from rig.acquire.calibration import signal_onset, store
 from rig.acquire.calibration.calibration import (
     Calibration,
     FirstPressRecord,
@@ -28,9 +30,8 @@ from rig.acquire.calibration.calibration import (
 )
 from rig.acquire.calibration.home import home_calibration, truth_lines
 from rig.acquire.calibration.onset import TouchedSurface
-from rig.acquire.calibration.store import age_hours, now_utc
-from rig.bench.bench import Bench
-from rig.bench.no_gauge import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
+from rig.bench.bench import Bench, BenchFile
+from rig.bench.guards import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
 from rig.core.errors import ConfigError, SafetyStop
 from trajectories import FirstPress, Plan, PressShear, Target, Touch
 
@@ -50,9 +51,7 @@ UNEVEN_MAX = 0.15e-3
 
 def search_depth(bench: Bench) -> float:
     """Return how far below the stated surface to search [m]: never beyond half the rating."""
-    given, rating = bench.stand_ins, bench.limits.sensor_rating
-    if given is None or rating is None:
-        return 0.0
+    given, _, rating = bench.without_gauge
     planned = bench.plan_limits
     return min(
         SEARCH_BELOW,
@@ -90,16 +89,6 @@ def touch_plan(bench: Bench) -> Touch:
     )
 
 
-def searching(bench: Bench) -> Bench:
-    """Return the bench as it is used to search."""
-    return slowed(bench, search_depth(bench))
-
-
-def touching(bench: Bench) -> Bench:
-    """Return the bench as it is used to touch."""
-    return slowed(bench, TOUCH_BELOW, speed=TOUCH_SPEED)
-
-
 def rough_height(session: Session) -> float:
     """Return the height of the tip at the first contact of a recorded search [m]."""
     lowest = float(tip_heights(session)[1].min())
@@ -124,9 +113,8 @@ def shifted(shift: float) -> SafetyStop:
 def check_surface(found: TouchedSurface, shift: float) -> None:
     """Reject a surface that is not known well enough, is not where it was stated, or is uneven.
 
-    Args:
-        found: The touches, in a frame that the search moved.
-        shift: Height of the surface above the place that the bench file states [m].
+    It was touched in a frame that the search moved; `shift` is its height above the place that the
+    bench file states [m].
     """
     if found.surface.width > SURFACE_WIDTH:
         raise SafetyStop(
@@ -153,10 +141,7 @@ def check_surface(found: TouchedSurface, shift: float) -> None:
 def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
     """Reject a surface that is missing, old or not known well enough, before anything moves.
 
-    Args:
-        bench: A bench without a gauge.
-        calibration: What is known of its sensor with the indenter on the arm.
-        hint: Command that measures the surface.
+    `hint` is the command that measures it.
     """
     home = calibration.home
     if home is None:
@@ -170,7 +155,7 @@ def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
             f"{calibration.file}: the surface is known to {1e3 * width:.3f} mm; allowed without a "
             f"gauge: {1e3 * SURFACE_WIDTH:.3f} mm; measure again: {hint}"
         )
-    hours = age_hours(home.date_utc)
+    hours = store.age_hours(home.date_utc)
     if not 0 <= hours <= SURFACE_HOURS:
         raise ConfigError(
             f"{calibration.file}: the surface was found {hours:.1f} h ago; allowed without a "
@@ -230,22 +215,71 @@ class StageStopped(Exception):
         self.code = code
 
 
-def find_surface(bench: Bench, content: dict[str, Any], record: Record) -> HomeCalibration:
-    """Search and touch the surface, and return the calibration.
+def prepare(
+    file: BenchFile,
+    calibrations: Path,
+    calibration: Calibration,
+    depth: float,
+    record: Record,
+    ask: Callable[[list[str]], None],
+) -> Calibration:
+    """Run the stages that must precede a collection, and return its calibration.
+
+    A lab bench was measured by `tactile home`, and asks at every step of the first press. A mock
+    bench asks nothing, and finds its surface now unless `tactile home` or `tactile setup` has found
+    that of the same bench file and indenter as lately as a lab's must be.
 
     Args:
-        bench: The bench as its file describes it.
-        content: Content of the file.
+        file: The bench as its file describes it.
+        calibrations: Folder of the calibrations.
+        calibration: Earlier calibration of the sensor.
+        depth: Deepest indentation of the plan [m].
         record: Records a stage.
+        ask: Called with the lines to show after each step of the first press; raises to stop.
     """
-    found = record("search", search_plan(bench), searching, contact_change=CONTACT)
-    rough = rough_height(found)
+    bench = file.bench
+    if bench.mock and not _is_found(file, calibration):
+        home = find_surface(file, record)
+        calibration = dataclasses.replace(calibration, home=home, file="found in the same run")
+        press_in_steps(bench, calibration, depth, record, ask)
+    elif not store.pressed_before(calibrations, bench, bench.indenter, depth):
+        made = press_in_steps(bench, calibration, depth, record, ask)
+        store.store(calibrations, bench.sensor, first_press={bench.indenter: made})
+    return calibration
+
+
+def _is_found(file: BenchFile, calibration: Calibration) -> bool:
+    """Return True if the surface of this very mock bench was found lately and well enough."""
+    home = calibration.home
+    if home is None or home.bench_sha256 != store.bench_hash(file.content):
+        return False
+    try:
+        check_home(file.bench, calibration, "")
+    except ConfigError:
+        return False
+    return True
+
+
+def find_surface(file: BenchFile, record: Record) -> HomeCalibration:
+    """Search and touch the surface of a bench as its file describes it; return the calibration."""
+    bench = file.bench
+    session = record(
+        "search",
+        search_plan(bench),
+        lambda ready: slowed(ready, search_depth(ready)),
+        contact_change=CONTACT,
+    )
+    rough = rough_height(session)
     if abs(rough) > SHIFT_MAX + TOUCH_ABOVE:
         raise shifted(rough)
     touches = touch_plan(bench)
-    session = record("home", touches, lambda ready: touching(at_surface(ready, rough)))
+    session = record(
+        "home",
+        touches,
+        lambda ready: slowed(at_surface(ready, rough), TOUCH_BELOW, speed=TOUCH_SPEED),
+    )
     surface = signal_onset.evaluate(session, touches)
-    home = home_calibration(signal_onset.METHOD, surface, bench, content, raised=rough)
+    home = home_calibration(signal_onset.METHOD, surface, file, raised=rough)
     print("\n".join(lines_of(surface, home, bench)), flush=True)
     check_surface(surface, home.shift)
     return home
@@ -258,14 +292,9 @@ def press_in_steps(
     record: Record,
     ask: Callable[[list[str]], None],
 ) -> FirstPressRecord:
-    """Press the sensor for the first time, in steps, and return the record of it.
+    """Press the sensor for the first time, in steps to `depth` [m], and return the record of it.
 
-    Args:
-        bench: The bench as its file describes it.
-        calibration: The surface.
-        depth: Depth of the last press [m].
-        record: Records the stage.
-        ask: Called with the lines to show after each step; raises to stop.
+    `ask` is called with the lines to show after each step, and raises to stop.
     """
     plan = FirstPress(depth)
     largest: list[float] = []
@@ -290,7 +319,7 @@ def press_in_steps(
         after_target=after,
     )
     return FirstPressRecord(
-        date_utc=now_utc(),
+        date_utc=store.now_utc(),
         mock=bench.mock,
         tcp=tuple(bench.arm.tcp),
         depth=depth,
@@ -299,12 +328,7 @@ def press_in_steps(
 
 
 def largest_of(session: Session, index: int) -> tuple[float, np.ndarray | None]:
-    """Return the largest signal while target `index` went down, and the last image of that way.
-
-    Args:
-        session: A session, also one that is still recorded.
-        index: Number of the target.
-    """
+    """Return the largest signal while target `index` went down, and the last image of that way."""
     name = session.signal
     if name is None:
         return float("nan"), None

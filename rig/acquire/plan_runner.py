@@ -97,7 +97,7 @@ class PlanRunner:
             self._live.ended(target, "limited" if self.limited > limited else "done")
             if after_target is not None:
                 self._live.end()
-                after_target(target, self._streams)
+                after_target(target)
 
     def _attempt(self, target: Target) -> bool:
         """Press a target from its start; return False if the dead-man pedal was released."""
@@ -199,9 +199,11 @@ class PlanRunner:
 
     def _check_signal(self, point: int) -> None:
         """Reject a sensor that shows contact above a point: the next zero would hide it."""
-        signal, given = self._bench.signal, self._bench.stand_ins
-        latest = None if signal is None else self._streams[signal.name].signal()
-        if latest is None or given is None:
+        if not self._bench.no_gauge:
+            return
+        given, signal, _ = self._bench.without_gauge
+        latest = self._streams[signal.name].signal()
+        if latest is None:
             return
         motion, allowed = float(latest["motion"]), CONTACT_FREE * given.signal_max
         if motion > allowed:

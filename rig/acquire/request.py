@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from rig.acquire.calibration.calibration import Calibration
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
 from trajectories import Plan, Target, plan_from_json
-
-if TYPE_CHECKING:
-    from rig.acquire.streams import Streams
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +40,7 @@ class CollectRequest:
     contact_change: float = math.inf
     """Change of the signal that ends an approach on a bench without a gauge, in standard
     deviations of its noise; inf: none does."""
-    after_target: Callable[[Target, Streams], None] | None = None
+    after_target: Callable[[Target], None] | None = None
     """Called after each target, with the tip clear of the surface."""
     go_on: str = ""
     """Command that continues the session if it stops, or repeats it; empty: none is shown."""

@@ -351,14 +351,9 @@ def _nearest(way: np.ndarray) -> str:
 def touch(bench: Bench, before: Sequence[Any], after: Sequence[Any]) -> Finding:
     """Return the finding of a light touch, which the signal must show on a bench without a gauge.
 
-    Args:
-        bench: A bench without a gauge.
-        before: Samples of its signal without contact, 16 or more.
-        after: Samples during the touch.
+    Of the samples `before` are those without contact, 16 or more.
     """
-    row, given = bench.signal, bench.stand_ins
-    if row is None or given is None:
-        return Finding("signal", "FAULT", "no signal", ("a camera or taxels, and stand_ins",))
+    given, row, _ = bench.without_gauge
     level = SignalLevel(is_image=row.kind == "camera")
     for sample in before:
         level.of(reading(sample))

@@ -252,6 +252,14 @@ class Bench:
         return self.force == NO_GAUGE
 
     @property
+    def without_gauge(self) -> tuple[StandIns, BenchStream, float]:
+        """What a bench without a gauge has: limits of guards, signal, rating of the sensor [N]."""
+        stand_ins, signal, rating = self.stand_ins, self.signal, self.limits.sensor_rating
+        if stand_ins is None or signal is None or rating is None:
+            raise ConfigError(f"{self.sensor}.force: has a gauge; allowed: none")
+        return stand_ins, signal, rating
+
+    @property
     def rows(self) -> tuple[BenchStream, ...]:
         """All streams, in the order in which they are shown and stored."""
         named = (

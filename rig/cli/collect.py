@@ -10,7 +10,8 @@ from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
 from rig.acquire.request import CollectRequest
-from rig.bench.no_gauge import planned_depth
+from rig.bench import guards
+from rig.bench.bench import Bench
 from rig.cli.options import (
     add_page,
     check_page,
@@ -19,8 +20,8 @@ from rig.cli.options import (
     recording_options,
     sources_of,
 )
-from rig.cli.recording import OpenPage, Recording, record, recording_of, started_bench
-from rig.cli.terminal import require_terminal
+from rig.cli.recording import OpenPage, Recording, record, recording_of, stage, started_bench
+from rig.cli.terminal import confirm, require_terminal
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
 
@@ -133,29 +134,43 @@ def collect(
         print(f"complete: all {request.total} targets are done; {session} is left as it is")
         return EXIT_DONE
     with contextlib.ExitStack() as stack:
-        prepare = None
+        depth = 0.0
         if bench.no_gauge:
             from rig.acquire import no_gauge
-            from rig.cli import without_gauge
 
-            depth = planned_depth(bench, request.plan, request.total)
+            depth = guards.planned_depth(bench, request.plan, request.total)
             if not bench.mock:
                 require_terminal()
-            without_gauge.check_before(recording, calibration, depth)
+            guards.check_plan(bench, depth)
+            print("\n".join(guards.lines(bench, depth)), flush=True)
+            if not bench.mock:
+                hint = recording.next("home", indenter=bench.indenter)
+                no_gauge.check_home(bench, calibration, hint)
             session.parent.mkdir(parents=True, exist_ok=True)
             log_to(session.with_suffix(".log"))
             on = stack.enter_context(started_bench(recording.file, sources=sources, truth=truth))
             recording = dataclasses.replace(recording, on=on)
             try:
                 if not request.resume:
-                    calibration = without_gauge.prepare(
-                        recording, session.parent, calibration, depth
+                    calibration = no_gauge.prepare(
+                        recording.file,
+                        recording.calibrations,
+                        calibration,
+                        depth,
+                        functools.partial(stage, recording, session.parent),
+                        _show if bench.mock else confirm,
                     )
             except no_gauge.StageStopped as stopped:
                 print("collect: a stage before the plan was stopped; nothing was collected")
                 return stopped.code
             request = dataclasses.replace(request, calibration=calibration)
 
-            prepare = functools.partial(without_gauge.prepared, calibration, depth)
+        def prepare(ready: Bench) -> Bench:
+            placed = calibration.applied(ready)
+            return guards.slowed(placed, depth) if bench.no_gauge else placed
 
         return record(recording, request, prepare=prepare, sources=sources, truth=truth, page=page)
+
+
+def _show(lines: list[str]) -> None:
+    print("\n".join(lines), flush=True)

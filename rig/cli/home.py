@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 from pathlib import Path
 
 from recorder import Session
@@ -12,7 +13,7 @@ from rig.acquire.calibration import home, store
 from rig.acquire.calibration.calibration import require_gauge
 from rig.acquire.request import CollectRequest
 from rig.cli.options import recording_options
-from rig.cli.recording import Recording, measured, record, recording_of, started_bench
+from rig.cli.recording import Recording, measured, record, recording_of, stage, started_bench
 from rig.cli.terminal import require_terminal
 from rig.core.config import to_si
 
@@ -67,11 +68,11 @@ def find_by_force(
         travel: Distance to go below the assumed surface [m]; None: 1 mm, or the bench's limit.
         corners: Also touch four corners, for the tilt.
     """
-    bench, content = recording.bench, recording.file.content
+    bench = recording.bench
     require_gauge(bench, "home")
     points = (1, 2, 3, 4, 5) if corners else (1,)
     plan = home.plan_for(bench, travel=travel, repeats=repeats, points=points)
-    touching = home.touching_bench(bench, force)
+    home.touching_bench(bench, force)
     path = recording.session("home")
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     request = CollectRequest.of(
@@ -81,7 +82,7 @@ def find_by_force(
     def stored(session: Session) -> Path:
         approaches = home.evaluate(session, plan)
         print("\n".join(home.lines_of(approaches, bench)))
-        surface = home.home_calibration(home.METHOD, approaches, touching, content)
+        surface = home.home_calibration(home.METHOD, approaches, recording.file)
         return store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
 
     code = record(recording, request, prepare=lambda ready: home.touching_bench(ready, force))
@@ -94,21 +95,21 @@ def find_by_signal(recording: Recording) -> int:
     `out` is then the folder of the stages' sessions.
     """
     from rig.acquire import no_gauge
-    from rig.cli import without_gauge
 
-    bench, content = recording.bench, recording.file.content
-    if not bench.mock:
+    if not recording.bench.mock:
         require_terminal()
     folder = Path("sessions") if recording.out is None else recording.out
     folder.mkdir(parents=True, exist_ok=True)
     with started_bench(recording.file) as on:
         started = dataclasses.replace(recording, on=on)
-        stages = without_gauge.StageRecorder(started, folder)
         try:
-            surface = no_gauge.find_surface(bench, content, stages)
+            surface = no_gauge.find_surface(
+                recording.file, functools.partial(stage, started, folder)
+            )
         except no_gauge.StageStopped as stopped:
             print("home: not finished, nothing is stored; repeat the command")
             return stopped.code
+    bench = recording.bench
     file = store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
     print(f"home: stored in {file}")
     return EXIT_DONE

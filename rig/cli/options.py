@@ -22,7 +22,7 @@ from rig.bench.bench import (
     read_content,
     with_simulated_world,
 )
-from rig.bench.no_gauge import without_gauge
+from rig.bench.guards import without_gauge
 from rig.bench.worlds import SimulatedSpec
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
@@ -18,6 +19,7 @@ from rig.acquire.calibration import store
 from rig.acquire.calibration.calibration import Calibration
 from rig.acquire.collector import Collector
 from rig.acquire.motion_notice import deepest, motion_lines
+from rig.acquire.no_gauge import StageStopped
 from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench, BenchFile
 from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to
@@ -25,6 +27,7 @@ from rig.cli.terminal import confirm
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
 from rig.core.sources import Sources
+from trajectories import Plan, Target
 
 if TYPE_CHECKING:
     from rig.monitor.collection_page import CollectionPage
@@ -165,6 +168,40 @@ def record(
         bench = prepare(on.file.bench)
         shown = None if page is None else stack.enter_context(page(bench, folder, request))
         return Collector(bench, on.file.content, folder, on.watch, shown).run(request)
+
+
+def stage(
+    recording: Recording,
+    folder: Path,
+    what: str,
+    plan: Plan,
+    prepared: Callable[[Bench], Bench],
+    *,
+    contact_change: float = math.inf,
+    after_target: Callable[[Target, Session], None] | None = None,
+) -> Session:
+    """Record a stage on a started bench in a folder; see `rig.acquire.no_gauge.Record`."""
+    bench = recording.bench
+    path = free_path(folder / f"{bench.sensor}-{what}-{file_stamp()}.zarr")
+
+    def after(target: Target) -> None:
+        if after_target is not None:
+            after_target(target, Session(path))
+
+    request = CollectRequest.of(
+        bench,
+        path,
+        plan,
+        operator=recording.operator,
+        calibration=recording.uncalibrated(),
+        contact_change=contact_change,
+        after_target=None if after_target is None else after,
+    )
+    prepared(bench).check_limits(plan)
+    code = record(recording, request, prepare=prepared)
+    if code != EXIT_DONE:
+        raise StageStopped(code)
+    return Session(path)
 
 
 def measured(name: str, session: Path, code: int, measure: Callable[[Session], Path]) -> int:

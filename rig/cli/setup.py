@@ -206,11 +206,11 @@ def gauge(at: AtBench, answers: Answers) -> Iterator[Finding]:
 
 def touch(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Does the signal show a light touch, which ends an approach in place of a gauge?"""
-    row = at.ready.signal
+    _, row, _ = at.ready.without_gauge
     at.free()
-    before = [] if row is None else at.read(row, 20 / row.rate_hz)
+    before = at.read(row, 20 / row.rate_hz)
     at.do("touch the middle of the sensor lightly with a finger", (0.0, 0.0, -_depth(at.bench)))
-    after = [] if row is None else at.read(row)
+    after = at.read(row)
     at.free()
     yield checks.touch(at.ready, before, after)
 

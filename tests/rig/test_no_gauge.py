@@ -24,16 +24,14 @@ from rig.acquire.calibration.store import bench_hash, now_utc
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, BenchFile, bench_from
-from rig.bench.guards import guards_of
-from rig.bench.no_gauge import (
+from rig.bench.guards import (
     SURFACE_WIDTH,
     check_plan,
+    guards_of,
     planned_depth,
     slowed,
     without_gauge,
 )
-from rig.cli.recording import Recording
-from rig.cli.without_gauge import prepare
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, SafetyStop
@@ -319,13 +317,18 @@ def test_a_mock_bench_searches_its_surface_unless_it_was_found_lately(
     asked: list[str] = []
     monkeypatch.setattr(no_gauge, "find_surface", lambda *_: asked.append("search") or fresh)
     monkeypatch.setattr(no_gauge, "press_in_steps", lambda *_: asked.append("press") or pressed)
-    recording = Recording(BenchFile(Path("bench.yaml"), content, bench), tmp_path)
-    found = prepare(recording, tmp_path, Calibration(home=home), 1e-3)
+    file, nothing = BenchFile(Path("bench.yaml"), content, bench), SimpleNamespace()
+
+    def prepare() -> Calibration:
+        calibration = Calibration(home=home)
+        return no_gauge.prepare(file, tmp_path, calibration, 1e-3, nothing, print)  # type: ignore[arg-type]
+
+    found = prepare()
     assert asked == (["search", "press"] if searched else ["press"])
     assert found.home == (fresh if searched else home)
     # The first press of a bench that was set up is remembered, as that of a lab's.
     asked.clear()
-    prepare(recording, tmp_path, Calibration(home=home), 1e-3)
+    prepare()
     assert asked == (["search", "press"] if searched else [])
 
 
@@ -414,7 +417,7 @@ def test_a_wrong_bench_is_stopped_below_the_rating_and_named(tmp_path: Path) -> 
     truth = Truth(bench.world, longer=5e-3, wrist=Wrist(3))  # type: ignore[arg-type]
     clock = SimulatedBench(bench, truth, tmp_path)
     with pytest.raises(SafetyStop, match=r"the surface is \+4\.9\d mm from where"):
-        no_gauge.find_surface(bench, {}, Stages(clock))
+        no_gauge.find_surface(BenchFile(tmp_path, {}, bench), Stages(clock))
     assert 0 < clock.largest < 0.1 * 24.0
 
 

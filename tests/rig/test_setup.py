@@ -212,7 +212,7 @@ def test_a_lost_device_and_wrong_input_are_named(
 
 def test_steps_of_benches_with_and_without_a_gauge() -> None:
     from rig.bench.bench import bench_from
-    from rig.bench.no_gauge import without_gauge
+    from rig.bench.guards import without_gauge
 
     file = BenchFile.read(BENCH)
     bench, content = file.bench, file.content

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from rig.acquire.calibration.onset import (
 )
 from rig.acquire.calibration.signal_onset import span_of
 from rig.acquire.calibration.store import bench_hash, now_utc
-from rig.bench.bench import Bench
+from rig.bench.bench import Bench, BenchFile
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.geometry import invert, transform
 from trajectories import Touch
@@ -61,12 +60,9 @@ def touching_bench(bench: Bench, force: float) -> Bench:
 
 
 def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> TouchedSurface:
-    """Fit every approach of a recorded session of touches.
+    """Fit every approach of a session recorded along `plan`.
 
-    Args:
-        session: Session recorded along `plan`.
-        plan: The touches.
-        width_max: Widest accepted interval [m].
+    `width_max` is the widest accepted interval [m].
     """
     found: dict[int, list[Onset]] = {}
     for index, target in enumerate(plan.targets()):
@@ -111,18 +107,18 @@ def _approach(session: Session, index: int) -> Onset | None:
 def home_calibration(
     method: str,
     touched: TouchedSurface,
-    bench: Bench,
-    content: dict[str, Any],
+    file: BenchFile,
     *,
     raised: float = 0.0,
 ) -> HomeCalibration:
     """Return the calibration of a surface that was touched `raised` [m] above the bench's frame."""
+    bench = file.bench
     low, high = touched.surface.interval
     return HomeCalibration(
         date_utc=now_utc(),
         method=method,
         mock=bench.mock,
-        bench_sha256=bench_hash(content),
+        bench_sha256=bench_hash(file.content),
         contact_frame=tuple(bench.contact_frame),
         tcp=tuple(bench.arm.tcp),
         shift=raised + touched.surface.z,
