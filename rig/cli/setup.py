@@ -206,7 +206,7 @@ def gauge(at: AtBench, answers: Answers) -> Iterator[Finding]:
 
 def touch(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Does the signal show a light touch, which ends an approach in place of a gauge?"""
-    _, row, _ = at.ready.without_gauge
+    row = at.ready.without_gauge[1]
     at.free()
     before = at.read(row, 20 / row.rate_hz)
     at.do("touch the middle of the sensor lightly with a finger", (0.0, 0.0, -_depth(at.bench)))
