@@ -21,7 +21,7 @@ from recorder import SessionError, StreamWriter
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, Clock, SystemClock
-from rig.core.driver import Driver, rejected
+from rig.core.driver import Driver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.realtime import Sweeper, enable_realtime
 from rig.core.samples import SIGNAL_LATEST
@@ -171,7 +171,7 @@ class _StreamLoop:
         self._columns = self._writer.columns
         self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
         self._dropped_before = self._driver.dropped
-        self._rejected_before = rejected(self._driver)
+        self._rejected_before = dict(self._driver.rejected)
         self._pipe.send(("recording", self._writer.rows))
 
     def _take(self, sample: dict[str, Any]) -> None:
@@ -218,7 +218,7 @@ class _StreamLoop:
             "dropped": self._driver.dropped - self._dropped_before,
             "refused": {
                 reason: count - self._rejected_before.get(reason, 0)
-                for reason, count in rejected(self._driver).items()
+                for reason, count in self._driver.rejected.items()
             },
             "longest_gap": self._longest_gap,
         }

@@ -9,10 +9,10 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import Any, Protocol
 
-from rig.core.clock import Clock
+from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
 
 logger = logging.getLogger(__name__)
@@ -24,6 +24,10 @@ class Driver(Protocol):
     @property
     def dropped(self) -> int:
         """Samples sent by the device, by its sequence numbers, that never reached `read`."""
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Samples left out so far, by reason: `repeated`, `late`, `corrupt`."""
 
     def open(self, timeout: float) -> None:
         """Connect within `timeout` [s], check and apply the settings, and start the stream.
@@ -48,20 +52,6 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Stop the stream and release the device; may be called twice."""
-
-
-@runtime_checkable
-class Sorting(Protocol):
-    """Driver that leaves out samples that are repeated, out of order or corrupt."""
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Number of samples left out since `open`, by reason: `repeated`, `late`, `corrupt`."""
-
-
-def rejected(driver: Driver) -> dict[str, int]:
-    """Return the counts of samples `driver` left out, by reason; empty if it keeps none."""
-    return driver.rejected if isinstance(driver, Sorting) else {}
 
 
 class Inbox:
@@ -100,6 +90,10 @@ class Inbox:
             self._failure = self._failure or reason
             self._changed.notify()
 
+    def is_empty(self) -> bool:
+        """Return True if no sample is queued."""
+        return not self._samples
+
     def take(self, timeout: float) -> list[dict[str, Any]]:
         """Return all queued samples, waiting up to `timeout` [s] for the first."""
         with self._changed:
@@ -112,73 +106,80 @@ class Inbox:
             return taken
 
 
-class Receiver:
-    """Thread of an open stream: calls `receive` until it is closed or the device is lost.
-
-    Args:
-        name: Thread name.
-        receive: Blocks for at most a fraction of a second and puts received samples into the inbox.
-        inbox: Inbox that fails with a DeviceLost raised by `receive`.
-    """
-
-    def __init__(self, name: str, receive: Callable[[], None], inbox: Inbox) -> None:
-        self._receive = receive
-        self._inbox = inbox
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        try:
-            while not self._stopping.is_set():
-                self._receive()
-        except DeviceLost as error:
-            self._inbox.fail(str(error))
-        except Exception as error:
-            if not self._stopping.is_set():
-                logger.exception("%s: receiving failed", self._thread.name)
-            self._inbox.fail(f"{self._thread.name}: receiving failed: {error!r}")
-
-    def close(self) -> None:
-        """Stop after the current call and wait for the thread; may be called twice."""
-        self._stopping.set()
-        self._thread.join()
+# So many corrupt samples in a row are not of this device, or its line is damaged.
+CORRUPT_IN_A_ROW = 10
 
 
 class ReceivingDriver:
     """Base of the drivers whose samples a thread receives.
 
+    A driver defines `_connect`, `_receive`, `_release` and `describe`. In case of silence or damage
+    `_receive` calls `_count_wait` or `_count_corrupt`, which raise once there is too much of it.
+
     Args:
         where: Address of the device, for errors.
         clock: Timestamps the samples.
         capacity: Samples kept for a late consumer.
+        rejects: Reasons for which the driver leaves samples out.
     """
 
-    def __init__(self, where: str, clock: Clock, capacity: int) -> None:
+    def __init__(
+        self, where: str, clock: Clock, capacity: int, rejects: Sequence[str] = ()
+    ) -> None:
+        self.rejected = dict.fromkeys(rejects, 0)
+        """Samples left out so far, by reason."""
         self._where = where
         self._clock = clock
         self._capacity = capacity
-        self._inbox = Inbox(clock, capacity)
-        self._receiver: Receiver | None = None
         self._gaps = 0
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._begin(0.0)
+
+    def _begin(self, timeout: float) -> None:
+        """Begin with an empty inbox."""
+        self._inbox = Inbox(self._clock, self._capacity)
+        self._deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        self._waits = self._corrupt_in_a_row = 0
 
     @property
     def dropped(self) -> int:
         """Samples that are known to be lost on the way, or were not read in time."""
         return self._gaps + self._inbox.overflowed
 
+    def open(self, timeout: float) -> None:
+        """Connect and receive from now on; see `Driver.open`."""
+        self.close()
+        self._begin(timeout)
+        try:
+            self._connect(timeout)
+        except BaseException:
+            self.close()
+            raise
+        self._stopping.clear()
+        self._thread = threading.Thread(target=self._run, name=self._where, daemon=True)
+        self._thread.start()
+
     def read(self, timeout: float) -> list[dict[str, Any]]:
         """Return the samples since the last call; see `Driver.read`."""
-        if self._receiver is None:
+        if self._thread is None:
             raise self._not_open()
         return self._inbox.take(timeout)
 
     def close(self) -> None:
         """Stop the stream and release the device; may be called twice."""
-        if self._receiver is not None:
-            self._receiver.close()
-            self._receiver = None
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
         self._release()
+
+    def _connect(self, timeout: float) -> None:
+        """Connect until `_deadline_ns`, `timeout` [s] from now, and apply the settings.
+
+        What is open after an error is released.
+        """
+        raise NotImplementedError
 
     def _receive(self) -> None:
         """Put the samples into the inbox that arrive within a fraction of a second."""
@@ -188,13 +189,47 @@ class ReceivingDriver:
         """Release the device; may be called twice."""
         raise NotImplementedError
 
-    def _reset(self) -> None:
-        """Close the device if it is open, and begin with an empty inbox."""
-        self.close()
-        self._inbox = Inbox(self._clock, self._capacity)
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._receive()
+        except DeviceLost as error:
+            self._inbox.fail(str(error))
+        except Exception as error:
+            if not self._stopping.is_set():
+                logger.exception("%s: receiving failed", self._where)
+            self._inbox.fail(f"{self._where}: receiving failed: {error!r}")
 
-    def _start_receiving(self, name: str) -> None:
-        self._receiver = Receiver(name, self._receive, self._inbox)
+    def _left(self) -> float:
+        """Return the time that is left to connect [s], at least a little."""
+        return max((self._deadline_ns - self._clock.now_ns()) / SECOND_NS, 0.01)
+
+    def _receive_first(self, problem: str) -> None:
+        """Receive until a sample is in the inbox; raise `problem` if none is by the deadline."""
+        while self._inbox.is_empty():
+            if self._clock.now_ns() >= self._deadline_ns:
+                raise DeviceLost(f"{self._where}: {problem}")
+            self._receive()
+
+    def _count_wait(self, seconds: float, silence: float, problem: str) -> None:
+        """Count a wait of `seconds` without data, to be raised as lost from `silence` [s] on.
+
+        Waits are counted, not timed: after a suspension of this process, what waits in the socket
+        is received before anything counts as silence. What arrives sets `_waits` to 0.
+        """
+        self._waits += 1
+        if self._waits * seconds >= silence:
+            raise DeviceLost(f"{self._where}: {problem}") from None
+
+    def _count_corrupt(self, problem: str, most: int = CORRUPT_IN_A_ROW) -> None:
+        """Count a corrupt sample, to be raised as lost if it is the last of `most` in a row.
+
+        A good sample sets `_corrupt_in_a_row` to 0.
+        """
+        self.rejected["corrupt"] += 1
+        self._corrupt_in_a_row += 1
+        if self._corrupt_in_a_row >= most:
+            raise DeviceLost(f"{self._where}: {problem}") from None
 
     def _not_open(self) -> DeviceLost:
         return DeviceLost(f"{self._where}: not open")

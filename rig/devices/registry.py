@@ -108,7 +108,7 @@ DEVICES = {
         ),
         Device(
             CameraConfig,
-            "rig.devices.camera.driver:camera_driver",
+            "rig.devices.camera.camera:camera_driver",
             "rig.devices.camera.mjpeg_emulator",
             (
                 "v4l2-ctl --list-devices: is it there, under {at}? "

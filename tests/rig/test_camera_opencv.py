@@ -19,6 +19,7 @@ from support.jpegs import without_stamp
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.samples import WORLD_STATE
+from rig.devices.camera.camera import OpenCvDriver, V4l2Driver
 from rig.devices.camera.jpeg import frame_stamp, jpeg_size, stamped
 from rig.devices.camera.mjpeg_emulator import (
     FrameSource,
@@ -27,9 +28,7 @@ from rig.devices.camera.mjpeg_emulator import (
     MjpegEmulatorConfig,
     WorldSource,
 )
-from rig.devices.camera.opencv import OpenCvDriver
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.camera.v4l2 import V4l2Driver
 
 CLOCK = SystemClock()
 RNG = np.random.default_rng(0)
@@ -138,7 +137,7 @@ def test_torn_frames_are_counted_and_left_out(host: str) -> None:
     with emulated(host, OneImage(encoded(5)), tear), opened(host) as driver:
         stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 20)]
         assert all(stamp is not None and stamp[0] % 3 for stamp in stamps)
-        assert driver.corrupt >= 9
+        assert driver.rejected["corrupt"] >= 9
 
 
 def test_nothing_but_torn_frames_is_device_lost(host: str) -> None:

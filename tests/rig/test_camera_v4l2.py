@@ -231,7 +231,7 @@ import json, sys
 import numpy as np
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.camera.jpeg import frame_stamp
-from rig.devices.camera.v4l2 import V4l2Driver
+from rig.devices.camera.camera import V4l2Driver
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 

@@ -30,7 +30,7 @@ from support.drivers import collect
 from rig.bench.bench import LOOPBACK, RUN_FOLDER
 from rig.core.clock import SystemClock
 from rig.core.config import READER
-from rig.core.driver import Driver, Inbox, Receiver
+from rig.core.driver import Driver, Inbox, ReceivingDriver
 from rig.core.emulation import Apply, Served
 from rig.core.errors import DeviceLost
 from rig.devices import registry
@@ -198,15 +198,25 @@ def test_the_end_of_a_stream_comes_after_all_that_was_received() -> None:
             inbox.take(0.0)
 
 
-def test_an_error_nobody_expected_ends_the_stream_instead_of_silencing_it() -> None:
-    def receive() -> None:
+class Broken(ReceivingDriver):
+    """Driver whose thread fails."""
+
+    def _connect(self, timeout: float) -> None:
+        pass
+
+    def _receive(self) -> None:
         raise KeyError("bug")
 
-    inbox = Inbox(CLOCK, capacity=3)
-    receiver = Receiver("device", receive, inbox)
-    receiver.close()
+    def _release(self) -> None:
+        pass
+
+
+def test_an_error_nobody_expected_ends_the_stream_instead_of_silencing_it() -> None:
+    driver = Broken("device", CLOCK, capacity=3)
+    driver.open(0.0)
     with pytest.raises(DeviceLost, match=r"device: receiving failed: KeyError\('bug'\)"):
-        inbox.take(5.0)
+        driver.read(5.0)
+    driver.close()
 
 
 def test_samples_have_the_declared_columns(place: Place) -> None:

@@ -24,8 +24,8 @@ from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator
 from rig.devices.arm.reader import RtdePoseDriver
 from rig.devices.arm.settings import ArmConfig
+from rig.devices.camera.camera import OpenCvDriver
 from rig.devices.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig, WorldSource
-from rig.devices.camera.opencv import OpenCvDriver
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig

@@ -144,7 +144,7 @@ def test_repeated_messages_count_once(host: str) -> None:
     with emulated(host, lambda number, text: (text, text)), opened(host) as driver:
         numbers = [sample["seq"] for sample in collect(driver, 20)]
         assert all(a < b for a, b in itertools.pairwise(numbers))
-        assert driver.duplicates >= 19
+        assert driver.rejected["repeated"] >= 19
 
 
 def test_one_bad_message_is_skipped_and_counted(host: str) -> None:
@@ -154,7 +154,7 @@ def test_one_bad_message_is_skipped_and_counted(host: str) -> None:
     ):
         numbers = [sample["seq"] for sample in collect(driver, 20)]
         assert all(a < b for a, b in itertools.pairwise(numbers))
-        assert driver.corrupt >= 19
+        assert driver.rejected["corrupt"] >= 19
 
 
 def test_ten_bad_messages_in_a_row_are_device_lost(host: str) -> None:
@@ -163,7 +163,7 @@ def test_ten_bad_messages_in_a_row_are_device_lost(host: str) -> None:
         emulator.fault = lambda number, text: ("nonsense",)
         with pytest.raises(DeviceLost, match="10 bad messages in a row"):
             collect(driver, 1000)
-        assert driver.corrupt == 10
+        assert driver.rejected["corrupt"] == 10
 
 
 def test_a_server_that_counts_anew_goes_on_without_a_gap(host: str) -> None:

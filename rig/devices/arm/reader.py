@@ -88,10 +88,8 @@ class RtdeLink:
         self._failure: DeviceLost | None = None
         self.dropped = 0
         """Packages missing between two received ones, by the controller's clock."""
-        self.duplicates = 0
-        """Packages received twice; only the first counts."""
-        self.late = 0
-        """Packages received after a later one; they are among `dropped`."""
+        self.rejected = {"repeated": 0, "late": 0}
+        """Packages received twice, and after a later one, which are among `dropped`."""
         self.version: tuple[int, ...] = ()
         """Controller software: major, minor, bugfix, build."""
 
@@ -200,10 +198,7 @@ class RtdeLink:
                 )
             steps = round((device_t - self._device_t) / self._period)
             if steps < 1:
-                if steps == 0:
-                    self.duplicates += 1
-                else:
-                    self.late += 1
+                self.rejected["late" if steps else "repeated"] += 1
                 return None
             self.dropped += steps - 1
         self._device_t = device_t
@@ -244,22 +239,12 @@ class RtdePoseDriver(ReceivingDriver):
         super().__init__(f"arm at {config.host}", clock, _CAPACITY)
         self._config = config
         self._link = RtdeLink(config.host, config.rate_hz, clock, self.MORE)
+        self.rejected = self._link.rejected
 
     @property
     def dropped(self) -> int:
         """Packages missing by the controller's clock, plus those not read in time."""
         return self._link.dropped + self._inbox.overflowed
-
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Rejected packages, by reason."""
-        return {"repeated": self._link.duplicates, "late": self._link.late}
-
-    def open(self, timeout: float) -> None:
-        """Connect and start the stream within `timeout` [s]."""
-        self._reset()
-        self._link.open(timeout)
-        self._start_receiving(f"pose {self._config.host}")
 
     def describe(self) -> dict[str, Any]:
         """Return properties that the controller gave on opening."""
@@ -269,6 +254,9 @@ class RtdePoseDriver(ReceivingDriver):
             "controller_version": ".".join(map(str, self._link.version)),
             "rate_hz": self._config.rate_hz,
         }
+
+    def _connect(self, timeout: float) -> None:
+        self._link.open(timeout)
 
     def _receive(self) -> None:
         for sample in self._link.receive(0.1):

@@ -6,12 +6,12 @@ Structures and numbers are those of linux/videodev2.h. Only 64-bit Linux is supp
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import fcntl
 import mmap
 import os
 import select
+import struct
 from dataclasses import dataclass
 
 _CAPTURE = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
@@ -28,92 +28,30 @@ MANUAL = 1
 _ERROR, _CLOCK, _MONOTONIC, _STAMPED, _START = 0x40, 0xE000, 0x2000, 0x70000, 0x10000
 
 
-class _Pix(ctypes.Structure):
-    _fields_ = [
-        (name, ctypes.c_uint32)
-        for name in (
-            "width",
-            "height",
-            "pixelformat",
-            "field",
-            "bytesperline",
-            "sizeimage",
-            "colorspace",
-            "priv",
-            "flags",
-            "ycbcr_enc",
-            "quantization",
-            "xfer_func",
-        )
-    ]
+# The structures, with fields that are not read left out (x); the sizes are those of 64 bits.
+# v4l2_format: type | width, height, pixelformat, ...
+_FORMAT = struct.Struct("@I4x3I188x")
+# v4l2_streamparm: type | capability, mode, numerator, denominator of the time of a frame, ...
+_PARM = struct.Struct("@5I184x")
+# v4l2_requestbuffers: count, type, memory
+_REQUEST = struct.Struct("@3I8x")
+# v4l2_buffer: index, type, bytesused, flags | seconds, microseconds | sequence, memory | offset |
+# length
+_BUFFER = struct.Struct("@4I8x2q16x2IQI12x")
+# v4l2_control: id, value
+_CONTROL = struct.Struct("@Ii")
+_INT = struct.Struct("@i")
 
 
-class _FormatUnion(ctypes.Union):
-    _fields_ = [("pix", _Pix), ("raw", ctypes.c_uint8 * 200), ("align", ctypes.c_uint64)]
+def _code(direction: int, number: int, content: struct.Struct) -> int:
+    return direction << 30 | content.size << 16 | ord("V") << 8 | number
 
 
-class _Format(ctypes.Structure):
-    _fields_ = [("type", ctypes.c_uint32), ("fmt", _FormatUnion)]
-
-
-class _Capture(ctypes.Structure):
-    _fields_ = [
-        (name, ctypes.c_uint32)
-        for name in ("capability", "mode", "numerator", "denominator", "extended", "buffers")
-    ]
-
-
-class _ParmUnion(ctypes.Union):
-    _fields_ = [("capture", _Capture), ("raw", ctypes.c_uint8 * 200)]
-
-
-class _Parm(ctypes.Structure):
-    _fields_ = [("type", ctypes.c_uint32), ("parm", _ParmUnion)]
-
-
-class _Request(ctypes.Structure):
-    _fields_ = [
-        ("count", ctypes.c_uint32),
-        ("type", ctypes.c_uint32),
-        ("memory", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32 * 2),
-    ]
-
-
-class _Time(ctypes.Structure):
-    _fields_ = [("sec", ctypes.c_int64), ("usec", ctypes.c_int64)]
-
-
-class _Buffer(ctypes.Structure):
-    _fields_ = [
-        ("index", ctypes.c_uint32),
-        ("type", ctypes.c_uint32),
-        ("bytesused", ctypes.c_uint32),
-        ("flags", ctypes.c_uint32),
-        ("field", ctypes.c_uint32),
-        ("timestamp", _Time),
-        ("timecode", ctypes.c_uint8 * 16),
-        ("sequence", ctypes.c_uint32),
-        ("memory", ctypes.c_uint32),
-        ("offset", ctypes.c_uint64),
-        ("length", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32 * 2),
-    ]
-
-
-class _Control(ctypes.Structure):
-    _fields_ = [("id", ctypes.c_uint32), ("value", ctypes.c_int32)]
-
-
-def _code(direction: int, number: int, kind: type[ctypes.Structure] | type[ctypes.c_int]) -> int:
-    return direction << 30 | ctypes.sizeof(kind) << 16 | ord("V") << 8 | number
-
-
-_S_FMT, _S_PARM = _code(3, 5, _Format), _code(3, 22, _Parm)
-_REQBUFS, _QUERYBUF = _code(3, 8, _Request), _code(3, 9, _Buffer)
-_QBUF, _DQBUF = _code(3, 15, _Buffer), _code(3, 17, _Buffer)
-_STREAMON, _STREAMOFF = _code(1, 18, ctypes.c_int), _code(1, 19, ctypes.c_int)
-_G_CTRL, _S_CTRL = _code(3, 27, _Control), _code(3, 28, _Control)
+_S_FMT, _S_PARM = _code(3, 5, _FORMAT), _code(3, 22, _PARM)
+_REQBUFS, _QUERYBUF = _code(3, 8, _REQUEST), _code(3, 9, _BUFFER)
+_QBUF, _DQBUF = _code(3, 15, _BUFFER), _code(3, 17, _BUFFER)
+_STREAMON, _STREAMOFF = _code(1, 18, _INT), _code(1, 19, _INT)
+_G_CTRL, _S_CTRL = _code(3, 27, _CONTROL), _code(3, 28, _CONTROL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,64 +85,54 @@ class Node:
 
     def set_format(self, width: int, height: int, fourcc: str) -> tuple[int, int, str]:
         """Ask for a format; return the width, height and format that the camera chose."""
-        found = _Format(type=_CAPTURE)
-        pix = found.fmt.pix
-        pix.width, pix.height = width, height
-        pix.pixelformat = int.from_bytes(fourcc.encode("latin-1"), "little")
-        fcntl.ioctl(self._fd, _S_FMT, found)
-        return pix.width, pix.height, pix.pixelformat.to_bytes(4, "little").decode("latin-1")
+        code = int.from_bytes(fourcc.encode("latin-1"), "little")
+        _, width, height, code = self._ioctl(_S_FMT, _FORMAT, _CAPTURE, width, height, code)
+        return width, height, code.to_bytes(4, "little").decode("latin-1")
 
     def set_rate(self, rate_hz: float) -> float:
         """Ask for a frame rate; return the one that the camera chose [Hz]."""
-        found = _Parm(type=_CAPTURE)
-        capture = found.parm.capture
-        capture.numerator, capture.denominator = 1000, round(1000 * rate_hz)
-        fcntl.ioctl(self._fd, _S_PARM, found)
-        return float(capture.denominator / capture.numerator) if capture.numerator else 0.0
+        wanted = (_CAPTURE, 0, 0, 1000, round(1000 * rate_hz))
+        *_, numerator, denominator = self._ioctl(_S_PARM, _PARM, *wanted)
+        return float(denominator / numerator) if numerator else 0.0
 
     def set_control(self, number: int, value: int) -> int:
         """Set a control; return the value that the camera took."""
-        control = _Control(number, value)
-        fcntl.ioctl(self._fd, _S_CTRL, control)
-        fcntl.ioctl(self._fd, _G_CTRL, control)
-        return int(control.value)
+        self._ioctl(_S_CTRL, _CONTROL, number, value)
+        return self._ioctl(_G_CTRL, _CONTROL, number, value)[1]
 
     def start(self) -> None:
         """Map the buffers and start the stream."""
-        request = _Request(count=_BUFFERS, type=_CAPTURE, memory=_MMAP)
-        fcntl.ioctl(self._fd, _REQBUFS, request)
-        if request.count < 2:
+        count, *_ = self._ioctl(_REQBUFS, _REQUEST, _BUFFERS, _CAPTURE, _MMAP)
+        if count < 2:
             raise OSError(errno.ENOMEM, "the driver has no memory for buffers")
-        for index in range(request.count):
-            buffer = _Buffer(index=index, type=_CAPTURE, memory=_MMAP)
-            fcntl.ioctl(self._fd, _QUERYBUF, buffer)
-            at = buffer.offset & 0xFFFFFFFF
-            self._maps.append(mmap.mmap(self._fd, buffer.length, offset=at))
-            fcntl.ioctl(self._fd, _QBUF, buffer)
-        fcntl.ioctl(self._fd, _STREAMON, ctypes.c_int(_CAPTURE))
+        for index in range(count):
+            *_, offset, length = self._ioctl(_QUERYBUF, _BUFFER, *_buffer(index))
+            self._maps.append(mmap.mmap(self._fd, length, offset=offset & 0xFFFFFFFF))
+            self._ioctl(_QBUF, _BUFFER, *_buffer(index))
+        self._ioctl(_STREAMON, _INT, _CAPTURE)
 
     def next_frame(self, seconds: float) -> Frame | None:
         """Return the next frame, or None if none comes within `seconds`."""
         events = self._poll.poll(max(round(1e3 * seconds), 0))
         if not events:
             return None
-        buffer = _Buffer(type=_CAPTURE, memory=_MMAP)
         try:
-            fcntl.ioctl(self._fd, _DQBUF, buffer)
+            index, _, used, flags, whole, micro, sequence, *_ = self._ioctl(
+                _DQBUF, _BUFFER, *_buffer(0)
+            )
         except BlockingIOError:
             if events[0][1] & (select.POLLERR | select.POLLHUP):
                 raise OSError(errno.ENODEV, os.strerror(errno.ENODEV)) from None
             return None
-        time = buffer.timestamp.sec + 1e-6 * buffer.timestamp.usec
-        flags = buffer.flags
+        time = whole + 1e-6 * micro
         frame = Frame(
-            self._maps[buffer.index][: buffer.bytesused],
-            int(buffer.sequence),
+            self._maps[index][:used],
+            sequence,
             time if flags & _CLOCK == _MONOTONIC else float("nan"),
             flags & _STAMPED == _START,
             bool(flags & _ERROR),
         )
-        fcntl.ioctl(self._fd, _QBUF, buffer)
+        self._ioctl(_QBUF, _BUFFER, *_buffer(index))
         return frame
 
     def close(self) -> None:
@@ -212,9 +140,20 @@ class Node:
         if self._fd < 0:
             return
         with contextlib.suppress(OSError):
-            fcntl.ioctl(self._fd, _STREAMOFF, ctypes.c_int(_CAPTURE))
+            self._ioctl(_STREAMOFF, _INT, _CAPTURE)
         for mapped in self._maps:
             mapped.close()
         self._maps.clear()
         os.close(self._fd)
         self._fd = -1
+
+    def _ioctl(self, code: int, content: struct.Struct, *values: int) -> tuple[int, ...]:
+        """Make the ioctl of this code with a structure; return what the driver left in it."""
+        buffer = bytearray(content.pack(*values))
+        fcntl.ioctl(self._fd, code, buffer)
+        return content.unpack(buffer)
+
+
+def _buffer(index: int) -> tuple[int, ...]:
+    """Return the fields that name one of the mapped buffers."""
+    return (index, _CAPTURE, 0, 0, 0, 0, 0, _MMAP, 0, 0)

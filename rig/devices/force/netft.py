@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor
-from rig.core.driver import ReceivingDriver
+from rig.core.driver import CORRUPT_IN_A_ROW, ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.force.netft_wire import (
     COMMAND_REALTIME,
@@ -221,7 +221,7 @@ _CAPACITY = 60_000
 _RESTART = 1000
 # A packet this far ahead is not of this stream: silence would have ended it long before [s].
 _AHEAD = 10.0
-_STRANGE_IN_A_ROW = 10
+_IN_A_ROW = f"({CORRUPT_IN_A_ROW} in a row)"
 _PAGE_TIMEOUT = 1.0
 
 
@@ -232,7 +232,8 @@ class NetFtDriver(ReceivingDriver):
     """
 
     def __init__(self, config: NetFtConfig, clock: Clock) -> None:
-        super().__init__(f"{config.host}:{config.udp_port}", clock, _CAPACITY)
+        rejects = ("repeated", "late", "corrupt")
+        super().__init__(f"{config.host}:{config.udp_port}", clock, _CAPACITY, rejects)
         self._config = config
         self._socket: socket.socket | None = None
         self._stamped: StampedSocket | None = None
@@ -240,35 +241,19 @@ class NetFtDriver(ReceivingDriver):
         self._page_watch: PageWatch | None = None
         self._scale = np.ones(6)
         self._sequence = -1
-        self._idle = 0
-        self.late = 0
-        """Number of packets received after a later one; they are among `dropped`."""
-        self.duplicates = 0
-        """Number of packets received twice; only the first counts."""
-        self.corrupt = 0
-        """Number of packets of the wrong length, or with a number not of this stream."""
-        self._strange_in_a_row = 0
 
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Rejected packets, by reason."""
-        return {"repeated": self.duplicates, "late": self.late, "corrupt": self.corrupt}
-
-    def open(self, timeout: float) -> None:
+    def _connect(self, timeout: float) -> None:
         """Read the settings, set the rate, start the stream and wait for its first record."""
-        self._reset()
-        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         inbox = self._inbox
         self._sequence = -1
-        self._strange_in_a_row = 0
-        self._page = self._settled_page(deadline_ns)
+        self._page = self._settled_page(self._deadline_ns)
         self._scale = np.repeat(self._page.scale(), 3)
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
             udp.connect((self._config.host, self._config.udp_port))
             udp.send(emit_request(COMMAND_REALTIME))
-            udp.settimeout(self._left(deadline_ns))
+            udp.settimeout(self._left())
             stamped = StampedSocket(udp, self._clock)
             self._sort(*stamped.receive(64))
         except OSError as error:
@@ -279,8 +264,6 @@ class NetFtDriver(ReceivingDriver):
             ) from error
         udp.settimeout(_POLL)
         self._socket, self._stamped = udp, stamped
-        self._idle = 0
-        self._start_receiving(f"netft-{self._config.host}")
         self._page_watch = PageWatch(
             self._page,
             lambda: self._read_page(self._clock.now_ns() + round(_PAGE_TIMEOUT * SECOND_NS)),
@@ -316,9 +299,6 @@ class NetFtDriver(ReceivingDriver):
                 logger.debug("%s: stop not sent: %s", self._where, error)
             self._socket.close()
             self._socket = self._stamped = None
-
-    def _left(self, deadline_ns: int) -> float:
-        return max((deadline_ns - self._clock.now_ns()) / SECOND_NS, 0.01)
 
     def _get(self, path: str, deadline_ns: int) -> bytes:
         url = f"http://{self._config.host}:{self._config.http_port}/{path}"
@@ -367,24 +347,23 @@ class NetFtDriver(ReceivingDriver):
         try:
             packet, t_ns = self._stamped.receive(64)
         except TimeoutError:
-            # Counts waits instead of using the clock: after a suspension of this process, packets
-            # waiting in the socket are received before anything counts as silence.
-            self._idle += 1
-            if self._idle * _POLL >= self._config.silence:
-                raise DeviceLost(
-                    f"{self._where}: no record for {self._config.silence:g} s; check the box's "
-                    "power and cable, and that no other client has started a stream (the box "
-                    "serves only the latest one)"
-                ) from None
+            self._count_wait(
+                _POLL,
+                self._config.silence,
+                f"no record for {self._config.silence:g} s; check the box's power and cable, and "
+                "that no other client has started a stream (the box serves only the latest one)",
+            )
             return
         except OSError as error:
             raise DeviceLost(f"{self._where}: {error}; check the box's power") from error
-        self._idle = 0
+        self._waits = 0
         self._sort(packet, t_ns)
 
     def _sort(self, packet: bytes, t_ns: int) -> None:
         if len(packet) != RECORD.size:
-            self._strange(f"packets of {len(packet)} bytes; a record has {RECORD.size}")
+            self._count_corrupt(
+                f"packets of {len(packet)} bytes; a record has {RECORD.size} {_IN_A_ROW}"
+            )
             return
         rdt_sequence, _, status, *counts = RECORD.unpack(packet)
         if self._sequence < 0:
@@ -393,26 +372,17 @@ class NetFtDriver(ReceivingDriver):
         step -= (step & 0x80000000) << 1
         if not -_RESTART <= step <= _AHEAD * max(self._config.rate_hz, _RESTART):
             went = "went back" if step < 0 else "jumped"
-            self._strange(
+            self._count_corrupt(
                 f"the sequence {went} from {self._sequence} to {rdt_sequence}; the box was "
-                "restarted, another client started a stream, or the packets are garbage"
+                "restarted, another client started a stream, or the packets are garbage "
+                f"{_IN_A_ROW}"
             )
             return
-        self._strange_in_a_row = 0
+        self._corrupt_in_a_row = 0
         if step <= 0:
-            if step == 0:
-                self.duplicates += 1
-            else:
-                self.late += 1
+            self.rejected["late" if step else "repeated"] += 1
             return
         self._gaps += step - 1
         self._sequence += step
         value = np.array(counts, np.float64) * self._scale
         self._inbox.put({"value": value, "seq": self._sequence, "status": status}, t_ns)
-
-    def _strange(self, why: str) -> None:
-        """Reject a packet that is not of this stream; raise after too many in a row."""
-        self.corrupt += 1
-        self._strange_in_a_row += 1
-        if self._strange_in_a_row >= _STRANGE_IN_A_ROW:
-            raise DeviceLost(f"{self._where}: {why} ({self._strange_in_a_row} in a row)")

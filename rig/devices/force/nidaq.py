@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from rig.core.clock import Clock, Pacer
 from rig.core.driver import ReceivingDriver
-from rig.core.errors import ConfigError, DeviceLost
+from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import TransducerCalibration, read_calibration
 from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED, SampleTimeline
@@ -51,14 +51,12 @@ class NidaqDriver(ReceivingDriver):
         self._timeline = SampleTimeline(config.rate_hz)
         self._taken = 0
         self._shift = 0
-        self._idle = 0
         self._broken_off_ns: int | None = None
         self.overruns = 0
         """Number of times the card's buffer overflowed before it was read."""
 
-    def open(self, timeout: float) -> None:
+    def _connect(self, timeout: float) -> None:
         """Read the calibration, set up the card, verify its settings, wait for a first sample."""
-        self._reset()
         config = self._config
         calibration = read_calibration(packaged(Path(config.calibration), BENCHES))
         self._calibration = calibration.moved(config.tool)
@@ -79,23 +77,13 @@ class NidaqDriver(ReceivingDriver):
             timeout=timeout,
         )
         self._task = task
-        self._taken = self._shift = self._idle = 0
+        self._taken = self._shift = 0
         self._broken_off_ns = None
-        try:
-            task.start()
-            self._timeline = SampleTimeline(task.rate_hz)
-            self._pacer = Pacer(self._clock, _POLL_HZ)
-            for _ in range(max(1, round(timeout * _POLL_HZ))):
-                self._receive()
-                if self._taken:
-                    break
-            else:
-                raise DeviceLost(f"{config.address}: started, but no sample within {timeout:g} s")
-        except DeviceLost:
-            self.close()
-            raise
+        task.start()
+        self._timeline = SampleTimeline(task.rate_hz)
+        self._pacer = Pacer(self._clock, _POLL_HZ)
+        self._receive_first(f"started, but no sample within {timeout:g} s")
         task.answer_within(config.silence)
-        self._start_receiving(f"nidaq-{config.device}")
 
     def describe(self) -> dict[str, Any]:
         """Return card, range and rate as read back, and the calibration in use."""
@@ -134,7 +122,7 @@ class NidaqDriver(ReceivingDriver):
             if fresh <= 0:
                 self._wait()
                 return
-            self._idle = 0
+            self._waits = 0
             self._date(acquired, now_ns)
             while self._taken < acquired:
                 count = min(acquired - self._taken, _BLOCK_MAX)
@@ -148,16 +136,13 @@ class NidaqDriver(ReceivingDriver):
             self._taken = 0
 
     def _wait(self) -> None:
-        # Counts polls instead of using the clock: after a suspension of this process, samples in
-        # the card's buffer are read before anything counts as silence.
-        self._idle += 1
-        silent = self._idle / _POLL_HZ
-        if silent >= self._config.silence:
-            raise DeviceLost(
-                f"{self._config.address}: no sample for {self._config.silence:g} s; check the card "
-                "and, if its clock is external, the clock"
-            )
-        if silent >= max(_STANDSTILL, 5 / self._config.rate_hz):
+        self._count_wait(
+            1 / _POLL_HZ,
+            self._config.silence,
+            f"no sample for {self._config.silence:g} s; check the card and, if its clock is "
+            "external, the clock",
+        )
+        if self._waits / _POLL_HZ >= max(_STANDSTILL, 5 / self._config.rate_hz):
             self._break_off()
 
     def _break_off(self) -> None:

@@ -71,37 +71,27 @@ class ScaleDriver(ReceivingDriver):
     """
 
     def __init__(self, config: ScaleConfig, clock: Clock) -> None:
-        super().__init__(config.address, clock, _CAPACITY)
+        super().__init__(config.address, clock, _CAPACITY, ("corrupt",))
         self._config = config
         self._port: serial.Serial | None = None
-        self.corrupt = 0
-        """Lines that were damaged or no readings."""
         self._request = REQUESTS[config.protocol]
         self._buffer = b""
         self._unit = ""
         self._recent: deque[tuple[int, float]] = deque()
         self._sequence = -1
-        self._wrong = 0
         self._heard_ns = self._asked_ns = 0
         self._lost = False
 
     @property
     def dropped(self) -> int:
         """Lines known to be damaged, or not read in time."""
-        return self.corrupt + self._inbox.overflowed
+        return self.rejected["corrupt"] + self._inbox.overflowed
 
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Rejected lines, by reason."""
-        return {"corrupt": self.corrupt}
-
-    def open(self, timeout: float) -> None:
+    def _connect(self, timeout: float) -> None:
         """Open the port and wait for the first reading."""
-        self._reset()
         config = self._config
-        self._buffer, self._unit, self._sequence, self._wrong = b"", "", -1, 0
+        self._buffer, self._unit, self._sequence = b"", "", -1
         self._recent.clear()
-        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         with self._errors():
             self._port = serial.Serial(
                 config.address,
@@ -114,18 +104,10 @@ class ScaleDriver(ReceivingDriver):
             )
             self._port.reset_input_buffer()
         self._heard_ns, self._asked_ns = self._clock.now_ns(), 0
-        try:
-            while self._sequence < 0:
-                self._receive()
-                if self._sequence < 0 and self._clock.now_ns() > deadline_ns:
-                    raise DeviceLost(
-                        f"{config.address}: no reading of a {config.protocol} within {timeout:g} s;"
-                        f" check its power, its protocol, and its baud rate against {config.baud}"
-                    )
-        except DeviceLost:
-            self.close()
-            raise
-        self._start_receiving(f"scale-{config.address}")
+        self._receive_first(
+            f"no reading of a {config.protocol} within {timeout:g} s; check its power, its "
+            f"protocol, and its baud rate against {config.baud}"
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return the settings."""
@@ -195,16 +177,14 @@ class ScaleDriver(ReceivingDriver):
         try:
             reading = parse(line.decode("ascii"))
         except ValueError as error:
-            self.corrupt += 1
-            self._wrong += 1
             self._lost = True
-            if self._wrong > _WRONG_MAX:
-                raise DeviceLost(
-                    f"{self._config.address}: {error}, and so were the {_WRONG_MAX} before; is it "
-                    f"a {self._config.protocol}, at {self._config.baud} baud?"
-                ) from None
+            self._count_corrupt(
+                f"{error}, and so were the {_WRONG_MAX} before; is it a {self._config.protocol}, "
+                f"at {self._config.baud} baud?",
+                _WRONG_MAX + 1,
+            )
             return
-        self._wrong, self._heard_ns = 0, now_ns
+        self._corrupt_in_a_row, self._heard_ns = 0, now_ns
         self._unit = reading.unit or self._unit
         force = self._force(reading)
         settled = self._settled(reading, force, now_ns)

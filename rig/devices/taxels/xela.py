@@ -14,8 +14,8 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed, InvalidURI, WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from rig.core.clock import SECOND_NS, Clock
-from rig.core.driver import ReceivingDriver
+from rig.core.clock import Clock
+from rig.core.driver import CORRUPT_IN_A_ROW, ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.taxels.settings import XelaConfig
 from rig.devices.taxels.xela_wire import Scan, parse
@@ -23,7 +23,6 @@ from rig.devices.taxels.xela_wire import Scan, parse
 logger = logging.getLogger(__name__)
 
 _POLL = 0.1
-_CORRUPT_IN_A_ROW = 10
 _CAPACITY = 10_000
 # A scan at most this far behind the newest is late. Beyond it, or after this many late scans in a
 # row, the server has restarted its count.
@@ -41,35 +40,20 @@ class XelaDriver(ReceivingDriver):
     """
 
     def __init__(self, config: XelaConfig, clock: Clock) -> None:
-        super().__init__(config.address, clock, _CAPACITY)
+        super().__init__(config.address, clock, _CAPACITY, ("repeated", "late", "corrupt"))
         self._config = config
         self._exits = contextlib.ExitStack()
         self._connection: ClientConnection | None = None
         self._first: Scan | None = None
         self._sequence: int | None = None
         self._restarted_by = 0
-        self._idle = 0
-        self._corrupt_in_a_row = 0
         self._late_in_a_row = 0
         self._newest: Scan | None = None
-        self.duplicates = 0
-        """Number of messages with the same number as the previous one; only the first is kept."""
-        self.late = 0
-        """Number of messages received after a later one; they are among `dropped`."""
-        self.corrupt = 0
-        """Number of messages that were invalid, or whose values no touch could cause."""
 
-    @property
-    def rejected(self) -> dict[str, int]:
-        """Rejected scans, by reason."""
-        return {"repeated": self.duplicates, "late": self.late, "corrupt": self.corrupt}
-
-    def open(self, timeout: float) -> None:
+    def _connect(self, timeout: float) -> None:
         """Connect and wait for the first scan of the sensor."""
-        self._reset()
-        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         self._first = self._newest = self._sequence = None
-        self._idle = self._corrupt_in_a_row = self._late_in_a_row = self._restarted_by = 0
+        self._late_in_a_row = self._restarted_by = 0
         try:
             self._connection = self._exits.enter_context(
                 connect(
@@ -90,18 +74,10 @@ class XelaDriver(ReceivingDriver):
                 f"{self._config.address}: {error}; check that xela_server runs there, "
                 "on the network interface of this address"
             ) from error
-        try:
-            while self._first is None:
-                if self._clock.now_ns() >= deadline_ns:
-                    raise DeviceLost(
-                        f"{self._config.address}: connected, but no scan of sensor "
-                        f"{self._config.sensor!r}; check the sensor's cable and xServ.ini"
-                    )
-                self._receive()
-        except DeviceLost:
-            self.close()
-            raise
-        self._start_receiving(f"xela-{self._config.address}")
+        self._receive_first(
+            f"connected, but no scan of sensor {self._config.sensor!r}; check the sensor's cable "
+            "and xServ.ini"
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return model, layout and the rate that the server stated in its first scan."""
@@ -132,31 +108,28 @@ class XelaDriver(ReceivingDriver):
         try:
             text = self._connection.recv(timeout=_POLL)
         except TimeoutError:
-            self._idle += 1
-            if self._idle * _POLL >= self._config.silence:
-                raise DeviceLost(
-                    f"{self._config.address}: no message for {self._config.silence:g} s; "
-                    "check xela_server and the sensor's cable"
-                ) from None
+            self._count_wait(
+                _POLL,
+                self._config.silence,
+                f"no message for {self._config.silence:g} s; check xela_server and the sensor's "
+                "cable",
+            )
             return
         except ConnectionClosed as error:
             raise DeviceLost(
                 f"{self._config.address}: disconnected ({error}); check xela_server"
             ) from error
         now_ns = self._clock.now_ns()
-        self._idle = 0
+        self._waits = 0
         try:
             scan = parse(text, self._config.sensor, self._config.taxels)
             if scan is not None:
                 self._require_plausible(scan)
         except (ValueError, RecursionError) as error:
-            self.corrupt += 1
-            self._corrupt_in_a_row += 1
-            if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
-                raise DeviceLost(
-                    f"{self._config.address}: {_CORRUPT_IN_A_ROW} bad messages in a row, "
-                    f"the last: {error}; check the bench file's sensor and taxels"
-                ) from error
+            self._count_corrupt(
+                f"{CORRUPT_IN_A_ROW} bad messages in a row, the last: {error}; check the bench "
+                "file's sensor and taxels"
+            )
             return
         self._corrupt_in_a_row = 0
         if scan is not None:
@@ -178,11 +151,11 @@ class XelaDriver(ReceivingDriver):
             self._sequence = scan.message - 1
         step = scan.message + self._restarted_by - self._sequence
         if step == 0:
-            self.duplicates += 1
+            self.rejected["repeated"] += 1
             return
         if step < 0:
             if self._is_late(scan, step):
-                self.late += 1
+                self.rejected["late"] += 1
                 self._late_in_a_row += 1
                 return
             logger.warning("%s: the count went back to %d", self._config.address, scan.message)
