@@ -18,11 +18,12 @@ import numpy as np
 
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.stream_kinds import KINDS
+from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.config import build, read_yaml
 from rig.core.geometry import compose, invert
+from rig.core.mock_names import PORTS
 from rig.core.shared_memory import SharedLatest
-from rig.devices.arm import emulator_faults
 from rig.mock.world import WorldConfig
 
 _PERIOD = 0.02
@@ -132,7 +133,7 @@ class Observer:
 
     def _ask_arm(self) -> None:
         try:
-            state = emulator_faults.inject(self._host, "state")
+            state = emulation.inject(self._host, PORTS["arm"], "state")
         except (OSError, ValueError):
             # The controller is gone, so the last state heard stays, with its time.
             if self.seen.arm_silent_ns is None:

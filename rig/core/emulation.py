@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
@@ -82,8 +82,8 @@ def inject(host: str, port: int, fault: str, **values: Any) -> dict[str, Any]:
     return reply
 
 
-class FaultPort:
-    """Serves the fault port of one emulator in its own threads.
+class FaultPort(socketserver.ThreadingTCPServer):
+    """Serves the fault port of one emulator in its own threads, until it is closed.
 
     Args:
         host: Loopback address.
@@ -91,37 +91,21 @@ class FaultPort:
         apply: Handler of a request.
     """
 
-    def __init__(self, host: str, port: int, apply: Apply) -> None:
-        self._address = (host, port)
-        self._apply = apply
-        self._server: _Server | None = None
-        self._thread: threading.Thread | None = None
-
-    def start(self) -> None:
-        """Listen and serve."""
-        self._server = _Server(self._address, self._apply)
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, args=(0.05,), name="fault-port"
-        )
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-        if self._server is not None and self._thread is not None:
-            self._server.shutdown()
-            self._server.server_close()
-            self._thread.join()
-            self._server = self._thread = None
-
-
-class _Server(socketserver.ThreadingTCPServer):
     allow_reuse_address = True
     daemon_threads = True
     block_on_close = False
 
-    def __init__(self, address: tuple[str, int], apply: Apply) -> None:
+    def __init__(self, host: str, port: int, apply: Apply) -> None:
         self.apply = apply
-        super().__init__(address, _Handler)
+        super().__init__((host, port), _Handler)
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.05,), name="fault-port")
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop serving; may be called twice."""
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log a client that disconnects before its answer; this is no error."""
@@ -129,7 +113,7 @@ class _Server(socketserver.ThreadingTCPServer):
 
 
 class _Handler(socketserver.StreamRequestHandler):
-    server: _Server
+    server: FaultPort
     timeout = 30.0
 
     def handle(self) -> None:
@@ -140,13 +124,6 @@ class _Handler(socketserver.StreamRequestHandler):
 
 # Depth served before the World's first state: the indenter well above the surface [m].
 NO_CONTACT_DEPTH = -0.01
-
-
-class WorldReader(Protocol):
-    """Source of the quantities that an emulated device measures."""
-
-    def state(self) -> tuple[int, np.void]:
-        """Return the newest WORLD_STATE record and its number, 0 before the first."""
 
 
 class SharedWorld:
@@ -233,26 +210,8 @@ class DeviceHandler(BaseHTTPRequestHandler):
         """Print nothing: stdout is reserved for the ready line."""
 
 
-class Emulator(Protocol):
-    """Emulated device that serves in its own threads."""
-
-    @property
-    def address(self) -> str:
-        """Address for drivers to connect to."""
-
-    @property
-    def missed(self) -> int:
-        """Number of ticks that were late and skipped."""
-
-    def start(self) -> None:
-        """Listen and serve; return when clients can connect."""
-
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
-
-
-class ThreadedEmulator:
-    """Base of the emulators that serve in threads until they are closed."""
+class Emulator:
+    """Base of the emulators, which serve in threads until they are closed."""
 
     missed = 0
     """Number of ticks that were late and skipped."""
@@ -260,6 +219,15 @@ class ThreadedEmulator:
     def __init__(self) -> None:
         self._ending = threading.Event()
         self._threads: list[threading.Thread] = []
+
+    @property
+    def address(self) -> str:
+        """Address for drivers to connect to."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Listen and serve; return when clients can connect."""
+        raise NotImplementedError
 
     @property
     def closing(self) -> bool:
@@ -362,7 +330,7 @@ class Pty:
         self._link.unlink(missing_ok=True)
 
 
-class PtyEmulator(ThreadedEmulator):
+class PtyEmulator(Emulator):
     """Base of the emulators on a pty: one thread, `_serve`, receives and sends.
 
     Args:

@@ -103,16 +103,14 @@ def serve(served: Served, settings: Any, *, until_stdin_closes: bool) -> int:
     if until_stdin_closes:
         threading.Thread(target=_watch_stdin, args=(ending,), daemon=True).start()
     faults = None
-    if served.apply is not None and settings.fault_port is not None:
-        faults = FaultPort(settings.host, settings.fault_port, served.apply)
     try:
         emulator.start()
     except OSError as error:
         print(f"{name}: cannot listen on {emulator.address}: {error}", file=sys.stderr)
         return 2
     try:
-        if faults is not None:
-            faults.start()
+        if served.apply is not None and settings.fault_port is not None:
+            faults = FaultPort(settings.host, settings.fault_port, served.apply)
     except OSError as error:
         emulator.close()
         print(f"{name}: cannot listen on its fault port: {error}", file=sys.stderr)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from rig.core import emulation
+from rig.core.clock import SystemClock
 from rig.core.geometry import compose, rotation_between
-from rig.devices.arm import emulator_faults
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import PLAYING, STOPPED, Controller, dashboard_answer
+from rig.devices.arm.emulator import ArmEmulator
 
 TCP = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
 START = compose(flange_pose(np.array(POSTURE)), TCP)
@@ -59,16 +61,6 @@ class Client:
     def word(self) -> tuple[int, int, bool]:
         word = self.controller.source("output_int_register_2")()
         return word >> 24, word >> 16 & 0x7F, bool(word & RUNNING)
-
-
-class Network:
-    """A network without connections: network faults have no effect."""
-
-    def drop(self) -> None:
-        pass
-
-    def freeze(self, seconds: float) -> None:
-        pass
 
 
 @pytest.fixture
@@ -143,7 +135,7 @@ def test_an_asynchronous_stop_ends_the_move_and_is_an_operation_of_its_own(clien
 
 
 def test_the_slider_slows_a_move(client):
-    emulator_faults.apply(client.controller, Network(), "slider", fraction=0.5)
+    client.controller.robot.slider = 0.5
     took = client.command(MOVE_L, [*above(0.01), 0.05, 0.5])
     assert 0.56 <= took * CYCLE <= 0.64
 
@@ -242,6 +234,7 @@ def test_an_emergency_stop_takes_the_power(controller):
     "line", ["", "{", "[]", '{"fault": "melt"}', '{"fault": "slider"}', '{"seconds": 1}']
 )
 def test_the_fault_port_survives_nonsense(controller, line):
-    reply = json.loads(emulator_faults.answer(controller, Network(), line))
+    emulator = ArmEmulator("127.0.0.1", controller, SystemClock())
+    reply = json.loads(emulation.answer(emulator.apply, line))
     assert reply["ok"] is False
     assert reply["error"]

@@ -13,7 +13,7 @@ from rig.core.emulation import SharedWorld
 from rig.core.errors import DeviceLost
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
-from rig.devices.arm import emulator_faults, rtde
+from rig.devices.arm import rtde
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator, RtdeClient
@@ -120,7 +120,7 @@ def test_nobody_there_is_device_lost_with_the_address(driver):
 def test_a_dropped_connection_is_device_lost_after_what_came_before(emulator, driver):
     driver.open(5.0)
     read(driver, 5)
-    emulator_faults.inject(HOST, "drop")
+    emulator.apply("drop")
     with pytest.raises(DeviceLost, match=r"closed|lost"):
         read(driver, 10_000)
 
@@ -128,7 +128,7 @@ def test_a_dropped_connection_is_device_lost_after_what_came_before(emulator, dr
 def test_silence_is_device_lost(emulator, driver):
     driver.open(5.0)
     read(driver, 5)
-    emulator_faults.inject(HOST, "freeze", seconds=20.0)
+    emulator.apply("freeze", seconds=20.0)
     with pytest.raises(DeviceLost, match="no package for"):
         read(driver, 100_000)
 
@@ -198,7 +198,7 @@ def test_the_worlds_contact_force_can_stop_the_arm(emulator, driver, tmp_path):
     while read(driver, 1)[-1]["safety_status"] == 1:
         pass
     world.close()
-    assert "200.0 N" in emulator_faults.inject(HOST, "state")["reason"]
+    assert "200.0 N" in emulator.apply("state")["reason"]
 
 
 def test_a_taken_port_is_an_error_that_leaves_nothing_open(emulator):

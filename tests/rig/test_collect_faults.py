@@ -14,7 +14,7 @@ import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import OUTCOMES, Session
-from rig.devices.arm import emulator_faults
+from rig.core.mock_names import PORTS
 
 pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
 
@@ -80,7 +80,7 @@ def test_a_killed_stream_process_ends_the_session_and_recover_mends_it(tmp_path:
 @pytest.mark.slow
 def test_a_protective_stop_ends_the_session_with_4_and_is_not_reset(tmp_path: Path) -> None:
     run = pressing(tmp_path, "tacpalm")
-    with socket.create_connection((run.host(), emulator_faults.PORT), 5.0) as port:
+    with socket.create_connection((run.host(), PORTS["arm"]), 5.0) as port:
         port.sendall(json.dumps({"fault": "protective_stop"}).encode() + b"\n")
         assert b"protective" in port.recv(4096).lower()
     assert run.wait() == 4, run.text

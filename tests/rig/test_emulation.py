@@ -150,7 +150,6 @@ def test_every_device_of_a_bench_has_an_emulator_or_shares_the_arms() -> None:
         (["hid_pedal", '{"device": {"kind": "spacemouse", "device": "/x.hidraw"}}'], "device.kind"),
         (["camera"], "view, source: found neither; allowed: one of them"),
         (["camera", '{"source": "x", "view": "y"}'], "view, source: found both"),
-        (["ur", '{"fault_port": 5}'], "fault_port: found 5; allowed: 31000, always open"),
         (["netft", "{}", "--file", "x"], "not allowed with"),
         (["force"], "kind: found 'force'; allowed: ur,"),
     ],

@@ -18,7 +18,6 @@ from rig.core.clock import FakeClock, SystemClock
 from rig.core.emulation import FaultPort
 from rig.core.errors import DeviceLost
 from rig.core.fault_injection import FAULTS, FaultInjector, corrupted_bytes, corrupted_text
-from rig.devices.arm import emulator_faults
 from rig.devices.arm.emulated_arm import POSTURE, flange_pose
 from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator
@@ -174,7 +173,6 @@ def test_what_no_line_can_do_is_refused(
 def test_the_fault_port_takes_faults_and_survives_nonsense(host: str, clock: FakeClock) -> None:
     line = text_line(clock)
     port = FaultPort(host, 31001, line.inject)
-    port.start()
     try:
         assert emulation.inject(host, 31001, "freeze", seconds=2.0)["active"] == ["freeze"]
         assert line.passed("m1") == ()
@@ -234,7 +232,7 @@ def _arm(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     return (
         emulator,
         RtdePoseDriver(ArmConfig(host=host, rate_hz=500.0), CLOCK),
-        lambda fault, **values: emulator_faults.inject(host, fault, **values),
+        emulator.apply,
     )
 
 

@@ -23,7 +23,6 @@ from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
-from rig.devices.arm import emulator_faults
 
 BOX = ((-0.01, -0.01, -0.0047), (0.01, 0.01, 0.06))
 parts = st.floats(-1.0, 1.0)
@@ -120,10 +119,10 @@ jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
         emulation.inject(self.host, PORTS["spacemouse"], fault, **values)
 
     def place(self) -> np.ndarray:
-        return np.array(emulator_faults.inject(self.host, "state")["pose"][:3])
+        return np.array(emulation.inject(self.host, PORTS["arm"], "state")["pose"][:3])
 
     def moving(self) -> bool:
-        speed = emulator_faults.inject(self.host, "state")["speed"]
+        speed = emulation.inject(self.host, PORTS["arm"], "state")["speed"]
         return bool(np.linalg.norm(speed[:3]) > 1e-4)
 
 

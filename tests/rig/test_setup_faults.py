@@ -18,12 +18,14 @@ from rig.acquire import doctor
 from rig.acquire import setup_checks as checks
 from rig.acquire.doctor import Finding
 from rig.bench.bench import Bench, BenchFile, bench_from
+from rig.core import emulation
 from rig.core.clock import SystemClock
+from rig.core.emulation import FaultPort
 from rig.core.errors import DeviceLost
 from rig.core.geometry import compose
+from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
 from rig.core.samples import WORLD_STATE
-from rig.devices.arm import emulator_faults
 from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.emulator import ArmEmulator
 from rig.devices.camera.mjpeg_emulator import through_lens
@@ -58,7 +60,7 @@ class Site:
         )
 
     def inject(self, fault: str, **values: Any) -> None:
-        emulator_faults.inject(HOST, fault, **values)
+        inject_arm(fault, **values)
 
     def weighed(self, matrix: Any, mass: float = MASS, laid: float = MASS) -> Finding:
         """Lay a weight on the sensor, under a gauge that is mounted by a matrix."""
@@ -121,17 +123,23 @@ def arm() -> Iterator[Bench]:
     controller.payload = bench.arm.payload
     emulator = ArmEmulator(HOST, controller, CLOCK)
     emulator.start()
+    port = FaultPort(HOST, PORTS["arm"], emulator.apply)
     yield bench
+    port.close()
     emulator.close()
+
+
+def inject_arm(fault: str, **values: Any) -> None:
+    emulation.inject(HOST, PORTS["arm"], fault, **values)
 
 
 @pytest.fixture
 def site(arm: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
     yield Site(arm, tmp_path, monkeypatch)
-    emulator_faults.inject(HOST, "reset_safety")
-    emulator_faults.inject(HOST, "remote_control", on=True)
-    emulator_faults.inject(HOST, "version", parts=[5, 12, 4, 0])
-    emulator_faults.inject(HOST, "tool", mass=arm.arm.payload)
+    inject_arm("reset_safety")
+    inject_arm("remote_control", on=True)
+    inject_arm("version", parts=[5, 12, 4, 0])
+    inject_arm("tool", mass=arm.arm.payload)
 
 
 def arm_after(fault: str, **values: Any) -> Callable[[Site], Iterable[Finding]]:

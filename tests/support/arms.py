@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.geometry import compose
 from rig.core.guard import GuardLimits
-from rig.devices.arm import emulator_faults
+from rig.core.mock_names import PORTS
 from rig.devices.arm.arm import Arm
 from rig.devices.arm.emulated_arm import POSTURE, flange_pose
 from rig.devices.arm.settings import ArmConfig
@@ -40,7 +41,7 @@ CLOCK = SystemClock()
 
 
 def inject(fault: str = "state", **values: Any) -> dict[str, Any]:
-    return emulator_faults.inject(HOST, fault, **values)
+    return emulation.inject(HOST, PORTS["arm"], fault, **values)
 
 
 def at(x: float, y: float, z: float, vector: Any = START[3:]) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from rig.core.emulation import SharedWorld
 from rig.core.samples import WORLD_STATE
 
 
@@ -26,10 +27,11 @@ E = TypeVar("E", bound=_Emulator)
 D = TypeVar("D", bound=_Driver)
 
 
-class FixedWorld:
+class FixedWorld(SharedWorld):
     """A constant state with the given fields, until a test changes it."""
 
     def __init__(self, **fields: Any) -> None:
+        super().__init__(None)
         self.record: Any = np.zeros(1, WORLD_STATE)[0]
         for name, value in fields.items():
             self.record[name] = value

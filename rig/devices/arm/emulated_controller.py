@@ -9,7 +9,6 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -32,32 +31,6 @@ _REAL_TIME = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70
 _STOPJ_REACH = 0.5
 
 
-class Registers(Protocol):
-    """Interface of the controller to the script."""
-
-    robot: Robot
-    payload: float
-    payload_cog: tuple[float, float, float]
-
-    def read_int(self, register: int) -> int:
-        """Read an input integer register."""
-
-    def read_double(self, register: int) -> float:
-        """Read an input double register."""
-
-    def write_int(self, register: int, value: int) -> None:
-        """Write an output integer register."""
-
-    def write_doubles(self, values: Array) -> None:
-        """Write output double registers from 0 on."""
-
-    def set_watchdog(self, min_frequency_hz: float) -> None:
-        """Stop the program if input_int_register_0 is written less often than this."""
-
-    def protective_stop(self, reason: str) -> None:
-        """Run the script function of the same name."""
-
-
 class Program:
     """One run of the uploaded script, from start to stop.
 
@@ -65,7 +38,7 @@ class Program:
         controller: The controller it runs on.
     """
 
-    def __init__(self, controller: Registers) -> None:
+    def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self._robot = controller.robot
         self._threads: dict[str, Movement] = {}

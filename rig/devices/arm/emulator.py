@@ -2,13 +2,25 @@
 
     python -m rig.mock.emulate ur '{"host": "127.0.0.5", "state": "run/arm", "world": "run/world"}'
 
-Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999), and on
-31000 for faults to inject: see rig.devices.arm.emulator_faults. ur_rtde's constructors hold the GIL
-while they wait for an answer, so do not run this in the process of a client that uses ur_rtde.
+Listens on the controller's own ports (RTDE 30004, scripts 30001 to 30003, dashboard 29999).
+ur_rtde's constructors hold the GIL while they wait for an answer, so do not run this in the process
+of a client that uses ur_rtde.
 
 Of a recording it only reports: no script runs, nothing moves, and quantities that a session does
 not store are those of normal operation. While no row is due it sends text messages, as a controller
 may: a reader that receives nothing for a second fails.
+
+Faults are injected through rig.core.fault_injection, with these in addition:
+
+    protective_stop, emergency_stop, stop_program
+    reset_safety         release at the pendant, as a person does afterwards
+    drop                 close every RTDE connection
+    freeze  seconds      suspend RTDE for so long, both ways; the arm keeps moving
+    slider  fraction     speed slider
+    remote_control  on   false: the pendant is in local control
+    version  parts       of PolyScope, four numbers
+    tool  mass           true mass on the flange [kg], whichever payload is set
+    freedrive  pose      a person leads the TCP to this pose [m, rad]
 """
 
 from __future__ import annotations
@@ -17,23 +29,24 @@ import logging
 import re
 import selectors
 import socket
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.emulation import Served, SharedWorld, ThreadedEmulator
-from rig.core.errors import ConfigError
+from rig.core.emulation import Emulator, Served, SharedWorld
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.geometry import compose
+from rig.core.mock_names import PORTS
 from rig.core.playback import PlayableConfig, Playback
 from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
-from rig.devices.arm import dashboard, emulator_faults, rtde
+from rig.devices.arm import dashboard, rtde
 from rig.devices.arm.emulated_arm import CYCLE, POSTURE, Wrist, flange_pose
 from rig.devices.arm.emulated_controller import Controller, dashboard_answer
 from rig.devices.arm.settings import ArmConfig
@@ -58,81 +71,79 @@ _POSES = ("actual_TCP_pose", "target_TCP_pose")
 _PROGRAM_END = re.compile(r"^end\s*\n", re.MULTILINE)
 
 
-class Client(Protocol):
-    """Interface of a connection, as the emulator's loop uses it."""
-
-    peer: socket.socket
-
-    def receive(self) -> bool:
-        """Process the received data; return False when the connection is over."""
-
-
-def _take(peer: socket.socket) -> bytes | None:
-    """Return the received data: empty if there is none, None when the connection is over."""
-    try:
-        return peer.recv(1 << 16) or None
-    except BlockingIOError:
-        return b""
-    except OSError:
-        return None
-
-
-class LineClient:
-    """Connection of a text protocol: each line received is answered by one line.
+class Client:
+    """One connection.
 
     Args:
         peer: The connection.
-        answer: Returns the answer to a line, both without line end.
-        banner: Sent on connecting.
     """
 
-    def __init__(self, peer: socket.socket, answer: Callable[[str], str], banner: str = "") -> None:
+    def __init__(self, peer: socket.socket) -> None:
         self.peer = peer
-        self._answer = answer
-        self._buffer = b""
-        if banner:
-            self.peer.send(banner.encode())
 
     def receive(self) -> bool:
         """Process the received data; return False when the connection is over."""
-        received = _take(self.peer)
-        if received is None:
-            return False
-        *lines, self._buffer = (self._buffer + received).split(b"\n")
         try:
-            for line in lines:
-                self.peer.send(self._answer(line.decode(errors="replace")).encode() + b"\n")
+            received = self.peer.recv(1 << 16)
+            if received:
+                self._take(received)
+        except BlockingIOError:
+            return True
         except OSError:
             return False
-        return True
+        except (ValueError, IndexError) as error:
+            logger.warning("arm emulator: client dropped: %s", error)
+            return False
+        return bool(received)
+
+    def _take(self, received: bytes) -> None:
+        """Process data; raises ValueError or IndexError if they are not of the protocol."""
+        raise NotImplementedError
 
 
-class ScriptClient:
+class DashboardClient(Client):
+    """Connection of the dashboard: each line received is answered by one line.
+
+    Args:
+        peer: The connection.
+        controller: The controller to ask.
+    """
+
+    def __init__(self, peer: socket.socket, controller: Controller) -> None:
+        super().__init__(peer)
+        self._controller = controller
+        self._buffer = b""
+        # The banner must come at once: ur_rtde waits 2 s for it, then fails.
+        self.peer.send(dashboard.BANNER.encode())
+
+    def _take(self, received: bytes) -> None:
+        *lines, self._buffer = (self._buffer + received).split(b"\n")
+        for line in lines:
+            answer = dashboard_answer(self._controller, line.decode(errors="replace"))
+            self.peer.send(answer.encode() + b"\n")
+
+
+class ScriptClient(Client):
     """Connection that receives URScript; an unindented line `end` completes a program.
 
     Args:
         peer: The connection.
-        start: Called with each complete program.
+        controller: The controller that runs each complete program.
     """
 
-    def __init__(self, peer: socket.socket, start: Callable[[str], None]) -> None:
-        self.peer = peer
-        self._start = start
+    def __init__(self, peer: socket.socket, controller: Controller) -> None:
+        super().__init__(peer)
+        self._controller = controller
         self._text = ""
 
-    def receive(self) -> bool:
-        """Process the received data; return False when the connection is over."""
-        received = _take(self.peer)
-        if received is None:
-            return False
+    def _take(self, received: bytes) -> None:
         self._text += received.decode(errors="replace")
-        while found := _PROGRAM_END.search(self._text):
-            program, self._text = self._text[: found.end()], self._text[found.end() :]
-            self._start(program)
-        return True
+        while match := _PROGRAM_END.search(self._text):
+            program, self._text = self._text[: match.end()], self._text[match.end() :]
+            self._controller.start_program(program)
 
 
-class RtdeClient:
+class RtdeClient(Client):
     """One RTDE connection: its recipes, and the inputs it owns.
 
     Args:
@@ -149,7 +160,7 @@ class RtdeClient:
         owners: dict[str, RtdeClient],
         line: FaultInjector[bytes],
     ) -> None:
-        self.peer = peer
+        super().__init__(peer)
         self._controller = controller
         self._owners = owners
         self.line = line
@@ -163,19 +174,10 @@ class RtdeClient:
         # ur_rtde relies on input recipes being numbered 1, 2, 3... in the order of its requests.
         self._inputs: list[tuple[list[str], tuple[str, ...]]] = []
 
-    def receive(self) -> bool:
-        """Process the received data; return False when the connection is over."""
-        received = _take(self.peer)
-        if received is None:
-            return False
+    def _take(self, received: bytes) -> None:
         self._buffer += received
-        try:
-            for kind, payload in rtde.split_messages(self._buffer):
-                self._handle(kind, payload)
-        except (ValueError, IndexError) as error:
-            logger.warning("arm emulator: RTDE client dropped: %s", error)
-            return False
-        return True
+        for kind, payload in rtde.split_messages(self._buffer):
+            self._handle(kind, payload)
 
     def _handle(self, kind: int, payload: bytes) -> None:
         if kind == rtde.Kind.DATA:
@@ -183,7 +185,8 @@ class RtdeClient:
         elif kind == rtde.Kind.PROTOCOL:
             self._send(kind, bytes([int.from_bytes(payload, "big") == rtde.PROTOCOL]))
         elif kind == rtde.Kind.CONTROLLER:
-            self._send(kind, _version(self._controller))
+            parts = [part.to_bytes(4, "big") for part in self._controller.version]
+            self._send(kind, b"".join(parts))
         elif kind == rtde.Kind.OUTPUTS:
             self._send(kind, self._set_outputs(payload))
         elif kind == rtde.Kind.INPUTS:
@@ -257,10 +260,6 @@ class RtdeClient:
             self._started = False
 
 
-def _version(controller: Controller) -> bytes:
-    return b"".join(part.to_bytes(4, "big") for part in controller.version)
-
-
 SCRIPT_PORTS = (30001, 30002, 30003)
 _CYCLE_NS = round(CYCLE * SECOND_NS)
 # Host delays of up to 50 ms are caught up, as packages of a real controller would arrive together.
@@ -268,7 +267,7 @@ _CYCLE_NS = round(CYCLE * SECOND_NS)
 _LATE_CYCLES = 25
 
 
-class ArmEmulator(ThreadedEmulator):
+class ArmEmulator(Emulator):
     """Serves a `Controller` at 500 Hz against absolute deadlines, on a background thread.
 
     `missed` counts cycles of host time for which the emulated controller's clock stood still.
@@ -300,6 +299,8 @@ class ArmEmulator(ThreadedEmulator):
         self._world = world
         self._playback = playback
         self._world_count = 0
+        # Held while the loop works on controller and clients, and while a fault is injected.
+        self._lock = threading.Lock()
         self._clients: list[RtdeClient] = []
         self._peers: set[socket.socket] = set()
         self._owners: dict[str, RtdeClient] = {}
@@ -318,10 +319,9 @@ class ArmEmulator(ThreadedEmulator):
         """Listen on all ports and run; return when clients can connect."""
         try:
             self._listen(rtde.PORT, self._new_rtde)
-            self._listen(dashboard.PORT, self._new_dashboard)
-            self._listen(emulator_faults.PORT, self._new_faults)
+            self._listen(dashboard.PORT, lambda peer: DashboardClient(peer, self._controller))
             for port in SCRIPT_PORTS:
-                self._listen(port, lambda peer: ScriptClient(peer, self._controller.start_program))
+                self._listen(port, lambda peer: ScriptClient(peer, self._controller))
         except OSError:
             self._release()
             raise
@@ -346,14 +346,13 @@ class ArmEmulator(ThreadedEmulator):
             peer, _ = server.accept()
         except OSError:
             return
-        if self._line.unplugged and make != self._new_faults:
+        if self._line.unplugged:
             peer.close()
             return
         peer.setblocking(False)
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client = make(peer)
-        if make != self._new_faults:
-            self._peers.add(peer)
+        self._peers.add(peer)
         self._selector.register(peer, selectors.EVENT_READ, lambda: self._serve(peer, client))
 
     def _serve(self, peer: socket.socket, client: Client) -> None:
@@ -372,46 +371,77 @@ class ArmEmulator(ThreadedEmulator):
         self._clients.append(client)
         return client
 
-    def _new_dashboard(self, peer: socket.socket) -> Client:
-        # The banner must come at once: ur_rtde waits 2 s for it, then fails.
-        return LineClient(
-            peer, lambda line: dashboard_answer(self._controller, line), dashboard.BANNER
-        )
+    def apply(self, fault: str, **values: Any) -> dict[str, Any]:
+        """Inject a fault, see the module, and return the state of the controller."""
+        with self._lock:
+            line = self._injected(fault, values)
+            controller, robot = self._controller, self._controller.robot
+            return {
+                "tick": controller.tick,
+                "pose": robot.pose.tolist(),
+                "speed": robot.speed.tolist(),
+                "tcp": robot.tcp.tolist(),
+                "payload": controller.payload,
+                "runtime_state": controller.runtime_state,
+                "safety_status": controller.safety_status,
+                "reason": controller.reason,
+                "uploads": controller.uploads,
+                **line,
+            }
 
-    def _new_faults(self, peer: socket.socket) -> Client:
-        return LineClient(peer, lambda line: emulator_faults.answer(self._controller, self, line))
-
-    def drop(self) -> None:
-        """Close every RTDE connection."""
-        _shut(client.peer for client in self._clients)
-
-    def disturb(self, fault: str, **values: Any) -> dict[str, Any]:
-        """Inject a fault into every RTDE client's packages; see `rig.core.fault_injection`."""
-        reply = self._line.inject(fault, **values)
-        for client in self._clients:
-            client.line.inject(fault, **values)
-        return reply | {"touched": sum(client.line.touched for client in self._clients)}
+    def _injected(self, fault: str, values: dict[str, Any]) -> dict[str, Any]:
+        """Inject a fault; return the state of the connections if it is theirs."""
+        controller = self._controller
+        match fault:
+            case "protective_stop":
+                controller.protective_stop("injected")
+            case "emergency_stop":
+                controller.emergency_stop()
+            case "stop_program":
+                controller.stop_program("injected")
+            case "reset_safety":
+                controller.reset_safety()
+            case "drop":
+                _shut(client.peer for client in self._clients)
+            case "freeze":
+                seconds = float(values["seconds"])
+                self._frozen_until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
+            case "slider":
+                controller.robot.slider = float(values["fraction"])
+            case "remote_control":
+                controller.remote_control = bool(values["on"])
+            case "version":
+                major, minor, bugfix, build = map(int, values["parts"])
+                controller.version = (major, minor, bugfix, build)
+            case "tool":
+                controller.tool_mass = float(values["mass"])
+            case "freedrive":
+                controller.lead(np.array(values["pose"], np.float64))
+            case _:
+                line = self._line.inject(fault, **values)
+                for client in self._clients:
+                    client.line.inject(fault, **values)
+                return line | {"touched": sum(client.line.touched for client in self._clients)}
+        return {}
 
     def _on_plug(self) -> None:
         if self._line.unplugged:
             _shut(self._peers)
 
-    def freeze(self, seconds: float) -> None:
-        """Suspend RTDE for `seconds` [s], both ways; connections stay, the arm keeps moving."""
-        self._frozen_until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
-
     def _run(self) -> None:
         due_ns = self._clock.now_ns() + _CYCLE_NS
         while not self._ending.is_set():
             wait = (due_ns - self._clock.now_ns()) / SECOND_NS
-            for key, _ in self._selector.select(max(wait, 0.0)):
-                if self._clock.now_ns() < self._frozen_until_ns and self._is_rtde(key.fileobj):
+            ready = self._selector.select(max(wait, 0.0))
+            with self._lock:
+                for key, _ in ready:
+                    frozen = self._clock.now_ns() < self._frozen_until_ns
+                    if not (frozen and self._is_rtde(key.fileobj)):
+                        key.data()
+                now_ns = self._clock.now_ns()
+                if now_ns < due_ns:
                     continue
-                key.data()
-            now_ns = self._clock.now_ns()
-            if now_ns < due_ns:
-                continue
-            self._cycle(due_ns, now_ns)
+                self._cycle(due_ns, now_ns)
             due_ns += _CYCLE_NS
             late = (now_ns - due_ns) // _CYCLE_NS
             if late > _LATE_CYCLES:
@@ -438,14 +468,16 @@ class ArmEmulator(ThreadedEmulator):
 
         def send(place: int) -> None:
             shown.update(recorded[place])
-            for client in self._clients:
-                client.publish()
+            with self._lock:
+                for client in self._clients:
+                    client.publish()
 
         def idle() -> None:
-            for key, _ in self._selector.select(0):
-                key.data()
-            for client in self._clients:
-                client.say_waiting()
+            with self._lock:
+                for key, _ in self._selector.select(0):
+                    key.data()
+                for client in self._clients:
+                    client.say_waiting()
 
         playback.run(send, window=_WINDOW, ending=self._ending, idle=idle)
 
@@ -491,16 +523,14 @@ class ArmEmulatorConfig(PlayableConfig):
     """TCP at start, in the base frame: x y z [m] rx ry rz [rad]; None: tool down."""
     force_limit: float = field(default=150.0, metadata={"unit": "n"})
     """Contact force that triggers a protective stop [N]."""
+    fault_port: int | None = field(default=PORTS["arm"], kw_only=True)
+    """Port for injecting faults; None: none."""
     wrist: bool = False
     """Report the force as a real arm estimates it, with the errors of a `Wrist` of this `seed`."""
 
 
 def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
     """Return the emulated arm."""
-    if settings.fault_port not in (None, emulator_faults.PORT):
-        raise ConfigError(
-            f"fault_port: found {settings.fault_port}; allowed: {emulator_faults.PORT}, always open"
-        )
     tcp = np.array(settings.device.tcp)
     pose = settings.pose or compose(flange_pose(np.array(POSTURE)), tcp)
     controller = Controller(np.array(pose), tcp, force_limit=settings.force_limit)
@@ -514,4 +544,4 @@ def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
     emulator = ArmEmulator(
         settings.host, controller, clock, state=state, world=world, playback=playback
     )
-    return Served("arm", emulator, priority=settings.priority)
+    return Served("arm", emulator, emulator.apply, settings.priority)

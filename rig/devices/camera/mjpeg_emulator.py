@@ -37,11 +37,10 @@ from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import (
     DeviceHandler,
     DeviceServer,
+    Emulator,
     Newest,
     Served,
     SharedWorld,
-    ThreadedEmulator,
-    WorldReader,
 )
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector
@@ -244,7 +243,7 @@ class MjpegEmulatorConfig(PlayableConfig):
     """Time between exposure of a frame and its delivery [s]; 0: as soon as it is rendered."""
 
 
-class MjpegEmulator(ThreadedEmulator):
+class MjpegEmulator(Emulator):
     """Emulated camera: one thread produces frames, one per client sends the newest frame.
 
     Args:
@@ -258,7 +257,7 @@ class MjpegEmulator(ThreadedEmulator):
         self,
         config: MjpegEmulatorConfig,
         source: FrameSource | Playback,
-        world: WorldReader | None,
+        world: SharedWorld | None,
         clock: Clock,
     ) -> None:
         super().__init__()

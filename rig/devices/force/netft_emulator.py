@@ -28,10 +28,9 @@ from rig.core.emulation import (
     LATE_MOST,
     DeviceHandler,
     DeviceServer,
+    Emulator,
     Served,
     SharedWorld,
-    ThreadedEmulator,
-    WorldReader,
 )
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.playback import PlayableConfig, Playback
@@ -67,11 +66,11 @@ class NetFtEmulatorConfig(PlayableConfig):
     """Standard deviation of the force components [N]."""
 
 
-class NetFtEmulator(ThreadedEmulator):
+class NetFtEmulator(Emulator):
     """Emulated box: one thread sends records and receives commands, others answer HTTP."""
 
     def __init__(
-        self, config: NetFtEmulatorConfig, source: WorldReader | Playback, clock: Clock
+        self, config: NetFtEmulatorConfig, source: SharedWorld | Playback, clock: Clock
     ) -> None:
         super().__init__()
         self.page = config.page
@@ -140,7 +139,7 @@ class NetFtEmulator(ThreadedEmulator):
         if 1 <= rate_hz <= _INTERNAL_HZ:
             self.page = replace(self.page, rate_hz=rate_hz)
 
-    def _stream(self, udp: socket.socket, world: WorldReader) -> None:
+    def _stream(self, udp: socket.socket, world: SharedWorld) -> None:
         noise = noise_table(self._config.seed, self._config.noise) / self._scale
         number, counts, scale = -1, np.zeros(6), self._scale
         while not self._ending.is_set():

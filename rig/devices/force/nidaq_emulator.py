@@ -10,15 +10,14 @@ rig.core.fault_injection act between the converter and the card's buffer.
 
 from __future__ import annotations
 
-import logging
 import random
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 import grpc
 import numpy as np
@@ -27,7 +26,7 @@ from nidaqmx._stubs import nidaqmx_pb2 as pb
 from nidaqmx._stubs import nidaqmx_pb2_grpc as stubs
 
 from rig.core.clock import Clock, Pacer
-from rig.core.emulation import EmulatorConfig, Served, SharedWorld, WorldReader
+from rig.core.emulation import Emulator, EmulatorConfig, Served, SharedWorld
 from rig.core.fault_injection import FaultInjector
 from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import read_calibration
@@ -127,6 +126,20 @@ class _Task:
     buffer: Buffer | None = None
     clock: threading.Thread | None = None
 
+    @property
+    def names(self) -> str:
+        return ", ".join(channel.name for channel in self.channels)
+
+    def counts(self) -> tuple[int, int]:
+        """Return the samples acquired and taken so far."""
+        return (0, 0) if self.buffer is None else (self.buffer.acquired, self.buffer.taken)
+
+    def limit(self, request: Any) -> float:
+        """Return a limit of the channel that a request names, else of the first [V]."""
+        named = [each for each in self.channels if each.name == request.channel]
+        channel = (named or self.channels)[0]
+        return channel.high if request.attribute_raw == 0x17DD else channel.low
+
     def stop(self) -> None:
         if self.buffer is not None and self.clock is not None:
             self.buffer.stop()
@@ -134,34 +147,17 @@ class _Task:
         self.buffer = self.clock = None
 
 
-class Card(Protocol):
-    """Interface of the emulated card to the service."""
-
-    config: Any
-
-    @property
-    def unplugged(self) -> bool:
-        """True if the card is out of the computer."""
-
-    def converted(self, channels: list[Channel]) -> Array:
-        """Return the current voltages, (1, channels)."""
-
-    def run_clock(self, rate_hz: float, channels: list[Channel], buffer: Buffer) -> None:
-        """Fill the buffer until it is stopped."""
-
-
 class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
-    """Implementation of the calls; each takes its request and the call's context."""
+    """Implementation of the calls; each takes its request and the call's context.
 
-    def __init__(self, card: Card) -> None:
+    Those of `_READ_BACK` are added below.
+    """
+
+    def __init__(self, card: NidaqEmulator) -> None:
         self._card = card
         self._tasks: dict[str, _Task] = {}
         self._lock = threading.Lock()
         self._named = 0
-
-    def add_to(self, server: grpc.Server) -> None:
-        """Serve these calls on `server`."""
-        stubs.add_NiDAQmxServicer_to_server(self, server)
 
     def close(self) -> None:
         """Stop every task; may be called twice."""
@@ -249,64 +245,6 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
             status=status, read_array=array, samps_per_chan_read=len(rows)
         )
 
-    def GetTaskAttributeString(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        task = self._task(request, context)
-        names = ", ".join(channel.name for channel in task.channels)
-        # 0x1276: name of the task; 0x1273: its channels.
-        value = request.task.name if request.attribute_raw == 0x1276 else names
-        return pb.GetTaskAttributeStringResponse(status=0, value=value)
-
-    def GetTaskAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        task = self._task(request, context)
-        return pb.GetTaskAttributeUInt32Response(status=0, value=len(task.channels))
-
-    def GetReadAttributeString(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        task = self._task(request, context)
-        names = ", ".join(channel.name for channel in task.channels)
-        return pb.GetReadAttributeStringResponse(status=0, value=names)
-
-    def GetReadAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        task = self._task(request, context)
-        value = len(task.channels)
-        if request.attribute_raw == 0x1223:  # samples that wait
-            value = 0 if task.buffer is None else task.buffer.acquired - task.buffer.taken
-        return pb.GetReadAttributeUInt32Response(status=0, value=value)
-
-    def GetReadAttributeUInt64(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        buffer = self._task(request, context).buffer
-        value = 0
-        if buffer is not None:
-            # 0x192A: acquired in all; 0x1221: where the next read begins.
-            value = buffer.acquired if request.attribute_raw == 0x192A else buffer.taken
-        return pb.GetReadAttributeUInt64Response(status=0, value=value)
-
-    def GetBufferAttributeUInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        task = self._task(request, context)
-        return pb.GetBufferAttributeUInt32Response(status=0, value=task.capacity)
-
-    def GetTimingAttributeDouble(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        task = self._task(request, context)
-        return pb.GetTimingAttributeDoubleResponse(status=0, value=task.rate_hz)
-
-    def GetTimingAttributeInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        self._task(request, context)
-        return pb.GetTimingAttributeInt32Response(status=0, value_raw=_CONTINUOUS)
-
-    def GetChanAttributeInt32(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        self._task(request, context)
-        # Terminals, kind of channel, kind of measurement.
-        values = {0x1097: _DIFFERENTIAL, 0x187F: _ANALOG_INPUT, 0x695: _VOLTAGE}
-        value = values.get(request.attribute_raw)
-        if value is None:
-            _fail(context, _INVALID_VALUE)
-        return pb.GetChanAttributeInt32Response(status=0, value_raw=value)
-
-    def GetChanAttributeDouble(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        channels = self._task(request, context).channels
-        channel = next((one for one in channels if one.name == request.channel), channels[0])
-        value = channel.high if request.attribute_raw == 0x17DD else channel.low
-        return pb.GetChanAttributeDoubleResponse(status=0, value=value)
-
     def GetDeviceAttributeString(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
         self._check_device(request, context)
         return pb.GetDeviceAttributeStringResponse(status=0, value="NI card emulator")
@@ -324,7 +262,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
         return pb.GetErrorStringResponse(status=0, error_string=text)
 
     def _task(self, request: Any, context: Any) -> _Task:
-        if self._card.unplugged:
+        if self._card.faults.unplugged:
             _fail(context, _GONE)
         task = self._tasks.get(request.task.name)
         if task is None:
@@ -334,7 +272,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
     def _check_device(self, request: Any, context: Any) -> None:
         if request.device_name != self._card.config.device.device:
             _fail(context, _NO_DEVICE)
-        if self._card.unplugged:
+        if self._card.faults.unplugged:
             _fail(context, _GONE)
 
 
@@ -345,7 +283,51 @@ def _fail(context: Any, code: int) -> NoReturn:
     raise RuntimeError("an aborted call continued")
 
 
-logger = logging.getLogger(__name__)
+# What clients read of a task, by the call; numbers are those of attributes.
+_READ_BACK: dict[str, Callable[[_Task, Any], Any]] = {
+    # 0x1276: name of the task.
+    "GetTaskAttributeString": lambda task, request: (
+        request.task.name if request.attribute_raw == 0x1276 else task.names
+    ),
+    "GetTaskAttributeUInt32": lambda task, request: len(task.channels),
+    "GetReadAttributeString": lambda task, request: task.names,
+    # 0x1223: samples that wait.
+    "GetReadAttributeUInt32": lambda task, request: (
+        task.counts()[0] - task.counts()[1]
+        if request.attribute_raw == 0x1223
+        else len(task.channels)
+    ),
+    # 0x192A: acquired in all; 0x1221: where the next read begins.
+    "GetReadAttributeUInt64": lambda task, request: task.counts()[request.attribute_raw != 0x192A],
+    "GetBufferAttributeUInt32": lambda task, request: task.capacity,
+    "GetTimingAttributeDouble": lambda task, request: task.rate_hz,
+    "GetTimingAttributeInt32": lambda task, request: _CONTINUOUS,
+    # Terminals, kind of channel, kind of measurement.
+    "GetChanAttributeInt32": lambda task, request: {
+        0x1097: _DIFFERENTIAL,
+        0x187F: _ANALOG_INPUT,
+        0x695: _VOLTAGE,
+    }.get(request.attribute_raw),
+    "GetChanAttributeDouble": lambda task, request: task.limit(request),
+}
+
+
+def _reading(call: str) -> Callable[[Service, Any, Any], Any]:
+    """Return the method of a call that reads of a task."""
+    response = getattr(pb, f"{call}Response")
+    field_ = "value_raw" if call.endswith("AttributeInt32") else "value"
+
+    def read(self: Service, request: Any, context: Any) -> Any:
+        value = _READ_BACK[call](self._task(request, context), request)
+        if value is None:
+            _fail(context, _INVALID_VALUE)
+        return response(status=0, **{field_: value})
+
+    return read
+
+
+for _call in _READ_BACK:
+    setattr(Service, _call, _reading(_call))
 
 _BITS = 16
 # Address of a device server by NI's default, for a card without one.
@@ -366,16 +348,15 @@ class NidaqEmulatorConfig(EmulatorConfig):
     """Highest rate of the card."""
 
 
-class NidaqEmulator:
+class NidaqEmulator(Emulator):
     """Emulated card: one thread is its sample clock, others answer calls."""
 
-    def __init__(self, config: NidaqEmulatorConfig, world: WorldReader, clock: Clock) -> None:
+    def __init__(self, config: NidaqEmulatorConfig, world: SharedWorld, clock: Clock) -> None:
+        super().__init__()
         self.config = config
         self.faults = FaultInjector[Array](clock, spoil=_corrupt, seed=config.seed)
         self._world = world
         self._clock = clock
-        self.missed = 0
-        """Clock ticks at which this thread was late; the sample was repeated."""
         self._server: grpc.Server | None = None
         self._pool: ThreadPoolExecutor | None = None
         calibration = packaged(Path(config.device.calibration), BENCHES)
@@ -391,17 +372,12 @@ class NidaqEmulator:
         _, _, port = (self.config.device.grpc or _GRPC).rpartition(":")
         return f"{self.config.host}:{port}"
 
-    @property
-    def unplugged(self) -> bool:
-        """True if the card is out of the computer that serves it."""
-        return self.faults.unplugged
-
     def start(self) -> None:
         """Start serving."""
         # Several threads: a client that waits for samples occupies one.
         self._pool = ThreadPoolExecutor(4, "nidaq-emulator")
         self._server = grpc.server(self._pool, options=(("grpc.so_reuseport", 0),))
-        self._service.add_to(self._server)
+        stubs.add_NiDAQmxServicer_to_server(self._service, self._server)
         try:
             self._server.add_insecure_port(self.address)
         except RuntimeError as error:
@@ -409,8 +385,7 @@ class NidaqEmulator:
             raise OSError(str(error)) from error
         self._server.start()
 
-    def close(self) -> None:
-        """Stop serving; may be called twice."""
+    def _disconnect(self) -> None:
         self._service.close()
         if self._server is not None:
             self._server.stop(0.1).wait()

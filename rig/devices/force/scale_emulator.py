@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.core.clock import Clock, Pacer
-from rig.core.emulation import EmulatorConfig, PtyEmulator, Served, SharedWorld, WorldReader
+from rig.core.emulation import EmulatorConfig, PtyEmulator, Served, SharedWorld
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.force.settings import ScaleConfig
 
@@ -46,7 +46,7 @@ class ScaleEmulatorConfig(EmulatorConfig):
 class ScaleEmulator(PtyEmulator):
     """Emulated scale: one thread filters the force, takes commands and sends lines."""
 
-    def __init__(self, config: ScaleEmulatorConfig, world: WorldReader, clock: Clock) -> None:
+    def __init__(self, config: ScaleEmulatorConfig, world: SharedWorld, clock: Clock) -> None:
         super().__init__(Path(config.device.address))
         self._config = config
         self.faults = FaultInjector[bytes](clock, spoil=corrupted_bytes, seed=config.seed)

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.core.clock import SECOND_NS, Clock, Pacer
-from rig.core.emulation import EmulatorConfig, Served, ThreadedEmulator
+from rig.core.emulation import Emulator, EmulatorConfig, Served
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.devices.hid.reports import Axes, CapReport, emit_cap, emit_keys
@@ -77,7 +77,7 @@ KINDS = {
 }
 
 
-class HidEmulator(ThreadedEmulator):
+class HidEmulator(Emulator):
     """Emulated HID device.
 
     Args:

@@ -32,7 +32,7 @@ from websockets.sync.server import Server, ServerConnection
 from websockets.sync.server import serve as listen
 
 from rig.core.clock import SECOND_NS, Clock, ClockAnchor, Pacer
-from rig.core.emulation import Newest, Served, SharedWorld, ThreadedEmulator, WorldReader
+from rig.core.emulation import Emulator, Newest, Served, SharedWorld
 from rig.core.fault_injection import FaultInjector, corrupted_text
 from rig.core.playback import PlayableConfig, Playback, stated_rate
 from rig.devices.taxels.settings import XelaConfig
@@ -84,7 +84,7 @@ def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups
     return json.dumps(top | {"1": sensor})
 
 
-class XelaEmulator(ThreadedEmulator):
+class XelaEmulator(Emulator):
     """Emulated server: one thread produces scans, one per client sends the newest.
 
     Args:
@@ -94,7 +94,7 @@ class XelaEmulator(ThreadedEmulator):
     """
 
     def __init__(
-        self, config: XelaEmulatorConfig, source: WorldReader | Log | Playback, clock: Clock
+        self, config: XelaEmulatorConfig, source: SharedWorld | Log | Playback, clock: Clock
     ) -> None:
         super().__init__()
         self._config = config
@@ -159,7 +159,7 @@ class XelaEmulator(ThreadedEmulator):
         for client in clients:
             _cut(client)
 
-    def _make_scans(self, source: WorldReader | Log) -> None:
+    def _make_scans(self, source: SharedWorld | Log) -> None:
         pacer = Pacer(self._clock, self._config.device.rate_hz)
         while not self._ending.is_set():
             deadline_ns = pacer.wait()
@@ -185,7 +185,7 @@ class XelaEmulator(ThreadedEmulator):
             ending=self._ending,
         )
 
-    def _counts(self, source: WorldReader | Log) -> list[int]:
+    def _counts(self, source: SharedWorld | Log) -> list[int]:
         if isinstance(source, np.ndarray):
             values = source[self._scans.count % len(source)]
         else:
@@ -271,7 +271,7 @@ def load_log(path: Path) -> Log:
 
 def emulate(settings: XelaEmulatorConfig, clock: Clock) -> Served:
     """Return the emulated server."""
-    source: WorldReader | Log | Playback
+    source: SharedWorld | Log | Playback
     playback = settings.playback(clock)
     if playback is not None:
         stream = playback.recorded.stream

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rig.core.clock import Clock, SystemClock
-from rig.core.emulation import Served, ThreadedEmulator
+from rig.core.emulation import Emulator, Served
 from rig.core.mock_names import ARM_FILE, WORLD_FILE
 from rig.core.samples import ARM_TRUTH, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
@@ -25,7 +25,7 @@ from rig.mock.world.truth import TruthLog
 _POLL_NS = 400_000
 
 
-class WorldHost(ThreadedEmulator):
+class WorldHost(Emulator):
     """Steps a World along an arm's published motion, in its own thread.
 
     Args:

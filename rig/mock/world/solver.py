@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import signal
 import sys
-import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,7 @@ import numpy as np
 from recorder.command_line.errors import EXIT_DEVICE_LOST
 from rig.bench.worlds import SimulatedSpec
 from rig.core.clock import SECOND_NS, Clock, Pacer
-from rig.core.emulation import Served
+from rig.core.emulation import Emulator, Served
 from rig.core.errors import ConfigError
 from rig.core.mock_names import ARM_FILE, PRESS_FILE, SURFACE_FILE
 from rig.core.realtime import SOLVER_PRIORITY
@@ -75,7 +74,7 @@ class Shared:
         self._surfaces.close()
 
 
-class Solver:
+class Solver(Emulator):
     """Moves a live sensor along the arm's path, in its own thread.
 
     Args:
@@ -96,13 +95,12 @@ class Solver:
         spec: SimulatedSpec,
         clock: Clock,
     ) -> None:
+        super().__init__()
         self._live, self._frame, self._arm, self._shared = live, frame, arm, shared
         self._pacer = Pacer(clock, spec.rate_hz)
         self._clock = clock
         self._behind_ns = round(spec.behind * SECOND_NS)
         self._before_ns: int | None = None
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="solver")
         self.failed: Exception | None = None
         """Error that ended the solver, if any."""
         self.solved = 0
@@ -118,22 +116,11 @@ class Solver:
         """Text in place of an address: the solver is reached through shared memory."""
         return "shared memory"
 
-    @property
-    def missed(self) -> int:
-        """Number of turns skipped because their time had passed."""
-        return self._pacer.missed
-
     def start(self) -> None:
         """Publish the sensor without contact and follow the arm from now on."""
         self._shared.publish(self._clock.now_ns())
         self._began_ns = self._clock.now_ns()
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop; may be called twice."""
-        self._ending.set()
-        if self._thread.is_alive() and self._thread is not threading.current_thread():
-            self._thread.join()
+        self._run_threads(self._run)
 
     def __str__(self) -> str:
         seconds = max(self._clock.now_ns() - self._began_ns, 1) / SECOND_NS
@@ -172,6 +159,7 @@ class Solver:
         try:
             while not self._ending.is_set():
                 self._pacer.wait()
+                self.missed = self._pacer.missed
                 self.turn()
         except Exception as error:  # After any error the bench must not continue without a World.
             self.failed = error
