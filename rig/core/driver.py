@@ -106,7 +106,7 @@ class Inbox:
             return taken
 
 
-# So many corrupt samples in a row are not of this device, or its line is damaged.
+# This many corrupt samples in a row are not of this device, or its line is damaged.
 CORRUPT_IN_A_ROW = 10
 
 
