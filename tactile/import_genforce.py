@@ -133,8 +133,7 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
     """Make or continue the archive of a folder and return the exit code."""
     from learning.data.genforce import import_folder as import_published
     from learning.data.genforce import read_compensation, read_plan
-    from learning.data.genforce.importing import Choices
-    from learning.data.genforce.training import SURFACES_MM
+    from learning.data.genforce.importing import SURFACES_MM, Choices
     from learning.markers.build import told
     from recorder import MarkerArchive
 

@@ -1,34 +1,28 @@
-"""Common parts of the layouts: presses, sensors made of them, and readers of their files."""
+"""Presses of published folders, and readers of their files."""
 
 from __future__ import annotations
 
 import csv
-import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path, PureWindowsPath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames
 from learning.errors import LearningError
-from learning.markers.flags import FLAG, Flagger
-from recorder.archive import NO_PHASE, MarkerCount, SensorPlan
+from recorder import SessionError
 from recorder.convert import FORCE_COLUMNS, POSE_COLUMNS
-from recorder.markers import HEIGHT, PACKED, WIDTH, pack, unpack
+from recorder.markers import HEIGHT, PACKED, WIDTH, pack
+from recorder.store import decode_jpeg
 
 Array = NDArray[np.float64]
 Packed = NDArray[np.uint8]
 ReadMask = Callable[[Path], Packed]
-
-NO_LOCATION = -1
-# Value of `t_ns`: the folders have no times.
-NO_TIME = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,93 +52,12 @@ class GenForcePress:
         return len(self.files)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PublishedSensor:
-    """One sensor of a folder; implements `learning.archive_writer.SensorFrames`."""
-
-    name: str
-    presses: tuple[GenForcePress, ...]
-    references: Packed
-    """Packed masks of the sensor without contact (K, 38400)."""
-    indenters: tuple[str, ...]
-    """Names, by code."""
-    mm_per_px: float
-    read_mask: ReadMask
-    """Reads the packed mask (38400,) of a frame's file."""
-    root: Path
-    """Provenance gives files relative to it."""
-    unseen: tuple[str, ...]
-    """Indenters that models may not be trained on."""
-    marker_count: MarkerCount | None = None
-    """Settings of the marker count; None: markers are not counted."""
-    attrs: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def plan(self) -> SensorPlan:
-        """Plan of its part of the archive."""
-        return SensorPlan(
-            name=self.name,
-            rows=sum(len(press) for press in self.presses),
-            chunk_rows=CHUNK_ROWS,
-            unit_rows=UNIT_ROWS,
-            references=self.references,
-            mm_per_px=self.mm_per_px,
-            marker_count=self.marker_count,
-            attrs=self.attrs,
-        )
-
-    def read(self, rows: slice) -> Frames:
-        """Read some of the frames."""
-        packed, parts = [], []
-        lines: list[dict[str, Any]] = []
-        begin = 0
-        for press in self.presses:
-            first, last = max(rows.start - begin, 0), min(rows.stop - begin, len(press))
-            begin += len(press)
-            if first >= last:
-                continue
-            packed += [self.read_mask(path) for path in press.files[first:last]]
-            parts.append(self._table(press, first, last))
-            line: dict[str, Any] = {
-                "folder": press.files[0].parent.relative_to(self.root).as_posix(),
-                "target": press.target,
-            }
-            lines += [dict(line) for _ in range(first, last)]
-        table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        frames = np.stack(packed)
-        flagger = Flagger(self.name, self.references, self.marker_count)
-        flags = flagger.flags(unpack(frames), table["reference"], table["valid"])
-        for row, flag in flags.items():
-            lines[row][FLAG] = flag
-        return Frames(frames, table, [json.dumps(line, ensure_ascii=False) for line in lines])
-
-    def _table(self, press: GenForcePress, first: int, last: int) -> dict[str, NDArray[Any]]:
-        rows, count = slice(first, last), last - first
-        return {
-            "indenter": np.full(count, self.indenters.index(press.indenter)),
-            "seen": np.full(count, press.indenter not in self.unseen),
-            "location": press.location[rows],
-            "target": np.full(count, press.target),
-            "phase": press.phase[rows],
-            "depth": press.depth[rows],
-            "position": press.position[rows],
-            "wrench": press.wrench[rows],
-            "frame": np.arange(first, last),
-            "t_ns": np.full(count, NO_TIME),
-            "reference": np.full(count, press.reference),
-            "valid": np.ones(count, np.bool_),
-        }
-
-
-def phases_of(last: Sequence[int]) -> NDArray[np.int64]:
-    """Return the phase of each frame (n,), given the number of the last frame of each phase."""
-    counts = np.diff([-1, *last])
-    return np.repeat(np.arange(len(last)), counts)
-
-
-def no_phases(count: int) -> NDArray[np.int64]:
-    """Return the phases of frames without any (n,)."""
-    return np.full(count, NO_PHASE)
+@contextmanager
+def _existing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except FileNotFoundError:
+        raise LearningError(f"{path}: no such file") from None
 
 
 # Mask files: packed bits in .npy, plain arrays in .npy, pictures in .jpg.
@@ -167,25 +80,51 @@ def read_mask(path: Path) -> Packed:
 
 def read_array(path: Path) -> NDArray[np.generic]:
     """Read the array in a .npy file."""
-    try:
-        array: NDArray[np.generic] = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise LearningError(f"{path}: no such file") from None
-    except (ValueError, EOFError) as error:
-        size = path.stat().st_size
-        raise LearningError(f"{path}: {size} bytes, no whole .npy file: {error}") from error
+    with _existing(path):
+        try:
+            array: NDArray[np.generic] = np.load(path, allow_pickle=False)
+        except (ValueError, EOFError) as error:
+            size = path.stat().st_size
+            raise LearningError(f"{path}: {size} bytes, no whole .npy file: {error}") from error
     if not isinstance(array, np.ndarray):
         raise LearningError(f"{path}: found an archive of arrays; expected one array")
     return array
 
 
+def read_counts(path: Path) -> Array:
+    """Read the counts (16, 3) in a file of taxels."""
+    array = read_array(path)
+    if array.shape != (16, 3) or array.dtype.kind not in "iuf":
+        raise LearningError(f"{path}: found {array.dtype} {array.shape}; expected numbers (16, 3)")
+    counts = array.astype(np.float64)
+    if not np.isfinite(counts).all():
+        raise LearningError(f"{path}: found NaN or infinity; expected counts")
+    return counts
+
+
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """Read the pixels (480, 640, 3) of a camera's JPEG, RGB, decoded as sessions decode it."""
+    try:
+        with _existing(path):
+            return decode_jpeg(path.read_bytes(), (HEIGHT, WIDTH, 3))
+    except SessionError as error:
+        raise LearningError(f"{path}: {error}") from error
+
+
+def read_reference(stem: Path, usual: str) -> Packed:
+    """Read the packed mask (38400,) without contact, named `stem` and one of `SUFFIXES`."""
+    for suffix in SUFFIXES:
+        if (path := stem.with_name(stem.name + suffix)).exists():
+            return read_mask(path)
+    (other,) = set(SUFFIXES) - {usual}
+    raise LearningError(f"{stem}{usual}: no such file, nor {other}; expected the reference")
+
+
 def _greys(path: Path) -> NDArray[np.uint8]:
     """Read the pixels (480, 640) of a picture."""
     try:
-        with Image.open(path) as picture:
+        with _existing(path), Image.open(path) as picture:
             pixels = np.asarray(picture.convert("L"))
-    except FileNotFoundError:
-        raise LearningError(f"{path}: no such file") from None
     except (UnidentifiedImageError, OSError) as error:
         raise LearningError(f"{path}: no whole picture: {error}") from error
     if pixels.shape[:2] != (HEIGHT, WIDTH):
@@ -212,30 +151,21 @@ def _of_array(array: NDArray[np.generic], path: Path) -> Packed:
 # Text files of numbers: forces, poses, depths, and the last frames of a press's phases.
 
 
-def read_forces(path: Path) -> tuple[Array, bool]:
-    """Read the wrenches (n, 6) of an ft.csv [N, N m]; the flag is True if it has torques.
+def read_forces(path: Path, files: Sequence[Path]) -> tuple[Array, bool]:
+    """Read the wrenches (n, 6) of an ft.csv [N, N m], one for each file of a frame.
 
-    Torques are 0 if the file has forces only.
+    The flag is True if it has torques; they are 0 if the file has forces only.
     """
-    names, rows = _table(path)
-    if names not in (FORCE_COLUMNS, FORCE_COLUMNS[:3]):
-        raise LearningError(
-            f"{path}: found columns {', '.join(names)}; expected {', '.join(FORCE_COLUMNS)}"
-        )
+    rows = _table(path, files, FORCE_COLUMNS, FORCE_COLUMNS[:3])
     wrench = np.zeros((len(rows), 6))
     wrench[:, : rows.shape[1]] = rows
     wrench[:, 3:] /= 1e3  # N mm -> N m
     return wrench, rows.shape[1] == 6
 
 
-def read_poses(path: Path) -> Array:
-    """Read the poses (n, 6) of a pose.csv [m, rad]."""
-    names, rows = _table(path)
-    if names != POSE_COLUMNS:
-        raise LearningError(
-            f"{path}: found columns {', '.join(names)}; expected {', '.join(POSE_COLUMNS)}"
-        )
-    return rows
+def read_poses(path: Path, files: Sequence[Path]) -> Array:
+    """Read the poses (n, 6) of a pose.csv [m, rad], one for each file of a frame."""
+    return _table(path, files, POSE_COLUMNS)
 
 
 def read_depths(path: Path) -> Array:
@@ -247,8 +177,8 @@ def read_depths(path: Path) -> Array:
     return np.array([row[0] for row in values], np.float64)
 
 
-def read_last(path: Path, frames: int) -> tuple[int, ...]:
-    """Read the numbers of the last frames of the four phases from a last.csv."""
+def read_phases(path: Path, frames: int) -> NDArray[np.int64]:
+    """Read the phase of each frame (n,) from a last.csv, the names of the phases' last frames."""
     names = [line.strip() for line in _lines(path)]
     stems = [PureWindowsPath(name).stem for name in names]
     if len(stems) != 4 or not all(stem.isdecimal() for stem in stems):
@@ -260,10 +190,11 @@ def read_last(path: Path, frames: int) -> tuple[int, ...]:
         raise LearningError(
             f"{path}: says that the last frame is {last[-1]}; its folder has {frames} frames"
         )
-    return last
+    return np.repeat(np.arange(4), np.diff([-1, *last]))
 
 
-def _table(path: Path) -> tuple[tuple[str, ...], Array]:
+def _table(path: Path, files: Sequence[Path], *allowed: Sequence[str]) -> Array:
+    """Read the rows (n, k) of a CSV file whose columns are one of those allowed."""
     lines = list(csv.reader(_lines(path)))
     if not lines:
         raise LearningError(f"{path}: is empty; expected a header and a row a frame")
@@ -274,7 +205,15 @@ def _table(path: Path) -> tuple[tuple[str, ...], Array]:
             raise LearningError(
                 f"{path}: line {number + 2}: found {len(row)} values; expected {len(names)}"
             )
-    return names, np.array(rows, np.float64).reshape(len(rows), len(names))
+    if names not in allowed:
+        raise LearningError(
+            f"{path}: found columns {', '.join(names)}; expected {', '.join(allowed[0])}"
+        )
+    if len(rows) != len(files):
+        raise LearningError(
+            f"{path}: found {len(rows)} rows; {files[0].parent} has {len(files)} frames"
+        )
+    return np.array(rows, np.float64).reshape(len(rows), len(names))
 
 
 def _numbers(row: Sequence[str], path: Path, line: int) -> list[float]:
@@ -289,9 +228,8 @@ def _numbers(row: Sequence[str], path: Path, line: int) -> list[float]:
 
 def _lines(path: Path) -> list[str]:
     try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise LearningError(f"{path}: no such file") from None
+        with _existing(path):
+            text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise LearningError(f"{path}: no text: {error}") from error
     return [line for line in text.splitlines() if line.strip()]
@@ -320,20 +258,15 @@ def read_coefficients(path: Path) -> tuple[float, ...]:
     Raises:
         LearningError: The file is missing or empty, or a value is not a number.
     """
-    try:
-        text = path.read_text(encoding="utf-8").strip()
-    except FileNotFoundError:
-        raise LearningError(f"{path}: no such file") from None
-    except UnicodeDecodeError as error:
-        raise LearningError(f"{path}: no text: {error}") from error
-    if not text:
+    lines = _lines(path)
+    if not lines:
         raise LearningError(f"{path}: is empty; expected coefficients, highest power first")
-    if "\n" in text:
-        return tuple(float(value) for value in read_depths(path))
+    if len(lines) > 1:
+        return tuple(read_depths(path).tolist())
     try:
-        values = tuple(float(value) for value in text.split(","))
+        values = tuple(float(value) for value in lines[0].split(","))
     except ValueError:
-        raise LearningError(f"{path}: found {text!r}; expected numbers") from None
+        raise LearningError(f"{path}: found {lines[0].strip()!r}; expected numbers") from None
     if not np.isfinite(values).all():
         raise LearningError(f"{path}: found NaN or infinity; expected numbers")
     return values
@@ -347,19 +280,13 @@ def read_compensation(folder: Path) -> dict[str, Compensation]:
     """
     if not folder.is_dir():
         raise LearningError(f"{folder}: no such folder")
-    names = sorted(
-        {path.stem.rpartition("_")[0] for path in folder.glob("*_*.csv") if _is_half(path)}
-    )
+    halves = [path.stem.rpartition("_") for path in folder.glob("*_*.csv")]
+    names = sorted({name for name, _, half in halves if half in ("down", "up")})
     if not names:
         raise LearningError(f"{folder}: found no <sensor>_down.csv and <sensor>_up.csv")
     return {
         name: Compensation(
-            read_coefficients(folder / f"{name}_down.csv"),
-            read_coefficients(folder / f"{name}_up.csv"),
+            *(read_coefficients(folder / f"{name}_{half}.csv") for half in ("down", "up"))
         )
         for name in names
     }
-
-
-def _is_half(path: Path) -> bool:
-    return path.stem.endswith(("_down", "_up"))

@@ -1,29 +1,65 @@
-"""Import of published folders to a marker archive."""
+"""Import of published folders to a marker archive: the three layouts.
+
+Training data, a folder of packed masks for each contact point:
+
+    img/npy/<Sensor>/<indenter>/<point>/%04d.npy, last.csv     (or img/<Sensor>/..., .jpg)
+    img/npy/<Sensor>_ref.npy                                   (or .jpg)
+    img/npy_csv/<Sensor>/<indenter>/<point>/last.csv           (if it is not next to the masks)
+    force/<Sensor>/<indenter>/<point>/ft.csv
+    depth/<Sensor>/<indenter>/<point>/inc_z.csv, dec_z.csv     (not in the homogeneous test)
+
+Frames are numbered through all four phases; last.csv names the last frame of each.
+
+Simulated states, pictures of a pattern by place and depth [mm]:
+
+    <Pattern>_ref.jpg
+    <indenter>/<Pattern>/<x>_<y>_<depth>.jpg
+
+A raw run as it was collected, pictures or taxels, forces and poses, phase by phase:
+
+    <sensor>/image/<indenter>-<YYYYmmdd_HHMMSS>/<point>/<phase>/%04d.jpg, ref.jpg above the points
+    <sensor>/uskin_raw/<run>/<point>/<phase>/%04d.npy                     counts minus ref.npy
+    <sensor>/force/<run>/<point>/<phase>/ft.csv
+    <sensor>/pose/<run>/<point>/<phase>/pose.csv
+
+Its phases are normal_inc, shear_inc, shear_dec, normal_dec; down and up in force-depth runs.
+"""
 
 from __future__ import annotations
 
 import functools
+import json
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from learning.archive_writer import SensorFrames, fill_archive
-from learning.data.genforce import raw, states, training
+from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames, fill_archive
 from learning.data.genforce.format import (
+    SUFFIXES,
+    Array,
     Compensation,
     GenForcePress,
     Packed,
-    PublishedSensor,
     ReadMask,
+    read_counts,
+    read_depths,
+    read_forces,
     read_mask,
+    read_phases,
+    read_picture,
+    read_poses,
+    read_reference,
 )
 from learning.data.genforce.turns import turn_of
 from learning.errors import LearningError
 from learning.indenters import UNSEEN, coded
+from learning.markers.flags import FLAG, Flagger
 from learning.markers.frames import taxel_masks
 from learning.markers.lattice import Lattice, with_reference
 from learning.markers.segment import (
@@ -34,10 +70,12 @@ from learning.markers.segment import (
     preset,
     preset_of_sensor,
 )
-from recorder.archive import MarkerCount
+from recorder.archive import NO_PHASE, MarkerCount, SensorPlan
+from recorder.convert import DEPTH_UNKNOWN
 from recorder.markers import pack, smallest_marker, unpack
 from recorder.settings import Reader
-from trajectories import PressShear, plan_to_json
+from recorder.spec import PHASES
+from trajectories import PressShear, Target, plan_to_json
 
 # Supported layouts and their descriptions.
 LAYOUTS: Mapping[str, str] = {
@@ -48,13 +86,16 @@ LAYOUTS: Mapping[str, str] = {
 # Default size of a pixel of the authors' GelSights [mm].
 MM_PER_PX = 0.0249
 TAXELS_MM_PER_PX = 0.03671875
-# Positions of a raw run whose sensor may be turned against the robot; `archive join` refuses them.
-TURN_UNKNOWN = (
-    "unknown turn: pose.csv, from the first pose of the run along the axes of the robot; import "
-    "with --turn SENSOR=DEG"
-)
-TURNED = "pose.csv: from the first pose of the run, turned by"
-_NO_TIMES = "none: t_ns is 0; frames are in the order of their numbers"
+# Surface heights of the authors' heterogeneous test, where depth is 0 [mm]: these files hold
+# heights, normalised by these values. Elsewhere the files hold depths.
+SURFACES_MM: Mapping[str, float] = {
+    "uskin": 1.08649,
+    "tactip": 4.648126681,
+    "gelsight": 1.12310475,
+}
+NO_LOCATION = -1
+# Value of `t_ns`: the folders have no times.
+NO_TIME = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +109,8 @@ class Choices:
     surfaces_mm: Mapping[str, float] = field(default_factory=dict)
     """Sensors whose depth files hold heights, and the height of their surface [mm]."""
     plans: Mapping[str, PressShear] = field(default_factory=dict)
-    """Plans of sensors in a training folder, whose presses are numbered in their order."""
+    """Plans of sensors in a training folder: the number of a press tells its place, direction and
+    depth."""
     unseen: tuple[str, ...] = UNSEEN
     """Indenters that models may not be trained on."""
     compensation: Mapping[str, Compensation] = field(default_factory=dict)
@@ -77,6 +119,106 @@ class Choices:
     """Angle from the robot's x axis to the image's, counter-clockwise, by raw sensor [deg].
 
     Poses of a run are in the robot's frame, and nothing in it tells how the sensor stood there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PublishedSensor:
+    """One sensor of a folder; implements `learning.archive_writer.SensorFrames`."""
+
+    plan: SensorPlan
+    files: tuple[Path, ...]
+    """File of each frame."""
+    read_mask: ReadMask
+    """Reads the packed mask (38400,) of a frame's file."""
+    table: Mapping[str, NDArray[Any]]
+    """Labels of all frames by column."""
+    lines: Sequence[Mapping[str, Any]]
+    """Provenance of each frame."""
+
+    def read(self, rows: slice) -> Frames:
+        """Read some of the frames."""
+        plan, table = self.plan, {name: values[rows] for name, values in self.table.items()}
+        frames = np.stack([self.read_mask(path) for path in self.files[rows]])
+        flagger = Flagger(plan.name, plan.references, plan.marker_count)
+        flags = flagger.flags(unpack(frames), table["reference"], table["valid"])
+        lines = [
+            {**line, **({FLAG: flags[row]} if row in flags else {})}
+            for row, line in enumerate(self.lines[rows])
+        ]
+        return Frames(frames, table, [json.dumps(line, ensure_ascii=False) for line in lines])
+
+
+@dataclass(frozen=True, slots=True)
+class _Folder:
+    """A published folder that is imported."""
+
+    root: Path
+    """Provenance gives files relative to it."""
+    indenters: tuple[str, ...]
+    """Names, by code; locations are numbered by the codes."""
+    chosen: Choices
+
+    def sensor(
+        self,
+        name: str,
+        presses: Sequence[GenForcePress],
+        references: Packed,
+        about: Mapping[str, Any],
+        *,
+        read: ReadMask = read_mask,
+        count: MarkerCount | None = None,
+    ) -> PublishedSensor:
+        """Return a sensor with attributes `about` and packed references (K, 38400)."""
+        taxels = "uskin" in name.lower()
+        attrs: dict[str, Any] = {
+            "made_from": self.root.name,
+            "times": "none: t_ns is 0; frames are in the order of their numbers",
+            **about,
+        }
+        if name in self.chosen.compensation:
+            attrs["force_depth"] = asdict(self.chosen.compensation[name])
+        if count is None and not taxels:
+            # Markers of a mask are counted, but neither their fragments nor the discs of taxels,
+            # which may merge.
+            count = MarkerCount(min(smallest_marker(mask) for mask in unpack(references)))
+        default_mm = TAXELS_MM_PER_PX if taxels else MM_PER_PX
+        plan = SensorPlan(
+            name=name,
+            rows=sum(len(press) for press in presses),
+            chunk_rows=CHUNK_ROWS,
+            unit_rows=UNIT_ROWS,
+            references=references,
+            mm_per_px=self.chosen.mm_per_px.get(name, default_mm),
+            marker_count=count,
+            attrs=attrs,
+        )
+        parts = [self._table(press) for press in presses]
+        table = {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
+        files = tuple(file for press in presses for file in press.files)
+        folders = [press.files[0].parent.relative_to(self.root).as_posix() for press in presses]
+        lines = [
+            {"folder": folder, "target": press.target}
+            for folder, press in zip(folders, presses, strict=True)
+            for _ in press.files
+        ]
+        return PublishedSensor(plan, files, read, table, lines)
+
+    def _table(self, press: GenForcePress) -> dict[str, NDArray[Any]]:
+        count = len(press)
+        return {
+            "indenter": np.full(count, self.indenters.index(press.indenter)),
+            "seen": np.full(count, press.indenter not in self.chosen.unseen),
+            "location": press.location,
+            "target": np.full(count, press.target),
+            "phase": press.phase,
+            "depth": press.depth,
+            "position": press.position,
+            "wrench": press.wrench,
+            "frame": np.arange(count),
+            "t_ns": np.full(count, NO_TIME),
+            "reference": np.full(count, press.reference),
+            "valid": np.ones(count, np.bool_),
+        }
 
 
 def read_plan(path: Path) -> PressShear:
@@ -100,10 +242,12 @@ def layout_of(root: Path) -> str:
     """
     if not root.is_dir():
         raise LearningError(f"{root}: no such folder")
-    known = {"training": training.is_training, "states": states.is_states, "raw": raw.is_raw}
-    for name, fits in known.items():
-        if fits(root):
-            return name
+    if (root / "img").is_dir():
+        return "training"
+    if any(root.glob("*_ref.*")) and not (root / "img").exists():
+        return "states"
+    if _raw_folders(root):
+        return "raw"
     raise LearningError(
         f"{root}: found no img, no <Pattern>_ref.jpg and no image/<indenter>-<date>_<time>; "
         f"expected one of the layouts {', '.join(LAYOUTS)}"
@@ -139,126 +283,416 @@ def import_folder(
             f"plan: found with a folder of layout {layout}, which tells places itself; allowed: "
             "a training folder"
         )
-    read = {"training": _training, "states": _states, "raw": _raw}[layout]
-    of = {"training": training, "states": states, "raw": raw}[layout]
-    indenters = coded(of.indenters_of(root))
-    sensors: list[SensorFrames] = list(read(root, indenters, chosen))
+    names, read = {
+        "training": (_training_indenters, _training),
+        "states": (_state_indenters, _states),
+        "raw": (_raw_indenters, _raw),
+    }[layout]
+    indenters = coded(names(root))
+    sensors = list(read(_Folder(root, indenters, chosen)))
     attrs = {"made_from": f"GenForce folder, layout {layout}"}
     return fill_archive(out, sensors, indenters, attrs, progress)
 
 
-def _training(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
-    for one in training.read_training(root, _codes(indenters), chosen.surfaces_mm, chosen.plans):
-        about: dict[str, Any] = {"depth": one.depths, "position": one.positions}
-        if one.name in chosen.plans:
-            about["plan"] = plan_to_json(chosen.plans[one.name])
-        if not one.torques:
-            about["torque"] = "unknown: 0"
-        yield _published(root, one.name, one.presses, one.reference[None], indenters, chosen, about)
+def _folders(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != ".")
 
 
-def _states(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
-    for name, reference, presses in states.read_states(root, _codes(indenters)):
+def _contact_points(folder: Path) -> list[Path]:
+    """Return the folders of contact points by number."""
+    points = _folders(folder)
+    for point in points:
+        if not point.name.isdecimal() or int(point.name) < 1:
+            raise LearningError(f"{point}: found no number; expected contact points 1, 2, ...")
+    if not points:
+        raise LearningError(f"{folder}: found no contact points; expected folders 1, 2, ...")
+    return sorted(points, key=lambda point: int(point.name))
+
+
+def _targets(folders: Iterable[Path]) -> int:
+    """Return the largest number of a contact point in folders of them."""
+    return max(int(point.name) for folder in folders for point in _contact_points(folder))
+
+
+def _frame_files(folder: Path) -> tuple[Path, ...]:
+    """Return the files of the frames in a folder, in order."""
+    files = [path for path in folder.iterdir() if path.suffix in SUFFIXES]
+    files = sorted(path for path in files if path.stem.isdecimal())
+    if not files:
+        raise LearningError(f"{folder}: found no frames; expected 0000.npy or 0000.jpg and so on")
+    if len({path.suffix for path in files}) > 1:
+        raise LearningError(f"{folder}: found .npy and .jpg; expected one kind")
+    for number, path in enumerate(files):
+        if int(path.stem) != number:
+            raise LearningError(f"{folder}: found {path.name}; expected frame {number:04d}")
+    return tuple(files)
+
+
+def _forces(folder: Path, place: Path, files: tuple[Path, ...]) -> tuple[Array, bool]:
+    """Return wrenches (n, 6), NaN if the sensor has no forces, and True if they include torques."""
+    if not folder.is_dir():
+        return np.full((len(files), 6), np.nan), True
+    return read_forces(folder / place / "ft.csv", files)
+
+
+# Training data. What a plan tells, the folder does not: it has its ends of phases, but no times.
+
+_BY_PLAN = "the plan, by the number of the press; evenly spaced within a phase"
+
+
+def _training(folder: _Folder) -> Iterator[PublishedSensor]:
+    root, plans = folder.root, folder.chosen.plans
+    images = _images(root)
+    sensors = _folders(images)
+    names = [sensor.name for sensor in sensors]
+    if unknown := sorted(set(plans) - set(names)):
+        raise LearningError(
+            f"plan: found one of {', '.join(unknown)}; {root} has {', '.join(names)}"
+        )
+    if not sensors:
+        raise LearningError(f"{images}: found no folder of a sensor")
+    for sensor in sensors:
+        if not _folders(sensor):
+            raise LearningError(f"{sensor}: found no folder of an indenter")
+    targets = _targets(one for sensor in sensors for one in _folders(sensor))
+    for sensor in sensors:
+        yield _training_sensor(folder, images, sensor, targets)
+
+
+def _training_indenters(root: Path) -> set[str]:
+    return {one.name for sensor in _folders(_images(root)) for one in _folders(sensor)}
+
+
+def _training_sensor(folder: _Folder, images: Path, sensor: Path, targets: int) -> PublishedSensor:
+    root, name, chosen = folder.root, sensor.name, folder.chosen
+    reference = read_reference(images / f"{name}_ref", ".npy")
+    plan = chosen.plans.get(name)
+    planned = () if plan is None else tuple(plan.targets())
+    presses, torques = [], True
+    have_depths: set[bool] = set()
+    for indenter in _folders(sensor):
+        code = folder.indenters.index(indenter.name)
+        for point in _contact_points(indenter):
+            files = _frame_files(point)
+            place = Path(indenter.name) / point.name
+            wrench, whole = _forces(root / "force" / name, place, files)
+            depth = _depth(root / "depth" / name / place, files, chosen.surfaces_mm.get(name))
+            have_depths.add(depth is not None)
+            torques &= whole
+            target = int(point.name) - 1
+            count = len(files)
+            phase = read_phases(_last(images, name / place), count)
+            tip = np.zeros((count, 3))
+            if plan is not None:
+                if target >= len(planned):
+                    raise LearningError(
+                        f"{point}: found press {target + 1}; its plan has {len(planned)}"
+                    )
+                tip = _along(plan, planned[target], phase)
+                depth = np.maximum(-tip[:, 2], 0.0) if depth is None else depth
+            presses.append(
+                GenForcePress(
+                    indenter=indenter.name,
+                    target=target,
+                    files=files,
+                    phase=phase,
+                    wrench=wrench,
+                    depth=np.zeros(count) if depth is None else depth,
+                    position=tip[:, :2],
+                    location=np.full(count, code * targets + target),
+                )
+            )
+    if len(have_depths) > 1:
+        raise LearningError(f"{root / 'depth' / name}: has depths of some points; expected of all")
+    depths = DEPTH_UNKNOWN if plan is None else _BY_PLAN
+    if have_depths == {True}:
+        depths = "inc_z.csv and dec_z.csv, mm"
+        if name in chosen.surfaces_mm:
+            depths += f" below {chosen.surfaces_mm[name]:g} mm"
+    about: dict[str, Any] = {
+        "depth": depths,
+        "position": "unknown: 0" if plan is None else _BY_PLAN,
+        **({} if plan is None else {"plan": plan_to_json(plan)}),
+        **({} if torques else {"torque": "unknown: 0"}),
+    }
+    return folder.sensor(name, presses, reference[None], about)
+
+
+def _along(plan: PressShear, target: Target, phase: NDArray[np.int64]) -> Array:
+    """Return the planned tip at each frame of a press (n, 3) [m], z above the surface there.
+
+    The last frame of a phase is at its end; those before are evenly spaced.
+    """
+    tip = np.empty((len(phase), 3))
+    for move in plan.moves(target):
+        rows = np.flatnonzero(phase == move.phase)
+        way = np.linspace(0.0, 1.0, len(rows) + 1)[1:, None]
+        tip[rows] = (1 - way) * np.array(move.start) + way * np.array(move.end)
+    tip[:, 2] -= plan.height(*target.origin[:2])
+    return tip
+
+
+def _images(root: Path) -> Path:
+    return next(path for name in ("npy", "jpg", "") if (path := root / "img" / name).is_dir())
+
+
+def _last(images: Path, place: Path) -> Path:
+    beside = images / place / "last.csv"
+    apart = images.with_name(f"{images.name}_csv") / place / "last.csv"
+    return apart if apart.exists() and not beside.exists() else beside
+
+
+def _depth(folder: Path, files: tuple[Path, ...], surface_mm: float | None) -> Array | None:
+    """Return depths (n,) [m], or None if there are none."""
+    if not folder.is_dir():
+        return None
+    down, up = read_depths(folder / "inc_z.csv"), read_depths(folder / "dec_z.csv")
+    values = np.concatenate([down, up])
+    if len(values) != len(files):
+        raise LearningError(
+            f"{folder}: inc_z.csv and dec_z.csv have {len(down)} and {len(up)} values; "
+            f"{files[0].parent} has {len(files)} frames"
+        )
+    depth = values if surface_mm is None else surface_mm - values
+    return np.asarray(np.maximum(depth, 0.0) * 1e-3, np.float64)
+
+
+# Simulated states. Places are numbered by x, then y, depths in ascending order, over all files; a
+# location is a place and a depth. Simulated archives are numbered in the same way.
+
+_NUMBER = r"-?\d+(?:\.\d+)?"
+_STATE = re.compile(rf"({_NUMBER})_({_NUMBER})_({_NUMBER})")
+
+
+def _states(folder: _Folder) -> Iterator[PublishedSensor]:
+    root = folder.root
+    names = sorted(path.stem.removesuffix("_ref") for path in root.glob("*_ref.*"))
+    shapes = sorted(_state_indenters(root))
+    files = {(shape, name): _state_files(root / shape / name) for shape in shapes for name in names}
+    every = {state for states in files.values() for state in states}
+    if not every:
+        raise LearningError(f"{root}: found no <indenter>/<Pattern>/<x>_<y>_<depth>.jpg")
+    places = sorted({state[:2] for state in every})
+    depths = sorted({state[2] for state in every})
+    for name in names:
+        presses = []
+        for shape in shapes:
+            states = files[shape, name]
+            for target, (x, y) in enumerate(places):
+                here = [depth for depth in depths if (x, y, depth) in states]
+                if not here:
+                    continue
+                first = (folder.indenters.index(shape) * len(places) + target) * len(depths)
+                presses.append(
+                    GenForcePress(
+                        indenter=shape,
+                        target=target,
+                        files=tuple(states[x, y, depth] for depth in here),
+                        phase=np.full(len(here), NO_PHASE),
+                        wrench=np.full((len(here), 6), np.nan),
+                        depth=np.array(here) * 1e-3,
+                        position=np.tile(np.array((x, y)) * 1e-3, (len(here), 1)),
+                        location=np.array([first + depths.index(depth) for depth in here]),
+                    )
+                )
+        reference = read_reference(root / f"{name}_ref", ".jpg")
         if not presses:
             raise LearningError(f"{root}: found {name}_ref, and no pictures of it")
         about = {"depth": "names of files, mm", "position": "names of files, mm"}
-        yield _published(root, name, presses, reference[None], indenters, chosen, about)
+        yield folder.sensor(name, presses, reference[None], about)
 
 
-def _raw(root: Path, indenters: tuple[str, ...], chosen: Choices) -> Iterator[PublishedSensor]:
-    turns = {name: math.radians(turn) for name, turn in chosen.turns_deg.items()}
-    for one in raw.read_raw(root, _codes(indenters), turns):
-        name = chosen.preset_name or preset_of_sensor(one.name)
-        if name is None:
-            raise LearningError(f"{one.name}: no preset is assigned to it; allowed: --preset NAME")
-        found = preset(name)
-        if isinstance(found, ShadingPreset) or isinstance(found, TaxelPreset) != one.taxels:
-            kind = "taxels" if one.taxels else "pictures"
-            raise LearningError(f"preset {name}: is for {found.KIND}; {one.name} has {kind}")
-        count = None
-        if isinstance(found, TaxelPreset):
-            read = _taxels(found)
-            still = pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), found))
-        else:
-            read = _segmented(found, one.references)
-            still = np.stack([read(path) for path in one.references])
-            count = MarkerCount(found.area_px[0], found.tolerance)
-        presses, position = one.presses, TURN_UNKNOWN
-        if one.name in chosen.turns_deg:
-            position = f"{TURNED} {chosen.turns_deg[one.name]:g} deg into the image as stated"
-        elif not one.taxels and (turn := turn_of(one.name, presses, still, read)) is not None:
-            presses = raw.turned(presses, turn.angle)
-            position = f"{TURNED} {turn}"
-        about: dict[str, Any] = {
-            "depth": "pose.csv: below the first pose of the press",
-            "position": position,
-            "preset": name,
-        }
-        yield _published(
-            root, one.name, presses, still, indenters, chosen, about, read=read, count=count
+def _state_indenters(root: Path) -> set[str]:
+    return {path.name for path in _folders(root)}
+
+
+def _state_files(folder: Path) -> dict[tuple[float, float, float], Path]:
+    """Return the files in a folder by x, y and depth [mm]."""
+    if not folder.is_dir():
+        return {}
+    states: dict[tuple[float, float, float], Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix not in SUFFIXES:
+            continue
+        named = _STATE.fullmatch(path.stem)
+        if named is None:
+            raise LearningError(f"{path}: expected a name <x>_<y>_<depth>{path.suffix}, in mm")
+        x, y, depth = (float(number) for number in named.groups())
+        if depth < 0 or (x, y, depth) in states:
+            raise LearningError(f"{path}: found a depth below 0, or a duplicate state")
+        states[x, y, depth] = path
+    return states
+
+
+# Raw runs. Depth is measured downwards from the first pose of the press, position from the first
+# pose of the run.
+
+_RUN = re.compile(r"(.+)-\d{8}_\d{6}")
+# Phases, and those of force-depth runs, with their codes.
+_PHASES = {name: code for code, name in enumerate(PHASES)}
+_FORCE_DEPTH = {"down": _PHASES["normal_inc"], "up": _PHASES["normal_dec"]}
+# Positions of a raw run whose sensor may be turned against the robot; `archive join` refuses them.
+TURN_UNKNOWN = (
+    "unknown turn: pose.csv, from the first pose of the run along the axes of the robot; import "
+    "with --turn SENSOR=DEG"
+)
+TURNED = "pose.csv: from the first pose of the run, turned by"
+
+
+def _raw(folder: _Folder) -> Iterator[PublishedSensor]:
+    sensors, turns = _raw_folders(folder.root), folder.chosen.turns_deg
+    names = [sensor.name for sensor in sensors]
+    if unknown := sorted(set(turns) - set(names)):
+        raise LearningError(f"turn: found {', '.join(unknown)}; allowed: {', '.join(names)}")
+    targets = _targets(run for sensor in sensors for run in _runs(sensor))
+    for sensor in sensors:
+        yield _raw_sensor(folder, sensor, targets)
+
+
+def _raw_indenters(root: Path) -> set[str]:
+    return {_indenter(run) for sensor in _raw_folders(root) for run in _runs(sensor)}
+
+
+def _raw_folders(root: Path) -> list[Path]:
+    """Return the folders of sensors: one, or those in it."""
+    some = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
+    return [path for path in some if _runs(path)]
+
+
+def _runs(sensor: Path) -> list[Path]:
+    for modality in ("image", "uskin_raw"):
+        if (sensor / modality).is_dir():
+            return sorted(
+                path for path in (sensor / modality).iterdir() if _RUN.fullmatch(path.name)
+            )
+    return []
+
+
+def _indenter(run: Path) -> str:
+    return run.name.rpartition("-")[0]
+
+
+def _raw_sensor(folder: _Folder, sensor: Path, targets: int) -> PublishedSensor:
+    name, chosen = sensor.name, folder.chosen
+    taxels = not (sensor / "image").is_dir()
+    presses: list[GenForcePress] = []
+    pictures: list[Path] = []
+    earlier: dict[tuple[str, bool], Path] = {}
+    for number, run in enumerate(_runs(sensor)):
+        if not taxels:
+            pictures.append(run / "ref.jpg")
+            if not pictures[-1].is_file():
+                raise LearningError(
+                    f"{pictures[-1]}: no such file; expected the reference without contact"
+                )
+        located = not (_contact_points(run)[0] / "down").is_dir()
+        other = earlier.setdefault((_indenter(run), located), run)
+        if other is not run:
+            raise LearningError(
+                f"{run}: found {_indenter(run)}, as in {other.name}; expected one run for an "
+                "indenter"
+            )
+        presses += _raw_presses(folder, sensor, run, located, targets, 0 if taxels else number)
+    preset_name = chosen.preset_name or preset_of_sensor(name)
+    if preset_name is None:
+        raise LearningError(f"{name}: no preset is assigned to it; allowed: --preset NAME")
+    settings = preset(preset_name)
+    if isinstance(settings, ShadingPreset) or isinstance(settings, TaxelPreset) != taxels:
+        kind = "taxels" if taxels else "pictures"
+        raise LearningError(f"preset {preset_name}: is for {settings.KIND}; {name} has {kind}")
+    count = None
+    if isinstance(settings, TaxelPreset):
+        read = _discs(settings)
+        still = pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), settings))
+    else:
+        read = _segmented(settings, pictures)
+        still = np.stack([read(path) for path in pictures])
+        count = MarkerCount(settings.area_px[0], settings.tolerance)
+    position = TURN_UNKNOWN
+    if name in chosen.turns_deg:
+        position = f"{TURNED} {chosen.turns_deg[name]:g} deg into the image as stated"
+        presses = _turned(presses, math.radians(chosen.turns_deg[name]))
+    elif not taxels and (turn := turn_of(name, presses, still, read)) is not None:
+        position = f"{TURNED} {turn}"
+        presses = _turned(presses, turn.angle)
+    about: dict[str, Any] = {
+        "depth": "pose.csv: below the first pose of the press",
+        "position": position,
+        "preset": preset_name,
+    }
+    return folder.sensor(name, presses, still, about, read=read, count=count)
+
+
+def _raw_presses(
+    folder: _Folder, sensor: Path, run: Path, located: bool, targets: int, reference: int
+) -> Iterator[GenForcePress]:
+    """Yield the presses of a run, with positions along the axes of the robot."""
+    phases = _PHASES if located else _FORCE_DEPTH
+    indenter = _indenter(run)
+    origin: Array | None = None
+    for point in _contact_points(run):
+        target = int(point.name) - 1
+        files: list[Path] = []
+        codes: list[int] = []
+        wrenches: list[Array] = []
+        poses: list[Array] = []
+        for phase, code in phases.items():
+            if not (point / phase).is_dir():
+                raise LearningError(
+                    f"{point / phase}: no such folder; expected {', '.join(phases)}"
+                )
+            some = _frame_files(point / phase)
+            files += some
+            codes += [code] * len(some)
+            place = Path(run.name) / point.name / phase
+            wrenches.append(_forces(sensor / "force", place, some)[0])
+            poses.append(read_poses(sensor / "pose" / place / "pose.csv", some))
+        pose = np.concatenate(poses)
+        origin = pose[0] if origin is None else origin
+        location = folder.indenters.index(indenter) * targets + target if located else NO_LOCATION
+        yield GenForcePress(
+            indenter=indenter,
+            target=target if located else targets + target,
+            files=tuple(files),
+            phase=np.array(codes),
+            wrench=np.concatenate(wrenches),
+            depth=np.maximum(pose[0, 2] - pose[:, 2], 0.0),
+            position=pose[:, :2] - origin[:2],
+            location=np.full(len(files), location),
+            reference=reference,
         )
 
 
-def _published(
-    root: Path,
-    name: str,
-    presses: tuple[GenForcePress, ...],
-    references: Packed,
-    indenters: tuple[str, ...],
-    chosen: Choices,
-    about: Mapping[str, Any],
-    *,
-    read: ReadMask = read_mask,
-    count: MarkerCount | None = None,
-) -> PublishedSensor:
-    taxels = "uskin" in name.lower()
-    attrs: dict[str, Any] = {"made_from": root.name, "times": _NO_TIMES, **about}
-    if name in chosen.compensation:
-        attrs["force_depth"] = asdict(chosen.compensation[name])
-    # Markers of a mask are counted, except for the discs of taxels, which may merge.
-    return PublishedSensor(
-        name=name,
-        presses=presses,
-        references=references,
-        indenters=indenters,
-        mm_per_px=chosen.mm_per_px.get(name, TAXELS_MM_PER_PX if taxels else MM_PER_PX),
-        read_mask=read,
-        root=root,
-        unseen=chosen.unseen,
-        marker_count=count if count is not None or taxels else _count_of(references),
-        attrs=attrs,
-    )
+def _turned(presses: Iterable[GenForcePress], angle: float) -> list[GenForcePress]:
+    """Return presses along the axes of the robot with positions turned into an image.
+
+    The angle is that from the robot's x axis to the image's, counter-clockwise [rad].
+    """
+    cosine, sine = math.cos(-angle), math.sin(-angle)
+    turn = np.array([[cosine, sine], [-sine, cosine]])
+    return [replace(press, position=press.position @ turn) for press in presses]
 
 
-def _count_of(references: Packed) -> MarkerCount:
-    """Return the marker count of masks from a folder: fragments of markers are not counted."""
-    return MarkerCount(min(smallest_marker(mask) for mask in unpack(references)))
-
-
-def _segmented(found: CameraPreset, references: Collection[Path]) -> ReadMask:
-    segmenter = Segmenter(found)
+def _segmented(settings: CameraPreset, references: Collection[Path]) -> ReadMask:
+    segmenter = Segmenter(settings)
 
     @functools.lru_cache(maxsize=1)
     def finder(reference: Path | None) -> Segmenter | Lattice:
         if reference is None:
             return segmenter
-        return with_reference(segmenter, segmenter.view(raw.read_picture(reference)))
+        return with_reference(segmenter, segmenter.view(read_picture(reference)))
 
     def read(path: Path) -> Packed:
         run = path.parents[:3]
         own = next((one for one in references if one != path and one.parent in run), None)
-        return pack(finder(own).mask_of_view(segmenter.view(raw.read_picture(path))))
+        return pack(finder(own).mask_of_view(segmenter.view(read_picture(path))))
 
     return read
 
 
-def _taxels(found: TaxelPreset) -> ReadMask:
+def _discs(settings: TaxelPreset) -> ReadMask:
     def read(path: Path) -> Packed:
-        (packed,) = pack(taxel_masks(raw.read_counts(path)[None], np.zeros((16, 3)), found))
+        (packed,) = pack(taxel_masks(read_counts(path)[None], np.zeros((16, 3)), settings))
         return np.asarray(packed, np.uint8)
 
     return read
-
-
-def _codes(indenters: tuple[str, ...]) -> dict[str, int]:
-    return {name: code for code, name in enumerate(indenters)}
