@@ -23,6 +23,7 @@ from recorder.convert import (
     MissingAnswer,
     default_stream,
     draft_recordings,
+    option_flag,
     rate_option,
     write_page,
     write_sessions,
@@ -245,17 +246,17 @@ def _require_rates(
         for text in getattr(answers, option):
             name, equals, rate = text.rpartition("=")
             if not streams or (equals and name not in streams):
-                flag = "--" + option.replace("_", "-")
                 of_stream = f" of {name}" if equals else ""
                 raise SessionError(
-                    f"{flag}: found {rate}{of_stream} without the file it is the rate of"
+                    f"{option_flag(option)}: found {rate}{of_stream} without the file it is the "
+                    "rate of"
                 )
 
 
 def _asked(answers: Answers, missing: MissingAnswer) -> Answers:
     """Return the answers with one more, typed at the terminal."""
     print(missing, file=sys.stderr)
-    text = input(f"--{missing.option.replace('_', '-')}: ").strip()
+    text = input(f"{option_flag(missing.option)}: ").strip()
     name = "kinds" if missing.option == "as" else missing.option
     value: Any = text
     if name == "lag":
@@ -266,7 +267,7 @@ def _asked(answers: Answers, missing: MissingAnswer) -> Answers:
     elif isinstance(getattr(answers, name), tuple):
         value = (*getattr(answers, name), text)
     if not text:
-        raise SessionError(f"--{missing.option.replace('_', '-')}: found no answer")
+        raise SessionError(f"{option_flag(missing.option)}: found no answer")
     return answers.with_values({name: value})
 
 

@@ -7,19 +7,19 @@ docs/how-to/export-and-import.md describes the content of each format.
 from recorder.convert.export import FORMATS, Format, Options, building, export, file_name
 from recorder.convert.genforce_archive import DEPTH_UNKNOWN
 from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
-from recorder.convert.import_answers import (
+from recorder.convert.import_numbers import FORCE_UNITS, TORQUE_UNITS, in_order, told_order
+from recorder.convert.import_page import write_page
+from recorder.convert.import_session import Draft, draft_recordings, write_sessions
+from recorder.convert.import_tracks import (
     KINDS,
     ORDERS,
     Answers,
     As,
     MissingAnswer,
     default_stream,
+    option_flag,
     rate_option,
 )
-from recorder.convert.import_force import FORCE_UNITS, TORQUE_UNITS
-from recorder.convert.import_page import write_page
-from recorder.convert.import_session import Draft, draft_recordings, write_sessions
-from recorder.convert.import_taxels import in_order, told_order
 
 __all__ = [
     "DEPTH_UNKNOWN",
@@ -42,6 +42,7 @@ __all__ = [
     "export",
     "file_name",
     "in_order",
+    "option_flag",
     "rate_option",
     "told_order",
     "write_page",

@@ -16,18 +16,24 @@ from typing import Any
 
 import numpy as np
 
-from recorder.convert.import_answers import Answers, As
 from recorder.convert.import_numbers import numbers_of
 from recorder.convert.import_tracks import (
+    Answers,
+    As,
     Content,
     Film,
     Take,
     Track,
     kind_of_name,
     named,
-    rate_of,
+    require_advance,
 )
-from recorder.convert.import_video import pixels_of_picture, size_of_picture
+from recorder.convert.import_video import (
+    JPEG,
+    film_of_pictures,
+    pixels_of_picture,
+    size_of_picture,
+)
 from recorder.errors import SessionError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -42,7 +48,6 @@ _ENCODINGS = {
     "mono8": (1, (0, 0, 0)),
     "8UC1": (1, (0, 0, 0)),
 }
-_JPEG = b"\xff\xd8"
 _SUPPORT = "pip install 'tactile-rig[export]'"
 
 
@@ -79,7 +84,7 @@ def read_bag(path: Path, answers: Answers) -> Take:
         entry.unstamped += stamp is None
         entry.t_ns.append(log_ns if stamp is None else stamp)
         if kind == "video":
-            entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == _JPEG
+            entry.jpeg = entry.jpeg and isinstance(value, bytes) and value[:2] == JPEG
             entry.values.append(_size_of(value))
         else:
             entry.values.append(value)
@@ -90,13 +95,11 @@ def read_bag(path: Path, answers: Answers) -> Take:
     for topic, entry in sorted(topics.items(), key=lambda item: item[1].kind != "video"):
         t_ns = np.array(entry.t_ns, np.int64) - start
         source = f"{path.name}:{topic}"
-        if (np.diff(t_ns) <= 0).any():
-            row = int(np.flatnonzero(np.diff(t_ns) <= 0)[0]) + 1
-            raise SessionError(f"{source}: message {row}: its time does not advance")
+        require_advance(t_ns, f"{source}: message", 1)
         if entry.unstamped:
             assumed.append(f"{source}: {entry.unstamped} messages without a stamp: log time")
         if entry.kind == "video":
-            content: Content = _film(path, topic, entry, t_ns)
+            content: Content = _film(path, topic, source, entry, t_ns)
         else:
             sizes = {np.size(value) for value in entry.values}
             if len(sizes) > 1:
@@ -110,20 +113,15 @@ def read_bag(path: Path, answers: Answers) -> Take:
     return Take(path.stem, named(tracks), (path,), tuple(assumed))
 
 
-def _film(path: Path, topic: str, entry: _Topic, t_ns: Any) -> Film:
-    if len(set(entry.values)) > 1:
-        raise SessionError(f"{path.name}:{topic}: found images of {sorted(set(entry.values))}")
-
+def _film(path: Path, topic: str, source: str, entry: _Topic, t_ns: Any) -> Film:
     def load() -> Iterator[Any]:
         for _, _, _, message in _messages(path, topic):
             sample = _sample(message)
             if sample is not None:
                 yield sample[1] if entry.jpeg else _pixels(sample[1])
 
-    kept = "the camera's bytes" if entry.jpeg else "decoded and stored as pixels, losslessly"
-    assumed = [f"{path.name}:{topic}: times by its own stamps, {kept}"]
-    codec = "jpeg" if entry.jpeg else "zstd"
-    return Film(codec, entry.values[0], rate_of(t_ns), t_ns, load, assumed)
+    about = "times by its own stamps", "the camera's bytes"
+    return film_of_pictures(source, entry.values, t_ns, load, jpeg=entry.jpeg, about=about)
 
 
 def _messages(path: Path, only: str | None = None) -> Iterator[tuple[str, str, int, Any]]:

@@ -12,19 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.convert import import_bags, import_lerobot
-from recorder.convert.import_answers import KINDS, Answers, As, MissingAnswer, rate_option
-from recorder.convert.import_force import (
+from recorder.convert.import_numbers import (
     POSE_AXES,
-    forces_of,
+    counts_of,
+    kind_of_array,
     load_arrays,
+    numbers_of,
     read_lines,
     read_rows,
     read_table,
     wrenches_of,
 )
-from recorder.convert.import_numbers import kind_of_array, numbers_of
-from recorder.convert.import_taxels import counts_of
 from recorder.convert.import_tracks import (
+    KINDS,
+    Answers,
+    As,
+    MissingAnswer,
     Numbers,
     Take,
     Times,
@@ -32,10 +35,14 @@ from recorder.convert.import_tracks import (
     bare_name,
     every,
     named,
+    option_flag,
     rate_of,
+    rate_option,
+    require_advance,
 )
 from recorder.convert.import_video import IMAGE_SUFFIXES, open_film
 from recorder.errors import SessionError
+from recorder.spec import AXES
 from recorder.strict_yaml import natural_key
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".m4v", ".mkv", ".mov", ".webm", ".mpg", ".mpeg")
@@ -50,10 +57,7 @@ def find_takes(
 ) -> list[Take]:
     """Return the recordings in files and folders, in natural order of their names.
 
-    Args:
-        paths: Files and folders, whose kinds are found out.
-        stated: Kind, stream (or an empty text) and path of files that are one recording.
-        answers: What the files cannot tell.
+    `stated` has kind, stream (or an empty text) and path of files that are one recording.
     """
     takes: list[Take] = []
     groups: dict[str, list[_File]] = {}
@@ -198,8 +202,8 @@ def _times(
     """Return times and clock of rows without times, and a message on where they come from."""
     rate = answers.rate(kind, stream)
     if rate is not None:
-        option = "--" + rate_option(kind).replace("_", "-")
-        return every(range(count), rate), source, f"{source}: {rate:g} rows/s by {option}"
+        flag = option_flag(rate_option(kind))
+        return every(range(count), rate), source, f"{source}: {rate:g} rows/s by {flag}"
     for film in films:
         if film.kind == "video" and len(film.content.t_ns) == count:
             message = f"{source}: as many rows as its video has images, so at their times"
@@ -216,33 +220,31 @@ def _csv(
         rows = read_rows(name, lines, list(range(48)), int(header))
         yield _array(name, rows, "taxels", stream, films, answers)
         return
-    table = read_table(name, lines, answers)
+    columns, t_ns = read_table(name, lines, answers)
     # Columns of forces come first: their rate is that of the file.
-    value, axes = forces_of(table)
+    axes = [axis for axis in AXES if axis in columns]
     kind: As = "force" if axes else "width"
     rate = answers.rate(kind, stream)
-    if table.t_ns is not None:
-        if rate is not None:
-            raise SessionError(f"{name}: has a time column; --force-hz does not go with it")
-        times, clock, assumed = table.t_ns, name, []
-    else:
-        times, clock, message = _times(name, len(table), kind, stream, films, answers)
+    clock, assumed = name, []
+    if t_ns is None:
+        t_ns, clock, message = _times(name, len(lines) - 1, kind, stream, films, answers)
         assumed = [message]
+    elif rate is not None:
+        raise SessionError(f"{name}: has a time column; --force-hz does not go with it")
+    rows_hz = rate_of(t_ns)
     if axes:
-        wrenches = wrenches_of(name, value, axes, times, rate_hz=rate, assumed=assumed)
+        value = np.stack([columns.get(axis, np.full(len(t_ns), np.nan)) for axis in AXES], axis=1)
+        wrenches = wrenches_of(name, value, axes, t_ns, rate or rows_hz, assumed)
         yield Track(stream, "force", wrenches, name, clock)
-    if "width" in table.columns:
-        rows = table.columns["width"][:, None]
-        width = Numbers(rows, times, rate_of(times), [*assumed])
+    if "width" in columns:
+        width = Numbers(columns["width"][:, None], t_ns, rows_hz, [*assumed])
         yield Track("width", "width", width, name, clock)
-    pose = [table.columns.get(axis) for axis in POSE_AXES]
-    if any(column is not None for column in pose):
-        missing = [axis for axis, column in zip(POSE_AXES, pose, strict=True) if column is None]
-        if missing:
-            raise SessionError(f"{name}: found part of a pose; {', '.join(missing)} missing")
-        rows = np.stack([column for column in pose if column is not None], axis=1)
-        poses = Numbers(rows, times, rate_of(times), [*assumed])
-        yield Track("pose", "pose", poses, name, clock)
+    missing = [axis for axis in POSE_AXES if axis not in columns]
+    if not missing:
+        rows = np.stack([columns[axis] for axis in POSE_AXES], axis=1)
+        yield Track("pose", "pose", Numbers(rows, t_ns, rows_hz, [*assumed]), name, clock)
+    elif len(missing) < len(POSE_AXES):
+        raise SessionError(f"{name}: found part of a pose; {', '.join(missing)} missing")
 
 
 def _is_number(text: str) -> bool:
@@ -282,6 +284,5 @@ def _uskin_log(path: Path) -> tuple[NDArray[np.float64], Times]:
         stamps.append(scan[0])
         rows.append(scan[1])
     times = np.round(1e9 * (np.array(stamps) - stamps[0])).astype(np.int64)
-    if (backward := np.flatnonzero(np.diff(times) <= 0)).size:
-        raise SessionError(f"{path.name}: line {backward[0] + 2}: its time does not advance")
+    require_advance(times, f"{path.name}: line", 2)
     return np.array(rows, np.float64).reshape(-1, 16, 3), times

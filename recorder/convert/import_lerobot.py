@@ -11,13 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.import_answers import Answers, As
 from recorder.convert.import_numbers import kind_of_array, numbers_of
-from recorder.convert.import_tracks import Content, Film, Take, Times, Track, named, rate_of
-from recorder.convert.import_video import open_film, pixels_of_picture, size_of_picture
+from recorder.convert.import_tracks import Answers, As, Content, Film, Take, Times, Track, named
+from recorder.convert.import_video import (
+    JPEG,
+    film_of_pictures,
+    open_film,
+    pixels_of_picture,
+    size_of_picture,
+)
 from recorder.errors import SessionError
 
-_JPEG = b"\xff\xd8"
 # Columns that number rows and tasks.
 _INDICES = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
@@ -154,15 +158,12 @@ def _episode(path: Path, episode: int) -> dict[str, Any]:
 
 
 def _of_bytes(name: str, images: list[bytes], times: Times) -> Film:
-    sizes = {size_of_picture(name, each) for each in images}
-    if len(sizes) > 1:
-        raise SessionError(f"{name}: found images of {sorted(sizes)}")
-    jpeg = all(each[:2] == _JPEG for each in images)
+    sizes = [size_of_picture(name, each) for each in images]
+    jpeg = all(each[:2] == JPEG for each in images)
 
     def load() -> Iterator[Any]:
         for each in images:
             yield each if jpeg else pixels_of_picture(name, each)
 
-    kept = "the files' bytes" if jpeg else "decoded and stored as pixels, losslessly"
-    assumed = [f"{name}: times of the data set, {kept}"]
-    return Film("jpeg" if jpeg else "zstd", sizes.pop(), rate_of(times), times, load, assumed)
+    about = "times of the data set", "the files' bytes"
+    return film_of_pictures(name, sizes, times, load, jpeg=jpeg, about=about)

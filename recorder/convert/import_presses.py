@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.import_answers import MissingAnswer
+from recorder.convert.import_tracks import Floats, MissingAnswer, Times
 from recorder.errors import SessionError
 from recorder.session.align import NS
 from recorder.spec import AXES
 
-Times = NDArray[np.int64]
-Floats = NDArray[np.float64]
 Span = tuple[int, int]
 
 # A span without contact is at least this long [s] and has at least this many samples, but is at

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.convert.export import Progress, building
-from recorder.convert.import_answers import Answers, As, MissingAnswer, indenter_of
 from recorder.convert.import_find import find_takes
 from recorder.convert.import_presses import (
     Lag,
@@ -29,7 +28,17 @@ from recorder.convert.import_presses import (
     press_within,
     widened,
 )
-from recorder.convert.import_tracks import Film, Numbers, Take, Times, Track
+from recorder.convert.import_tracks import (
+    Answers,
+    As,
+    Film,
+    MissingAnswer,
+    Numbers,
+    Take,
+    Times,
+    Track,
+    indenter_of,
+)
 from recorder.errors import SessionError
 from recorder.session.align import NS
 from recorder.session.frames import in_frame

@@ -6,7 +6,8 @@ import functools
 import io
 import mmap
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from recorder.convert.import_tracks import Film, Times, every
+from recorder.convert.import_tracks import Film, Times, every, rate_of
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.strict_yaml import natural_key
@@ -108,7 +109,8 @@ def _rate(path: Path, data: mmap.mmap, start: int, size: int) -> float:
 
 # JPEG files from cameras: some have no Huffman tables, which still-image decoders need.
 
-_SOI, _EOI = b"\xff\xd8", b"\xff\xd9"
+# First bytes of a JPEG file, and its last.
+JPEG, _EOI = b"\xff\xd8", b"\xff\xd9"
 _DHT, _SOS = 0xC4, 0xDA
 _STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
 
@@ -117,10 +119,6 @@ def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
     """Return the file with Huffman tables, and True if they had to be inserted.
 
     Data after the end marker (cameras pad their buffers) is left unchanged.
-
-    Args:
-        jpeg: One file.
-        where: Name of the file in error messages.
     """
     if not jpeg.rstrip(b"\0").endswith(_EOI):
         raise SessionError(f"{where}: no whole JPEG: it does not end with one's end marker")
@@ -132,7 +130,7 @@ def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
 
 def _header(jpeg: bytes, where: str) -> tuple[bool, int]:
     """Return True if there are Huffman tables, and the offset of SOS."""
-    if jpeg[:2] != _SOI:
+    if jpeg[:2] != JPEG:
         raise SessionError(f"{where}: no JPEG: it begins with {jpeg[:2]!r}")
     at, tables = 2, False
     while at + 4 <= len(jpeg) and jpeg[at] == 0xFF:
@@ -160,6 +158,7 @@ def _standard_tables() -> bytes:
     return found
 
 
+_DECODED = "decoded and stored as pixels, losslessly"
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 
@@ -167,11 +166,8 @@ _JPEG_SUFFIXES = (".jpg", ".jpeg")
 def open_film(path: Path, fps: float | None, *, stills: bool = False) -> Film:
     """Return the images of a video file, or of a folder in natural order of the names.
 
-    Args:
-        path: A video file or a folder.
-        fps: Images per second; None takes the times of the video.
-        stills: True if each picture of a folder shows a contact of its own: they have no times,
-            and are numbered one second apart.
+    Without `fps` [Hz], the times are those of the video. `stills` are pictures of a folder that
+    show a contact each: they have no times, and are numbered one second apart.
     """
     if path.is_dir():
         return _folder(path, fps, stills)
@@ -227,7 +223,7 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
         assumed = [
             f"{path.name}: {rate_hz:g} images/s by --fps, in order of the names, "
             f"{files[0].name} first",
-            f"{path.name}: decoded and stored as pixels, losslessly",
+            f"{path.name}: {_DECODED}",
         ]
         times = every(range(len(files)), rate_hz)
         film = Film(
@@ -285,7 +281,7 @@ def _decoded(path: Path, fps: float | None) -> Film:
         finally:
             again.release()
 
-    assumed = [told, f"{path.name}: decoded and stored as pixels, losslessly"]
+    assumed = [told, f"{path.name}: {_DECODED}"]
     return Film("zstd", (size[0], size[1]), rate_hz, times, load, assumed)
 
 
@@ -321,22 +317,46 @@ def _stamped(
     return every(range(count), nominal), nominal, f"{name}: {nominal:g} images/s by its header"
 
 
-def size_of_picture(name: str, picture: Path | bytes) -> tuple[int, int]:
-    """Return rows and columns of the content of a picture's file [px]."""
+def film_of_pictures(
+    source: str,
+    sizes: Sequence[tuple[int, int]],
+    t_ns: Times,
+    load: Callable[[], Iterator[Any]],
+    *,
+    jpeg: bool,
+    about: tuple[str, str],
+) -> Film:
+    """Return pictures of a source with times of its own.
+
+    `load` yields JPEG bytes, if `jpeg`, else pixels; `about` says where times and such bytes are
+    from.
+    """
+    if len(set(sizes)) > 1:
+        raise SessionError(f"{source}: found images of {sorted(set(sizes))}")
+    kept = about[1] if jpeg else _DECODED
+    assumed = [f"{source}: {about[0]}, {kept}"]
+    return Film("jpeg" if jpeg else "zstd", sizes[0], rate_of(t_ns), t_ns, load, assumed)
+
+
+@contextmanager
+def _opened(picture: Path | bytes, wrong: str) -> Iterator[Image.Image]:
     try:
         with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as image:
-            return image.height, image.width
+            yield image
     except (OSError, SyntaxError) as error:
-        raise SessionError(f"{name}: no image: {error}") from error
+        raise SessionError(f"{wrong}: {error}") from error
+
+
+def size_of_picture(name: str, picture: Path | bytes) -> tuple[int, int]:
+    """Return rows and columns of the content of a picture's file [px]."""
+    with _opened(picture, f"{name}: no image") as image:
+        return image.height, image.width
 
 
 def pixels_of_picture(name: str, picture: Path | bytes) -> Any:
     """Return the pixels (h, w, 3) uint8, RGB, of the content of a picture's file."""
-    try:
-        with Image.open(io.BytesIO(picture) if isinstance(picture, bytes) else picture) as image:
-            return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError) as error:
-        raise SessionError(f"{name}: damaged: {error}") from error
+    with _opened(picture, f"{name}: damaged") as image:
+        return np.asarray(image.convert("RGB"))
 
 
 def _jpeg_size(jpeg: bytes, where: str) -> tuple[int, int]:

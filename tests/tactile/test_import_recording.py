@@ -18,8 +18,8 @@ from learning.data.matching import read_presses
 from learning.evaluation.baseline import fit_ridge
 from recorder import MarkerArchive, Session, check, faults
 from recorder.archive import SHADING_ZERO
-from recorder.convert.import_answers import MissingAnswer
 from recorder.convert.import_presses import Trace, find_lag
+from recorder.convert.import_tracks import MissingAnswer
 from tactile.__main__ import main
 
 FPS, COUNT = 30, 60
