@@ -17,7 +17,11 @@ from recorder.markers.packing import HEIGHT, WIDTH, Masks
 Array = NDArray[np.float64]
 
 TAXELS, SIDE = 16, 4
-_POINTS_PER_INCH = 72.0
+_POINTS_PER_INCH, _DOTS_PER_INCH = 72.0, 100.0
+# Limits of the axes, at the left and at the bottom, and at the right and at the top [pitch].
+_AXIS_MIN, _AXIS_MAX = -1.0, 4.0
+# A pixel is set if the disc covers more than this fraction: grey above 50 of 255.
+_LEAST_COVERAGE = 50 / 255
 _BLOCK = 64  # frames drawn at once, so that their rims stay in the cache
 
 
@@ -39,36 +43,19 @@ class DiscMap:
     """Lower limit of a centre's coordinates [pitch]."""
     centre_max: float = 3.6
     """Upper limit of a centre's coordinates [pitch]."""
-    axis_min: float = -1.0
-    """Lower limit of the axes, at the left and at the bottom [pitch]."""
-    axis_max: float = 4.0
-    """Upper limit of the axes [pitch]."""
-    dots_per_inch: float = 100.0
-    """Pixels per inch."""
-    least_coverage: float = 50 / 255
-    """A pixel is set if the disc covers more than this fraction: grey above 50 of 255."""
 
     def __post_init__(self) -> None:
         """Reject a map that draws nothing."""
-        for low, high in (
-            ("size_min", "size_max"),
-            ("centre_min", "centre_max"),
-            ("axis_min", "axis_max"),
-        ):
+        for low, high in (("size_min", "size_max"), ("centre_min", "centre_max")):
             if not getattr(self, low) < getattr(self, high):
                 raise ValueError(
                     f"{low}: found {getattr(self, low)}; allowed: less than {high}, "
                     f"{getattr(self, high)}"
                 )
-        for name in ("size_min", "dots_per_inch"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: found {getattr(self, name)}; allowed: more than 0")
+        if not self.size_min > 0:
+            raise ValueError(f"size_min: found {self.size_min}; allowed: more than 0")
         if not self.shift_max >= 0:
             raise ValueError(f"shift_max: found {self.shift_max}; allowed: 0 or more")
-        if not 0 < self.least_coverage <= 0.5:
-            raise ValueError(
-                f"least_coverage: found {self.least_coverage}; allowed: above 0, up to 0.5"
-            )
 
 
 # Map used in the paper.
@@ -76,11 +63,9 @@ PAPER = DiscMap()
 
 
 def draw_discs(counts: NDArray[np.integer | np.floating], disc_map: DiscMap = PAPER) -> Masks:
-    """Return the marker images (..., 480, 640) of taxel counts.
+    """Return the marker images (..., 480, 640) of x, y, z of the 16 taxels (..., 16, 3) [counts].
 
-    Args:
-        counts: x, y, z of the 16 taxels (..., 16, 3), relative to no contact [counts].
-        disc_map: Map from counts to discs.
+    They are relative to no contact.
 
     Raises:
         ValueError: A different shape, or counts that are not finite.
@@ -91,7 +76,7 @@ def draw_discs(counts: NDArray[np.integer | np.floating], disc_map: DiscMap = PA
     masks = np.zeros((len(radius), HEIGHT, WIDTH), np.bool_)
     for first in range(0, len(radius), _BLOCK):
         block = slice(first, first + _BLOCK)
-        _fill(masks[block], centre[block], radius[block], disc_map.least_coverage)
+        _fill(masks[block], centre[block], radius[block])
     return masks.reshape(*lead, HEIGHT, WIDTH)
 
 
@@ -100,9 +85,7 @@ def place_discs(
 ) -> tuple[Array, Array]:
     """Return centres (..., 16, 2) as column and row, and radii (..., 16) of the discs [px].
 
-    Args:
-        counts: x, y, z of the 16 taxels (..., 16, 3), relative to no contact [counts].
-        disc_map: Map from counts to discs.
+    Counts are as for `draw_discs`.
 
     Raises:
         ValueError: A different shape, or counts that are not finite.
@@ -117,19 +100,19 @@ def place_discs(
     limit = disc_map.shift_max
     shift = np.clip(counts[..., :2] * disc_map.shear_per_count, -limit, limit)
     place = np.clip(home + shift, disc_map.centre_min, disc_map.centre_max)
-    fraction = (place - disc_map.axis_min) / (disc_map.axis_max - disc_map.axis_min)
+    fraction = (place - _AXIS_MIN) / (_AXIS_MAX - _AXIS_MIN)
     centre = np.stack([fraction[..., 0] * WIDTH, (1.0 - fraction[..., 1]) * HEIGHT], axis=-1)
     grown = disc_map.size_min + disc_map.size_per_count * counts[..., 2]
     size = np.clip(grown, disc_map.size_min, disc_map.size_max)
-    radius = 0.5 * np.sqrt(size) * disc_map.dots_per_inch / _POINTS_PER_INCH
+    radius = 0.5 * np.sqrt(size) * _DOTS_PER_INCH / _POINTS_PER_INCH
     return centre, radius
 
 
-def _fill(masks: Masks, centre: Array, radius: Array, coverage: float) -> None:
+def _fill(masks: Masks, centre: Array, radius: Array) -> None:
     """Set the pixels of masks (n, 480, 640) that discs cover; only rows with discs are touched."""
     reach = int(np.ceil(radius.max())) + 1
     row = np.floor(centre[..., 1, None]) + np.arange(-reach, reach + 2)
-    half = _half_chord(radius[..., None], row - centre[..., 1, None], coverage)
+    half = _half_chord(radius[..., None], row - centre[..., 1, None])
     left = np.clip(np.ceil(centre[..., 0, None] - half), 0, WIDTH)
     right = np.clip(np.floor(centre[..., 0, None] + half) + 1, 0, WIDTH)
     drawn = (half >= 0) & (row >= 0) & (row < HEIGHT) & (right > left)
@@ -146,30 +129,27 @@ def _fill(masks: Masks, centre: Array, radius: Array, coverage: float) -> None:
     masks.reshape(-1, WIDTH)[used] = steps[:, :WIDTH] > 0
 
 
-def _half_chord(radius: Array, across: Array, coverage: float) -> Array:
+def _half_chord(radius: Array, across: Array) -> Array:
     """Return the half-width over which a row of pixels is covered [px]; negative if not covered.
 
-    The edge that cuts a rim pixel is straight up to 1 / (24 radius) of its area. The direction of
-    that edge depends on its position in the row, so the end is found by iteration.
-
-    Args:
-        radius: Radius of the discs [px].
-        across: Distance from the centre to the row of pixel centres [px].
-        coverage: Fraction of a pixel that the disc must cover.
+    The row of pixel centres is `across` from the centre of a disc of `radius` [px]. The edge that
+    cuts a rim pixel is straight up to 1 / (24 radius) of its area. The direction of that edge
+    depends on its position in the row, so the end is found by iteration.
     """
     half = np.sqrt(np.maximum(radius**2 - across**2, 0.0))
     for _ in range(3):
-        square = (radius + _beyond_edge(half, across, coverage)) ** 2 - across**2
+        square = (radius + _beyond_edge(half, across)) ** 2 - across**2
         half = np.sqrt(np.maximum(square, 0.0))
     return np.where(square >= 0, half, -1.0)
 
 
-def _beyond_edge(along: Array, across: Array, fraction: float) -> Array:
-    """Return the distance outside a straight edge of the centre of a partly covered pixel [px].
+def _beyond_edge(along: Array, across: Array) -> Array:
+    """Return the distance outside a straight edge of the centre of a just covered pixel [px].
 
-    The edge is normal to (along, across) and covers `fraction` of the pixel. It cuts off a triangle
-    of the unit square if it passes one corner, and a trapezium if it passes two.
+    The edge is normal to (along, across). It cuts off a triangle of the unit square if it passes
+    one corner, and a trapezium if it passes two.
     """
+    fraction = _LEAST_COVERAGE
     along, across = np.abs(along), np.abs(across)
     length = np.maximum(np.hypot(along, across), 1e-9)
     long, short = np.maximum(along, across) / length, np.minimum(along, across) / length

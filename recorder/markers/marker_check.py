@@ -11,8 +11,8 @@ and the border may explain a difference:
 - a marker of the frame **may have come in** if it is equally near the border and no marker of the
   reference is near its place.
 
-The travel, and the radius for "near", are half the distance between neighbours in the reference by
-default. If the displacement field of a frame is known, "near" refers to the position to which the
+The travel, and the radius for "near", are half the distance between neighbours in the reference.
+If the displacement field of a frame is known, "near" refers to the position to which the
 field moves the marker. The field may also explain a difference: a marker on a **steep flank** of
 the skin is seen edge-on, as a sliver too small to count, split in two, or merged with a neighbour.
 
@@ -68,16 +68,11 @@ class MarkerCheck:
         *,
         smallest_px: int = SMALLEST_PX,
         tolerance: int = 0,
-        travel_px: float | None = None,
     ) -> None:
-        """Find the markers of a reference.
+        """Find the markers of a reference, a mask without contact (480, 640).
 
-        Args:
-            reference: Mask without contact (480, 640).
-            smallest_px: Smallest patch that is counted [px].
-            tolerance: Number of missing or extra markers allowed beyond those the border explains.
-            travel_px: Largest travel of a marker near the border [px]; if None, half the median
-                distance to the nearest neighbour.
+        Patches of `smallest_px` pixels or more are counted; `tolerance` markers may be missing or
+        extra beyond those that the border explains.
         """
         require_masks(reference)
         if tolerance < 0:
@@ -86,9 +81,7 @@ class MarkerCheck:
         if not len(self._blobs):
             raise ValueError(f"reference: found no patch of {smallest_px} px or more")
         self.smallest_px, self.tolerance = smallest_px, tolerance
-        self.travel_px = _half_pitch(self._blobs) if travel_px is None else travel_px
-        if not self.travel_px >= 0:
-            raise ValueError(f"travel_px: found {travel_px}; allowed: 0 or more")
+        self.travel_px = _half_pitch(self._blobs)
 
     @property
     def expected(self) -> int:
@@ -103,13 +96,10 @@ class MarkerCheck:
         field_of: FieldOf | None = None,
         lattice: Lattice | None = None,
     ) -> list[MarkerFlag]:
-        """Return a flag for each frame whose markers differ from those of the reference.
+        """Return a flag for each of frames (n, 480, 640) with other markers than the reference.
 
-        Args:
-            masks: Frames (n, 480, 640).
-            first_row: Row number of the first frame.
-            field_of: Returns the displacement of frame 0 to n - 1, if it is known.
-            lattice: Lattice of the field; the default one if None.
+        `first_row` is the row number of the first frame; `field_of` returns the displacement of
+        frame 0 to n - 1, if it is known, on a lattice, the default one if None.
 
         Raises:
             ValueError: Not bool (n, 480, 640).

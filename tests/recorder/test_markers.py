@@ -346,12 +346,8 @@ def test_an_empty_frame_is_flagged() -> None:
     assert (flag.found, flag.expected) == (0, 130)
 
 
-@pytest.mark.parametrize(
-    ("options", "found"),
-    [({"tolerance": -1}, "tolerance"), ({"travel_px": float("nan")}, "travel_px")],
-)
-def test_a_check_that_cannot_work_is_refused(options: dict[str, Any], found: str) -> None:
-    with pytest.raises(ValueError, match=f"{found}: found"):
-        MarkerCheck(squares(), **options)
+def test_a_check_that_cannot_work_is_refused() -> None:
+    with pytest.raises(ValueError, match="tolerance: found"):
+        MarkerCheck(squares(), tolerance=-1)
     with pytest.raises(ValueError, match="reference: found no patch"):
         MarkerCheck(np.zeros((HEIGHT, WIDTH), np.bool_))
