@@ -5,8 +5,7 @@ docs/how-to/export-and-import.md describes the content of each format.
 """
 
 from recorder.convert.export import FORMATS, Format, Options, building, export, file_name
-from recorder.convert.genforce_archive import DEPTH_UNKNOWN
-from recorder.convert.genforce_format import FORCE_COLUMNS, POSE_COLUMNS
+from recorder.convert.genforce_format import DEPTH_UNKNOWN, FORCE_COLUMNS, POSE_COLUMNS
 from recorder.convert.import_numbers import FORCE_UNITS, TORQUE_UNITS, in_order, told_order
 from recorder.convert.import_page import write_page
 from recorder.convert.import_session import Draft, draft_recordings, write_sessions

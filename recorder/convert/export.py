@@ -95,13 +95,13 @@ class Format:
 
     content: str
     """Content of the export, and `(a file)` or `(a folder)`."""
-    session: str = ""
-    """Module whose `write(session, path, options, progress)` writes a session; empty if none."""
-    archive: str = ""
-    """The same for a marker archive."""
+    module: str
+    """Module whose `write(session, path, options, progress)` writes a session."""
+    of_archives: bool = False
+    """True if its `write_archive` writes a marker archive."""
 
 
-# Export formats by name. Other packages may add rows, or the archive to a row.
+# Export formats by name.
 FORMATS: dict[str, Format] = {
     "zarr": Format("a copy of the session, verified (a folder)", "recorder.convert.zarr_format"),
     "lerobot": Format(
@@ -119,7 +119,7 @@ FORMATS: dict[str, Format] = {
         "the folders of the GenForce recordings, four phases per point (a folder); of a marker "
         "archive, of their training",
         "recorder.convert.genforce_format",
-        archive="recorder.convert.genforce_archive",
+        of_archives=True,
     ),
 }
 
@@ -157,14 +157,13 @@ def export(
         raise SessionError(f"found format {to!r}; known: {', '.join(FORMATS)}")
     opened = source if isinstance(source, Session) else _opened(source)
     of_archive = isinstance(opened, MarkerArchive)
-    modules = {name: row.archive if of_archive else row.session for name, row in FORMATS.items()}
-    if not (module := modules[to]):
-        kind = "a marker archive" if of_archive else "a session"
-        known = ", ".join(name for name, each in modules.items() if each) or "nothing"
-        raise SessionError(f"{source}: {to} is not for {kind}; allowed: {known}")
+    if of_archive and not FORMATS[to].of_archives:
+        known = ", ".join(name for name, row in FORMATS.items() if row.of_archives)
+        raise SessionError(f"{source}: {to} is not for a marker archive; allowed: {known}")
     write: Callable[[Any, Path, Options, Progress], Iterable[str] | None]
+    module = FORMATS[to].module
     try:
-        write = import_module(module).write
+        write = getattr(import_module(module), "write_archive" if of_archive else "write")
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] == module.partition(".")[0]:
             raise

@@ -1,15 +1,24 @@
-"""Folder layout of the GenForce recordings, so that scripts made for them can read a session.
+"""Folder layouts of the GenForce recordings, so that scripts made for them can read ours.
+
+A session takes that of their collections:
 
     <modality>/<indenter>-<YYYYmmdd_HHMMSS>/<point 1..N>/<phase>/...
 
 with the modalities `force` (ft.csv), `pose` (pose.csv), `image` (%04d.jpg, ref.jpg next to the
 points) or `uskin_raw` (%04d.npy, ref.npy), and `path` (planned targets). The files have no times:
 row k of a file belongs to image k of its folder, which the frames view ensures.
+
+A marker archive takes that of their training:
+
+    img/npy/<sensor>/<indenter>/<point 1..N>/%04d.npy   packed masks; last.csv: ends of the phases
+    force/..., depth/...                                ft.csv; inc_z.csv, dec_z.csv [mm]
 """
 
 from __future__ import annotations
 
 import csv
+import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -19,12 +28,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.archive import ArchivedSensor, MarkerArchive
 from recorder.convert.export import Options, Progress, file_name
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
-from recorder.spec import PHASES
+from recorder.spec import AXES, PHASES
 from recorder.store import images
 
 FORCE_COLUMNS = ("Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)")
@@ -116,11 +126,9 @@ def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
     stream, values = session.streams[name], session.frames[session.columns[name]][rows]
     kind = stream.traits.kind
     if kind == "force":
-        wrench = values.copy()
-        wrench[:, 3:] *= 1e3  # N m -> N mm
-        write_csv(folder / "ft.csv", FORCE_COLUMNS, wrench)
+        _write_forces(folder, values)
     elif kind == "pose":
-        write_csv(folder / "pose.csv", POSE_COLUMNS, values)
+        _write_csv(folder / "pose.csv", POSE_COLUMNS, values)
     elif kind == "camera":
         folder.mkdir(parents=True)
         for number, data in enumerate(_jpegs(stream, [int(row) for row in values])):
@@ -180,7 +188,12 @@ def _path(session: Session, folder: Path, found: list[RecordedPress]) -> None:
     np.savetxt(folder / f"{stamp}.csv", np.array(lines), fmt="%f", delimiter=",")
 
 
-def write_csv(path: Path, names: Sequence[str], rows: Array) -> None:
+def _write_forces(folder: Path, wrench: Array) -> None:
+    """Write forces and torques (n, 6) [N, N m]."""
+    _write_csv(folder / "ft.csv", FORCE_COLUMNS, wrench * [1, 1, 1, 1e3, 1e3, 1e3])
+
+
+def _write_csv(path: Path, names: Sequence[str], rows: Array) -> None:
     """Write rows of numbers, which are restored exactly, under a header into a new folder."""
     path.parent.mkdir(parents=True)
     with path.open("w", newline="") as file:
@@ -193,3 +206,119 @@ def _stamp(session: Session, press: RecordedPress) -> str:
     """Return the start of the first press as YYYYmmdd_HHMMSS in UTC."""
     began = int(session.frames["t_ns"][press.rows[0]]) + utc_offset(session, press.run)
     return datetime.fromtimestamp(began // 10**9, UTC).strftime("%Y%m%d_%H%M%S")
+
+
+# Marker archives.
+
+NAMED = 5
+# Attribute `depth` of sensors of which no depth is known.
+DEPTH_UNKNOWN = "unknown: 0"
+# Phases with depths in inc_z.csv; the others' are in dec_z.csv.
+LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
+
+
+def write_archive(
+    archive: MarkerArchive, root: Path, _options: Options, progress: Progress
+) -> tuple[str, ...]:
+    """Write an archive in the layout of the authors' training; return descriptions of omissions.
+
+    Contact points are numbered from 1 by target; frames are numbered through all phases. The layout
+    has no times, positions or validity.
+    """
+    if archive.warning:
+        raise SessionError(archive.warning)
+    omitted: list[str] = []
+    found = {name: list(_presses(sensor, omitted)) for name, sensor in archive.items()}
+    total = sum(len(rows) for presses in found.values() for rows in presses)
+    if not total:
+        raise SessionError(f"{archive.name}: no press has all of {', '.join(PHASES)}")
+    done = 0
+    axes: Counter[tuple[str, str]] = Counter()
+    for name, presses in found.items():
+        if not presses:
+            continue
+        sensor, plain = archive[name], file_name(name)
+        _sensor(root, plain, sensor, omitted)
+        for rows in presses:
+            if lacking := _press(root, plain, archive, sensor, rows):
+                axes[name, lacking] += 1
+            done += len(rows)
+            progress(done, total)
+    omitted[:0] = [
+        f"{name}: labels of {count} presses, which lack {lacking}; ft.csv holds all axes or none"
+        for (name, lacking), count in axes.items()
+    ]
+    if len(omitted) > NAMED:
+        omitted[NAMED:] = [f"and {len(omitted) - NAMED} more"]
+    return tuple(omitted)
+
+
+def _presses(sensor: ArchivedSensor, omitted: list[str]) -> Iterator[Array]:
+    """Yield the rows of presses that have the four phases in order, frame by frame."""
+    table = sensor.table
+    order = np.lexsort((table["frame"], table["target"], table["indenter"])).astype(np.int64)
+    press = np.stack([table["indenter"][order], table["target"][order]], axis=1)
+    change = np.flatnonzero((np.diff(press, axis=0) != 0).any(axis=1)) + 1
+    for rows in np.split(order, change):
+        phase = table["phase"][rows]
+        target = f"{sensor.name}, target {table['target'][rows[0]]} of {_indenter(sensor, rows)}"
+        if (np.unique(phase).tolist() != list(range(len(PHASES)))) or (np.diff(phase) < 0).any():
+            omitted.append(f"{target}: has not all of {', '.join(PHASES)}")
+        elif (table["location"][rows] < 0).any():
+            omitted.append(f"{target}: is at no location")
+        elif not table["valid"][rows].all():
+            omitted.append(f"{target}: has frames that are not there")
+        else:
+            yield rows
+
+
+def _sensor(root: Path, name: str, sensor: ArchivedSensor, omitted: list[str]) -> None:
+    masks = root / "img" / "npy"
+    masks.mkdir(parents=True, exist_ok=True)
+    np.save(masks / f"{name}_ref.npy", sensor.references[0])
+    if len(sensor.references) > 1:
+        omitted.append(f"{name}: {len(sensor.references) - 1} references beside the first")
+    if (curves := sensor.attrs.get("force_depth")) is not None:
+        folder = root / "material_compensation"
+        folder.mkdir(exist_ok=True)
+        for half in ("down", "up"):
+            _write_numbers(folder / f"{name}_{half}.csv", curves[half])
+
+
+def _press(
+    root: Path, name: str, archive: MarkerArchive, sensor: ArchivedSensor, rows: Array
+) -> str:
+    """Write a press; return the axes without which its labels had to be left out, if any."""
+    table = sensor.table
+    shape = file_name(archive.indenters[int(table["indenter"][rows[0]])])
+    place = Path(name) / shape / str(int(table["target"][rows[0]]) + 1)
+    masks = root / "img" / "npy" / place
+    masks.mkdir(parents=True)
+    names = [f"{number:04d}.npy" for number in range(len(rows))]
+    for file, packed in zip(names, sensor.packed(rows), strict=True):
+        np.save(masks / file, packed)
+    phase = table["phase"][rows]
+    last = [int(np.flatnonzero(phase == code)[-1]) for code in range(len(PHASES))]
+    ends = "".join(f"{place.as_posix()}/{names[number]}\n" for number in last)
+    (masks / "last.csv").write_text(ends)
+    wrench = table["wrench"][rows]
+    known = np.isfinite(wrench)
+    if known.all():
+        _write_forces(root / "force" / place, wrench)
+    if sensor.attrs.get("depth") != DEPTH_UNKNOWN:
+        folder = root / "depth" / place
+        folder.mkdir(parents=True)
+        depth_mm, loading = table["depth"][rows] * 1e3, np.isin(phase, LOADING)
+        _write_numbers(folder / "inc_z.csv", depth_mm[loading])
+        _write_numbers(folder / "dec_z.csv", depth_mm[~loading])
+    return " ".join(np.array(AXES)[~known.all(axis=0)]) if known.any() else ""
+
+
+def _indenter(sensor: ArchivedSensor, rows: Array) -> str:
+    message = json.loads(sensor.sources[int(sensor.table["source"][rows[0]])])
+    return str(message.get("folder") or message.get("session") or f"row {rows[0]}")
+
+
+def _write_numbers(path: Path, values: Iterable[float]) -> None:
+    """Write depths [mm] or coefficients, one per line; they are restored exactly."""
+    path.write_text("".join(f"{float(value)!r}\n" for value in values))

@@ -74,7 +74,7 @@ def numbers_of(name: str, array: NDArray[Any], t_ns: Times, kind: As, answers: A
         return counts_of(name, array, t_ns, answers.taxel_order)
     rows = np.asarray(array, np.float64).reshape(len(array), -1)
     _require_finite(rows, name)
-    assumed = []
+    assumed: list[str] = []
     if kind == "pose":
         rows, assumed = _poses(name, rows)
     elif kind == "width":

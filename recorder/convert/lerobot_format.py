@@ -29,10 +29,12 @@ from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.spec import event_text
 
-# Statistics that LeRobot stores for each feature, accumulated by episode.
-
 Array = np.ndarray[Any, Any]
 Floats = NDArray[np.float64]
+
+# Statistics that LeRobot stores for each feature: by its names, but the variance for the standard
+# deviation. Rows with a NaN are ignored; images have values of 0 to 1 and the shape (c, 1, 1).
+Statistics = dict[str, Any]
 
 # Quantiles by their names in LeRobot.
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -40,121 +42,65 @@ _SAMPLED = 8  # images per episode that are sampled
 _STRIDE = 4  # pixels
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Statistics of some rows of one feature."""
-
-    count: int
-    low: Floats
-    high: Floats
-    mean: Floats
-    var: Floats
-    quantiles: dict[str, Floats]
-
-    def plus(self, other: _Part) -> _Part:
-        """Return the statistics of both.
-
-        Moments are exact (Chan et al. 1979); quantiles are the mean of both weighted by their
-        counts, as in LeRobot itself.
-        """
-        total = self.count + other.count
-        fraction = other.count / total
-        shift = other.mean - self.mean
-        return _Part(
-            total,
-            np.fmin(self.low, other.low),
-            np.fmax(self.high, other.high),
-            self.mean + fraction * shift,
-            (1 - fraction) * self.var + fraction * other.var + fraction * (1 - fraction) * shift**2,
-            {
-                name: (1 - fraction) * value + fraction * other.quantiles[name]
-                for name, value in self.quantiles.items()
-            },
-        )
-
-    def document(self) -> dict[str, list[Any]]:
-        """Return them in LeRobot's format."""
-        return {
-            "min": self.low.tolist(),
-            "max": self.high.tolist(),
-            "mean": self.mean.tolist(),
-            "std": np.sqrt(self.var).tolist(),
-            "count": [self.count],
-            **{name: value.tolist() for name, value in self.quantiles.items()},
-        }
-
-
-@dataclass(slots=True)
-class Stats:
-    """Statistics by feature. Rows with a NaN are ignored."""
-
-    parts: dict[str, _Part] = field(default_factory=dict)
-    """One part per feature that had any row."""
-
-    def add(self, name: str, values: Array) -> None:
-        """Include rows (n,) or (n, m) of a feature."""
-        rows = np.asarray(values, np.float64).reshape(len(values), -1)
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        if len(rows):
-            self._take(name, _part(rows, len(rows)))
-
-    def add_images(self, name: str, encoded: Sequence[bytes]) -> None:
-        """Include sampled pixels of some encoded images; values 0 to 1, shape (c, 1, 1)."""
-        chosen = np.unique(np.linspace(0, len(encoded) - 1, _SAMPLED).astype(int))
-        pixels = []
-        for place in chosen:
-            with Image.open(io.BytesIO(encoded[place])) as image:
-                array, most = np.asarray(image)[::_STRIDE, ::_STRIDE], 255.0
-                if image.mode.startswith("I"):
-                    most = 65535.0  # depth
-            pixels.append(array.reshape(-1, array.shape[2] if array.ndim == 3 else 1) / most)
-        part = _part(np.concatenate(pixels), len(chosen))
-        self._take(name, part)
-        self._shapes.add(name)
-
-    def merge(self, other: Stats) -> None:
-        """Include all statistics of another object."""
-        for name, part in other.parts.items():
-            self._take(name, part)
-        self._shapes |= other._shapes
-
-    def document(self) -> dict[str, dict[str, list[Any]]]:
-        """Return the content of meta/stats.json."""
-        return {name: self._shaped(name) for name in self.parts}
-
-    def flat(self) -> dict[str, list[Any]]:
-        """Return the columns of an episode's row: `stats/<feature>/<statistic>`."""
-        return {
-            f"stats/{name}/{key}": value
-            for name in self.parts
-            for key, value in self._shaped(name).items()
-        }
-
-    _shapes: set[str] = field(default_factory=set)
-
-    def _take(self, name: str, part: _Part) -> None:
-        self.parts[name] = self.parts[name].plus(part) if name in self.parts else part
-
-    def _shaped(self, name: str) -> dict[str, list[Any]]:
-        document = self.parts[name].document()
-        if name not in self._shapes:
-            return document
-        return {
-            key: value if key == "count" else [[[entry]] for entry in value]
-            for key, value in document.items()
-        }
-
-
-def _part(rows: Floats, count: int) -> _Part:
+def statistics_of(values: Array, count: int | None = None) -> Statistics:
+    """Return the statistics of rows (n,) or (n, m), empty without a finite one; count: theirs."""
+    rows = np.asarray(values, np.float64).reshape(len(values), -1)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        return {}
     cuts = np.quantile(rows, list(QUANTILES.values()), axis=0)
-    return _Part(
-        count,
-        rows.min(axis=0),
-        rows.max(axis=0),
-        rows.mean(axis=0),
-        rows.var(axis=0),
-        dict(zip(QUANTILES, cuts, strict=True)),
-    )
+    return {
+        "min": rows.min(axis=0),
+        "max": rows.max(axis=0),
+        "mean": rows.mean(axis=0),
+        "var": rows.var(axis=0),
+        "count": len(rows) if count is None else count,
+        **dict(zip(QUANTILES, cuts, strict=True)),
+    }
+
+
+def _image_statistics(encoded: Sequence[bytes]) -> Statistics:
+    """Return the statistics of sampled pixels of some encoded images."""
+    chosen = np.unique(np.linspace(0, len(encoded) - 1, _SAMPLED).astype(int))
+    pixels = []
+    for place in chosen:
+        with Image.open(io.BytesIO(encoded[place])) as image:
+            array = np.asarray(image)[::_STRIDE, ::_STRIDE]
+            most = 65535.0 if image.mode.startswith("I") else 255.0  # depth
+        pixels.append(array.reshape(-1, array.shape[2] if array.ndim == 3 else 1) / most)
+    return statistics_of(np.concatenate(pixels), len(chosen))
+
+
+def of_both(one: Statistics, other: Statistics) -> Statistics:
+    """Return the statistics of the rows of both.
+
+    Moments are exact (Chan et al. 1979); quantiles are the mean of both weighted by their counts,
+    as in LeRobot itself.
+    """
+    total = one["count"] + other["count"]
+    fraction = other["count"] / total
+    shift = other["mean"] - one["mean"]
+    mixed = {
+        name: (1 - fraction) * one[name] + fraction * other[name] for name in ("var", *QUANTILES)
+    }
+    return {
+        **mixed,
+        "count": total,
+        "min": np.fmin(one["min"], other["min"]),
+        "max": np.fmax(one["max"], other["max"]),
+        "mean": one["mean"] + fraction * shift,
+        "var": mixed["var"] + fraction * (1 - fraction) * shift**2,
+    }
+
+
+def document_of(part: Statistics, *, of_images: bool = False) -> dict[str, list[Any]]:
+    """Return statistics as LeRobot stores them."""
+    part = {**part, "std": np.sqrt(part["var"]), "count": np.array([part["count"]])}
+    names = ("min", "max", "mean", "std", "count", *QUANTILES)
+    lists = {name: part[name].tolist() for name in names}
+    if of_images:
+        lists |= {name: [[[one]] for one in lists[name]] for name in names if name != "count"}
+    return lists
 
 
 VERSION = "v3.0"
@@ -299,7 +245,7 @@ class _Dataset:
     path: Path
     features: dict[str, Feature]
     fps: int
-    stats: Stats = field(default_factory=Stats)
+    stats: dict[str, Statistics] = field(default_factory=dict)
     tasks: dict[str, int] = field(default_factory=dict)
     episodes: list[dict[str, Any]] = field(default_factory=list)
     frames: int = 0
@@ -318,14 +264,17 @@ class _Dataset:
             "index": np.arange(self.frames, self.frames + count),
             "task_index": np.full(count, task_index),
         }
-        stats = Stats()
-        images = [name for name, kind in self.features.items() if kind.dtype == "image"]
+        stats = {
+            name: part
+            for name, feature in self.features.items()
+            if feature.dtype not in ("image", "string")
+            and (part := statistics_of(np.asarray(columns[name])))
+        }
         for name, feature in self.features.items():
-            if feature.dtype not in ("image", "string"):
-                stats.add(name, np.asarray(columns[name]))
-        for name in images:
-            stats.add_images(name, [entry["bytes"] for entry in columns[name]])
-        self.stats.merge(stats)
+            if feature.dtype == "image":
+                stats[name] = _image_statistics([entry["bytes"] for entry in columns[name]])
+        for name, part in stats.items():
+            self.stats[name] = of_both(self.stats[name], part) if name in self.stats else part
         table = pa.table(
             {name: _arrow(columns[name], kind) for name, kind in self.features.items()}
         )
@@ -348,7 +297,11 @@ class _Dataset:
                 "dataset_to_index": self.frames + count,
                 "meta/episodes/chunk_index": 0,
                 "meta/episodes/file_index": 0,
-                **stats.flat(),
+                **{
+                    f"stats/{name}/{key}": value
+                    for name, document in self._documents(stats).items()
+                    for key, value in document.items()
+                },
             }
         )
         self.frames += count
@@ -366,7 +319,7 @@ class _Dataset:
             {"task_index": list(self.tasks.values()), "__index_level_0__": list(self.tasks)}
         )
         pq.write_table(tasks.replace_schema_metadata(_INDEXED), self.path / "meta/tasks.parquet")
-        _write_json(self.path / "meta" / "stats.json", self.stats.document())
+        _write_json(self.path / "meta" / "stats.json", self._documents(self.stats))
         info = {
             "codebase_version": VERSION,
             "robot_type": "tactile-rig",
@@ -383,6 +336,13 @@ class _Dataset:
             "features": {name: kind.info() for name, kind in self.features.items()},
         }
         _write_json(self.path / "meta" / "info.json", info)
+
+    def _documents(self, stats: dict[str, Statistics]) -> dict[str, dict[str, list[Any]]]:
+        """Return the statistics of features as they are stored."""
+        return {
+            name: document_of(part, of_images=self.features[name].dtype == "image")
+            for name, part in stats.items()
+        }
 
     def _schema(self, table: pa.Table) -> pa.Schema:
         described = {name: kind.hugging() for name, kind in self.features.items()}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -64,17 +64,12 @@ _TIME = {
 }
 
 
-def _number(description: str) -> dict[str, Any]:
-    return {"type": "number", "description": description}
-
-
-def _integer(description: str) -> dict[str, Any]:
-    return {"type": "integer", "description": description}
+def _a(kind: str, description: str) -> dict[str, Any]:
+    return {"type": kind, "description": description}
 
 
 def _vector(description: str) -> dict[str, Any]:
-    axes = {axis: {"type": "number"} for axis in "xyz"}
-    return {"type": "object", "description": description, "properties": axes}
+    return {**_a("object", description), "properties": {axis: {"type": "number"} for axis in "xyz"}}
 
 
 def _list(description: str) -> dict[str, Any]:
@@ -100,14 +95,14 @@ SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
                 "frame_id": {"type": "string"},
                 "force": _vector("F/T frame, offset removed [N]; pressing is negative z"),
                 "torque": _vector("F/T frame, offset removed [N m]"),
-                "seq": _integer("the device's sequence number"),
-                "status": _integer("the device's status word"),
+                "seq": _a("integer", "the device's sequence number"),
+                "status": _a("integer", "the device's status word"),
             }
         ),
     ),
     "taxels": (
         "tactile_rig.Taxels",
-        _object({"counts": _COUNTS, "seq": _integer("the device's sequence number")}),
+        _object({"counts": _COUNTS, "seq": _a("integer", "the device's sequence number")}),
     ),
     "events": ("tactile_rig.Event", _object({"text": {"type": "string"}})),
     "segments": (
@@ -115,14 +110,14 @@ SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
         _object(
             {
                 "end": _TIME,
-                "duration": _number("[s]"),
-                "target": _integer("row of targets"),
+                "duration": _a("number", "[s]"),
+                "target": _a("integer", "row of targets"),
                 "phase": {"type": "string"},
                 "outcome": {"type": "string"},
-                "run": _integer("entry of the session's runs"),
-                "point": _integer("number of the contact point"),
-                "depth": _number("planned indentation [m]"),
-                "direction": _integer("number of the shear direction, -1 for none"),
+                "run": _a("integer", "entry of the session's runs"),
+                "point": _a("integer", "number of the contact point"),
+                "depth": _a("number", "planned indentation [m]"),
+                "direction": _a("integer", "number of the shear direction, -1 for none"),
                 "planned": _list("planned place of the tip at full shear, base frame [m]"),
             }
         ),
@@ -131,12 +126,12 @@ SCHEMAS: Mapping[str, tuple[str, dict[str, Any]]] = {
         "tactile_rig.Reference",
         _object(
             {
-                "point": _integer("contact point it belongs to"),
-                "image": _integer("row of the camera stream, -1 without one"),
+                "point": _a("integer", "contact point it belongs to"),
+                "image": _a("integer", "row of the camera stream, -1 without one"),
                 "wrench": _list("residual offset without contact [N, N m]"),
                 "wrench_std": _list("its spread [N, N m]"),
                 "taxels": _COUNTS,
-                "run": _integer("entry of the session's runs"),
+                "run": _a("integer", "entry of the session's runs"),
             }
         ),
     ),
@@ -230,7 +225,7 @@ def _schema_of(stream: Stream) -> tuple[str, dict[str, Any]]:
     properties = {
         column.name: _list(f"{column.description} [{column.units}]")
         if column.shape
-        else _number(f"{column.description} [{column.units}]")
+        else _a("number", f"{column.description} [{column.units}]")
         for column in columns
     }
     return f"tactile_rig.{stream.name}", _object(properties)
@@ -240,108 +235,81 @@ def _samples(session: Session, stream: Stream, topic: str) -> Iterator[Message]:
     """Yield all messages of a stream in the order of its rows."""
     log = utc_of_rows(session, stream.name, stream.t_ns)
     publish = utc_of_rows(session, stream.name, captured(stream))
-    block = _BLOCK
-    make = _MAKERS.get(stream.traits.kind, _columns)
+    block, make = _BLOCK, _documents
     if stream.layout.image is not None:
         block, make = _IMAGES, _images
-    child = TOOL if topic == TOPICS["pose"] else stream.name
+    elif stream.traits.kind == "pose":
+        make = partial(_poses, child=TOOL if topic == TOPICS["pose"] else stream.name)
     for start in range(0, len(stream), block):
         rows = range(start, min(start + block, len(stream)))
-        made = make(stream, rows, publish)
-        for row, (data, transform) in zip(rows, made, strict=True):
-            times = int(log[row]), int(publish[row])
-            yield Message(topic, *times, row, data)
-            if transform is not None:
-                transform.child_frame_id = child
-                yield Message("/tf", *times, row, transform.SerializeToString())
+        moments = publish[start : rows.stop].tolist()
+        for row, contents in zip(rows, make(stream, rows, moments), strict=True):
+            for name, data in zip((topic, "/tf"), contents, strict=False):
+                yield Message(name, int(log[row]), moments[row - start], row, data)
 
 
-# A message, and the transform that a pose is as well.
-_Contents = tuple[bytes, FrameTransform | None]
+# A message, and with a pose the transform that it is as well.
+_Contents = tuple[bytes] | tuple[bytes, bytes]
 
 
-def _images(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
-    if stream.jpeg_shape is not None:
-        for row, data in zip(rows, stream.jpegs(rows), strict=True):
-            message = CompressedImage(frame_id=stream.name, data=data, format="jpeg")
-            message.timestamp.FromNanoseconds(int(publish[row]))
-            yield message.SerializeToString(), None
-        return
-    for row, pixels in zip(rows, stream.images(rows), strict=True):
-        height, width, channels = pixels.shape
-        encoding = "rgb8" if channels == 3 else "mono8"
-        message = RawImage(
-            frame_id=stream.name,
-            width=width,
-            height=height,
-            encoding="16UC1" if pixels.dtype.itemsize == 2 else encoding,
-            step=width * channels * pixels.dtype.itemsize,
-            data=pixels.tobytes(),
-        )
-        message.timestamp.FromNanoseconds(int(publish[row]))
-        yield message.SerializeToString(), None
+def _images(stream: Stream, rows: range, publish: list[int]) -> Iterator[_Contents]:
+    message: CompressedImage | RawImage
+    stored = stream.jpegs(rows) if stream.jpeg_shape is not None else stream.images(rows)
+    for moment, image in zip(publish, stored, strict=True):
+        if isinstance(image, bytes):
+            message = CompressedImage(frame_id=stream.name, data=image, format="jpeg")
+        else:
+            height, width, channels = image.shape
+            encoding = "rgb8" if channels == 3 else "mono8"
+            message = RawImage(
+                frame_id=stream.name,
+                width=width,
+                height=height,
+                encoding="16UC1" if image.dtype.itemsize == 2 else encoding,
+                step=width * channels * image.dtype.itemsize,
+                data=image.tobytes(),
+            )
+        message.timestamp.FromNanoseconds(moment)
+        yield (message.SerializeToString(),)
 
 
-def _poses(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
+def _poses(stream: Stream, rows: range, publish: list[int], *, child: str) -> Iterator[_Contents]:
     values = stream.rows_between("value", rows.start, rows.stop)
-    turned = quaternion(values[:, 3:])
-    for row, value, quat in zip(rows, values, turned, strict=True):
+    for moment, value, quat in zip(publish, values, quaternion(values[:, 3:]), strict=True):
         pose = PoseInFrame(frame_id=BASE)
-        pose.timestamp.FromNanoseconds(int(publish[row]))
-        moved = FrameTransform(parent_frame_id=BASE)
-        moved.timestamp.FromNanoseconds(int(publish[row]))
-        for place, rotation in (
-            (pose.pose.position, pose.pose.orientation),
-            (moved.translation, moved.rotation),
+        moved = FrameTransform(parent_frame_id=BASE, child_frame_id=child)
+        for message, place, rotation in (
+            (pose, pose.pose.position, pose.pose.orientation),
+            (moved, moved.translation, moved.rotation),
         ):
+            message.timestamp.FromNanoseconds(moment)
             place.x, place.y, place.z = (float(v) for v in value[:3])
             rotation.w, rotation.x, rotation.y, rotation.z = (float(v) for v in quat)
-        yield pose.SerializeToString(), moved
+        yield pose.SerializeToString(), moved.SerializeToString()
 
 
-def _wrenches(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
-    values = stream.rows_between("value", rows.start, rows.stop).tolist()
-    seq = stream.rows_between("seq", rows.start, rows.stop).tolist()
-    status = stream.rows_between("status", rows.start, rows.stop).tolist()
-    for place, row in enumerate(rows):
-        x, y, z, tx, ty, tz = values[place]
-        document = {
-            "timestamp": _stamp(int(publish[row])),
-            "frame_id": SENSOR if stream.name == "force" else stream.name,
-            "force": {"x": x, "y": y, "z": z},
-            "torque": {"x": tx, "y": ty, "z": tz},
-            "seq": seq[place],
-            "status": status[place],
-        }
-        yield _packed(document), None
-
-
-def _texts(stream: Stream, rows: range, publish: Any) -> Iterator[_Contents]:
-    values = stream.rows_between("value", rows.start, rows.stop)
-    for row, value in zip(rows, values, strict=True):
-        document = {"timestamp": _stamp(int(publish[row])), "text": event_text(value)}
-        yield _packed(document), None
-
-
-def _columns(
-    stream: Stream, rows: range, publish: Any, keys: Mapping[str, str] | None = None
-) -> Iterator[_Contents]:
-    """Yield the columns of a stream, or some of them by other `keys`."""
-    keys = keys or {name: name for name in stream.small[:-1]}
-    values = {
-        key: stream.rows_between(name, rows.start, rows.stop).tolist() for name, key in keys.items()
-    }
-    for place, row in enumerate(rows):
-        document: dict[str, Any] = {name: column[place] for name, column in values.items()}
-        yield _packed({"timestamp": _stamp(int(publish[row])), **document}), None
-
-
-_MAKERS: dict[str, Callable[[Stream, range, Any], Iterator[_Contents]]] = {
-    "pose": _poses,
-    "force": _wrenches,
-    "taxels": partial(_columns, keys={"value": "counts", "seq": "seq"}),
-    "events": _texts,
-}
+def _documents(stream: Stream, rows: range, publish: list[int]) -> Iterator[_Contents]:
+    """Yield the rows of a stream as JSON, by its kind or by the names of its columns."""
+    kind, columns = stream.traits.kind, {}
+    for name in stream.small[:-1]:
+        values = stream.rows_between(name, rows.start, rows.stop)
+        columns[name] = values if kind == "events" else values.tolist()
+    for place, moment in enumerate(publish):
+        document: dict[str, Any] = {name: values[place] for name, values in columns.items()}
+        value: Any = document.get("value")
+        if kind == "events":
+            document = {"text": event_text(value)}
+        elif kind == "force":
+            document = {
+                "frame_id": SENSOR if stream.name == "force" else stream.name,
+                "force": dict(zip("xyz", value[:3], strict=True)),
+                "torque": dict(zip("xyz", value[3:], strict=True)),
+                "seq": document["seq"],
+                "status": document["status"],
+            }
+        elif kind == "taxels":
+            document = {"counts": value, "seq": document["seq"]}
+        yield (_packed({"timestamp": _stamp(moment), **document}),)
 
 
 def _events(session: Session) -> Iterator[Message]:

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import subprocess
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from support.sessions import T0, make_session
 
 from recorder import Session
 from recorder.convert import Options, export, lerobot_format
-from recorder.convert.lerobot_format import Stats
+from recorder.convert.lerobot_format import document_of, of_both, statistics_of
 from recorder.convert.runs import parse_utc
 
 IMAGE = "observation.images.tactile"
@@ -181,13 +182,8 @@ def test_rows_without_an_image_are_left_out_and_invalid_ones_if_asked(tmp_path: 
 def test_statistics_of_parts_are_those_of_the_whole() -> None:
     values = np.random.default_rng(1).normal(3, 2, (1000, 3))
     values[17, 1] = np.nan
-    whole, merged = Stats(), Stats()
-    whole.add("x", values)
-    for part in np.split(values, [100, 130, 700]):
-        one = Stats()
-        one.add("x", part)
-        merged.merge(one)
-    first, second = whole.document()["x"], merged.document()["x"]
+    parts = [statistics_of(part) for part in np.split(values, [100, 130, 700])]
+    first, second = document_of(statistics_of(values)), document_of(reduce(of_both, parts))
     for key in ("min", "max", "mean", "std", "count"):
         np.testing.assert_allclose(second[key], first[key], rtol=1e-12)
     np.testing.assert_allclose(second["q50"], first["q50"], atol=0.3)

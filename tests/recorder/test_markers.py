@@ -179,10 +179,7 @@ def test_counts_of_another_shape_or_unknown_ones_are_refused(counts: Any) -> Non
         ("size_min", -1.0),
         ("size_max", float("nan")),
         ("centre_max", -1.0),
-        ("axis_max", -1.0),
         ("shift_max", -0.1),
-        ("dots_per_inch", 0.0),
-        ("least_coverage", 0.7),
     ],
 )
 def test_a_disc_map_that_draws_nothing_names_its_field(field: str, value: float) -> None:
