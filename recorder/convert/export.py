@@ -101,7 +101,7 @@ class Format:
     """True if its `write_archive` writes a marker archive."""
 
 
-# Export formats by name.
+# Export formats by name. Other packages may add rows.
 FORMATS: dict[str, Format] = {
     "zarr": Format("a copy of the session, verified (a folder)", "recorder.convert.zarr_format"),
     "lerobot": Format(

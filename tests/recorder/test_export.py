@@ -177,9 +177,10 @@ def test_a_row_of_the_table_writes_archives_of_another_package(
     def write(source: MarkerArchive, path: Path, options: Options, progress: Progress) -> None:
         path.write_text(f"{', '.join(source)} {options.valid_only}")
 
-    module.write = write  # type: ignore[attr-defined]
+    module.write_archive = write  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "elsewhere", module)
-    monkeypatch.setitem(FORMATS, "mcap", replace(FORMATS["mcap"], archive="elsewhere"))
+    row = replace(FORMATS["mcap"], module="elsewhere", of_archives=True)
+    monkeypatch.setitem(FORMATS, "mcap", row)
     export(archive, tmp_path / "out", "mcap", options=Options(valid_only=True))
     assert (tmp_path / "out").read_text() == "r6, r18, uskin True"
 
