@@ -149,14 +149,13 @@ def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
     alone = {
         "network.encoder_norm": settings.network.encoder_norm == "batch",
         "network.tail_norm": settings.network.tail_norm == "batch",
-        "ema": settings.ema is not None,
         "launch.mixed_precision": settings.launch.mixed_precision == "fp16",
     }
     for key, found in alone.items():
         if found:
             raise LearningError(
                 f"{key}: found a setting that needs one model at a time; allowed for several: "
-                "norms none, instance or group, no ema, precision no or bf16"
+                "norms none, instance or group, precision no or bf16"
             )
 
 

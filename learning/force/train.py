@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -32,7 +31,7 @@ from learning.force.model import (
     require_form,
 )
 from learning.training.checkpoint import load_weights, read_weights
-from learning.training.optim import Constant, Cosine, Ema, InversePower, Schedule, set_rate
+from learning.training.optim import Constant, Cosine, InversePower, Schedule, set_rate
 from learning.training.run import (
     LaunchSettings,
     RunFolder,
@@ -131,8 +130,6 @@ class ForceSettings:
     reaches its limits."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)
     """Devices and precision of training."""
-    ema: float | None = None
-    """Decay of the running average of weights, which is the model; none: the last weights are."""
     start_at_mean: bool = True
     """True if the untrained model predicts the mean label, False if the centre of the box."""
     patience_epochs: int | None = 10
@@ -144,8 +141,6 @@ class ForceSettings:
         """Reject training without stages, or invalid values."""
         if not self.stages:
             raise LearningError("stages: found none; allowed: one or more")
-        if self.ema is not None and not 0.0 < self.ema < 1.0:
-            raise LearningError(f"ema: found {self.ema}; allowed: between 0 and 1, or none")
         require(self, "patience_epochs", "validate_every_epochs", least=1)
         require(self, "range_margin", least=0)
         if self.sequences.superpose and self.input.form != "field":
@@ -465,9 +460,6 @@ def train_force(
     run, runs_on, device = session.run, session.accelerator, session.device
     ranks, rank = runs_on.num_processes, runs_on.process_index
 
-    def average_of(model: nn.Module) -> Ema | None:
-        return None if settings.ema is None else Ema(model, settings.ema)
-
     # Data
     groups, held = _groups(presses), [each for each in _groups(validation) if each.is_labelled]
     if settings.input.alone:
@@ -484,14 +476,13 @@ def train_force(
 
     # Model
     model = begun_model(labels, settings, start_from, device)
-    average = average_of(model)
     network: nn.Module = runs_on.prepare(model)
     optimiser = runs_on.prepare(optimiser_of(model.parameters(), settings.optimiser))
 
     # Loop
     state, best = TrainState(), None
     if run.latest() is not None:
-        state, best = _resumed(run, model, optimiser, average)
+        state, best = _resumed(run, model, optimiser)
     total = sum(
         stage.epochs * epoch_of(groups, stage, settings, 0).steps(ranks)
         for stage in settings.stages
@@ -525,8 +516,6 @@ def train_force(
             if settings.optimiser.clip is not None:
                 runs_on.clip_grad_norm_(model.parameters(), settings.optimiser.clip)
             optimiser.step()
-            if average is not None:
-                average.update(model)
             summed += loss.detach()
             state.step += 1
             state.steps += 1
@@ -538,7 +527,7 @@ def train_force(
                 "(try a smaller learning_rate)"
             )
         if state.step < steps:
-            _save(run, state, model, best, optimiser, average)
+            _save(run, state, model, best, optimiser)
             break
 
         # Evaluation
@@ -546,12 +535,11 @@ def train_force(
         state = replace(state, epoch=state.epoch + 1, step=0, summed=0.0, epochs=state.epochs + 1)
         score = None
         if held and state.epoch % settings.validate_every_epochs == 0:
-            with average.applied(model) if average is not None else nullcontext():
-                # Reduced over processes, so that all of them end a stage at the same time.
-                off = runs_on.reduce(_validated(model, held, wanted), "mean")
-                score = float(off.nanmean())
-                if score < state.best:
-                    best = {name: value.clone() for name, value in model.state_dict().items()}
+            # Reduced over processes, so that all of them end a stage at the same time.
+            off = runs_on.reduce(_validated(model, held, wanted), "mean")
+            score = float(off.nanmean())
+            if score < state.best:
+                best = {name: value.clone() for name, value in model.state_dict().items()}
             state.waited = 0 if score < state.best else state.waited + 1
             state.best = min(score, state.best)
             off_in_newtons = (off * (model.high - model.low)).tolist()
@@ -562,13 +550,11 @@ def train_force(
         if state.epoch == stage.epochs or (patience is not None and state.waited >= patience):
             if best is not None:
                 model.load_state_dict(best)
-            elif average is not None:
-                model.load_state_dict(dict(average.weights))
             state = TrainState(stage=state.stage + 1, epochs=state.epochs, steps=state.steps)
-            best, average = None, average_of(model)
+            best = None
             optimiser = runs_on.prepare(optimiser_of(model.parameters(), settings.optimiser))
         run.log(state.steps, line)
-        _save(run, state, model, best, optimiser, average, score)
+        _save(run, state, model, best, optimiser, score)
     else:
         run.finish(state.steps, {"model": model})
     # Otherwise the model would be evaluated in the precision of the training.
@@ -653,26 +639,17 @@ def _save(
     model: nn.Module,
     best: State | None,
     optimiser: Any,
-    average: Ema | None,
     score: float | None = None,
 ) -> None:
     models: dict[str, nn.Module | State] = {"model": model}
     if best is not None:
         models["best"] = best
-    training: dict[str, Any] = {"optimiser": optimiser, "course": asdict(state)}
-    if average is not None:
-        training["average"] = average
-    run.save(state.steps, models, training, score=score)
+    run.save(state.steps, models, {"optimiser": optimiser, "course": asdict(state)}, score=score)
 
 
-def _resumed(
-    run: RunFolder, model: nn.Module, optimiser: Any, average: Ema | None
-) -> tuple[TrainState, State | None]:
+def _resumed(run: RunFolder, model: nn.Module, optimiser: Any) -> tuple[TrainState, State | None]:
     """Restore a run's latest checkpoint; return its progress and the best weights of its stage."""
-    training: dict[str, Any] = {"optimiser": optimiser}
-    if average is not None:
-        training["average"] = average
-    run.restore({"model": model}, training)
+    run.restore({"model": model}, {"optimiser": optimiser})
     folder = run.latest()
     best = None if folder is None else folder / "best.safetensors"
     state = TrainState(**run.training_values()["course"])

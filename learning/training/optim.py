@@ -1,91 +1,17 @@
-"""Exponential moving average of weights, and learning-rate schedules."""
+"""Learning rates as pure functions of the step, so that resuming needs no scheduler state.
+
+A learning rate in settings is one of these classes, selected by `kind` in YAML.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
-from torch import Tensor, nn
 
 from learning.errors import LearningError
-
-
-class Ema:
-    """An exponential moving average of a module's parameters; other state is copied.
-
-    The decay is reduced in the first steps: after n updates it is min(decay, (1 + n) / (10 + n)).
-    """
-
-    def __init__(self, module: nn.Module, decay: float = 0.999) -> None:
-        """Begin with the module's weights.
-
-        Args:
-            module: The module to average; not wrapped by Accelerate.
-            decay: Fraction of the average that an update keeps, 0 to less than 1.
-        """
-        if not 0 <= decay < 1:
-            raise LearningError(f"ema: found decay {decay}; allowed: 0 to less than 1")
-        self.decay = decay
-        self._updates = 0
-        self._average = {name: value.detach().clone() for name, value in _state(module).items()}
-        self._parameters = {name for name, _ in module.named_parameters()}
-
-    @torch.no_grad()
-    def update(self, module: nn.Module) -> None:
-        """Update the average after a step."""
-        self._updates += 1
-        left = min(self.decay, (1 + self._updates) / (10 + self._updates))
-        for name, value in _state(module).items():
-            kept = self._average[name]
-            if name in self._parameters and kept.is_floating_point():
-                kept.lerp_(value.detach().to(kept.dtype), 1 - left)
-            else:
-                kept.copy_(value)
-
-    @property
-    def weights(self) -> Mapping[str, Tensor]:
-        """The average, by the names of the module's state."""
-        return self._average
-
-    @contextmanager
-    def applied(self, module: nn.Module) -> Iterator[None]:
-        """Give a module the averaged weights while the context is open."""
-        own = {name: value.detach().clone() for name, value in _state(module).items()}
-        module.load_state_dict(self._average)
-        try:
-            yield
-        finally:
-            module.load_state_dict(own)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Return the state for a checkpoint."""
-        return {"decay": self.decay, "updates": self._updates, "average": self._average}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore the state from `state_dict`."""
-        average = state["average"]
-        shapes = {name: tuple(value.shape) for name, value in average.items()}
-        own = {name: tuple(value.shape) for name, value in self._average.items()}
-        if shapes != own or state["decay"] != self.decay:
-            raise LearningError(
-                "ema: found an average of another module or decay; allowed: its own"
-            )
-        self._updates = int(state["updates"])
-        for name, value in average.items():
-            self._average[name].copy_(value)
-
-
-def _state(module: nn.Module) -> dict[str, Tensor]:
-    return dict(module.state_dict())
-
-
-# Learning rates as pure functions of the step, so that resuming needs no scheduler state.
-#
-# A learning rate in settings is one of these classes, selected by `kind` in YAML.
 
 
 @dataclass(frozen=True, slots=True)

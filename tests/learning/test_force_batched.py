@@ -21,6 +21,7 @@ from learning.force.train import (
     StageSettings,
     train_force,
 )
+from learning.training.run import LaunchSettings
 from recorder.archive import Simulated
 
 SETTINGS = toy(
@@ -131,7 +132,10 @@ def test_it_stops_when_it_is_asked_to() -> None:
     ("settings", "key"),
     [
         (toy(network=replace(TOY.network, tail_norm="batch")), "network.tail_norm"),
-        (toy(ema=0.9), "ema"),
+        (
+            replace(SETTINGS, launch=LaunchSettings(mixed_precision="fp16")),
+            "launch.mixed_precision",
+        ),
     ],
 )
 def test_what_models_cannot_share_is_refused(settings: ForceSettings, key: str) -> None:

@@ -43,7 +43,6 @@ EVERYTHING = toy(
     ),
     network=replace(TOY.network, encoder_norm="batch", tail_norm="batch", dropout=0.1),
     sequences=SequenceSettings(batch=2, flips=True, presses=2, truncate_frames=3),
-    ema=0.9,
     patience_epochs=2,
 )
 SEVERAL = [noise_presses(4, seed=1), noise_presses(5, seed=2)]

@@ -1,4 +1,4 @@
-"""Steps of a training: stateless randomness, learning rates, averages, devices, Ctrl-C."""
+"""Steps of a training: stateless randomness, learning rates, devices, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 from learning.errors import LearningError
-from learning.training.optim import Constant, Cosine, Ema, InversePower, set_rate
+from learning.training.optim import Constant, Cosine, InversePower, set_rate
 from learning.training.run import (
     LaunchSettings,
     Stop,
@@ -89,30 +89,6 @@ def test_rates_rise_and_fall() -> None:
 def test_schedules_that_make_no_sense_are_refused(kind: type, given: dict[str, object]) -> None:
     with pytest.raises(LearningError, match="allowed"):
         kind(**given)
-
-
-def test_an_average_follows_and_can_be_put_on() -> None:
-    net = nn.Sequential(nn.Linear(1, 1, bias=False), nn.BatchNorm1d(1))
-    with torch.no_grad():
-        net[0].weight.fill_(0.0)
-    ema = Ema(net, 0.5)
-    for value in (1.0, 1.0):
-        with torch.no_grad():
-            net[0].weight.fill_(value)
-        net[1].num_batches_tracked.add_(1)
-        ema.update(net)
-    # Early on, weights of 2/11 and 3/12 of the average remain.
-    left = (2 / 11) * (3 / 12)
-    assert ema.weights["0.weight"].item() == pytest.approx(1 - left)
-    assert ema.weights["1.num_batches_tracked"].item() == 2
-    with ema.applied(net):
-        assert net[0].weight.item() == pytest.approx(1 - left)
-    assert net[0].weight.item() == 1.0
-    again = Ema(net, 0.5)
-    again.load_state_dict(ema.state_dict())
-    assert again.state_dict()["updates"] == 2
-    with pytest.raises(LearningError, match="another module or decay"):
-        Ema(net, 0.9).load_state_dict(ema.state_dict())
 
 
 def test_the_device_is_the_one_that_there_is() -> None:
