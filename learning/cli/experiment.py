@@ -46,11 +46,11 @@ def run(options: argparse.Namespace) -> int:
     from learning.config import preset_path, read_settings
     from learning.experiment.running import gained, run_experiment
     from learning.experiment.settings import PRESETS, ExperimentSettings
+    from learning.experiment.stages import Places
 
     settings = read_settings(ExperimentSettings, PRESETS, options.preset, options.set)
     report = run_experiment(
-        options.archive,
-        options.out,
+        Places(options.out, options.archive),
         settings,
         pairs=options.pairs,
         device=options.device,

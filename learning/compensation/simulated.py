@@ -50,6 +50,11 @@ def simulated_labels(source: ArchivedSensor, target: ArchivedSensor) -> Simulate
         for axis in range(3):
             there[rows, axis] = np.interp(fraction, at, other.force[others, axis])
             off[rows, axis] = np.interp(fraction, at, other.spread[others, axis])
+    if not np.isfinite(there).any():
+        raise LearningError(
+            f"{source.name}: found no press that both sensors of the pair have; allowed: one or "
+            "more to label"
+        )
     ratio = np.empty(shape)
     ratio[:, 2] = _ratio(np.abs(there[:, 2]), np.abs(own.force[:, 2]), np.ones(len(source)))
     shear = np.linalg.norm(there[:, :2], axis=1), np.linalg.norm(own.force[:, :2], axis=1)

@@ -73,6 +73,8 @@ class Presses:
     """Number of the frame within its press (N,) int64."""
     rows: Tensor
     """Row of the archive's table (N,) int64."""
+    spread: Tensor | None = None
+    """Standard deviation of the labels (N, 3) float32 [N], on the device; None: equally certain."""
 
     def __len__(self) -> int:
         """Return the number of presses."""

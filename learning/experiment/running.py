@@ -6,8 +6,9 @@ Existing results are reused: an interrupted experiment continues where it stoppe
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence, Set
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,20 +20,26 @@ from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import UNSEEN, ForceRow, after
 from learning.evaluation.report import Report, write_report
-from learning.experiment.forces import BEFORE, TRANSFERRED, force_settings
-from learning.experiment.models import Places, check_translators
-from learning.experiment.parts import Pair, labelled_sensors, pairs_of
+from learning.experiment.frames import labelled_sensors, pairs_of
 from learning.experiment.settings import ExperimentSettings
-from learning.experiment.worker import Job, do_all
+from learning.experiment.stages import (
+    BEFORE,
+    TRANSFERRED,
+    Experiment,
+    Places,
+    Task,
+    TaskResult,
+    check_settings,
+)
 from recorder import MarkerArchive
+from recorder.processes import Workers
 from recorder.store import replace_file
 
 Say = Callable[[str], None]
 
 
 def run_experiment(
-    archive_path: Path,
-    out: Path,
+    places: Places,
     settings: ExperimentSettings,
     *,
     pairs: Sequence[str] | None = None,
@@ -45,48 +52,38 @@ def run_experiment(
     """Run or continue an experiment and return its report.
 
     Args:
-        archive_path: Frames of all sensors, with labels and force-depth presses.
-        out: Folder of all results.
+        places: Archive with frames of all sensors, labels and force-depth presses; folder of all
+            results.
         settings: Settings of models and amount of data.
         pairs: `SOURCE:TARGET`; None: all directed pairs.
         device: Device of training and translation.
         processes: Number of processes that track markers.
-        jobs: Number of models trained in parallel, each in its own process.
+        jobs: Number of tasks at once, each in its own process; 1: all in this process.
         say: Called with a line for each completed part.
         where: Place of the settings in errors, such as their file.
     """
     if jobs < 1:
         raise LearningError(f"--jobs: found {jobs}; allowed: 1 or more")
-    archive, places = MarkerArchive(archive_path), Places(out, archive_path)
+    archive = MarkerArchive(places.archive)
     if archive.warning:
         raise LearningError(archive.warning)
-    wanted = pairs_of(archive, pairs)
+    experiment = Experiment(
+        places, settings, pairs_of(archive, pairs), device, max(1, processes // jobs), say=say
+    )
     try:
-        # These presets are used only hours later, but a mistake in them is refused now.
-        check_translators(settings)
-        for tuning in (False, True):
-            force_settings(settings, archive, torch.device(device), tuning=tuning)
+        check_settings(settings, archive, device)
     except LearningError as error:
         raise LearningError(f"{where}.{error}") from None
-    _begin(places, settings, archive, wanted)
-    _write_split(places, settings, archive)
-    labelled = labelled_sensors(archive, read_split(places.split))
-    unlabelled = dict.fromkeys(pair.target for pair in wanted if pair.target not in labelled)
+    _begin(experiment, archive)
+    labelled = labelled_sensors(archive, experiment.split)
+    unlabelled = dict.fromkeys(p.target for p in experiment.pairs if p.target not in labelled)
+    experiment.unlabelled = frozenset(unlabelled)
     for name in unlabelled:
         say(
             f"{name}: no labels in training presses, so no model is trained on its own labels "
             "(target) and none compensates by them (oracle)"
         )
-    work = Job(
-        archive_path,
-        out,
-        settings,
-        wanted,
-        device,
-        max(1, processes // jobs),
-        unlabelled=frozenset(unlabelled),
-    )
-    done = do_all(work, jobs, say)
+    done = do_all(experiment, jobs)
     return write_report(
         [found for each in done for found in each.predictions],
         [scores for each in done for scores in each.scores],
@@ -114,40 +111,99 @@ def gained(rows: Sequence[ForceRow]) -> str:
     return "  ".join(reported)
 
 
-def _begin(
-    places: Places, settings: ExperimentSettings, archive: MarkerArchive, pairs: Sequence[Pair]
-) -> None:
-    """Write the definition of the experiment, or check that an existing one is the same."""
+def _begin(experiment: Experiment, archive: MarkerArchive) -> None:
+    """Write definition and split of the experiment, or check that existing ones are the same."""
+    places, settings = experiment.places, experiment.settings
     content = {
         "archive": archive_fingerprint(archive),
-        "pairs": [f"{pair.source}:{pair.target}" for pair in pairs],
+        "pairs": [f"{pair.source}:{pair.target}" for pair in experiment.pairs],
         **settings_to_dict(settings),
     }
     # Convert by JSON, in which tuples become lists.
     plain: dict[str, Any] = json.loads(json.dumps(content))
     path = places.out / "experiment.json"
-    if not path.exists():
+    if path.exists():
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        for key in plain:
+            if stored.get(key) != plain[key]:
+                raise LearningError(
+                    f"{path}.{key}: found {stored.get(key)!r}, asked for {plain[key]!r}; allowed: "
+                    "the same experiment, or another folder"
+                )
+    else:
         places.predictions.mkdir(parents=True, exist_ok=True)
         replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
-        return
-    stored = json.loads(path.read_text(encoding="utf-8"))
-    for key in plain:
-        if stored.get(key) != plain[key]:
-            raise LearningError(
-                f"{path}.{key}: found {stored.get(key)!r}, asked for {plain[key]!r}; allowed: the "
-                "same experiment, or another folder"
-            )
-
-
-def _write_split(places: Places, settings: ExperimentSettings, archive: MarkerArchive) -> None:
-    """Write the split, or check that an existing one fits the archive."""
     if places.split.exists():
         read_split(places.split).check(archive)
         return
-    made = make_split(
+    make_split(
         archive,
         validation=settings.validation,
         new_press=settings.new_press,
         seed=settings.seed,
-    )
-    made.write(places.split)
+    ).write(places.split)
+
+
+# Execution of the tasks, sequentially or in parallel.
+#
+# A small network keeps a GPU busy only part of the time; the rest is spent on launching its
+# kernels. Several processes fill the gaps.
+
+
+def do_all(experiment: Experiment, jobs: int) -> list[TaskResult]:
+    """Execute all tasks, each after those that it depends on, and return their results."""
+    if jobs == 1:
+        return [experiment.do(task) for task in experiment.tasks]
+    # A copy has none of the cached data, which each process reads for itself.
+    alike = replace(experiment, say=print)
+    with Workers(jobs, _begin_worker, alike, patient=True, fewer="fewer jobs") as workers:
+        return _done(workers, experiment.tasks, experiment.say)
+
+
+# The experiment in a process of the pool.
+_experiment: Experiment | None = None
+# Lines since the last task was done.
+_said: list[str] = []
+# Set by Ctrl-C: tasks already assigned to this process are not begun.
+_stopped = False
+
+
+def _begin_worker(experiment: Experiment) -> None:
+    global _experiment
+    _experiment = replace(experiment, say=_said.append)
+
+
+def _do(task: Task) -> tuple[TaskResult, list[str]]:
+    global _stopped
+    if _experiment is None:
+        raise RuntimeError("the pool has not begun")
+    if _stopped:
+        raise KeyboardInterrupt
+    _said.clear()
+    try:
+        done = _experiment.do(task)
+    except KeyboardInterrupt:
+        _stopped = True
+        raise
+    except torch.OutOfMemoryError as error:
+        raise LearningError(
+            f"jobs: found no memory left on the device for {' '.join(task)} beside the others; "
+            "allowed: fewer jobs (repeat the command to continue)"
+        ) from error
+    return done, [*_said]
+
+
+def _done(pool: Workers | Executor, tasks: Mapping[Task, Set[Task]], say: Say) -> list[TaskResult]:
+    """Return results of tasks in order; each task starts when its dependencies are done."""
+    due, found = dict(tasks), dict[Task, TaskResult]()
+    running: dict[Future[tuple[TaskResult, list[str]]], Task] = {}
+    while due or running:
+        for task in [task for task, needed in due.items() if needed <= found.keys()]:
+            del due[task]
+            running[pool.submit(_do, task)] = task
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            done, reported = future.result()
+            for line in reported:
+                say(line)
+            found[running.pop(future)] = done
+    return [found[task] for task in tasks]

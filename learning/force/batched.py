@@ -10,7 +10,7 @@ which can be restarted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -19,7 +19,6 @@ from torch.func import functional_call, stack_module_state
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
-from learning.force.labels import Relabelling, labels_of, variances_of, weights_of
 from learning.force.model import ForceModel, prepared_rows, require_form
 from learning.force.train import (
     ForceSettings,
@@ -31,9 +30,12 @@ from learning.force.train import (
     schedule_of,
     signs,
     superposed,
+    total_steps,
+    variances_of,
+    weights_of,
 )
 from learning.training.optim import set_rate
-from learning.training.run import seed_torch
+from learning.training.run import Session, seed_torch
 
 # Frames prepared at once.
 _AT_ONCE = 256
@@ -42,37 +44,26 @@ _AT_ONCE = 256
 def train_batched(
     presses: Sequence[Presses],
     settings: ForceSettings,
+    session: Session | None = None,
     *,
     start_from: ForceModel | None = None,
-    compensation: Sequence[Relabelling | None] = (),
-    stopped: Callable[[], bool] = lambda: False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[ForceModel] | None:
     """Train one force model per sensor and return them; None if stopped.
 
     Args:
         presses: The same presses as shown by each sensor, on the device of the training.
         settings: Settings of the network and its training; `launch` sets the precision.
+        session: Who stops and watches the training; None: nobody.
         start_from: A model with the same network, for the initial weights.
-        compensation: Changes of labels, one per sensor; empty: none.
-        stopped: Called before every step; True stops training.
-        progress: Called with the number of steps done and the total.
     """
     if settings.input.alone:
         presses = [each.each_frame_alone() for each in presses]
     _require_alike(presses, settings)
     device = presses[0].device
-    changes = list(compensation) or [None] * len(presses)
-    labels = [labels_of(each, change) for each, change in zip(presses, changes, strict=True)]
-    unsure = [variances_of(each, change) for each, change in zip(presses, changes, strict=True)]
-    variance = None
-    if any(each is not None for each in unsure):
-        variance = torch.stack(
-            [
-                torch.zeros_like(label) if each is None else each
-                for each, label in zip(unsure, labels, strict=True)
-            ]
-        )
+    for each in presses:
+        each.require_wrench()
+    labels = [each.wrench for each in presses]
+    variances = variances_of(presses)
     models = [begun_model([each], settings, start_from, device) for each in labels]
     forces = torch.stack(labels)  # (k, n, 3)
     low, high = (
@@ -82,10 +73,7 @@ def train_batched(
     frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
 
     weights, buffers = stack_module_state(models)
-    total = sum(
-        stage.epochs * epoch_of(presses[:1], stage, settings, 0).steps(1)
-        for stage in settings.stages
-    )
+    total = total_steps(presses[:1], settings)
     done = passed = 0
     for stage in settings.stages:
         optimiser = optimiser_of(weights.values(), settings.optimiser)
@@ -93,7 +81,7 @@ def train_batched(
         schedule = schedule_of(stage, stage.epochs * steps)
         summed = torch.zeros(len(models), dtype=torch.float64, device=device)
         for number in range(stage.epochs * steps):
-            if stopped():
+            if session is not None and session.stopping():
                 return None
             if number % steps == 0:
                 passes = epoch_of(presses[:1], stage, settings, passed)
@@ -109,8 +97,9 @@ def train_batched(
             with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
                 normalised = _forward(models[0], weights, buffers, seen, lengths, settings)
             sure = torch.ones_like(wanted)
-            if variance is not None:
-                sure = weights_of(superposed(variance[:, rows], sequences, axis=1), low, high)
+            if variances:
+                unsure = torch.stack(variances)[:, rows]
+                sure = weights_of(superposed(unsure, sequences, axis=1), low, high)
             losses = torch.vmap(lambda one, other, known: error(one, other, lengths, known))(  # noqa: B023
                 normalised, wanted, sure
             )
@@ -122,7 +111,8 @@ def train_batched(
             optimiser.step()
             summed += losses.detach()
             done += 1
-            progress(done, total)
+            if session is not None:
+                session.progress(done, total)
         for each, loss in zip(presses, summed.tolist(), strict=True):
             if not math.isfinite(loss):
                 raise LearningError(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.compensation import twin_forces
+from learning.compensation.simulated import twin_forces
 from learning.data.presses import Presses, load_presses
 from learning.data.splits import Split
 from learning.errors import LearningError

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     from learning.archive_writer import archive_fingerprint
     from learning.data.presses import press_table
     from learning.force.folder import model_name
-    from learning.force.labels import label_source, labels_of
+    from learning.force.labels import label_source
     from learning.force.model import KIND, load_force_model
     from learning.force.train import read_force_settings, train_force
     from learning.markers.segment import kept_preset
@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
     # A run that could learn nothing is not begun.
     for name in sensors:
         if len(rows := split.rows(archive[name].table, "train")):
-            labels_of(source.given_to(press_table(archive[name], rows)), source.relabelling)
+            source.of(press_table(archive[name], rows)).require_wrench()
 
     def train(session: Session) -> Iterator[str]:
         presses, validation = (
@@ -117,7 +117,6 @@ def run(options: argparse.Namespace) -> int:
                 session,
                 validation=validation,
                 start_from=start_from,
-                compensation=source.relabelling,
             )
         if not session.run.writes:
             return iter(())
@@ -171,7 +170,7 @@ def _presses(
     rows, form = split.rows(sensor.table, role), settings.input.stored_form
     with ItemProgress("frames", sys.stderr) as frames:
         presses = load_presses(sensor, rows, device=device, form=form, progress=frames)
-    return source.given_to(presses)
+    return source.of(presses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,7 +239,6 @@ class Trained:
     def _errors(self, validation: Sequence[Presses]) -> Iterator[str]:
         import numpy as np
 
-        from learning.force.labels import labels_of
         from learning.force.model import AXES
         from learning.metrics import axis_means
 
@@ -248,7 +246,7 @@ class Trained:
             if not each.is_labelled:
                 yield f"{each.sensor}: no label in validation"
                 continue
-            true = labels_of(each, self.source.relabelling).cpu().numpy().astype(np.float64)
+            true = each.wrench.cpu().numpy().astype(np.float64)
             off = axis_means(abs(self.model.predict(each) - true)).tolist()
             by = "  ".join(
                 f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"

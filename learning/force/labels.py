@@ -9,15 +9,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
-from learning.compensation import (
-    CHOICE_OF_METHOD,
-    SIMULATED,
-    read_stored,
-    simulated_labels,
-    twin_forces,
-)
+from learning.compensation.fit import CHOICE_OF_METHOD, PairCompensation, read_stored
+from learning.compensation.simulated import SIMULATED, simulated_labels, twin_forces
 from learning.data.labels import read_labels
 from learning.data.presses import Presses
 from learning.errors import LearningError
@@ -25,52 +19,42 @@ from learning.training.checkpoint import weights_hash
 from recorder import MarkerArchive
 from recorder.archive import Simulated
 
-# Function from forces (N, 3) N, depth (N,) m and phase (N,) to forces for the target's material and
-# the number of limited ones: `learning.compensation` with its sensors and parameters bound.
-Compensation = Callable[
-    [NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]],
-    tuple[NDArray[np.float64], int],
-]
-# Other labels than the source's own.
-Relabelling = Simulated | Compensation
-# Spread of a label, as a fraction of the force range, at which it weighs half.
-HALF = 0.05
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
-def labels_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor:
-    """Return the training labels (N, 3) N of presses, on their device; NaN is no label."""
-    presses.require_wrench()
-    if compensation is None:
-        return presses.wrench[:, :3]
-    if isinstance(compensation, Simulated):
-        known = torch.from_numpy(compensation.force[presses.rows.numpy()]).float()
-        if not known.isfinite().any():
-            raise LearningError(
-                f"{presses.sensor}: found no press that both sensors of the pair have; allowed: "
-                "one or more to label"
-            )
-        return known.to(presses.device)
-    forces = presses.wrench[:, :3].double().cpu().numpy()
-    changed, _ = compensation(forces, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
-    if changed.shape != forces.shape or (np.isfinite(changed) != np.isfinite(forces)).any():
-        raise LearningError(
-            f"compensation of {presses.sensor}: found forces {changed.shape} that are not finite "
-            f"where the labels are; allowed: {forces.shape}, finite"
-        )
-    return torch.from_numpy(changed).float().to(presses.device)
+@dataclass(frozen=True, slots=True, eq=False)
+class Relabelling:
+    """Labels in place of a sensor's own."""
+
+    forces: Callable[[Integers, Floats, Floats, Integers], Floats]
+    """Forces (n, 3) [N] of rows (n,) of its table; these are given with the own forces (n, 3) [N],
+    depths (n,) [m] and phases (n,) there."""
+    spread: Floats | None = None
+    """Standard deviation of the forces of all rows (m, 3) [N]; None: all are equally certain."""
+    made_from: str = ""
+    """Twins that they are from; empty: none."""
+
+    def of(self, presses: Presses) -> Presses:
+        """Return presses with these labels."""
+        rows = presses.rows.numpy()
+        own = presses.wrench.double().cpu().numpy()
+        forces = self.forces(rows, own, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
+        found = replace(presses, wrench=torch.from_numpy(forces).float().to(presses.wrench.device))
+        if self.spread is None:
+            return found
+        spread = torch.from_numpy(self.spread[rows]).float()
+        return replace(found, spread=spread.to(presses.wrench.device))
 
 
-def variances_of(presses: Presses, compensation: Relabelling | None = None) -> Tensor | None:
-    """Return the variance of each training label (N, 3) N^2; None if all are equally certain."""
-    if not isinstance(compensation, Simulated):
-        return None
-    spread = torch.from_numpy(compensation.spread[presses.rows.numpy()]).float()
-    return spread.nan_to_num().square().to(presses.device)
+def by_twins(labels: Simulated) -> Relabelling:
+    """Return labels that twins give to all rows of a sensor's table."""
+    return Relabelling(lambda rows, *_: labels.force[rows], labels.spread, labels.made_from)
 
 
-def weights_of(variance: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """Return weights of labels (..., 3), 1 if certain, for forces in the range low to high (3,)."""
-    return 1 / (1 + variance / (HALF * (high - low)).square())
+def compensated(pair: PairCompensation) -> Relabelling:
+    """Return a source's own labels, scaled for a target."""
+    return Relabelling(lambda _rows, own, depth, phase: pair.applied(own, depth, phase)[0])
 
 
 # Labels of a training that are not the archive's, as its command names them.
@@ -83,10 +67,8 @@ _ARCHIVE = ".markers.zarr"
 class LabelSource:
     """Labels of a training."""
 
-    wrench: Tensor | None = None
-    """Forces in place of the archive's, for all rows of the sensor (n, 3) [N]; None: its own."""
     relabelling: Relabelling | None = None
-    """Change of these labels; None: none."""
+    """None: the archive's own labels."""
     data: tuple[str, ...] = ()
     """Words that identify what they are made of."""
     method: str = "transferred"
@@ -94,11 +76,9 @@ class LabelSource:
     own_twin: bool = False
     """True if they are the forces of the sensor's own twin."""
 
-    def given_to(self, presses: Presses) -> Presses:
-        """Return presses with these forces in place of the archive's."""
-        if self.wrench is None:
-            return presses
-        return replace(presses, wrench=self.wrench[presses.rows].to(presses.wrench.device))
+    def of(self, presses: Presses) -> Presses:
+        """Return presses with these labels."""
+        return presses if self.relabelling is None else self.relabelling.of(presses)
 
 
 def label_source(
@@ -126,12 +106,10 @@ def label_source(
     source, to, target = (pair or sensors[0]).partition("-to-")
     if name.endswith(".csv"):
         read = read_labels(Path(name), archive, sensors[0]).of_all(len(archive[sensors[0]]))
-        forces = torch.from_numpy(read.astype(np.float32))
-        return LabelSource(forces, data=(weights_hash(Path(name)),))
+        return LabelSource(Relabelling(lambda rows, *_: read[rows]), (weights_hash(Path(name)),))
     if name == TWIN and not to:
         labels = twin_forces(archive[sensors[0]])
-        forces = torch.from_numpy(labels.force).float()
-        return LabelSource(forces, labels, (labels.made_from,), own_twin=True)
+        return LabelSource(by_twins(labels), (labels.made_from,), own_twin=True)
     if not to:
         raise LearningError(
             f"--pair: found {pair or ','.join(sensors)}; allowed with --labels {name}: A-to-B"
@@ -144,11 +122,11 @@ def label_source(
                 f"holds {target} with forces of its twin"
             )
         labels = simulated_labels(archive[sensors[0]], other[target])
-        return LabelSource(relabelling=labels, data=(labels.made_from,), method=SIMULATED)
+        return LabelSource(by_twins(labels), (labels.made_from,), SIMULATED)
     file, _, choice = name.partition(":")
     stored = read_stored(Path(file)).pair(source, target, choice or CHOICE_OF_METHOD["compensated"])
     return LabelSource(
-        relabelling=stored.applied,
+        compensated(stored),
         data=(weights_hash(Path(file)), f"{source}-to-{target}", choice),
         method=next(each for each, known in CHOICE_OF_METHOD.items() if known == (choice or known)),
     )

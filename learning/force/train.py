@@ -20,7 +20,6 @@ from torch import Tensor, nn
 from learning.config import read_settings, require
 from learning.data.presses import AUTHORS, ForceRange, Presses
 from learning.errors import LearningError
-from learning.force.labels import Relabelling, labels_of, variances_of, weights_of
 from learning.force.model import (
     AXES,
     ForceModel,
@@ -410,6 +409,25 @@ def error(
     return (weights * difference).sum() / weights.sum().clamp(min=1e-6)
 
 
+# Spread of a label, as a fraction of the force range, at which it weighs half.
+HALF = 0.05
+
+
+def variances_of(groups: Sequence[Presses]) -> list[Tensor]:
+    """Return the variance of the labels (N, 3) N^2 of each sensor; none if all are certain."""
+    if all(each.spread is None for each in groups):
+        return []
+    return [
+        torch.zeros_like(each.wrench) if each.spread is None else each.spread.nan_to_num().square()
+        for each in groups
+    ]
+
+
+def weights_of(variance: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """Return weights of labels (..., 3), 1 if certain, for forces in the range low to high (3,)."""
+    return 1 / (1 + variance / (HALF * (high - low)).square())
+
+
 # Loop
 
 
@@ -441,7 +459,6 @@ def train_force(
     *,
     validation: Presses | Sequence[Presses] = (),
     start_from: ForceModel | None = None,
-    compensation: Relabelling | None = None,
 ) -> ForceModel:
     """Train a force model and return it in evaluation mode.
 
@@ -454,7 +471,6 @@ def train_force(
         validation: Presses that determine the end of a stage and the weights to keep; those of
             sensors without a label among them are left out.
         start_from: A model with the same network, for the initial weights.
-        compensation: Changes all labels, before the force range is computed.
     """
     session = session or Session(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
@@ -468,11 +484,10 @@ def train_force(
         require_form(each, settings.input)
     if not groups or not all(len(each) for each in groups):
         raise LearningError("presses: found none of a sensor; allowed: one or more of each")
-    labels = [labels_of(each, compensation) for each in groups]
-    wanted = [labels_of(each, compensation) for each in held]
-    variances = [
-        found for each in groups if (found := variances_of(each, compensation)) is not None
-    ]
+    for each in (*groups, *held):
+        each.require_wrench()
+    labels = [each.wrench for each in groups]
+    variances = variances_of(groups)
 
     # Model
     model = begun_model(labels, settings, start_from, device)
@@ -483,10 +498,7 @@ def train_force(
     state, best = TrainState(), None
     if run.latest() is not None:
         state, best = _resumed(run, model, optimiser)
-    total = sum(
-        stage.epochs * epoch_of(groups, stage, settings, 0).steps(ranks)
-        for stage in settings.stages
-    )
+    total = total_steps(groups, settings, ranks)
     while state.stage < len(settings.stages):
         stage = settings.stages[state.stage]
         passes = epoch_of(groups, stage, settings, state.epochs)
@@ -536,7 +548,7 @@ def train_force(
         score = None
         if held and state.epoch % settings.validate_every_epochs == 0:
             # Reduced over processes, so that all of them end a stage at the same time.
-            off = runs_on.reduce(_validated(model, held, wanted), "mean")
+            off = runs_on.reduce(_validated(model, held), "mean")
             score = float(off.nanmean())
             if score < state.best:
                 best = {name: value.clone() for name, value in model.state_dict().items()}
@@ -606,6 +618,14 @@ def epoch_of(
     return epoch(starts, sensors, settings.sequences, settings.seed, number)
 
 
+def total_steps(groups: Sequence[Presses], settings: ForceSettings, ranks: int = 1) -> int:
+    """Return the number of steps of all stages with `ranks` processes, without an early end."""
+    return sum(
+        stage.epochs * epoch_of(groups, stage, settings, 0).steps(ranks)
+        for stage in settings.stages
+    )
+
+
 def schedule_of(stage: StageSettings, steps: int) -> Schedule:
     """Return the learning-rate schedule of a stage with `steps` steps."""
     rate, warm_up = stage.learning_rate, min(stage.warm_up_steps, steps - 1)
@@ -624,11 +644,11 @@ def optimiser_of(weights: Iterable[Tensor], settings: OptimiserSettings) -> torc
     return torch.optim.AdamW(weights, lr=0.0, weight_decay=decay)
 
 
-def _validated(model: ForceModel, held: Sequence[Presses], wanted: Sequence[Tensor]) -> Tensor:
+def _validated(model: ForceModel, held: Sequence[Presses]) -> Tensor:
     """Return the mean absolute error (3,) over labels, normalised; NaN for axes without one."""
     off = [
-        (model.predict_normalised(each) - model.normalised(labels.to(model.low.device))).abs()
-        for each, labels in zip(held, wanted, strict=True)
+        (model.predict_normalised(each) - model.normalised(each.wrench.to(model.low.device))).abs()
+        for each in held
     ]
     return torch.cat(off).nanmean(dim=0)
 

@@ -14,6 +14,7 @@ from the log.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -22,9 +23,10 @@ import os
 import pickle
 import shutil
 import signal
+import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -46,6 +48,7 @@ from learning.training.checkpoint import (
     read_config,
     save_weights,
 )
+from recorder.progress import ItemProgress
 from recorder.store import replace_file, sync_directory
 
 if TYPE_CHECKING:
@@ -598,3 +601,18 @@ class Session:
         """Report a step; return True if no other may begin, as a stop was requested."""
         self.progress(done, total)
         return self.stopping()
+
+
+@contextlib.contextmanager
+def session_of(run: RunFolder, launch: LaunchSettings, name: str) -> Iterator[Session]:
+    """Yield the surroundings of a training in this process, which show its steps as `name`.
+
+    A stop that was requested meanwhile is raised as Ctrl-C once the block is left.
+    """
+    with (
+        ItemProgress(name, sys.stderr) as steps,
+        Stop(functools.partial(print, file=sys.stderr)) as stop,
+    ):
+        yield Session(accelerator(launch), run, stop, steps)
+    if stop.asked and not run.finished:
+        raise KeyboardInterrupt

@@ -8,19 +8,18 @@ new indenter, not an error of that scaling: that one is the interval's `Scale`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from learning.force.calibrate import Calibration, Wanted, calibrated, presses_of_rows
 from learning.force.intervals import Scale
-from learning.force.labels import Compensation, Relabelling
+from learning.force.labels import Relabelling
 from learning.force.model import ForceModel
 from learning.transfer.pairs import labels_by_place
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor, Simulated
+from recorder.archive import ArchivedSensor
 
 Floats = NDArray[np.float64]
 
@@ -70,10 +69,11 @@ def _source_labels(archive: MarkerArchive, source: str, compensation: Relabellin
     table = archive[source].table
     labels = np.full((len(table["location"]), 3), np.nan)
     rows = np.flatnonzero(table["valid"] & (table["location"] >= 0) & table["seen"])
-    if isinstance(compensation, Simulated):
-        labels[rows] = compensation.force[rows]
-        return labels
-    labels[rows] = _scaled(table["wrench"][rows, :3], table, rows, compensation)
+    own = np.asarray(table["wrench"][rows, :3], np.float64)
+    if compensation is not None:
+        phase = table["phase"][rows].astype(np.int64)
+        own = compensation.forces(rows, own, np.asarray(table["depth"][rows], np.float64), phase)
+    labels[rows] = own
     return labels
 
 
@@ -88,16 +88,3 @@ def forces_at(
     presses = presses_of_rows(sensor, np.flatnonzero(whole), model)
     order = {row: place for place, row in enumerate(presses.rows.tolist())}
     return model.predict(presses)[[order[int(row)] for row in rows]]
-
-
-def _scaled(
-    forces: NDArray[np.floating],
-    table: Mapping[str, NDArray[Any]],
-    rows: NDArray[np.int64],
-    compensation: Compensation | None,
-) -> Floats:
-    labels = np.asarray(forces, np.float64)
-    if compensation is None:
-        return labels
-    phase = table["phase"][rows].astype(np.int64)
-    return compensation(labels, np.asarray(table["depth"][rows], np.float64), phase)[0]

@@ -12,17 +12,21 @@ from typing import Any
 import numpy as np
 
 from learning.archive_writer import archive_fingerprint
-from learning.compensation import CHOICE_OF_METHOD, SIMULATED, twin_forces
-from learning.compensation.fit import Curves, gather_priors, read_stored, write_compensation
+from learning.compensation.fit import (
+    CHOICE_OF_METHOD,
+    Curves,
+    gather_priors,
+    read_stored,
+    write_compensation,
+)
+from learning.compensation.simulated import SIMULATED, twin_forces
 from learning.data.labels import read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
 from learning.evaluation.predictions import LABEL_FREE, after, read_predictions
-from learning.experiment.forces import adopt_model, relabelling
-from learning.experiment.models import Places
-from learning.experiment.parts import Pair
 from learning.experiment.running import run_experiment
 from learning.experiment.settings import ExperimentSettings
+from learning.experiment.stages import Experiment, Places, relabelling
 from learning.force.calibrate import Calibration, presses_of_rows
 from learning.force.export import export_onnx
 from learning.force.intervals import Scale
@@ -41,6 +45,7 @@ from learning.transfer.deliver import (
 from learning.transfer.few_labels import error_curve, gains_of_labels
 from learning.transfer.pairs import join_pair, split_pair
 from learning.transfer.tune import tune_by_place
+from learning.translation.archive import Pair
 from recorder import MarkerArchive
 from recorder.processes import cores
 from recorder.store import replace_file
@@ -128,14 +133,12 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     method = after(kinds)
     settings = replace(asked.settings, compensation=kinds)
     if asked.source_model is not None:
-        settings = adopt_model(
-            asked.source_model, archive, source, split, settings, places, asked.device
-        )
+        experiment = Experiment(places, settings, (), asked.device)
+        settings = experiment.adopt(source, asked.source_model)
     if method == UNSCALED:
         _require_as_deep(asked, archive)
     run_experiment(
-        places.archive,
-        asked.out,
+        places,
         settings,
         pairs=[f"{source}:{target}"],
         device=asked.device,

@@ -6,9 +6,7 @@ of the target, its labels belong to the target's frames too, scaled between the 
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +15,14 @@ import torch
 from learning.archive_writer import archive_fingerprint
 from learning.data.presses import load_presses
 from learning.data.splits import Split
-from learning.experiment.forces import force_settings
 from learning.experiment.settings import ExperimentSettings
+from learning.experiment.stages import force_settings
 from learning.force.labels import Relabelling
 from learning.force.model import KIND, load_force_model
 from learning.force.train import train_force
-from learning.training.run import RunFolder, Session, Stop, accelerator
+from learning.training.run import RunFolder, session_of
 from learning.transfer.calibrate import wanted_forces
 from recorder import MarkerArchive
-from recorder.archive import Simulated
-from recorder.progress import ItemProgress
 
 
 def tune_by_place(
@@ -64,9 +60,9 @@ def tune_by_place(
     rows = rows[np.isin(location, matched)]
     if not len(rows):
         return trained
-    tuning = force_settings(settings, archive, torch.device(device), tuning=True)
+    tuning = force_settings(settings, archive, device, tuning=True)
     data = f"{archive_fingerprint(archive)} {split.fingerprint} {target} {name}"
-    if isinstance(compensation, Simulated):
+    if compensation is not None and compensation.made_from:
         data += f" {compensation.made_from}"
     folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
     with RunFolder.open(folder, KIND, tuning, data, True, keep=1) as run:
@@ -74,16 +70,7 @@ def tune_by_place(
             presses = load_presses(sensor, rows, device=device)
             labels = torch.from_numpy(wanted[presses.rows.numpy()]).float()
             presses = replace(presses, wrench=labels.to(presses.device))
-            with (
-                ItemProgress(f"steps of {target} by place", sys.stderr) as steps,
-                Stop(partial(print, file=sys.stderr)) as stop,
-            ):
-                train_force(
-                    presses,
-                    tuning,
-                    Session(accelerator(tuning.launch), run, stop, steps),
-                    start_from=load_force_model(trained, device),
-                )
-            if stop.asked and not run.finished:
-                raise KeyboardInterrupt
+            before = load_force_model(trained, device)
+            with session_of(run, tuning.launch, f"steps of {target} by place") as session:
+                train_force(presses, tuning, session, start_from=before)
     return folder

@@ -13,8 +13,9 @@ from support.predicted_forces import predictions
 from benchmarks.__main__ import main
 from benchmarks.learning.tables.group_results import read_group
 from benchmarks.learning.tables.page import write_tables
-from learning.compensation import Branch, Choice, Prior, StoredCompensation
-from learning.compensation.fit import StoredPair
+from learning.compensation.fit import StoredCompensation, StoredPair
+from learning.compensation.prior import Branch, Prior
+from learning.compensation.search import Choice
 from learning.evaluation.translation import PairedScore, TranslationScores
 
 PAIRS = (("array-i", "circle-i"), ("circle-i", "array-i"))

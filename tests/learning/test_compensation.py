@@ -10,22 +10,24 @@ import pytest
 from support.learning_sessions import record
 from support.made_up_archives import made_up_archive
 
-from learning.compensation import (
+from learning.compensation.fit import read_stored
+from learning.compensation.prior import (
     Branch,
     ForceDepth,
-    Paired,
     Prior,
-    best_for_labels,
-    best_for_priors,
     compensate,
     curve_of_session,
     fit_prior,
     prior_of_coefficients,
-    read_stored,
-    simulated_labels,
-    simulated_r2,
 )
-from learning.compensation.search import paired_labels, tried
+from learning.compensation.search import (
+    Paired,
+    best_for_labels,
+    best_for_priors,
+    paired_labels,
+    tried,
+)
+from learning.compensation.simulated import simulated_labels, simulated_r2
 from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
 from recorder import PHASES, MarkerArchive

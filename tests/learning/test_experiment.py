@@ -14,26 +14,24 @@ from support.made_up_archives import made_up_archive
 
 from learning.config import preset_names, read_settings
 from learning.data.images import shrink_masks
+from learning.data.presses import Presses
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
-from learning.experiment import forces, models, running, worker
-from learning.experiment.forces import force_settings
-from learning.experiment.parts import (
+from learning.experiment import running, stages
+from learning.experiment.frames import (
     as_images,
+    flow_fields,
     frames_of_a_press,
+    load_some,
     look_of,
     pairs_of,
     thinned,
-    trained_on,
-)
-from learning.experiment.settings import PRESETS, ExperimentSettings
-from learning.experiment.translating import (
-    flow_fields,
     translate_presses,
     warp_presses,
 )
-from learning.experiment.worker import TaskResult
+from learning.experiment.settings import PRESETS, ExperimentSettings
+from learning.experiment.stages import Places, TaskResult, force_settings, translator_training
 from learning.force.train import begun_model, epoch
 from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
@@ -64,7 +62,7 @@ def settings(*changed: str) -> ExperimentSettings:
 def run(archive: MarkerArchive, out: Path, *changed: str) -> list[str]:
     reported: list[str] = []
     report = running.run_experiment(
-        archive.path, out, settings(*changed), pairs=["dots:grid"], say=reported.append
+        Places(out, archive.path), settings(*changed), pairs=["dots:grid"], say=reported.append
     )
     return [*reported, running.gained(report.force)]
 
@@ -76,6 +74,10 @@ def done(
     """A complete experiment: its folder and its output."""
     out = tmp_path_factory.mktemp("done") / "out"
     return out, run(archive, out)
+
+
+def training_presses(archive: MarkerArchive) -> Presses:
+    return load_some(archive["dots"], make_split(archive), ["train"], None, 0, device=CPU)
 
 
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -101,7 +103,7 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
     def refuse(*arguments: object, **options: object) -> None:
         raise AssertionError("trained again")
 
-    monkeypatch.setattr(forces, "train_force", refuse)
+    monkeypatch.setattr(stages, "train_force", refuse)
     undrawn(monkeypatch)
     assert run(archive, out) == [line for line in reported if "labels of >" not in line]
     with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
@@ -117,7 +119,7 @@ def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
     out, reported = done
     also: list[str] = []
     running.run_experiment(
-        archive.path, tmp_path, settings(), pairs=["dots:grid"], jobs=2, say=also.append
+        Places(tmp_path, archive.path), settings(), pairs=["dots:grid"], jobs=2, say=also.append
     )
     assert sorted(line for line in also if " to " in line) == sorted(
         line for line in reported if " to " in line
@@ -185,7 +187,7 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
             went_on.set()
         return TaskResult(), [" ".join(piece)]
 
-    monkeypatch.setattr(worker, "_do", do)
+    monkeypatch.setattr(running, "_do", do)
     tasks: dict[tuple[str, ...], set[tuple[str, ...]]] = {
         slow: set(),
         after_slow: {slow},
@@ -194,7 +196,7 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
     }
     reported: list[str] = []
     with ThreadPoolExecutor(2) as pool:
-        assert len(worker._done(pool, tasks, reported.append)) == 4
+        assert len(running._done(pool, tasks, reported.append)) == 4
     # The slow job ends only when the one that depends on the quick job has begun.
     assert begun[2:] == [after_quick, after_slow]
     assert set(begun) == set(tasks)
@@ -213,11 +215,11 @@ def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
             begun.append(piece)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(worker, "_worker", Stopped())
-    monkeypatch.setattr(worker, "_stopped", False)
+    monkeypatch.setattr(running, "_experiment", Stopped())
+    monkeypatch.setattr(running, "_stopped", False)
     for name in ("one", "two"):
         with pytest.raises(KeyboardInterrupt):
-            worker._do(("own", name))
+            running._do(("own", name))
     assert begun == [("own", "one")]
 
 
@@ -228,18 +230,16 @@ def test_a_process_without_memory_says_that_jobs_are_too_many(
         def do(self, piece: tuple[str, ...]) -> None:
             raise torch.OutOfMemoryError("tried to allocate 150 MiB")
 
-    monkeypatch.setattr(worker, "_worker", Full())
+    monkeypatch.setattr(running, "_experiment", Full())
     with pytest.raises(LearningError, match=r"jobs: found no memory left .* for own one beside"):
-        worker._do(("own", "one"))
+        running._do(("own", "one"))
 
 
 def test_presses_translated_together_are_those_translated_one_by_one(
     archive: MarkerArchive,
 ) -> None:
     source, target = archive["dots"], archive["grid"]
-    split = make_split(archive)
-    packed = trained_on(source, split, "train", settings(), CPU)
-    assert packed is not None
+    packed = training_presses(archive)
     look = look_of(target, packed, CPU)
     views = SensorView.of(source), SensorView.of(target)
     warped = warp_presses(packed, look, flow_fields(packed, *views))
@@ -260,8 +260,7 @@ def test_presses_translated_together_are_those_translated_one_by_one(
 
 
 def test_without_memory_every_frame_has_no_contact_before(archive: MarkerArchive) -> None:
-    packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
-    assert packed is not None
+    packed = training_presses(archive)
     alone = packed.each_frame_alone()
     assert len(alone) == alone.frames == packed.frames > len(packed)
     assert torch.equal(alone.of_frame, torch.arange(packed.frames))
@@ -269,7 +268,7 @@ def test_without_memory_every_frame_has_no_contact_before(archive: MarkerArchive
     assert alone.images is packed.images
     assert frames_of_a_press(archive) == 9
     batch = {
-        memory: force_settings(settings(f"memory={memory}"), archive, CPU).sequences.batch
+        memory: force_settings(settings(f"memory={memory}"), archive, "cpu").sequences.batch
         for memory in ("true", "false")
     }
     assert batch["false"] == 9 * batch["true"]
@@ -279,7 +278,7 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
     archive: MarkerArchive, tmp_path: Path
 ) -> None:
     def begun(*changed: str) -> tuple[torch.Tensor, list[int]]:
-        chosen = force_settings(settings(*changed), archive, CPU)
+        chosen = force_settings(settings(*changed), archive, "cpu")
         labels = [torch.tensor([[-1.0, -1.0, -2.0], [1.0, 1.0, 0.0]])]
         model = begun_model(labels, chosen, None, CPU)
         passed = epoch([np.arange(0, 90, 9)], [0], chosen.sequences, chosen.seed, 0)
@@ -294,12 +293,15 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
     assert not torch.equal(weights, others)
     assert order != other_order
     for tuning in (False, True):
-        assert force_settings(settings("seed=2"), archive, CPU, tuning=tuning).seed == 2
+        assert force_settings(settings("seed=2"), archive, "cpu", tuning=tuning).seed == 2
     own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field]")
-    assert [force_settings(own, archive, CPU, tuning=each).seed for each in (False, True)] == [2, 5]
-    training = models.training_of("field")
+    assert [force_settings(own, archive, "cpu", tuning=each).seed for each in (False, True)] == [
+        2,
+        5,
+    ]
+    training = translator_training(own, "field")
     assert training is not None
-    assert models.training_settings(own, "field", training).seed == 2
+    assert training[1].seed == 2
 
 
 class Same:
@@ -320,8 +322,7 @@ class Same:
 
 
 def test_frames_keep_their_places_in_translation(archive: MarkerArchive) -> None:
-    packed = trained_on(archive["dots"], make_split(archive), "train", settings(), CPU)
-    assert packed is not None
+    packed = training_presses(archive)
     shown = translate_presses(packed, look_of(archive["grid"], packed, CPU), Same())
     assert torch.equal(shown.images, as_images(packed).images)
     assert not torch.equal(shown.references, as_images(packed).references)
@@ -423,7 +424,9 @@ def test_an_unlabelled_target_is_predicted_and_rows_by_its_labels_are_left_out(
     some = made_up_archive(path, targets=3, frames_per_phase=2, force_depth=2, unlabelled=("grid",))
     reported: list[str] = []
     chosen = settings("compensation=[compensated, oracle]")
-    report = running.run_experiment(some.path, tmp_path / "out", chosen, say=reported.append)
+    report = running.run_experiment(
+        Places(tmp_path / "out", some.path), chosen, say=reported.append
+    )
     results = sorted(each.name for each in (tmp_path / "out" / "results").iterdir())
     assert results == ["dots-to-grid.source-only.npz", "dots-to-grid.transferred.flow.npz"]
     found = read_predictions(tmp_path / "out" / "results" / results[1])

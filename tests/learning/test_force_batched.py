@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from support.force_models import TOY, noise_presses, toy
+from support.training import session
 
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.batched import train_batched
+from learning.force.labels import Relabelling, by_twins
 from learning.force.model import InputSettings
 from learning.force.train import (
     ForceSettings,
@@ -40,10 +41,8 @@ def _shown() -> list[Presses]:
     return [replace(noise_presses(3, 4, seed=seed), sensor=name) for seed, name in enumerate("abc")]
 
 
-def _softer(
-    forces: np.ndarray[Any, Any], depth: object, phase: object
-) -> tuple[np.ndarray[Any, Any], int]:
-    return forces / 2, 0
+def _softer(presses: Presses) -> Presses:
+    return Relabelling(lambda rows, forces, depth, phase: forces / 2).of(presses)
 
 
 def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> None:
@@ -53,12 +52,12 @@ def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> No
     force[::2] *= 0.2
     spread = np.zeros((count, 3))
     spread[::2] = 1e3
-    labels = Simulated(force, spread, "")
-    batched = train_batched(presses, SETTINGS, compensation=[labels, _softer])
+    labelled = by_twins(Simulated(force, spread, "")).of(presses[0])
+    batched = train_batched([labelled, _softer(presses[1])], SETTINGS)
     assert batched is not None
-    alone = train_force(presses[0], SETTINGS, compensation=labels)
+    alone = train_force(labelled, SETTINGS)
     np.testing.assert_allclose(batched[0].predict(presses[0]), alone.predict(presses[0]), atol=1e-3)
-    equal = train_force(presses[0], SETTINGS, compensation=Simulated(force, 0 * spread, ""))
+    equal = train_force(by_twins(Simulated(force, 0 * spread, "")).of(presses[0]), SETTINGS)
     # The smaller forces, of which nothing is known, hold the others back.
     assert alone.predict(presses[0])[:, 2].mean() < equal.predict(presses[0])[:, 2].mean()
 
@@ -67,14 +66,14 @@ def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> No
 @pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, True)])
 def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) -> None:
     """Compare predictions: a bias before a norm has no effect, and Adam moves it by round-off."""
-    presses = _shown()
+    first, second, third = _shown()
+    presses = [first, _softer(second), third]
     settings = replace(SETTINGS, sequences=replace(SETTINGS.sequences, flips=flips))
     start = train_force(noise_presses(4, 3, seed=7), settings) if begun else None
-    changes = [None, _softer, None]
-    batched = train_batched(presses, settings, start_from=start, compensation=changes)
+    batched = train_batched(presses, settings, start_from=start)
     assert batched is not None
-    for each, change, found in zip(presses, changes, batched, strict=True):
-        alone = train_force(each, settings, start_from=start, compensation=change)
+    for each, found in zip(presses, batched, strict=True):
+        alone = train_force(each, settings, start_from=start)
         np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
     assert not np.allclose(batched[0].predict(presses[0]), batched[2].predict(presses[0]))
 
@@ -116,15 +115,10 @@ def test_superposed_presses_are_those_of_a_model_alone() -> None:
 
 
 def test_it_stops_when_it_is_asked_to() -> None:
-    asked = iter([False, True])
     seen: list[tuple[int, int]] = []
-    found = train_batched(
-        _shown(),
-        SETTINGS,
-        stopped=lambda: next(asked),
-        progress=lambda done, total: seen.append((done, total)),
-    )
-    assert found is None
+    stopped = session(SETTINGS, stop_after=2)
+    watched = replace(stopped, progress=lambda done, total: seen.append((done, total)))
+    assert train_batched(_shown(), SETTINGS, watched) is None
     assert seen == [(1, 6)]
 
 

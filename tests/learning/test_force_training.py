@@ -15,7 +15,7 @@ from learning.data.presses import AUTHORS, Presses
 from learning.errors import LearningError
 from learning.force import load_force_model
 from learning.force.batched import train_batched
-from learning.force.labels import labels_of
+from learning.force.labels import Relabelling
 from learning.force.model import KIND, ForceModel, InputSettings
 from learning.force.train import (
     ForceSettings,
@@ -155,15 +155,16 @@ def test_starting_from_a_model_begins_with_its_weights() -> None:
 def test_compensation_changes_labels_before_their_range_is_taken() -> None:
     presses = noise_presses(3)
 
-    def doubled(wrench: Any, depth: Any, phase: Any) -> tuple[Any, int]:
-        assert depth.shape == phase.shape == (len(wrench),)
-        return wrench * np.where(depth > 0, 2.0, 1.0)[:, None], 0
+    def doubled(rows: Any, wrench: Any, depth: Any, phase: Any) -> Any:
+        assert rows.shape == depth.shape == phase.shape == (len(wrench),)
+        return wrench * np.where(depth > 0, 2.0, 1.0)[:, None]
 
     plain = train_force(presses, TOY)
-    changed = train_force(presses, TOY, compensation=doubled)
+    changed = train_force(Relabelling(doubled).of(presses), TOY)
     assert torch.allclose(changed.low, 2 * plain.low)
-    with pytest.raises(LearningError, match="not finite where the labels are"):
-        labels_of(presses, lambda wrench, depth, phase: (wrench * np.nan, 0))
+    unlabelled = Relabelling(lambda rows, wrench, depth, phase: wrench * np.nan).of(presses)
+    with pytest.raises(LearningError, match="found no label of Fx, Fy or Fz"):
+        train_force(unlabelled, TOY)
 
 
 def test_presses_that_cannot_be_learned_from_are_refused_and_nothing_is_written(

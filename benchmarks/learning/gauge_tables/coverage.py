@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.learning.gauge_tables.jobs import Study, further_path, trained, unlabelled
-from learning.compensation import twin_forces
+from benchmarks.learning.gauge_tables.jobs import Study, further_path, trained
+from learning.compensation.simulated import twin_forces
 from learning.data.presses import load_presses
 from learning.force.calibrate import scale_of_twin
 from learning.force.intervals import Intervals, Scale, fit_errors
+from learning.force.labels import by_twins
 from learning.force.learned import Learned
 from learning.training.run import generator
 from recorder import MarkerArchive
@@ -61,7 +62,7 @@ def _covered(study: Study, sensor: str) -> Iterator[dict[str, Any]]:
     presses = study.presses(sensor, "train", "field")
     labels = twin_forces(study.archive[sensor])
     models = {
-        TWIN: trained(study, NET, unlabelled(presses, labels), None, labels),
+        TWIN: trained(study, NET, by_twins(labels).of(presses)),
         TRUE: trained(study, NET, presses),
     }
     archive = MarkerArchive(further_path(study.out, sensor))

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from benchmarks.learning.gauge_tables.skins import (
@@ -39,14 +38,14 @@ from benchmarks.learning.paper_chain.jobs import (
 from benchmarks.learning.paper_chain.sizes import RECIPES
 from benchmarks.learning.paper_chain.sizes import SIZES as CHAIN_SIZES
 from benchmarks.learning.paper_chain.sizes import Size as ChainSize
-from learning.compensation import simulated_labels, twin_forces
+from learning.compensation.fit import PairCompensation
+from learning.compensation.simulated import simulated_labels, twin_forces
 from learning.config import read_settings
 from learning.data.presses import Presses, load_presses
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
-from learning.experiment.parts import look_of
-from learning.experiment.translating import translate_presses
-from learning.force.labels import Compensation, Relabelling, labels_of
+from learning.experiment.frames import look_of, translate_presses
+from learning.force.labels import Relabelling, by_twins, compensated
 from learning.force.model import ForceModel
 from learning.force.train import PRESETS, ForceSettings, train_force
 from learning.metrics import r_squared
@@ -54,7 +53,6 @@ from learning.training.run import generator
 from learning.translation.loading import load_translator
 from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive
-from recorder.archive import Simulated
 from recorder.store import replace_file
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES
@@ -302,22 +300,18 @@ def trained(
         given.append("launch.mixed_precision=no")
     found = read_settings(ForceSettings, PRESETS, preset, given)
     groups = [presses] if isinstance(presses, Presses) else presses
+    if compensation is not None:
+        groups = [compensation.of(each) for each in groups]
     count = sum(map(len, groups))
     parts = {"paper": 2} if start_from is None else {preset: 4}
     steps = study.of.steps // parts.get(preset, 1)
     epochs = max(1, round(steps / -(-count // found.sequences.batch)))
     stages = tuple(shortened(stage, epochs, count, found) for stage in found.stages[-1:])
     settings = replace(found, stages=stages)
-    return train_force(presses, settings, start_from=start_from, compensation=compensation)
+    return train_force(groups, settings, start_from=start_from)
 
 
-def unlabelled(presses: Presses, labels: Simulated) -> Presses:
-    """Return presses with a twin's forces in place of their labels."""
-    forces = torch.from_numpy(labels.force[presses.rows.numpy()]).float()
-    return replace(presses, wrench=forces.to(presses.device))
-
-
-def by_curves(study: Study, source: str, target: str) -> Compensation | None:
+def by_curves(study: Study, source: str, target: str) -> PairCompensation | None:
     """Return the paper's compensation; None where a force-depth press has no solution."""
     assert study.compensation is not None
     if (source, target) in {(each.source, each.target) for each in study.compensation.pairs}:
@@ -347,7 +341,7 @@ def baselines(study: Study) -> Iterator[tuple[Prediction, bool]]:
             yield Prediction("nearest frame", "-", source, target, 1, False, nearest), False
             valid = np.flatnonzero(one.table["valid"])
             priors = np.full_like(wrench, np.nan)
-            priors[valid], _ = relabelled(
+            priors[valid], _ = relabelled.applied(
                 wrench[valid],
                 one.table["depth"][valid].astype(np.float64),
                 one.table["phase"][valid].astype(np.int64),
@@ -425,8 +419,8 @@ def from_source(study: Study, source: str) -> Iterator[Prediction]:
         shown = translate_presses(packed, look_of(other, packed, study.device), pair)
         priors, simulated = by_curves(study, source, target), simulated_labels(one, other)
         for word, spent, labels in (
-            ("priors", 1, priors),
-            ("simulated", GAUGE_PRESSES, simulated),
+            ("priors", 1, None if priors is None else compensated(priors)),
+            ("simulated", GAUGE_PRESSES, by_twins(simulated)),
         ):
             if labels is None:
                 continue
@@ -438,7 +432,7 @@ def from_source(study: Study, source: str) -> Iterator[Prediction]:
                 start = tuned
         if priors is None:
             continue
-        labelled = replace(shown, wrench=labels_of(shown, priors))
+        labelled = compensated(priors).of(shown)
         for method, spent, rows in few_shots(study, target):
             few = load_presses(other, rows, device=study.device)
             # As many target presses as translated ones, each several times.
@@ -479,7 +473,7 @@ def own(study: Study, sensor: str) -> Iterator[Prediction]:
         presses = study.presses(sensor, "train", form_of(preset))
         test = unseen_presses(study, sensor, form_of(preset))
         if preset != "paper":
-            model = trained(study, preset, unlabelled(presses, labels), None, labels)
+            model = trained(study, preset, by_twins(labels).of(presses))
             force = model.predict(test)
             method = "own frames, the twin's forces"
             yield Prediction(method, preset, sensor, sensor, GAUGE_PRESSES, False, force)

@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from benchmarks.learning.paper_chain.card import card
 from benchmarks.learning.paper_chain.sizes import ALONE, RECIPES, SEED, Size, write_base
-from learning.compensation import StoredCompensation
-from learning.compensation.fit import find_compensation
+from learning.compensation.fit import PairCompensation, StoredCompensation, find_compensation
 from learning.config import read_settings
 from learning.data.images import shrink, shrink_masks, unpack_masks
 from learning.data.presses import Presses, load_presses, read_frames
@@ -49,10 +48,9 @@ from learning.evaluation.translation import (
     paired_score,
     real_frames,
 )
-from learning.experiment.parts import frames_of_a_press, look_of
-from learning.experiment.translating import translate_presses
+from learning.experiment.frames import frames_of_a_press, look_of, translate_presses
 from learning.force.export import export_onnx
-from learning.force.labels import Compensation
+from learning.force.labels import compensated
 from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
 from learning.force.train import PRESETS as NET_PRESETS
@@ -147,11 +145,11 @@ class Chain:
         """Compensation of labels between skins; None: all skins are alike."""
         return find_compensation(self.archive)[0] if self.size.compensated else None
 
-    def relabelling(self, source: str, target: str) -> Compensation | None:
+    def relabelling(self, source: str, target: str) -> PairCompensation | None:
         """Return what compensates a source's labels for a target, or None."""
         if self.compensation is None:
             return None
-        return self.compensation.pair(source, target, "priors").applied
+        return self.compensation.pair(source, target, "priors")
 
     def seconds(self, kind: str) -> float:
         """Training time of a kind of job [s]."""
@@ -384,7 +382,7 @@ def net(
     name: str,
     presses: Presses,
     start_from: ForceModel | None = None,
-    compensation: Compensation | None = None,
+    compensation: PairCompensation | None = None,
     changed: Sequence[str] = (),
 ) -> ForceModel:
     """Return a force net, trained for its time if it is not there; from another's weights if given.
@@ -393,6 +391,7 @@ def net(
     are further overrides of its settings.
     """
     part = "net" if start_from is None else "tuned"
+    presses = presses if compensation is None else compensated(compensation).of(presses)
     folder = chain.model(name)
 
     def settings(epochs: int) -> ForceSettings:
@@ -408,7 +407,7 @@ def net(
 
     def train(epochs: int, session: Session) -> None:
         own = settings(epochs)
-        train_force(presses, own, session, start_from=start_from, compensation=compensation)
+        train_force(presses, own, session, start_from=start_from)
 
     if not (folder / "model.safetensors").exists():
         epochs = fitting(chain, name, part, settings(PROBE).launch, train)
@@ -517,7 +516,7 @@ def nearest_labels(chain: Chain, source: str, target: str) -> Floats:
     changed = chain.relabelling(source, target)
     if changed is not None:
         depth, phase = one.table["depth"][rows], one.table["phase"][rows]
-        labels, _ = changed(labels, depth.astype(np.float64), phase.astype(np.int64))
+        labels, _ = changed.applied(labels, depth.astype(np.float64), phase.astype(np.int64))
     unseen = unseen_presses(chain, target).rows.numpy()
 
     def changes(rows: NDArray[np.int64]) -> torch.Tensor:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.learning.tables.group_results import NO_TRANSLATOR, Group, mean
-from learning.compensation import CHOICE_OF_METHOD, Choice, StoredCompensation
+from learning.compensation.fit import CHOICE_OF_METHOD, StoredCompensation
+from learning.compensation.search import Choice
 from learning.evaluation.charts import heatmaps
 from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
 from learning.evaluation.predictions import (

@@ -1,0 +1,280 @@
+"""Frames of an experiment: presses of sensors, and presses translated in memory, many at once."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from learning.data.images import shrink_masks, unpack_masks
+from learning.data.presses import Form, Presses, Progress, load_presses
+from learning.data.splits import PressKey, Role, Split
+from learning.errors import LearningError
+from learning.markers.displacement import PackedPresses, fields_of_presses
+from learning.training.run import generator
+from learning.translation.archive import Pair, target_references
+from learning.translation.flow import warp_masks
+from learning.translation.translator import SensorView, Translator
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor
+from recorder.progress import ItemProgress
+
+# Roles of presses whose forces are predicted.
+TESTED: tuple[Role, ...] = ("new_press", "new_indenter")
+
+
+def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair, ...]:
+    """Return the requested pairs, SOURCE:TARGET; None: all directed pairs from labelled sensors."""
+    labelled = labelled_sensors(archive)
+    if asked is None:
+        if not labelled:
+            raise LearningError(
+                f"{archive.name}: found no label of any sensor; allowed: one labelled source or "
+                "more"
+            )
+        return tuple(
+            Pair(one, other)
+            for one in archive
+            for other in archive
+            if one in labelled and one != other
+        )
+    pairs = []
+    for text in asked:
+        source, _, target = text.partition(":")
+        if source == target or not {source, target} <= set(archive):
+            raise LearningError(
+                f"--pairs: found {text!r}; allowed: SOURCE:TARGET, two of {', '.join(archive)}"
+            )
+        if source not in labelled:
+            raise LearningError(
+                f"--pairs: found {text!r}, and {source} has no labels; allowed sources: "
+                f"{', '.join(name for name in archive if name in labelled) or 'none here'}"
+            )
+        pairs.append(Pair(source, target))
+    return tuple(dict.fromkeys(pairs))
+
+
+def labelled_sensors(archive: MarkerArchive, split: Split | None = None) -> frozenset[str]:
+    """Return the sensors with a label of Fx, Fy or Fz in a located press.
+
+    Args:
+        archive: The archive.
+        split: Only its training presses count; None: all located presses.
+    """
+    found = set()
+    for name, sensor in archive.items():
+        table = sensor.table
+        rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
+        if split is not None:
+            rows = split.rows(table, "train")
+        if np.isfinite(table["wrench"][rows, :3]).any():
+            found.add(name)
+    return frozenset(found)
+
+
+def load_some(
+    sensor: ArchivedSensor,
+    split: Split,
+    roles: Sequence[Role],
+    most: int | None,
+    seed: int,
+    *,
+    device: torch.device,
+    form: Form = "packed",
+) -> Presses:
+    """Load at most `most` presses of each role, at the same locations for all sensors."""
+    rows = []
+    for role in roles:
+        of_role, places = split.rows(sensor.table, role), split.locations(role)
+        if most is not None and most < len(places):
+            order = generator(seed, "experiment", "presses", role).permutation(len(places))
+            chosen = np.isin(sensor.table["location"][of_role], places[order[:most]])
+            of_role = of_role[chosen]
+        rows.append(of_role)
+    with ItemProgress(f"frames of {sensor.name}", sys.stderr) as progress:
+        return load_presses(
+            sensor, np.concatenate(rows), device=device, form=form, progress=progress
+        )
+
+
+def as_images(presses: Presses) -> Presses:
+    """Convert packed presses to images (N, 256, 256)."""
+    images = torch.empty(presses.frames, 256, 256, dtype=torch.uint8, device=presses.device)
+    for part in torch.arange(presses.frames, device=presses.device).split(256):
+        images[part] = shrink_masks(unpack_masks(presses.images[part]))
+    references = shrink_masks(unpack_masks(presses.references))
+    return replace(presses, form="images", images=images, references=references)
+
+
+def frames_of_a_press(archive: MarkerArchive) -> int:
+    """Return the mean number of frames of a located press over all sensors; at least 1."""
+    frames = presses = 0
+    for sensor in archive.values():
+        location = sensor.table["location"][sensor.table["valid"]]
+        frames += int(np.count_nonzero(location >= 0))
+        presses += len(np.unique(location[location >= 0]))
+    return max(1, round(frames / max(1, presses)))
+
+
+def thinned(split: Split, most: int, seed: int) -> Split:
+    """Return a split with at most `most` presses of each tested role; others become validation."""
+    presses: list[PressKey] = []
+    for role in {press.role for press in split.presses}:
+        of_role = [press for press in split.presses if press.role == role]
+        if role not in TESTED:
+            presses += of_role
+            continue
+        order = generator(seed, "experiment", "scored", role).permutation(len(of_role))
+        kept = set(order[:most].tolist())
+        presses += [
+            press if number in kept else replace(press, role="validation")
+            for number, press in enumerate(of_role)
+        ]
+    return replace(split, presses=tuple(sorted(presses, key=lambda press: press.location)))
+
+
+# Translation in memory.
+
+# Frames translated at once: 79 MB of masks.
+_AT_ONCE = 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetView:
+    """References of the target for the frames of a source."""
+
+    sensor: str
+    """Name of the target."""
+    view: SensorView
+    """View of the target's images."""
+    references: Tensor
+    """Packed masks without contact (K, 38400) uint8, on the device."""
+    reference: Tensor
+    """Row of `references` for each frame of the source (N,) int64, on the CPU."""
+
+
+def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> TargetView:
+    """Return a target's references at the locations of a source's presses."""
+    of_press = target_references(presses.location.numpy(), target.table).astype(np.int64)
+    return TargetView(
+        target.name,
+        SensorView.of(target),
+        torch.from_numpy(target.references).to(device),
+        torch.from_numpy(of_press)[presses.of_frame],
+    )
+
+
+def translate_presses(
+    presses: Presses,
+    look: TargetView,
+    translator: Translator,
+    *,
+    progress: Progress = lambda done, total: None,
+) -> Presses:
+    """Translate presses to another sensor, as images.
+
+    Frames are grouped by references, not by press, so the translator must depend on single frames
+    and their reference only.
+
+    Args:
+        presses: Presses of the source, packed.
+        look: References of the target.
+        translator: Translator for this pair of sensors.
+        progress: Called with the number of frames done and in total.
+    """
+
+    def seen(rows: Tensor, own: int, other: int) -> Tensor:
+        masks = unpack_masks(presses.images[rows.to(presses.device)])
+        before, after = presses.references[own : own + 1], look.references[other : other + 1]
+        return translator.translate(masks, unpack_masks(after)[0], unpack_masks(before)[0])
+
+    return _shown(presses, look, seen, progress)
+
+
+def warp_presses(
+    presses: Presses,
+    look: TargetView,
+    fields: Tensor,
+    *,
+    progress: Progress = lambda done, total: None,
+) -> Presses:
+    """Translate presses to another sensor by known displacement fields.
+
+    Args:
+        presses: Presses of the source, packed.
+        look: References of the target.
+        fields: Displacement in the target's image (N, 57, 73, 2) [px], on the CPU.
+        progress: Called with the number of frames done and in total.
+    """
+
+    def seen(rows: Tensor, own: int, other: int) -> Tensor:
+        after = unpack_masks(look.references[other : other + 1])[0]
+        return warp_masks(after, fields[rows].to(presses.device).float())
+
+    return _shown(presses, look, seen, progress)
+
+
+def flow_fields(
+    presses: Presses,
+    source: SensorView,
+    target: SensorView,
+    *,
+    processes: int = 1,
+    progress: Progress = lambda done, total: None,
+) -> Tensor:
+    """Compute displacements (N, 57, 73, 2) float16 [px of the target's image] from tracked markers.
+
+    Args:
+        presses: Presses of the source, packed, each from its first frame on.
+        source: View of its images.
+        target: View of the target's images.
+        processes: Number of processes.
+        progress: Called with the number of frames done and in total.
+    """
+    packed = PackedPresses(
+        presses.images.cpu().numpy(),
+        presses.starts.numpy(),
+        presses.references.cpu().numpy(),
+        presses.reference.cpu().numpy(),
+    )
+    found = fields_of_presses(
+        packed, source=source, target=target, processes=processes, progress=progress
+    )
+    return torch.from_numpy(found)
+
+
+def _shown(
+    presses: Presses,
+    look: TargetView,
+    seen: Callable[[Tensor, int, int], Tensor],
+    progress: Progress,
+) -> Presses:
+    images = torch.empty(presses.frames, 256, 256, dtype=torch.uint8, device=presses.device)
+    done = 0
+    progress(0, presses.frames)
+    for rows, own, other in _groups(presses.reference.cpu(), look.reference):
+        images[rows.to(presses.device)] = shrink_masks(seen(rows, own, other))
+        done += len(rows)
+        progress(done, presses.frames)
+    return replace(
+        presses,
+        sensor=f"{presses.sensor}-to-{look.sensor}",
+        mm_per_px=look.view.mm_per_column,
+        form="images",
+        images=images,
+        references=shrink_masks(unpack_masks(look.references)),
+        reference=look.reference.to(presses.device),
+    )
+
+
+def _groups(own: Tensor, other: Tensor) -> Iterator[tuple[Tensor, int, int]]:
+    """Yield rows (n,) that share both references, at most 256, and the references' rows."""
+    both = np.stack([own.numpy(), other.numpy()], axis=1)
+    for one, another in np.unique(both, axis=0).tolist():
+        rows = torch.from_numpy(np.flatnonzero((both == (one, another)).all(axis=1)))
+        for part in rows.split(_AT_ONCE):
+            yield part, one, another
