@@ -23,8 +23,8 @@ from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.session.uncertainty import time_lines
 from recorder.spec import OUTCOMES, PHASES
+from recorder.store.attributes import says_it_is
 from recorder.store.files import locate
-from recorder.store.layout import says_it_is
 
 Progress = Callable[[int, int], None]
 

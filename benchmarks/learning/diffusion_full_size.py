@@ -44,7 +44,7 @@ from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, v
 from recorder.command_line.options import numbers
 from recorder.markers import HEIGHT, WIDTH
 from recorder.progress import ItemProgress
-from recorder.store.durable import replace_file
+from recorder.store.files import replace_file
 
 if TYPE_CHECKING:
     from accelerate import Accelerator

@@ -109,7 +109,7 @@ class JoinedSensor:
     def plan(self) -> SensorPlan:
         """Plan of its part of the archive."""
         sensor, archive = self.sensor, self.chosen.archive
-        spec, check = sensor.stored.layout.spec, sensor.attrs.get("marker_check")
+        layout, check = sensor.layout, sensor.attrs.get("marker_check")
         of_archive = {key: archive.attrs[key] for key in archive.attrs if key not in _OF_ARCHIVE}
         attrs = {key: value for key, value in sensor.attrs.items() if key not in _OF_SENSOR}
         attrs["joined_from"] = {
@@ -120,8 +120,8 @@ class JoinedSensor:
         return SensorPlan(
             name=self.chosen.name,
             rows=len(sensor),
-            chunk_rows=spec.chunk_rows,
-            unit_rows=spec.shard_rows,
+            chunk_rows=layout.rows_per_chunk,
+            unit_rows=layout.rows_per_shard,
             references=sensor.references,
             mm_per_px=sensor.mm_per_px,
             lattice=sensor.lattice if self._keeps_fields else None,

@@ -3,21 +3,21 @@
 The format is specified in `docs/reference/data-format.md`; this package is its only implementation.
 """
 
-from recorder.archive.array import Rows
-from recorder.archive.check import check_archive, marker_flags
-from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs
-from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
-from recorder.archive.presses import press_rows
-from recorder.archive.reader import ArchivedSensor, MarkerArchive, Simulated, describe_archive
-from recorder.archive.representation import (
+from recorder.archive.arrays import (
+    COLUMNS,
+    GIVEN,
     MASKS,
+    NO_PHASE,
     REPRESENTATIONS,
     SHADING,
     SHADING_SIDE,
     SHADING_ZERO,
     Representation,
 )
-from recorder.archive.table import COLUMNS, GIVEN, NO_PHASE
+from recorder.archive.check import check_archive, marker_flags
+from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs, press_rows
+from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
+from recorder.archive.reader import ArchivedSensor, MarkerArchive, Rows, Simulated, describe_archive
 from recorder.archive.writer import ArchiveWriter, SensorWriter, write_simulated
 
 __all__ = [

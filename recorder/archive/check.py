@@ -9,15 +9,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.array import ArrayLayout, ArrayReader
-from recorder.archive.ledger import Ledger
+from recorder.archive.arrays import (
+    COLUMNS,
+    SIMULATED,
+    ArchiveArray,
+    Limits,
+    allowed,
+    misplaced,
+)
 from recorder.archive.plan import COMPLETE
 from recorder.archive.reader import ArchivedSensor, read_archive_attrs
-from recorder.archive.table import COLUMNS, SIMULATED, Limits, allowed, misplaced
+from recorder.archive.writer import Ledger
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.markers import MarkerCheck, MarkerFlag, unpack
 from recorder.store.files import Files
+from recorder.store.reader import ColumnReader
 
 # Marker-count check of a sensor: frames that lost or gained markers, with the reason.
 
@@ -127,7 +134,7 @@ def check_archive(files: Files, path: Path) -> Iterator[Finding]:
 def _progress(files: Files, path: Path, names: list[str]) -> str:
     if not files.local:
         return "status is not 'complete': it was copied while it was being written"
-    frames = [ArchivedSensor(path / name, files).stored.layout for name in names]
+    frames = [ArchivedSensor(path / name, files).layout for name in names]
     done = sum(len(Ledger(layout.path).done()) for layout in frames)
     units = sum(layout.shards for layout in frames)
     return f"{done} of {units} units are written; run the command that made it again to continue"
@@ -136,13 +143,12 @@ def _progress(files: Files, path: Path, names: list[str]) -> str:
 def _check_structure(sensor: ArchivedSensor) -> Iterator[Finding]:
     for name, layout in _layouts(sensor).items():
         where = f"{sensor.name}/{name}"
-        spec = layout.spec
-        found = (spec.dtype, spec.shape[1:], spec.units)
+        found = (layout.data_type, layout.shape[1:], layout.units)
         expected = _prescribed(sensor, name, found)
         if found != expected:
             yield Finding("wrong-dtype", where, f"found {found}, expected {expected}")
-        if name not in ("references", "sources") and layout.rows != len(sensor):
-            message = f"found {layout.rows} rows, the sensor has {len(sensor)} frames"
+        if name not in ("references", "sources") and layout.rows() != len(sensor):
+            message = f"found {layout.rows()} rows, the sensor has {len(sensor)} frames"
             yield Finding("unequal-lengths", where, message)
 
 
@@ -168,7 +174,7 @@ def _prescribed(sensor: ArchivedSensor, name: str, found: Kind) -> Kind:
     return (column.dtype, column.shape, column.units)
 
 
-def _layouts(sensor: ArchivedSensor) -> dict[str, ArrayLayout]:
+def _layouts(sensor: ArchivedSensor) -> dict[str, ArchiveArray]:
     names = [
         sensor.representation.array,
         "references",
@@ -179,19 +185,18 @@ def _layouts(sensor: ArchivedSensor) -> dict[str, ArrayLayout]:
     names += [f"table/{name}" for name in SIMULATED if name in kept]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")
-    return {name: ArrayLayout.load(sensor.path / name, sensor.files) for name in names}
+    return {name: ArchiveArray.load(sensor.path / name, sensor.files) for name in names}
 
 
 def _check_chunks(sensor: ArchivedSensor) -> Iterator[Finding]:
     """Decode every chunk, which verifies its checksum."""
     for name, layout in _layouts(sensor).items():
-        reader = ArrayReader(layout)
+        reader = ColumnReader(layout)
         missing: list[str] = []
         damaged: list[str] = []
-        for number in range(layout.chunks):
-            shard, place = divmod(number, layout.slots)
+        for number in range(-(-len(reader) // layout.rows_per_chunk)):
             try:
-                layout.decoded(reader.fetch(shard, [place])[0])
+                layout.decoded(reader.chunk(number))
             except SessionError as error:
                 (missing if str(error).endswith("missing") else damaged).append(str(error))
         for code, messages in (("missing-chunk", missing), ("bad-crc", damaged)):
@@ -212,9 +217,9 @@ def _check_content(sensor: ArchivedSensor, indenters: int) -> Iterator[Finding]:
     fields = sensor.fields
     if fields is None or not sensor.keeps_displacement:
         return
-    step = fields.layout.spec.shard_rows
+    step = fields.layout.rows_per_shard
     for first in range(0, len(fields), step):
-        infinite = np.isinf(fields.read(slice(first, first + step)))
+        infinite = np.isinf(fields.rows_between(first, first + step))
         wrong = np.asarray(infinite.any(axis=(1, 2, 3)))
         if wrong.any():
             message = f"{_some(np.flatnonzero(wrong) + first)}: found infinity, allowed: px or NaN"

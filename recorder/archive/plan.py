@@ -12,18 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.array import ArrayLayout, ArraySpec
-from recorder.archive.ledger import Ledger
-from recorder.archive.representation import MASKS, Representation
-from recorder.archive.table import write_whole
+from recorder.archive.arrays import MASKS, ArchiveArray, Representation
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice
-from recorder.store.durable import read_json, sync_directory
-from recorder.store.layout import write_group
+from recorder.store.files import LOCAL, read_document, sync_directory, write_group
 
 FORMAT = "tactile-rig markers"
 FORMAT_VERSION = 1
 WRITING, COMPLETE = "writing", "complete"
+
+# Folder of the finished units in the array of the frames, which Zarr readers do not list.
+LEDGER = "ledger"
 
 _CREATING = ".creating"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
@@ -116,34 +115,6 @@ class SensorPlan:
             )
         _refuse_own(self.name, self.attrs, _SENSOR_KEYS)
 
-    def arrays(self) -> dict[str, ArraySpec]:
-        """Return the arrays that are written unit by unit."""
-        shown = self.representation
-        arrays = {
-            shown.array: ArraySpec(
-                "uint8",
-                (self.rows, *shown.shape),
-                ("row", *shown.dims),
-                "1",
-                shown.description,
-                self.chunk_rows,
-                self.unit_rows,
-            )
-        }
-        if self.lattice is not None:
-            arrays["displacement"] = ArraySpec(
-                "float16",
-                (self.rows, *self.lattice.shape),
-                ("row", "lattice_row", "lattice_column", "component"),
-                "px",
-                "what is seen at pixel p of the untouched image is seen at p + d(p); components "
-                "column, row; NaN where there is no material",
-                self.chunk_rows,
-                self.unit_rows,
-                {"step_px": self.lattice.step_px, "margin_px": self.lattice.margin_px},
-            )
-        return arrays
-
     def create(self, path: Path) -> None:
         """Write the group of the sensor, without any frames."""
         path.mkdir()
@@ -152,22 +123,43 @@ class SensorPlan:
             "marker_check": None if self.marker_count is None else asdict(self.marker_count),
             "displacement_of": self.displacement_of,
         }
-        if self.representation != MASKS:
-            own["representation"] = self.representation.name
+        frame, lattice = self.representation, self.lattice
+        if frame != MASKS:
+            own["representation"] = frame.name
         write_group(path, {**self.attrs, **own})
-        references = ArraySpec(
+        chunks = self.chunk_rows, self.unit_rows // self.chunk_rows
+        ArchiveArray(
+            path / "references",
             "uint8",
             self.references.shape,
-            ("reference", *self.representation.dims),
+            ("reference", *frame.dims),
             "1",
-            self.representation.reference,
+            frame.reference,
             1,
             len(self.references),
-        )
-        write_whole(path / "references", references, self.references)
-        for name, spec in self.arrays().items():
-            ArrayLayout(path / name, spec).create()
-        Ledger(path / self.representation.array).create()
+        ).write_whole(self.references)
+        ArchiveArray(
+            path / frame.array,
+            "uint8",
+            (self.rows, *frame.shape),
+            ("row", *frame.dims),
+            "1",
+            frame.description,
+            *chunks,
+        ).create()
+        if lattice is not None:
+            ArchiveArray(
+                path / "displacement",
+                "float16",
+                (self.rows, *lattice.shape),
+                ("row", "lattice_row", "lattice_column", "component"),
+                "px",
+                "what is seen at pixel p of the untouched image is seen at p + d(p); components "
+                "column, row; NaN where there is no material",
+                *chunks,
+                attrs={"step_px": lattice.step_px, "margin_px": lattice.margin_px},
+            ).create()
+        (path / frame.array / LEDGER).mkdir()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -252,7 +244,7 @@ def _require_same(planned: Path, there: Path) -> None:
 
 
 def _without_status(path: Path) -> dict[str, Any]:
-    document = read_json(path)
+    document = read_document(LOCAL, path)
     attributes = document.pop("attributes", {})
     return {**document, **{key: attributes[key] for key in attributes if key != "status"}}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,16 +12,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.array import ArrayLayout, ArrayReader, Rows
+from recorder.archive.arrays import COLUMNS, MASKS, REPRESENTATIONS, SIMULATED, ArchiveArray
 from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION
-from recorder.archive.representation import MASKS, REPRESENTATIONS
-from recorder.archive.table import COLUMNS, SIMULATED
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
-from recorder.store.documents import read_document
-from recorder.store.files import LOCAL, Files, locate
-from recorder.store.layout import read_attrs
-from recorder.store.tables import Table
+from recorder.store.attributes import read_attrs
+from recorder.store.files import LOCAL, Files, locate, read_document
+from recorder.store.reader import ColumnReader, Table
+
+Rows = Sequence[int] | NDArray[np.integer[Any]] | slice
+
+
+def _rows_of(reader: ColumnReader, rows: Rows) -> np.ndarray[Any, Any]:
+    """Return some rows (n, ...) in the requested order; each chunk is decoded once."""
+    if isinstance(rows, slice):
+        start, stop, step = rows.indices(len(reader))
+        if step == 1:
+            return reader.rows_between(start, stop)
+        rows = range(start, stop, step)
+    numbers, name = np.asarray(rows), reader.layout.files.name(reader.layout.path)
+    if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
+        raise SessionError(
+            f"{name}: found rows {numbers.dtype} {numbers.shape}, expected integers (n,)"
+        )
+    wrong = numbers[(numbers < 0) | (numbers >= len(reader))]
+    if wrong.size:
+        raise SessionError(f"{name}: no row {wrong[0]}, the array has {len(reader)}")
+    return reader.gathered(numbers.astype(np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +73,10 @@ class ArchivedSensor:
             )
         self.representation = REPRESENTATIONS[told]
         """Content of its frames."""
-        self.stored = ArrayReader(ArrayLayout.load(path / self.representation.array, files))
-        self._references = ArrayReader(ArrayLayout.load(path / "references", files))
+        self.layout = ArchiveArray.load(path / self.representation.array, files)
+        """Array of the frames."""
+        self._frames = ColumnReader(self.layout)
+        self._references = ColumnReader(ArchiveArray.load(path / "references", files))
         self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
             path / "table", tuple(COLUMNS), self._column
         )
@@ -65,7 +84,7 @@ class ArchivedSensor:
 
     def __len__(self) -> int:
         """Return the number of frames."""
-        return len(self.stored)
+        return len(self._frames)
 
     @property
     def mm_per_px(self) -> float:
@@ -87,7 +106,7 @@ class ArchivedSensor:
         Raises:
             SessionError: No such row, or a chunk that is missing or corrupt.
         """
-        return self.stored.read(rows)
+        return _rows_of(self._frames, rows)
 
     def _require_masks(self) -> None:
         if self.representation != MASKS:
@@ -118,7 +137,7 @@ class ArchivedSensor:
     @cached_property
     def reference_frames(self) -> NDArray[np.uint8]:
         """Contact-free frames as stored (K, ...); `table["reference"]` holds their indices."""
-        return self._references.all()
+        return self._references.read()
 
     def reference(self, row: int) -> NDArray[np.bool_]:
         """Return the mask (480, 640) of the sensor without contact that a frame is compared with.
@@ -136,7 +155,7 @@ class ArchivedSensor:
         return self.path / "displacement" in self.files.groups(self.path)
 
     @cached_property
-    def fields(self) -> ArrayReader | None:
+    def fields(self) -> ColumnReader | None:
         """Displacement fields, its own or shared ones; None if there are none.
 
         Raises:
@@ -146,7 +165,7 @@ class ArchivedSensor:
         if owner is None and not self.keeps_displacement:
             return None
         place = self.path if owner is None else self.path.parent / require_plain_name(owner)
-        return ArrayReader(ArrayLayout.load(place / "displacement", self.files))
+        return ColumnReader(ArchiveArray.load(place / "displacement", self.files))
 
     @property
     def lattice(self) -> Lattice:
@@ -157,7 +176,7 @@ class ArchivedSensor:
         """
         layout = self._required_fields().layout
         try:
-            return Lattice(int(layout.spec.attrs["step_px"]), int(layout.spec.attrs["margin_px"]))
+            return Lattice(int(layout.attrs["step_px"]), int(layout.attrs["margin_px"]))
         except (KeyError, TypeError, ValueError) as error:
             where = self.files.name(layout.path)
             raise SessionError(f"{where}: found no lattice in its attrs: {error!r}") from error
@@ -168,7 +187,7 @@ class ArchivedSensor:
         Raises:
             SessionError: No fields stored, no such row, or a chunk that is missing or corrupt.
         """
-        return self._required_fields().read(rows)
+        return _rows_of(self._required_fields(), rows)
 
     @cached_property
     def sources(self) -> list[str]:
@@ -191,10 +210,10 @@ class ArchivedSensor:
         if not kept.issuperset(SIMULATED):
             return None
         force, spread = (self._whole(f"table/{name}") for name in SIMULATED)
-        layout = ArrayLayout.load(self.path / "table" / "simulated", self.files)
-        return Simulated(force, spread, str(layout.spec.attrs.get("made_from", "")))
+        layout = ArchiveArray.load(self.path / "table" / "simulated", self.files)
+        return Simulated(force, spread, str(layout.attrs.get("made_from", "")))
 
-    def _required_fields(self) -> ArrayReader:
+    def _required_fields(self) -> ColumnReader:
         if self.fields is None:
             raise SessionError(f"{self.name}: keeps no displacement")
         return self.fields
@@ -208,7 +227,7 @@ class ArchivedSensor:
                 f"{self.name}/{name}: exists only once all units are written; the archive is still "
                 "being written"
             )
-        return ArrayReader(ArrayLayout.load(self.path / name, self.files)).all()
+        return ColumnReader(ArchiveArray.load(self.path / name, self.files)).read()
 
 
 class MarkerArchive(Mapping[str, ArchivedSensor]):

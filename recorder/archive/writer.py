@@ -8,34 +8,118 @@ is removed. Each of these steps gives the same bytes when repeated.
 
 from __future__ import annotations
 
+import io
 import os
+import shutil
+import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.array import Array, ArrayLayout, ArraySpec
-from recorder.archive.ledger import Ledger
-from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION, ArchivePlan, begin
-from recorder.archive.reader import ArchivedSensor
-from recorder.archive.table import (
+from recorder.archive.arrays import (
     COLUMNS,
     SIMULATED,
     SOURCE,
+    ArchiveArray,
     Limits,
     checked_columns,
-    column_spec,
-    write_whole,
+    column_array,
 )
+from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION, LEDGER, ArchivePlan, begin
+from recorder.archive.reader import ArchivedSensor
 from recorder.errors import SessionError
 from recorder.spec import PHASES
-from recorder.store.durable import TEMPORARY, sync_directory
-from recorder.store.files import LOCAL
-from recorder.store.layout import merge_attrs, read_attrs, write_group
+from recorder.store.array import Array
+from recorder.store.attributes import read_attrs
+from recorder.store.files import (
+    LOCAL,
+    TEMPORARY,
+    merge_attrs,
+    replace_file,
+    sync_directory,
+    write_group,
+)
 
 _SOURCE_CHUNK = 256
+
+
+# Record of the finished units of a sensor, with their table rows until all units are finished.
+#
+# There is one file per unit, `<sensor>/<array>/ledger/<unit>.npz`, written after the unit's data: a
+# unit without an entry does not count.
+
+_LINES = "source_lines"
+_SUFFIX = ".npz"
+
+
+@dataclass(frozen=True, slots=True)
+class UnitEntry:
+    """Rows of one unit."""
+
+    columns: Mapping[str, Array]
+    """Columns of the table; `source` indexes `lines`."""
+    lines: tuple[str, ...]
+    """Provenance lines of the unit."""
+
+
+class Ledger:
+    """Ledger of one sensor."""
+
+    def __init__(self, frames: Path) -> None:
+        """Set the path of the ledger in the array of the frames; nothing is read."""
+        self.path = frames / LEDGER
+
+    def done(self) -> set[int]:
+        """Return the numbers of the finished units; none once the archive is complete."""
+        if not self.path.is_dir():
+            return set()
+        stems = {entry.stem for entry in self.path.iterdir() if entry.suffix == _SUFFIX}
+        return {int(stem) for stem in stems if stem.isdecimal()}
+
+    def has(self, unit: int) -> bool:
+        """Return True if a unit is finished."""
+        return self._entry(unit).exists()
+
+    def enter(self, unit: int, columns: Mapping[str, Array], lines: Sequence[str]) -> None:
+        """Record a unit as finished, durably.
+
+        Args:
+            unit: Number of the unit.
+            columns: Its rows of the table, without `source`.
+            lines: One provenance line per row.
+        """
+        different = tuple(dict.fromkeys(lines))
+        numbers = {line: number for number, line in enumerate(different)}
+        source = np.array([numbers[line] for line in lines], "<i4")
+        data = io.BytesIO()
+        text = np.frombuffer("\n".join(different).encode(), np.uint8)
+        arrays: dict[str, Any] = {**columns, SOURCE: source, _LINES: text}
+        np.savez(data, **arrays)
+        replace_file(self._entry(unit), data.getvalue(), several=True)
+
+    def read(self, unit: int) -> UnitEntry:
+        """Return the rows of a unit."""
+        path = self._entry(unit)
+        try:
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
+                columns = {name: stored[name] for name in stored.files}
+            lines = columns.pop(_LINES).tobytes().decode().split("\n")
+        except (zipfile.BadZipFile, ValueError, KeyError, EOFError) as error:
+            raise SessionError(
+                f"{path}: damaged ({error}); remove it and write its unit again"
+            ) from error
+        return UnitEntry(columns, tuple(lines))
+
+    def remove(self) -> None:
+        """Remove all entries, once the table contains them. May be called twice."""
+        shutil.rmtree(self.path, ignore_errors=True)
+
+    def _entry(self, unit: int) -> Path:
+        return self.path / f"{unit}{_SUFFIX}"
 
 
 class ArchiveWriter:
@@ -106,18 +190,17 @@ class SensorWriter:
         self.path = archive.path / name
         self._archive = archive
         sensor = ArchivedSensor(self.path)
-        self._frames = sensor.stored.layout
+        self._frames = sensor.layout
         self.ledger = Ledger(self._frames.path)
-        self._layouts = {sensor.representation.array: self._frames}
+        self._layouts = {self._frames.path.name: self._frames}
         if sensor.keeps_displacement:
-            self._layouts["displacement"] = ArrayLayout.load(self.path / "displacement")
-        references = ArrayLayout.load(self.path / "references").rows
-        self._limits = Limits(indenters, references)
+            self._layouts["displacement"] = ArchiveArray.load(self.path / "displacement")
+        self._limits = Limits(indenters, ArchiveArray.load(self.path / "references").rows())
 
     @property
     def rows(self) -> int:
         """Number of frames."""
-        return self._frames.rows
+        return self._frames.rows()
 
     @property
     def units(self) -> int:
@@ -206,8 +289,8 @@ class SensorWriter:
         names = {"indenter": indenters, "phase": PHASES}
         for name in COLUMNS:
             parts = [e.columns[name] for e in entries] if name != SOURCE else sources
-            spec = column_spec(name, self.rows, names.get(name, ()))
-            write_whole(path / name, spec, np.concatenate(parts))
+            array = column_array(path / name, self.rows, names.get(name, ()))
+            array.write_whole(np.concatenate(parts))
         _write_sources(self.path / "sources", list(lines))
         for folder in (path, self.path):
             sync_directory(folder)
@@ -227,8 +310,8 @@ def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_fr
     """
     rows = len(sensor.table["valid"])
     for name, values in zip(SIMULATED, (force, spread), strict=True):
-        spec = column_spec(name, rows, attrs={"made_from": made_from})
-        write_whole(sensor.path / "table" / name, spec, np.asarray(values, "<f8"))
+        array = column_array(sensor.path / "table" / name, rows, attrs={"made_from": made_from})
+        array.write_whole(np.asarray(values, "<f8"))
     sync_directory(sensor.path / "table")
 
 
@@ -247,13 +330,13 @@ def _write_sources(path: Path, lines: Sequence[str]) -> None:
     text = np.zeros((len(lines), width), np.uint8)
     for row, data in zip(text, encoded, strict=True):
         row[: len(data)] = np.frombuffer(data, np.uint8)
-    spec = ArraySpec(
+    ArchiveArray(
+        path,
         "uint8",
         text.shape,
         ("source", "byte"),
         "1",
         "where samples come from: a line of UTF-8 each, padded with zeros",
         _SOURCE_CHUNK,
-        -(-len(lines) // _SOURCE_CHUNK) * _SOURCE_CHUNK,
-    )
-    write_whole(path, spec, text)
+        -(-len(lines) // _SOURCE_CHUNK),
+    ).write_whole(text)

@@ -22,8 +22,9 @@ from recorder.checks.integrity import (
 from recorder.errors import SessionError
 from recorder.findings import Finding
 from recorder.session.reader import Session
+from recorder.store.attributes import read_session_attrs, says_it_is
 from recorder.store.files import Files, locate
-from recorder.store.layout import StreamLayout, read_session_attrs, says_it_is
+from recorder.store.layout import StreamLayout
 from recorder.store.manifest import GROUP
 
 

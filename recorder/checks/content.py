@@ -23,7 +23,7 @@ from recorder.session.loss import (
 from recorder.session.reader import Session
 from recorder.session.uncertainty import uncalibrated
 from recorder.spec import AXES, OUTCOMES, PHASES
-from recorder.store.documents import read_document
+from recorder.store.files import read_document
 
 Array = np.ndarray[Any, Any]
 

@@ -23,13 +23,12 @@ from recorder.spec import (
     reference_spec,
     taxels_spec,
 )
-from recorder.store.documents import read_document
-from recorder.store.files import Files
-from recorder.store.journal import CRC_BYTES, HEADER, record_matches
-from recorder.store.layout import PARTIAL, Layout, StreamLayout, check_shape
-from recorder.store.sealed import wrong_files
-from recorder.store.shard import MISSING, read_shard_index
-from recorder.store.tables import Table
+from recorder.store.array import CRC_BYTES, MISSING, check_shape
+from recorder.store.files import Files, read_document
+from recorder.store.journal import HEADER, record_matches
+from recorder.store.layout import PARTIAL, Layout, StreamLayout
+from recorder.store.manifest import wrong_files
+from recorder.store.reader import Table
 
 
 def check_manifest(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[Finding]:
@@ -149,7 +148,8 @@ def _last_shard(layout: Layout) -> int:
 def _check_shard(
     layout: Layout, shard: int, contents: NDArray[np.uint32], faults: dict[str, list[str]]
 ) -> None:
-    index = read_shard_index(layout, shard)
+    index = layout.index(shard)
+    crcs = index.crcs or []
     data = layout.files.read(layout.shard(shard))
     for place in range(len(contents)):
         number = shard * layout.chunks_per_shard + place
@@ -161,9 +161,9 @@ def _check_shard(
         payload = data[offset : offset + nbytes]
         head = data[max(offset - HEADER.size, 0) : offset]
         matches = record_matches(head, payload, number)
-        contents[place] = index.crcs[place]
+        contents[place] = crcs[place]
         payload, crc = payload[:-CRC_BYTES], payload[-CRC_BYTES:]
-        matches = matches and int.from_bytes(crc, "little") == index.crcs[place]
+        matches = matches and int.from_bytes(crc, "little") == crcs[place]
         if not matches:
             faults.setdefault("bad-crc", []).append(f"row {row}")
         elif layout.column.codec == "jpeg" and not _is_jpeg(payload):

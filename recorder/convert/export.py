@@ -17,9 +17,8 @@ from recorder.archive import FORMAT as ARCHIVE
 from recorder.archive import MarkerArchive
 from recorder.errors import SessionError
 from recorder.session.reader import Session
-from recorder.store.durable import sync_directory
-from recorder.store.files import locate
-from recorder.store.layout import says_it_is
+from recorder.store.attributes import says_it_is
+from recorder.store.files import locate, sync_directory
 
 # Options of an export, and its progress callback.
 

@@ -11,10 +11,10 @@ from recorder.convert.export import Options, Progress
 from recorder.errors import SessionError
 from recorder.session.reader import Session
 from recorder.store import images
-from recorder.store.column import ColumnReader
 from recorder.store.files import LOCAL
 from recorder.store.layout import Layout, StreamLayout
 from recorder.store.manifest import GROUP, seal
+from recorder.store.reader import ColumnReader
 from recorder.store.shard import ColumnLog
 
 
@@ -58,7 +58,7 @@ def _verify(copy: Layout) -> Iterator[int]:
 
 def _decode(source: Layout, copy: Layout) -> Iterator[int]:
     """Write the images of one column as lossless pixels; yield the number done."""
-    pixels = replace(copy, column=replace(copy.column, codec="zstd"))
+    pixels = replace(copy, shape=(0, *copy.shape[1:]), codec="zstd")
     shutil.rmtree(pixels.path)
     pixels.create()
     reader, decode = ColumnReader(source), images.decoder(source.column)

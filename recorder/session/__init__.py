@@ -11,14 +11,12 @@ if TYPE_CHECKING:
     from recorder.session.frames import in_frame, surface_heights
     from recorder.session.press_curve import press_curves, save_curves
     from recorder.session.sheet import contact_sheet, thumbnails
-    from recorder.session.tail import ImageTail, open_tail
     from recorder.session.uncertainty import PRIOR, sigmas_of, time_lines
 
 __all__ = [
     "EXPOSURE",
     "PRIOR",
     "Account",
-    "ImageTail",
     "Stream",
     "accounts_of",
     "captured",
@@ -28,7 +26,6 @@ __all__ = [
     "in_frame",
     "linear",
     "loss_lines",
-    "open_tail",
     "press_curves",
     "quaternion",
     "save_curves",
@@ -43,7 +40,6 @@ _MODULES = {
     "EXPOSURE": "align",
     "PRIOR": "uncertainty",
     "Account": "accounts",
-    "ImageTail": "tail",
     "Stream": "columns",
     "accounts_of": "accounts",
     "captured": "align",
@@ -53,7 +49,6 @@ _MODULES = {
     "in_frame": "frames",
     "linear": "align",
     "loss_lines": "accounts",
-    "open_tail": "tail",
     "press_curves": "press_curve",
     "quaternion": "align",
     "save_curves": "press_curve",

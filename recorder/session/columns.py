@@ -6,7 +6,7 @@ A chunk that is declared but missing is an error here; a plain Zarr reader retur
 from __future__ import annotations
 
 from bisect import bisect_right, insort
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
-from recorder.session.tail import LiveRows, LiveStream
 from recorder.spec import Column, Traits
 from recorder.store import images
-from recorder.store.column import ColumnReader, LazyRows
 from recorder.store.files import LOCAL, Files
+from recorder.store.growing import LiveRows, LiveStream
 from recorder.store.layout import StreamLayout
-from recorder.store.recent import Kept
+from recorder.store.reader import ColumnReader, Kept, LazyRows
 
 Array = np.ndarray[Any, Any]
 
@@ -54,14 +53,14 @@ class Stream:
         self.name = path.name
         self.attrs = self.layout.attrs()
         self.traits = Traits.read(self.name, self.attrs)
-        self._readers = {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
-        self._rows = min(reader.rows for reader in self._readers.values())
         self._live: LiveRows | None = None
-        self._tail: LiveStream | None = None
-        if live:
-            self._tail = LiveStream(self.layout)
-            for name, column in self._tail.columns.items():
-                self._readers[name].growing = column
+        self._tail = LiveStream(self.layout) if live else None
+        self._readers: Mapping[str, ColumnReader] = (
+            {layout.column.name: ColumnReader(layout) for layout in self.layout.columns}
+            if self._tail is None
+            else self._tail.readers
+        )
+        self._rows = min(reader.rows for reader in self._readers.values())
         self.refresh()
 
     def refresh(self) -> None:
@@ -76,8 +75,8 @@ class Stream:
             return
         self._live = self._tail.update()
         self._rows = self._live.rows
-        for reader in self._readers.values():
-            reader.rows = self._rows if reader.layout.column.is_image else self._live.stored
+        for name, reader in self._readers.items():
+            reader.rows = self._live.stored if name in self.small else self._rows
 
     def __len__(self) -> int:
         """Return the number of rows that every column has."""
@@ -100,8 +99,8 @@ class Stream:
     @property
     def value_column(self) -> Column | None:
         """The column `value`; None in a table."""
-        reader = self._readers.get("value")
-        return None if reader is None else reader.layout.column
+        columns = (layout.column for layout in self.layout.columns)
+        return next((column for column in columns if column.name == "value"), None)
 
     @property
     def rate_hz(self) -> float:
@@ -119,9 +118,6 @@ class Stream:
         Raises:
             SessionError: No such column, an image column, or a corrupt chunk.
         """
-        reader = self._reader(name)
-        if reader.layout.column.is_image:
-            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
         found = self._columns.get(name)
         if found is None:
             found = self._columns.put(name, self.rows_between(name, 0, self._rows))
@@ -133,10 +129,7 @@ class Stream:
         Raises:
             SessionError: No such column, an image column, or a corrupt chunk.
         """
-        reader = self._reader(name)
-        if reader.layout.column.is_image:
-            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
-        found = reader.rows_between(start, min(stop, self._rows))
+        found = self._reader(name).rows_between(start, min(stop, self._rows))
         if self._live is None or stop <= self._live.stored:
             return found
         stored = self._live.stored
@@ -163,7 +156,7 @@ class Stream:
         Raises:
             SessionError: No images here, a row outside the stream, or a corrupt image.
         """
-        column = self._image().layout.column
+        column = self._image()[0]
         numbers = np.arange(self._rows)[rows] if isinstance(rows, slice) else np.asarray(rows)
         if len(numbers):
             self._checked(int(numbers.min()))
@@ -181,8 +174,7 @@ class Stream:
         Raises:
             SessionError: No images here, a row outside the stream, or a corrupt image.
         """
-        image = self._image()
-        column = image.layout.column
+        column, reader = self._image()
         expected = (len(rows), *column.shape)
         if out.shape != expected or out.dtype != column.dtype or not out.flags.c_contiguous:
             raise SessionError(
@@ -191,7 +183,7 @@ class Stream:
             )
         if len(rows):
             self._checked(max(int(np.max(rows)), 0))
-        image.read_images(np.asarray(rows).tolist(), out)
+        reader.read_images(np.asarray(rows).tolist(), out)
 
     def rows_from(self, start: int) -> Iterator[StreamRow]:
         """Yield the rows from `start` on."""
@@ -208,10 +200,8 @@ class Stream:
         Raises:
             SessionError: No images here, or a row outside the stream.
         """
-        image = self._image()
-        if image.layout.column.codec != "jpeg":
-            return None
-        return image.chunk(self._checked(row))
+        column, reader = self._image()
+        return reader.chunk(self._checked(row)) if column.codec == "jpeg" else None
 
     @property
     def jpeg_shape(self) -> tuple[int, ...] | None:
@@ -225,20 +215,24 @@ class Stream:
         Raises:
             SessionError: No images, images not stored as JPEG, or a row outside the stream.
         """
-        image = self._image()
-        if image.layout.column.codec != "jpeg":
+        column, reader = self._image()
+        if column.codec != "jpeg":
             raise SessionError(f"{self.name}: images are stored as pixels, without JPEG bytes")
-        return image.chunks([self._checked(int(row)) for row in rows])
+        return reader.chunks([self._checked(int(row)) for row in rows])
 
     def _reader(self, name: str) -> ColumnReader:
+        """Return the reader of a small column."""
         if name not in self._readers:
             raise SessionError(f"{self.name}: no column {name!r}; known: {', '.join(self.names)}")
+        if name not in self.small:
+            raise SessionError(f"{self.name}.{name}: use images(rows) for images")
         return self._readers[name]
 
-    def _image(self) -> ColumnReader:
+    def _image(self) -> tuple[Column, ColumnReader]:
         if self.layout.image is None:
             raise SessionError(f"{self.name}: has no images; columns: {', '.join(self.names)}")
-        return self._readers[self.layout.image.column.name]
+        column = self.layout.image.column
+        return column, self._readers[column.name]
 
     def _checked(self, row: int) -> int:
         if not 0 <= row < self._rows:

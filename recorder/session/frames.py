@@ -17,9 +17,8 @@ from recorder.session.reader import Session
 from recorder.session.uncertainty import row_sigma, sigmas_of
 from recorder.session.window import align_window
 from recorder.spec import PHASES
-from recorder.store.durable import sync_directory
-from recorder.store.layout import merge_attrs
-from recorder.store.tables import declared_rows, write_table
+from recorder.store.files import merge_attrs, sync_directory
+from recorder.store.reader import declared_rows, write_table
 
 Array = np.ndarray[Any, Any]
 

@@ -19,10 +19,10 @@ from recorder.session.notebook import html_of
 from recorder.session.sources import RunStreams, sources_near, sources_of_run, span_of_run
 from recorder.session.window import Window, align_window, ticks_before
 from recorder.spec import frame_columns, signal_of
+from recorder.store.attributes import read_order, read_session_attrs
 from recorder.store.files import LOCAL, Files, locate
-from recorder.store.layout import read_order, read_session_attrs
-from recorder.store.sealed import sealed_files
-from recorder.store.tables import Table
+from recorder.store.manifest import sealed_files
+from recorder.store.reader import Table
 
 Array = np.ndarray[Any, Any]
 

@@ -4,39 +4,32 @@ from __future__ import annotations
 
 import fcntl
 import os
+import struct
+import threading
+import time
 from collections import deque
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store import images
-from recorder.store.column import ColumnReader
-from recorder.store.durable import TEMPORARY, Background
+from recorder.store.files import TEMPORARY
+from recorder.store.growing import GrowingReader
 from recorder.store.journal import (
-    CRC_BYTES,
     HEADER,
     Journal,
-    JournalledRows,
-    pack_block,
-    read_journals,
+    JournalReader,
     remove_journals,
     row_time,
     write_journal,
 )
-from recorder.store.layout import PARTIAL, Layout, StreamLayout, decoded_rows
-from recorder.store.rows import RowPacker
-from recorder.store.shard import (
-    ColumnLog,
-    OpenShard,
-    chunk_count,
-    read_shard_index,
-    scan_partial,
-)
+from recorder.store.layout import PARTIAL, Layout, StreamLayout
+from recorder.store.shard import ColumnLog, OpenShard, scan_partial
 
 # State of a stream after its writer stopped, however that happened, and how to resume it.
 #
@@ -56,7 +49,7 @@ class StreamState:
 
     rows: int
     """Number of rows that are complete in every column."""
-    journalled: JournalledRows | None
+    journalled: JournalReader | None
     """Rows not yet stored as chunks; None if the stream was closed."""
     torn_bytes: int
     """Bytes of records that were being written when the writer died."""
@@ -68,45 +61,30 @@ class StreamState:
 
 def survey(layout: StreamLayout) -> StreamState:
     """Return the state of a stream without changing it."""
-    journalled = read_journals(layout)
-    if journalled is None:  # closed, or never opened: the declared lengths hold
-        lengths = [column.rows() for column in layout.columns]
-        return StreamState(min(lengths), None, 0, _spread(lengths), unfinished_files(layout))
-    held, torn = zip(*(count_chunks(column) for column in layout.columns), strict=True)
-    blocks = min(held[-len(layout.small) :])
-    end = blocks * layout.block
-    if journalled.first_row <= end:
-        lengths = [journalled.first_row + len(journalled.rows)]
+    journals = layout.journals()
+    unfinished = unfinished_files(layout)
+    declared = [column.rows() for column in layout.columns]
+    if not journals:  # closed, or never opened: the declared lengths hold
+        return StreamState(min(declared), None, 0, _spread(declared), unfinished)
+    journal = JournalReader(layout)
+    journal.update(journals, torn=True)
+    held = [GrowingReader(column).update() for column in layout.columns]
+    torn = journal.torn_bytes + sum(map(_torn_bytes, layout.columns))
+    end = min(held[-len(layout.small) :]) * layout.block
+    if journal.first_row <= end:
+        lengths = [journal.first_row + len(journal.rows)]
     else:  # no journal of this stream: one begins no later than the chunks end
-        declared = min(column.rows() for column in layout.small)
-        lengths = [declared if end - layout.block < declared <= end else end]
+        short = min(declared[-len(layout.small) :])
+        lengths = [short if end - layout.block < short <= end else end]
     if layout.image is not None:
         lengths.append(held[0])
-    return StreamState(
-        min(lengths),
-        journalled,
-        journalled.torn_bytes + sum(torn),
-        _spread(lengths),
-        unfinished_files(layout),
-    )
+    return StreamState(min(lengths), journal, torn, _spread(lengths), unfinished)
 
 
-def count_chunks(column: Layout) -> tuple[int, int]:
-    """Return a column's number of chunks without a gap, and its torn bytes."""
-    chunks = torn = 0
-    numbers = column.shard_numbers()
-    for number in numbers:
-        if column.partial(number).exists():
-            records, torn_here = scan_partial(column, number)
-            held = len(records)
-            torn += torn_here
-        elif number < numbers[-1]:  # no shard is begun before the previous one is full
-            held = column.chunks_per_shard
-        else:
-            held = chunk_count(read_shard_index(column, number).entries)
-        if chunks == number * column.chunks_per_shard:
-            chunks += held
-    return chunks, torn
+def _torn_bytes(column: Layout) -> int:
+    """Return the bytes of the growing shards of a column that belong to no complete record."""
+    growing = [number for number in column.shard_numbers() if column.partial(number).exists()]
+    return sum(scan_partial(column, number)[1] for number in growing)
 
 
 def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
@@ -200,24 +178,183 @@ def _stored_rows(layout: StreamLayout, start: int, stop: int) -> list[bytes]:
         return []
     table = np.zeros(stop - start, layout.row_dtype)
     for column in layout.small:
-        table[column.column.name] = _read_chunk(column, start // layout.block)[: stop - start]
+        reader = GrowingReader(column)
+        reader.update()
+        chunk = column.decoded(reader.chunk(start // layout.block))
+        table[column.column.name] = chunk[: stop - start]
     return [row.tobytes() for row in table]
+
+
+def pack_block(layout: StreamLayout, rows: list[bytes]) -> list[bytes]:
+    """Return one encoded chunk per small column; a short block is padded with fill values."""
+    table = np.frombuffer(b"".join(rows), layout.row_dtype)
+    chunks = []
+    for column in layout.small:
+        missing = np.nan if column.dtype.kind == "f" else 0
+        chunk = np.full(column.chunk_shape, missing, column.dtype)
+        chunk[: len(rows)] = table[column.column.name]
+        chunks.append(images.compress(chunk.data.cast("B")))
+    return chunks
 
 
 def _spread(lengths: list[int]) -> int:
     return max(lengths) - min(lengths)
 
 
-def _read_chunk(column: Layout, chunk: int) -> NDArray[Any]:
-    number, place = divmod(chunk, column.chunks_per_shard)
-    path = column.partial(number)
-    if not path.exists():
-        return decoded_rows(column, ColumnReader(column).chunk(chunk))
-    record = scan_partial(column, number)[0][place]  # its checksum matched
-    with path.open("rb") as file:
-        file.seek(record.offset)
-        data = file.read(record.nbytes - CRC_BYTES)
-    return decoded_rows(column, data)
+# Packing of a row into the bytes of its journal record, with validation.
+
+_STRUCT_CODES = {
+    "uint8": "<B",
+    "uint16": "<H",
+    "int8": "<b",
+    "int16": "<h",
+    "int32": "<i",
+    "int64": "<q",
+    "float32": "<f",
+    "float64": "<d",
+}
+
+Packer = Callable[[Any], bytes]
+
+
+class RowPacker:
+    """Packer for the small columns of one row, in the stream's order."""
+
+    def __init__(self, layout: StreamLayout) -> None:
+        """Prepare one packer per column."""
+        self._stream = layout.name
+        self._names = tuple(column.column.name for column in layout.columns)
+        self._packers = tuple(
+            (column.column.name, _packer(column, f"{layout.name}.{column.column.name}"))
+            for column in layout.small
+        )
+
+    def pack(self, columns: Mapping[str, Any]) -> bytes:
+        """Return the packed row."""
+        if len(columns) != len(self._names) or self._names[0] not in columns:
+            raise self._wrong_names(columns)
+        try:
+            return b"".join([pack(columns[name]) for name, pack in self._packers])
+        except KeyError:
+            raise self._wrong_names(columns) from None
+
+    def _wrong_names(self, columns: Mapping[str, Any]) -> SessionError:
+        found, expected = ", ".join(columns), ", ".join(self._names)
+        return SessionError(f"{self._stream}: found columns {found}; expected {expected}")
+
+
+def _packer(layout: Layout, where: str) -> Packer:
+    return _array_packer(layout, where) if layout.column.shape else _scalar_packer(layout, where)
+
+
+def _scalar_packer(layout: Layout, where: str) -> Packer:
+    dtype = layout.column.dtype
+    pack = struct.Struct(_STRUCT_CODES[dtype]).pack
+    exact, kinds = (float, (int, float)) if dtype.startswith("float") else (int, (int,))
+    numpy_kinds = (np.integer, np.floating) if exact is float else (np.integer,)
+
+    def pack_scalar(value: Any) -> bytes:
+        if type(value) is not exact:
+            if isinstance(value, np.ndarray) and value.shape == ():
+                value = value[()]
+            if isinstance(value, bool) or not isinstance(value, (*kinds, *numpy_kinds)):
+                raise SessionError(f"{where}: found {_describe(value)}, expected {dtype}")
+        try:
+            return pack(value)
+        except (struct.error, OverflowError):
+            raise SessionError(f"{where}: found {value}, out of range for {dtype}") from None
+
+    return pack_scalar
+
+
+def _array_packer(layout: Layout, where: str) -> Packer:
+    dtype, shape = layout.dtype, layout.column.shape
+    expected = f"{layout.column.dtype} {shape}"
+
+    def pack_array(value: Any) -> bytes:
+        if type(value) is np.ndarray and value.dtype == dtype and value.shape == shape:
+            return value.tobytes()
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            raise SessionError(f"{where}: found a ragged list, expected {expected}") from None
+        if array.shape != shape or not _fits(array, dtype):
+            raise SessionError(f"{where}: found {_describe(array)}, expected {expected}")
+        return array.astype(dtype).tobytes()
+
+    return pack_array
+
+
+def _fits(array: np.ndarray[Any, Any], dtype: np.dtype[Any]) -> bool:
+    """Return True if every value survives the conversion, up to floating-point rounding."""
+    if array.dtype.kind not in ("iuf" if dtype.kind == "f" else "iu"):
+        return False
+    if dtype.kind == "f" or not array.size:
+        return True
+    limits = np.iinfo(dtype)
+    return bool(limits.min <= int(array.min()) and int(array.max()) <= limits.max)
+
+
+def _describe(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape}"
+    return f"{type(value).__name__} {value!r:.40}"
+
+
+# One thread for all slow work: sealing, encoding blocks, flushing to disk.
+
+
+class Background:
+    """Thread that runs jobs in order, and a flush every `interval` seconds.
+
+    A job that fails, for whatever reason, remains first in the queue, with its error in `failure`;
+    no other job runs until `drain`. The thread never ends with jobs undone and no `failure`.
+    """
+
+    def __init__(self, flush: Callable[[], None], *, interval: float, name: str) -> None:
+        """Start the thread."""
+        self.failure: BaseException | None = None
+        self._flush = flush
+        self._interval = interval
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._wake = threading.Event()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def submit(self, job: Callable[[], None]) -> None:
+        """Queue a job. A job that fails must be safe to run again."""
+        self._jobs.append(job)
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End the thread once all queued jobs are done or one failed. May be called twice."""
+        self._stopping = True
+        self._wake.set()
+        self._thread.join()
+
+    def drain(self) -> None:
+        """Run the remaining jobs in the calling thread, after `stop`."""
+        while self._jobs:
+            self._jobs[0]()
+            self._jobs.popleft()
+        self.failure = None
+
+    def _run(self) -> None:
+        due = time.monotonic() + self._interval
+        while not self._stopping:
+            self._wake.wait(max(due - time.monotonic(), 0.0))
+            self._wake.clear()
+            try:
+                while self._jobs and self.failure is None:
+                    self._jobs[0]()
+                    self._jobs.popleft()
+                if time.monotonic() >= due:
+                    due = time.monotonic() + self._interval
+                    if self.failure is None:
+                        self._flush()
+            except BaseException as error:  # the thread that appends must learn of any error
+                self.failure = error
 
 
 _RESERVED_BYTES = 1 << 16  # indices and metadata of a dozen columns, in full disk blocks
@@ -452,3 +589,47 @@ def _reserve(layout: StreamLayout) -> None:
         path.write_bytes(bytes(room))
     except OSError:
         path.unlink(missing_ok=True)
+
+
+# Recovery after the writers were killed or the power failed.
+
+
+@dataclass(frozen=True, slots=True)
+class StreamRecovery:
+    """Result of recovering one stream."""
+
+    name: str
+    """Path of the stream inside the session."""
+    rows: int
+    """Number of rows now."""
+    recovered_rows: int
+    """Number of rows that no Zarr reader saw before."""
+    torn_bytes: int
+    """Bytes of incomplete records."""
+    dropped_rows: int
+    """Number of rows that only some columns had."""
+    touched: bool
+    """True if the stream was changed."""
+
+
+def recover_streams(path: Path) -> list[StreamRecovery]:
+    """Seal every stream and table of a session that was not closed."""
+    groups = sorted(entry.parent for entry in (path / "streams").glob("*/zarr.json"))
+    return [_recover(path, group) for group in (*groups, path / "segments", path / "reference")]
+
+
+def _recover(session: Path, group: Path) -> StreamRecovery:
+    layout = StreamLayout.load(group)
+    state = survey(layout)
+    seen = min(column.rows() for column in layout.columns)
+    touched = bool(state.unfinished or state.dropped_rows)
+    if touched:
+        StreamWriter.open(group).close()
+    return StreamRecovery(
+        str(group.relative_to(session)),
+        state.rows,
+        state.rows - min(seen, state.rows),
+        state.torn_bytes,
+        state.dropped_rows,
+        touched,
+    )

@@ -12,8 +12,7 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.session.clocks import fit_clocks
 from recorder.session.frames import write_frames
-from recorder.session.recover import recover_streams
-from recorder.session.stream_writer import StreamWriter, survey
+from recorder.session.stream_writer import StreamWriter, recover_streams, survey
 from recorder.spec import (
     FORMAT,
     FORMAT_VERSION,
@@ -24,18 +23,11 @@ from recorder.spec import (
     check_streams,
     reference_spec,
 )
-from recorder.store.bounds import check_session_attrs
-from recorder.store.durable import json_bytes, sync_directory
-from recorder.store.layout import (
-    StreamLayout,
-    create_stream,
-    merge_attrs,
-    read_session_attrs,
-    write_group,
-)
-from recorder.store.manifest import remove_unfinished, seal
-from recorder.store.sealed import hold
-from recorder.store.tables import write_table
+from recorder.store.attributes import check_session_attrs, read_session_attrs
+from recorder.store.files import json_bytes, merge_attrs, sync_directory, write_group
+from recorder.store.layout import StreamLayout, create_stream
+from recorder.store.manifest import hold, remove_unfinished, seal
+from recorder.store.reader import write_table
 
 _CREATING = ".creating"
 

@@ -1,10 +1,13 @@
 """Storage on disk: shards that act as logs, journals, columns and atomic file changes."""
 
-from recorder.store.durable import replace_file, sync_directory
+from recorder.store.files import replace_file, sync_directory
+from recorder.store.growing import ImageTail, open_tail
 from recorder.store.images import decode_jpeg
 
 __all__ = [
+    "ImageTail",
     "decode_jpeg",
+    "open_tail",
     "replace_file",
     "sync_directory",
 ]

@@ -110,7 +110,8 @@ def encode_jpeg(image: Image, quality: int) -> bytes:
 
 def decoder(column: Column) -> Callable[[bytes], Image]:
     """Return the function that decodes an image column's chunk to pixels."""
-    dtype, into = np.dtype(column.dtype).newbyteorder("<"), decoder_into(column)
+    dtype = np.dtype(column.dtype).newbyteorder("<")
+    into = decoder_into(column.codec, column.row_bytes)
 
     def decode(data: bytes) -> Image:
         out = np.empty(column.shape, dtype)
@@ -120,13 +121,13 @@ def decoder(column: Column) -> Callable[[bytes], Image]:
     return decode
 
 
-def decoder_into(column: Column) -> Callable[[Any, Image], None]:
-    """Return the function that decodes a chunk into a contiguous image of the column's type."""
-    if column.codec == "jpeg":
+def decoder_into(codec: str, nbytes: int) -> Callable[[Any, Image], None]:
+    """Return the function that decodes a chunk into a contiguous image of `nbytes`."""
+    if codec == "jpeg":
         return decode_jpeg_into
 
     def decode(data: Any, out: Image) -> None:
-        _check_content_size(data, column.row_bytes)
+        _check_content_size(data, nbytes)
         try:
             numcodecs.zstd.decompress(data, out.reshape(-1).view(np.uint8))
         except RuntimeError as error:

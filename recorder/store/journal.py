@@ -10,17 +10,15 @@ from __future__ import annotations
 import errno
 import os
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 import google_crc32c
-import numpy as np
 
-from recorder.store import images
-from recorder.store.durable import TEMPORARY, replace_file, sync_directory
-from recorder.store.layout import Layout, StreamLayout
+from recorder.store.array import CRC_BYTES, ends_with_its_crc
+from recorder.store.files import TEMPORARY, replace_file, sync_directory
+from recorder.store.layout import StreamLayout
 
 # Record format for all data that must survive a crash.
 #
@@ -41,11 +39,8 @@ from recorder.store.layout import Layout, StreamLayout
 MAGIC = b"TRL1"
 CHUNK_MAGIC = b"TRL2"
 HEADER = struct.Struct("<4sIIqI")
-CRC_BYTES = 4
 _STAMP = struct.Struct("<qI")
 _FRAME = struct.Struct("<4sII")
-# CRC-32C of any bytes followed by their own CRC-32C.
-_RESIDUE = 0x48674BC7
 _JOIN_BELOW = 1 << 14  # bytes; below this size one copy is cheaper than a vectored write
 # A log of images grows ahead of them in steps of this size [bytes], filled with zeros: a write into
 # pages that exist costs the kernel a third of one that makes the file longer, and an aligned step
@@ -87,25 +82,14 @@ def checksum(payload: bytes, t_ns: int, index: int) -> int:
 
 def header(payload: bytes, t_ns: int, index: int) -> bytes:
     """Return the 24-byte header of a payload."""
-    stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
-    crc = google_crc32c.extend(google_crc32c.value(stamp), payload)
-    return _FRAME.pack(MAGIC, len(payload), crc) + stamp
+    frame = _FRAME.pack(MAGIC, len(payload), checksum(payload, t_ns, index))
+    return frame + _STAMP.pack(t_ns, index & 0xFFFFFFFF)
 
 
 def chunk_header(nbytes: int, crc: bytes, t_ns: int, index: int) -> bytes:
     """Return the 24-byte header of a chunk of `nbytes`, followed by its checksum `crc`."""
     stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
     return _FRAME.pack(CHUNK_MAGIC, nbytes + CRC_BYTES, google_crc32c.value(stamp + crc)) + stamp
-
-
-def packed_crc(chunk: bytes) -> bytes:
-    """Return the checksum that Zarr's codec `crc32c` appends to a chunk."""
-    return int(google_crc32c.value(chunk)).to_bytes(CRC_BYTES, "little")
-
-
-def ends_with_its_crc(data: bytes) -> bool:
-    """Return True if the last four bytes are the CRC-32C of the others."""
-    return len(data) >= CRC_BYTES and google_crc32c.value(data) == _RESIDUE
 
 
 def record_matches(head: bytes, payload: bytes, index: int) -> bool:
@@ -124,24 +108,87 @@ def record_matches(head: bytes, payload: bytes, index: int) -> bool:
     )
 
 
-def scan(data: bytes, *, first_index: int, limit: int) -> Iterator[JournalRecord]:
-    """Yield the complete records at the start of a log, at most `limit`, from `first_index` on.
+class GrowingLog:
+    """The complete records of a log so far; each byte is read once, nothing is locked or kept open.
 
-    Stops at the first record that is torn, corrupt or out of order.
+    They end at the first record that is torn, corrupt or out of order.
     """
-    position = 0
-    for index in range(first_index, first_index + limit):
-        start = position + HEADER.size
-        if start > len(data):
-            return
-        magic, nbytes, crc, t_ns, found = HEADER.unpack_from(data, position)
-        payload = data[start : start + nbytes]
-        if not record_matches(data[position:start], payload, index):
-            return
+
+    def __init__(
+        self, path: Path, *, first_index: int, limit: int, payloads: bool = False, sums: bool = True
+    ) -> None:
+        """Read nothing yet.
+
+        Args:
+            path: The log.
+            first_index: Number of its first record.
+            limit: Largest number of records.
+            payloads: True to keep the payloads.
+            sums: False to leave the bytes of a chunk to whoever reads it: only the header and the
+                checksum at the end of a record are verified.
+        """
+        self.path = path
+        self.records: list[JournalRecord] = []
+        self.payloads: list[bytes] = []
+        self._first, self._limit, self._keeps, self._sums = first_index, limit, payloads, sums
+        self._inode = -1
+        self._last_head = b""
+
+    @property
+    def end(self) -> int:
+        """First byte after the last record."""
+        return self.records[-1].end if self.records else 0
+
+    def update(self) -> None:
+        """Read the records that were added."""
+        fd = os.open(self.path, os.O_RDONLY)
+        try:
+            found = os.fstat(fd)
+            if found.st_ino != self._inode or not self._continues(fd):
+                self.records.clear()
+                self.payloads.clear()
+                self._inode = found.st_ino
+            while len(self.records) < self._limit and self._read_record(fd, found.st_size):
+                pass
+        finally:
+            os.close(fd)
+
+    def tail(self, start: int) -> bytes:
+        """Return the bytes of the file from `start` on, without zeros at the end."""
+        with self.path.open("rb") as file:
+            file.seek(start)
+            return file.read().rstrip(b"\0")
+
+    def _continues(self, fd: int) -> bool:
+        """Return False if the last record was removed, as on a full disk."""
+        if not self.records:
+            return True
+        return os.pread(fd, HEADER.size, self.records[-1].offset - HEADER.size) == self._last_head
+
+    def _read_record(self, fd: int, size: int) -> bool:
+        start = self.end + HEADER.size
+        if start > size:
+            return False
+        head = os.pread(fd, HEADER.size, start - HEADER.size)
+        magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
+        if start + nbytes > size:  # torn, or no record; nothing is allocated for it
+            return False
+        number = self._first + len(self.records)
+        if magic == CHUNK_MAGIC and not self._sums:
+            payload = os.pread(fd, CRC_BYTES, start + max(nbytes - CRC_BYTES, 0))
+            whole = index == number & 0xFFFFFFFF and crc == google_crc32c.value(head[12:] + payload)
+        else:
+            payload = os.pread(fd, nbytes, start)
+            whole = record_matches(head, payload, number)
+        if not whole:
+            return False
         if magic == CHUNK_MAGIC:
             crc = int.from_bytes(payload[-CRC_BYTES:], "little")
-        yield JournalRecord(found, t_ns, start, nbytes, crc)
-        position = start + nbytes
+        self.records.append(JournalRecord(index, t_ns, start, nbytes, crc))
+        if self._keeps:
+            self.payloads.append(payload)
+        self._last_head = head
+        return True
 
 
 class RecordLog:
@@ -308,42 +355,41 @@ class Journal:
         self.path = self._log.path = path
 
 
-def torn_bytes(tail: bytes) -> int:
-    """Return the number of bytes after the last complete record, without zeros at the end."""
-    return len(tail.rstrip(b"\0"))
+class JournalReader:
+    """The rows in the journals of a stream, read while its writer appends to them."""
 
+    def __init__(self, layout: StreamLayout) -> None:
+        """Read nothing yet."""
+        self._layout = layout
+        self._logs: dict[Path, GrowingLog] = {}
+        self.first_row = 0
+        """Row of the stream at which `rows` starts."""
+        self.rows: list[bytes] = []
+        """Packed, complete rows, up to the first gap."""
+        self.torn_bytes = 0
+        """Bytes that belong to no row of `rows`, without zeros at the end of a journal."""
 
-@dataclass(frozen=True, slots=True)
-class JournalledRows:
-    """Content of a stream's journals."""
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """All journals, including those whose rows are not consecutive, in order of their rows."""
+        return tuple(self._logs)
 
-    first_row: int
-    """Row of the stream at which `rows` starts."""
-    rows: list[bytes]
-    """Packed, complete rows."""
-    paths: tuple[Path, ...]
-    """All journal files, including those whose rows are not consecutive."""
-    torn_bytes: int
-    """Bytes that belong to no complete row."""
-
-
-def read_journals(layout: StreamLayout) -> JournalledRows | None:
-    """Return the journalled rows, or None if there is no journal."""
-    found = sorted(layout.journals().items())
-    if not found:
-        return None
-    rows: list[bytes] = []
-    torn = 0
-    first_row = found[0][0]
-    for first, path in found:
-        data = path.read_bytes()
-        end = 0
-        if first == first_row + len(rows):  # otherwise the journal before it is torn
-            for record in scan(data, first_index=first, limit=layout.block):
-                rows.append(data[record.offset : record.end])
-                end = record.end
-        torn += torn_bytes(data[end:])
-    return JournalledRows(first_row, rows, tuple(path for _, path in found), torn)
+    def update(self, journals: dict[int, Path], *, torn: bool = False) -> None:
+        """Read what was added to the journals of the stream; count torn bytes only if `torn`."""
+        ordered = sorted(journals.items())
+        self._logs = {
+            path: self._logs.get(path)
+            or GrowingLog(path, first_index=first, limit=self._layout.block, payloads=True)
+            for first, path in ordered
+        }
+        self.first_row, self.rows, self.torn_bytes = min(journals, default=0), [], 0
+        for first, path in ordered:
+            log = self._logs[path]
+            log.update()
+            follows = first == self.first_row + len(self.rows)  # else the one before it is torn
+            self.rows += log.payloads if follows else []
+            if torn:
+                self.torn_bytes += len(log.tail(log.end if follows else 0))
 
 
 def write_journal(layout: StreamLayout, first_row: int, rows: list[bytes]) -> None:
@@ -357,22 +403,6 @@ def write_journal(layout: StreamLayout, first_row: int, rows: list[bytes]) -> No
 def row_time(row: bytes) -> int:
     """Return the time of a packed row [ns]: its last eight bytes."""
     return int.from_bytes(row[-8:], "little", signed=True)
-
-
-def pack_block(layout: StreamLayout, rows: list[bytes]) -> list[bytes]:
-    """Return one encoded chunk per small column; a short block is padded with fill values."""
-    table = np.frombuffer(b"".join(rows), layout.row_dtype)
-    chunks = []
-    for column in layout.small:
-        chunk = np.full(column.chunk_shape, fill_value(column), column.dtype)
-        chunk[: len(rows)] = table[column.column.name]
-        chunks.append(images.compress(chunk.data.cast("B")))
-    return chunks
-
-
-def fill_value(column: Layout) -> float | int:
-    """Return the value that a Zarr reader gets for missing data."""
-    return np.nan if column.dtype.kind == "f" else 0
 
 
 def remove_journals(paths: tuple[Path, ...], *, keep: Path | None = None) -> None:

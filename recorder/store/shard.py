@@ -10,33 +10,21 @@ from __future__ import annotations
 
 import os
 import shutil
-from dataclasses import dataclass
-from pathlib import Path
 
-import google_crc32c
 import numpy as np
-from numpy.typing import NDArray
 
 from recorder.errors import SessionError
-from recorder.store.durable import TEMPORARY, sync_directory
-from recorder.store.files import Files
+from recorder.store.array import CRC_BYTES, packed_crc, packed_index
+from recorder.store.files import TEMPORARY, sync_directory
 from recorder.store.journal import (
-    CRC_BYTES,
     HEADER,
     STEP,
+    GrowingLog,
     JournalRecord,
     RecordLog,
     chunk_header,
-    packed_crc,
-    scan,
-    torn_bytes,
 )
 from recorder.store.layout import Layout
-
-MISSING = 0xFFFF_FFFF_FFFF_FFFF
-
-# (slots, 2): offset and length of each inner chunk; both are MISSING if there is none.
-Index = NDArray[np.uint64]
 
 
 class OpenShard:
@@ -109,79 +97,16 @@ def _shard_end(layout: Layout, entries: list[tuple[int, int]], crcs: list[int]) 
     return listed.tobytes() + packed_index(entries, layout.chunks_per_shard)
 
 
-def packed_index(entries: list[tuple[int, int]], slots: int) -> bytes:
-    """Return the bytes that end a shard: offset and length per slot, and their checksum."""
-    index = np.full((slots, 2), MISSING, "<u8")
-    index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
-    data = index.tobytes()
-    return data + int(google_crc32c.value(data)).to_bytes(CRC_BYTES, "little")
-
-
-def read_index(path: Path, files: Files, slots: int) -> Index:
-    """Return the index of a sealed shard with the given number of slots."""
-    return _unpacked(_tail(path, files, 16 * slots + CRC_BYTES), path, files, slots)
-
-
-def _tail(path: Path, files: Files, nbytes: int) -> bytes:
-    try:
-        tail = files.tail(path, nbytes)
-    except FileNotFoundError:
-        raise SessionError(f"{files.name(path)}: shard missing") from None
-    if len(tail) != nbytes:
-        found = len(tail)
-        raise SessionError(f"{files.name(path)}: {found} bytes, too short for a shard index")
-    return tail
-
-
-def _unpacked(data: bytes, path: Path, files: Files, slots: int) -> Index:
-    if int(google_crc32c.value(data[:-CRC_BYTES])) != int.from_bytes(data[-CRC_BYTES:], "little"):
-        raise SessionError(f"{files.name(path)}: checksum of the shard index does not match")
-    return np.frombuffer(data[:-CRC_BYTES], "<u8").reshape(slots, 2)
-
-
-@dataclass(frozen=True, slots=True, weakref_slot=True)
-class ShardIndex:
-    """End of a sealed shard."""
-
-    entries: Index
-    """Offset and length of each chunk."""
-    ranges: list[tuple[int, int]]
-    """The same as Python's own numbers, which are faster to use one by one."""
-    crcs: list[int]
-    """Checksum of each chunk."""
-
-
-def end_bytes(layout: Layout) -> int:
-    """Return the length of the end of a shard of a column [bytes]."""
-    return (CRC_BYTES + 16) * layout.chunks_per_shard + CRC_BYTES
-
-
-def read_shard_index(layout: Layout, number: int) -> ShardIndex:
-    """Return the end of a sealed shard."""
-    path, files, slots = layout.shard(number), layout.files, layout.chunks_per_shard
-    end = _tail(path, files, end_bytes(layout))
-    listed, index = end[: CRC_BYTES * slots], end[CRC_BYTES * slots :]
-    entries = _unpacked(index, path, files, slots)
-    ranges = list(zip(*entries.T.tolist(), strict=True))
-    return ShardIndex(entries, ranges, np.frombuffer(listed, "<u4").tolist())
-
-
-def chunk_count(index: Index) -> int:
-    """Return the number of chunks before the first missing one."""
-    missing = np.flatnonzero(index[:, 0] == MISSING)
-    return int(missing[0]) if missing.size else len(index)
-
-
 def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]:
     """Return the complete records of a growing shard and the number of torn bytes after them."""
-    data = layout.partial(number).read_bytes()
     slots = layout.chunks_per_shard
-    records = list(scan(data, first_index=number * slots, limit=slots))
-    tail = data[records[-1].end if records else 0 :]
+    log = GrowingLog(layout.partial(number), first_index=number * slots, limit=slots)
+    log.update()
+    tail = log.tail(log.end)
     # A writer that died between index and rename leaves the index at the end; nothing is torn.
-    entries = [(record.offset, record.nbytes) for record in records]
-    end = _shard_end(layout, entries, [record.crc for record in records])
-    return records, 0 if end.startswith(tail.rstrip(b"\0")) else torn_bytes(tail)
+    entries = [(record.offset, record.nbytes) for record in log.records]
+    end = _shard_end(layout, entries, [record.crc for record in log.records])
+    return log.records, 0 if end.startswith(tail) else len(tail)
 
 
 def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
@@ -201,7 +126,7 @@ def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
 
 def _copy_records(layout: Layout, number: int, chunks: int) -> None:
     sealed, partial = layout.shard(number), layout.partial(number)
-    end = int(read_shard_index(layout, number).entries[chunks - 1].sum())
+    end = int(layout.index(number).entries[chunks - 1].sum())
     temporary = partial.with_name(partial.name + TEMPORARY)
     with sealed.open("rb") as source, temporary.open("wb") as copy:
         rest = end

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from recorder import SessionError
-from recorder.session import ImageTail, open_tail
+from recorder.store import ImageTail, open_tail
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import Bench
 from rig.core.clock import SECOND_NS
@@ -76,12 +76,6 @@ class Picture:
             return
         if data is not None:
             self.row, self.jpeg = row, data
-
-    def close(self) -> None:
-        """Close the shard; may be called twice."""
-        if self._tail is not None:
-            self._tail.close()
-            self._tail = None
 
 
 class LiveState:
@@ -235,5 +229,3 @@ class LiveState:
         """Release all records; may be called twice."""
         for record in (*self._latest.values(), *self._counters.values()):
             record.close()
-        for picture in self.pictures.values():
-            picture.close()

@@ -17,8 +17,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from recorder import SessionError
 from recorder.markers import MarkerCheck, smallest_marker
-from recorder.session import ImageTail, Stream, open_tail
+from recorder.session import Stream
 from recorder.spec import frame_columns
+from recorder.store import ImageTail, open_tail
 from rig.acquire.signal_level import picture
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import BenchStream
@@ -426,11 +427,6 @@ class _Camera:
         more = "" if is_good else ": the light, the focus or the gel changed"
         yield Quality(name, "good" if is_good else "fault", text + more)
 
-    def close(self) -> None:
-        """Close the file of the images."""
-        if self._tail is not None:
-            self._tail.close()
-
     def _begin(self) -> bool:
         """Take the reference image; return False as long as there is none."""
         rows = self._reference.all(self._column)
@@ -508,9 +504,3 @@ class LiveQuality:
         except (SessionError, OSError) as error:
             return [Quality("session", "fault", f"cannot be read: {error}")]
         return [row for part in self._parts for row in part.rows()]
-
-    def close(self) -> None:
-        """Close the files."""
-        for part in self._parts:
-            if isinstance(part, _Camera):
-                part.close()

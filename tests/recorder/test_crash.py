@@ -26,9 +26,8 @@ from support.crashes import FailingCalls, Killed
 from recorder import StreamSpec, StreamWriter, camera_spec, force_spec
 from recorder.session import stream_writer
 from recorder.session.columns import Stream
-from recorder.session.stream_writer import survey, unfinished_files
+from recorder.session.stream_writer import Background, survey, unfinished_files
 from recorder.store import journal, shard
-from recorder.store.durable import Background
 from recorder.store.layout import StreamLayout, create_stream
 from tests.support.few import few
 

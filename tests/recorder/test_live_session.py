@@ -19,7 +19,7 @@ from recorder import (
     recover,
 )
 from recorder.session.columns import Stream
-from recorder.session.tail import LiveStream
+from recorder.store.growing import LiveStream
 from recorder.store.journal import HEADER, Journal
 from recorder.store.layout import StreamLayout, create_stream
 
@@ -193,7 +193,7 @@ def test_following_sees_that_an_image_was_removed_on_a_full_disk(
             patch.setattr(Journal, "append", full)
             with pytest.raises(OSError, match="full"):
                 camera.append(**picture(1))
-        assert tail.columns["value"].chunks == 2
+        assert tail.readers["value"].held == 2
         assert tail.update().rows == 1
         camera.append(**picture(7))
         assert tail.update().rows == 2

@@ -23,7 +23,6 @@ from support.sessions import make_session, set_attrs
 from recorder import Session, SessionError, check, contact_sheet
 from recorder.convert import export
 from recorder.store.files import join_ranges
-from recorder.store.shard import end_bytes
 from tactile.__main__ import main
 
 get_loop()  # fsspec keeps one thread for the life of the process
@@ -261,7 +260,7 @@ def test_a_chunk_that_is_missing_or_short_is_an_error(recorded: Path) -> None:
     system = fsspec.filesystem("memory")
     system.put(str(recorded), "/short/s.zarr", recursive=True)
     name = "/short/s.zarr/streams/camera/value/c/0/0/0/0"
-    end = end_bytes(Session(recorded).streams["camera"].layout.columns[0])
+    end = Session(recorded).streams["camera"].layout.columns[0].end_bytes
     system.pipe_file(name, system.cat_file(name)[-end - 250 :])  # an index without data
     camera = Session("memory://short/s.zarr").streams["camera"]
     with pytest.raises(SessionError, match=r"memory://short/s\.zarr/.*/c/0/0/0/0: chunk .* short"):

@@ -9,7 +9,7 @@ import pytest
 import simplejpeg
 
 from recorder import SessionError, StreamWriter, camera_spec, force_spec
-from recorder.session.tail import open_tail
+from recorder.store.growing import open_tail
 from recorder.store.layout import create_stream
 
 SHAPE = (24, 32, 3)
@@ -33,7 +33,8 @@ def stream(folder: Path, codec: str) -> Path:
 
 def test_every_row_is_there_as_soon_as_it_is_appended(tmp_path: Path) -> None:
     path = stream(tmp_path, "jpeg")
-    with StreamWriter.open(path) as writer, open_tail(path) as tail:
+    tail = open_tail(path)
+    with StreamWriter.open(path) as writer:
         # Two shards and a part: the tail continues from one to the next.
         for row in range(150):
             assert tail.jpeg(row) is None
@@ -42,16 +43,16 @@ def test_every_row_is_there_as_soon_as_it_is_appended(tmp_path: Path) -> None:
         assert tail.jpeg(3) == jpeg(3)
         assert tail.jpeg(100) == jpeg(100)
         assert tail.jpeg(1000) is None
-    with open_tail(path) as tail:
-        assert tail.jpeg(149) == jpeg(149)
-        assert tail.jpeg(150) is None
+    tail = open_tail(path)
+    assert tail.jpeg(149) == jpeg(149)
+    assert tail.jpeg(150) is None
 
 
 def test_pixels_are_encoded_for_the_viewer(tmp_path: Path) -> None:
     path = stream(tmp_path, "zstd")
-    with StreamWriter.open(path) as writer, open_tail(path) as tail:
+    with StreamWriter.open(path) as writer:
         writer.append(value=pixels(77), device_t=0.0, t_ns=1)
-        data = tail.jpeg(0)
+        data = open_tail(path).jpeg(0)
     assert data is not None
     assert np.abs(simplejpeg.decode_jpeg(data).astype(int) - 77).max() <= 2
 
@@ -70,18 +71,18 @@ def test_a_record_that_is_half_written_is_not_there(tmp_path: Path) -> None:
         place.parent.mkdir(parents=True)
         for cut in (len(whole) - 1, len(whole) - len(jpeg(1)) - 5):
             place.write_bytes(whole[:cut])
-            with open_tail(torn) as tail:
-                assert tail.jpeg(0) == jpeg(0)
-                assert tail.jpeg(1) is None
+            tail = open_tail(torn)
+            assert tail.jpeg(0) == jpeg(0)
+            assert tail.jpeg(1) is None
         # The rest arrives, and the image is complete.
-        with open_tail(torn) as tail:
-            assert tail.jpeg(1) is None
-            place.write_bytes(whole)
-            assert tail.jpeg(1) == jpeg(1)
-            corrupt = bytearray(whole)
-            corrupt[-10] ^= 0xFF
-            place.write_bytes(corrupt)
-            assert tail.jpeg(1) is None
+        tail = open_tail(torn)
+        assert tail.jpeg(1) is None
+        place.write_bytes(whole)
+        assert tail.jpeg(1) == jpeg(1)
+        corrupt = bytearray(whole)
+        corrupt[-10] ^= 0xFF
+        place.write_bytes(corrupt)
+        assert tail.jpeg(1) is None
 
 
 def test_a_stream_without_images_is_refused(tmp_path: Path) -> None:

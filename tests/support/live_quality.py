@@ -110,7 +110,6 @@ class Recording:
         return {row.name: row for row in self.quality.look()}
 
     def close(self) -> None:
-        self.quality.close()
         for writer in self.writers.values():
             writer.close()
         self.session.close()

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.learning.paper_chain.sizes import ALONE, Size
 from learning.evaluation.translation import NEAREST
 from recorder.charts import chart
-from recorder.store.durable import replace_file
+from recorder.store.files import replace_file
 
 Row = dict[str, str]
 # Rows of the table of forces, in its order.

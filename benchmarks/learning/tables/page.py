@@ -24,7 +24,7 @@ from learning.evaluation.predictions import (
 from learning.evaluation.report import beside_line
 from learning.evaluation.translation import TRANSLATED, PairedScore, score_line
 from recorder.pages import render
-from recorder.store.durable import replace_file
+from recorder.store.files import replace_file
 from recorder.strict_yaml import natural_key
 
 # Goal for R2 on unseen indenters, mean over axes and pairs.

@@ -1,7 +1,8 @@
-"""The table of a sensor: metadata of each frame, with its columns and their allowed values."""
+"""Arrays of an archive: frames by their representation, and the columns of a sensor's table."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,97 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.array import Array, ArrayLayout, ArraySpec
 from recorder.errors import SessionError
+from recorder.markers import PACKED
 from recorder.spec import PHASES
+from recorder.store.array import Array, ArrayLayout, packed_index
+from recorder.store.files import replace_file
+
+# Side of a shading image, and its value where nothing changed.
+SHADING_SIDE, SHADING_ZERO = 128, 128
+
+
+@dataclass(frozen=True, slots=True)
+class Representation:
+    """One row a representation: all that differs on disk."""
+
+    name: str
+    """Name, stored as the sensor's attribute `representation`; sensors without one hold masks."""
+    array: str
+    """Array of the frames."""
+    shape: tuple[int, ...]
+    """Shape of one frame, uint8."""
+    dims: tuple[str, ...]
+    """Dimension names of one frame."""
+    description: str
+    """One sentence for readers who have only the array."""
+    reference: str
+    """The same for `references`."""
+
+
+MASKS = Representation(
+    "masks",
+    "markers",
+    (PACKED,),
+    ("byte",),
+    "mask of 480 x 640 pixels, row-major, first pixel in the highest bit, 1 = marker",
+    "masks of the untouched sensor, packed as markers are",
+)
+SHADING = Representation(
+    "shading",
+    "shading",
+    (3, SHADING_SIDE, SHADING_SIDE),
+    ("colour", "y", "x"),
+    "red, green, blue minus those of the untouched sensor, plus 128, cut to 0 to 255; each pixel "
+    "the mean over a cell of the camera's image",
+    "red, green, blue of the untouched sensor",
+)
+REPRESENTATIONS: Mapping[str, Representation] = {each.name: each for each in (MASKS, SHADING)}
+
+
+class ArchiveArray(ArrayLayout):
+    """One array of an archive, of fixed length.
+
+    A shard is written in one go under a name unique to its writer, made durable and then renamed.
+    """
+
+    # All shards are in one directory: one name to make durable, not a path.
+    separator = "."
+    level = 3
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return math.ceil(self.rows() / self.rows_per_shard)
+
+    def rows_of_shard(self, number: int) -> slice:
+        """Return the rows in a shard."""
+        first = number * self.rows_per_shard
+        return slice(first, min(first + self.rows_per_shard, self.rows()))
+
+    def write_shard(self, number: int, values: Array) -> None:
+        """Write all rows of a shard; equal rows give equal bytes."""
+        rows = self.rows_of_shard(number)
+        due = (rows.stop - rows.start, *self.shape[1:])
+        if values.shape != due or values.dtype != self.dtype:
+            raise SessionError(
+                f"{self.path}: found {values.dtype} {values.shape} for shard {number}, "
+                f"expected {self.data_type} {due}"
+            )
+        step = self.rows_per_chunk
+        chunks = [self.encoded(values[first : first + step]) for first in range(0, due[0], step)]
+        ends = np.cumsum([len(chunk) for chunk in chunks]).tolist()
+        entries = [(end - len(chunk), len(chunk)) for end, chunk in zip(ends, chunks, strict=True)]
+        data = b"".join((*chunks, packed_index(entries, self.chunks_per_shard)))
+        replace_file(self.shard(number), data, several=True)
+
+    def write_whole(self, values: Array) -> None:
+        """Write an array of one shard, replacing any existing."""
+        self.create()
+        self.write_shard(0, values)
+
+
+# The table of a sensor: metadata of each frame, with its columns and their allowed values.
 
 # The column that the writer fills: it indexes the provenance lines.
 SOURCE = "source"
@@ -23,7 +112,7 @@ _CHUNK_ROWS = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class TableColumn:
+class ColumnKind:
     """One column of a table."""
 
     dtype: str
@@ -43,26 +132,26 @@ class TableColumn:
 
 
 # Columns of a table, in order.
-COLUMNS: Mapping[str, TableColumn] = {
-    "indenter": TableColumn("int16", "1", "code of the indenter, see attrs names", least=0),
-    "seen": TableColumn("bool", "1", "whether models may be trained on the indenter"),
-    "location": TableColumn(
+COLUMNS: Mapping[str, ColumnKind] = {
+    "indenter": ColumnKind("int16", "1", "code of the indenter, see attrs names", least=0),
+    "seen": ColumnKind("bool", "1", "whether models may be trained on the indenter"),
+    "location": ColumnKind(
         "int32",
         "1",
         "equal in rows of two sensors that were pressed at the same place; -1: at none",
         least=-1,
     ),
-    "target": TableColumn("int16", "1", "number of the target within the indenter", least=0),
-    "phase": TableColumn("int8", "1", "code of the phase, see attrs names; -1: none", least=-1),
-    "depth": TableColumn("float64", "m", "commanded indentation"),
-    "position": TableColumn(
+    "target": ColumnKind("int16", "1", "number of the target within the indenter", least=0),
+    "phase": ColumnKind("int8", "1", "code of the phase, see attrs names; -1: none", least=-1),
+    "depth": ColumnKind("float64", "m", "commanded indentation"),
+    "position": ColumnKind(
         "float64",
         "m",
         "indenter in the contact frame, x to the right and y up in the image",
         (2,),
         ("axis",),
     ),
-    "wrench": TableColumn(
+    "wrench": ColumnKind(
         "float64",
         "N, N m",
         "Fx Fy Fz [N], Tx Ty Tz [N m]; pressing is negative Fz; NaN without a label",
@@ -70,18 +159,18 @@ COLUMNS: Mapping[str, TableColumn] = {
         ("axis",),
         may_be_nan=True,
     ),
-    "frame": TableColumn("int32", "1", "number of the frame within its target", least=0),
-    "t_ns": TableColumn("int64", "ns", "time of the frame, on the clock of its source"),
-    "reference": TableColumn("int16", "1", "row of references", least=0),
-    "valid": TableColumn(
+    "frame": ColumnKind("int32", "1", "number of the frame within its target", least=0),
+    "t_ns": ColumnKind("int64", "ns", "time of the frame, on the clock of its source"),
+    "reference": ColumnKind("int16", "1", "row of references", least=0),
+    "valid": ColumnKind(
         "bool", "1", "whether there is such a frame; where not, its source says why"
     ),
-    SOURCE: TableColumn("int32", "1", "row of sources", least=0),
+    SOURCE: ColumnKind("int32", "1", "row of sources", least=0),
 }
 
 # Columns that a simulation may add to a complete archive (`write_simulated`).
-SIMULATED: Mapping[str, TableColumn] = {
-    name: TableColumn("float64", "N", description, (3,), ("axis",), may_be_nan=True)
+SIMULATED: Mapping[str, ColumnKind] = {
+    name: ColumnKind("float64", "N", description, (3,), ("axis",), may_be_nan=True)
     for name, description in (
         ("simulated", "Fx Fy Fz that a twin of the sensor gives in the frame's press; NaN: none"),
         ("simulated_spread", "standard deviation of these forces by the twin's uncertainty"),
@@ -155,38 +244,32 @@ def allowed(name: str, limits: Limits) -> str:
     return f"{column.least} " + ("and more" if end is None else f"to {end - 1}")
 
 
-def column_spec(
-    name: str, rows: int, names: Sequence[str] = (), attrs: Mapping[str, Any] | None = None
-) -> ArraySpec:
-    """Return the specification of a column's array: one shard, one file.
+def column_array(
+    path: Path, rows: int, names: Sequence[str] = (), attrs: Mapping[str, Any] | None = None
+) -> ArchiveArray:
+    """Return the array of a column: one shard, one file.
 
     Args:
-        name: One of `COLUMNS` or `SIMULATED`.
+        path: Its directory, which has the name of one of `COLUMNS` or `SIMULATED`.
         rows: Length of the table.
         names: Names of the codes, in order.
         attrs: Further attributes.
     """
-    column = {**COLUMNS, **SIMULATED}[name]
-    return ArraySpec(
+    column = {**COLUMNS, **SIMULATED}[path.name]
+    return ArchiveArray(
+        path,
         column.dtype,
         (rows, *column.shape),
         ("row", *column.dims),
         column.units,
         column.description,
         _CHUNK_ROWS,
-        -(-rows // _CHUNK_ROWS) * _CHUNK_ROWS,
+        -(-rows // _CHUNK_ROWS),
         ({"names": list(names)} if names else {}) | dict(attrs or {}),
     )
 
 
-def write_whole(path: Path, spec: ArraySpec, values: Array) -> None:
-    """Write an array of one shard, replacing any existing."""
-    layout = ArrayLayout(path, spec)
-    layout.create()
-    layout.write_shard(0, values)
-
-
-def _typed(values: Any, column: TableColumn, rows: int, where: str) -> Array:
+def _typed(values: Any, column: ColumnKind, rows: int, where: str) -> Array:
     dtype, due = np.dtype(column.dtype), (rows, *column.shape)
     array = np.asarray(values)
     found = f"{array.dtype} {array.shape}"

@@ -1,17 +1,24 @@
-"""Bounds of the attributes that readers compute with, checked by name before any of them is used.
+"""Attributes of sessions, streams and archives, and the bounds of those that readers compute with.
 
-Metadata may come from anybody: a value of another type, NaN, a huge number or a huge list is
-refused here, and not found later as a wrong time or a failed allocation.
+They are checked by name before any of them is used. Metadata may come from anybody: a value of
+another type, NaN, a huge number or a huge list is refused here, and not found later as a wrong time
+or a failed allocation.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from recorder.errors import SessionError
-from recorder.spec import RATE_MAX_HZ
+from recorder.spec import FORMAT, FORMAT_VERSION, RATE_MAX_HZ, STATUSES
+from recorder.store.array import ROWS_MAX
+from recorder.store.files import LOCAL, Files, read_document
+
+# Attribute of a closed session whose derived files are being built again: its status before.
+REBUILDING = "rebuilding"
 
 # Longest latency, exposure and interval [s]; the longest age of a valid sample and sync interval.
 SECONDS_MAX, AGE_MAX = 60.0, 1e9
@@ -167,3 +174,113 @@ def check_session_attrs(attrs: Mapping[str, Any], where: str) -> None:
         if entry is None:
             raise session.refuse(f"sealed_later[{number}]", None, "a JSON object")
         entry.numbers("lost", INT_MAX, count=None, limit=ENTRIES_MAX)
+
+
+def check_rate(rate_hz: object, where: str) -> None:
+    """Reject a rate that no device has."""
+    number = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool)
+    if not number or not 0 < rate_hz <= RATE_MAX_HZ:  # type: ignore[operator]
+        raise SessionError(
+            f"{where}: found rate_hz {rate_hz!r:.80}; allowed: above 0 to {RATE_MAX_HZ:g}"
+        )
+
+
+def read_order(path: Path, files: Files = LOCAL) -> list[str]:
+    """Return the names of the streams in the order in which the session declared them."""
+    order = read_document(files, path / "zarr.json").get("attributes", {}).get("order")
+    if not isinstance(order, list) or not all(isinstance(name, str) for name in order):
+        raise SessionError(f"{files.name(path)}: found order {order!r:.80}, expected names")
+    return order
+
+
+# Attributes of a session or an archive.
+
+
+class _Required(dict[str, Any]):
+    """Attributes of a session or an archive; `attrs["x"]` raises `SessionError` without an x."""
+
+    where = ""
+
+    def __missing__(self, key: str) -> Any:
+        raise SessionError(f"{self.where}: attribute {key!r} is missing")
+
+
+def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
+    """Return the attributes of a session."""
+    attrs = read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
+    name = files.name(path)
+    for key, allowed in (("status", STATUSES), (REBUILDING, STATUSES[1:])):
+        found = attrs["status"] if key == "status" else attrs.get(key, allowed[0])
+        if found not in allowed:
+            known = ", ".join(allowed)
+            raise SessionError(f"{name}: found {key} {found!r:.80}; allowed: {known}")
+    if "rate_hz" in attrs:
+        check_rate(attrs["rate_hz"], name)
+    _check_runs(attrs["runs"], name)
+    check_session_attrs(attrs, name)
+    return attrs
+
+
+def _check_runs(runs: object, name: str) -> None:
+    if not isinstance(runs, list):
+        raise SessionError(f"{name}: found runs {runs!r:.80}, expected a list")
+    before: dict[str, int] = {}
+    for number, run in enumerate(runs):
+        first_row = run.get("first_row") if isinstance(run, dict) else None
+        if not isinstance(first_row, dict):
+            raise SessionError(f"{name}: found runs[{number}] {run!r:.80}, expected its first_row")
+        for stream, row in first_row.items():
+            least = before.get(stream, 0)
+            if type(row) is not int or not least <= row <= ROWS_MAX:
+                raise SessionError(
+                    f"{name}: found runs[{number}] first_row {stream} {row!r:.80}; allowed: "
+                    f"{least} to {ROWS_MAX}"
+                )
+            before[stream] = row
+
+
+def read_attrs(
+    path: Path, files: Files, *, what: str, format_: str, version: int
+) -> dict[str, Any]:
+    """Return the attributes of a session or an archive.
+
+    Args:
+        path: Its directory.
+        files: File access for the directory.
+        what: Kind of object, for messages.
+        format_: Expected value of `format`.
+        version: The `format_version` that can be read.
+    """
+    name = files.name(path)
+    if files.local and path.is_file():
+        raise SessionError(f"{name}: found a file; allowed: the folder of a session or an archive")
+    if files.local and not path.is_dir():
+        raise SessionError(f"{name}: no such {what}")
+    try:
+        files.read(path / "zarr.json")
+    except FileNotFoundError as error:
+        if not files.local:  # the store's error shows if the bucket itself is missing
+            raise SessionError(f"{name}: no such {what} ({error})") from None
+    except OSError as error:
+        raise SessionError(f"{name}: {error}") from error
+    attrs = _Required(read_document(files, path / "zarr.json").get("attributes", {}))
+    attrs.where = name
+    if attrs.get("format") != format_:
+        raise SessionError(f"{name}: found format {attrs.get('format')!r}, expected {format_!r}")
+    found = attrs.get("format_version")
+    if found != version or type(found) is not int:
+        newer = type(found) is int and found > version
+        raise SessionError(
+            f"{name}: found format_version {found}, this program reads {version}"
+            + "; update it" * newer
+        )
+    return attrs
+
+
+def says_it_is(path: Path, files: Files, format_: str) -> bool:
+    """Return True if a place is readable and its metadata declares the given format."""
+    try:
+        attrs = read_document(files, path / "zarr.json").get("attributes", {})
+    except SessionError:
+        return False
+    return isinstance(attrs, dict) and attrs.get("format") == format_

@@ -1,0 +1,428 @@
+"""Read the rows of arrays directly from their files, local or remote.
+
+The checksum of every chunk is verified. A chunk that is declared but missing is an error here; a
+plain Zarr reader returns fill values.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Generic, Self, TypeVar
+from weakref import WeakValueDictionary
+
+import google_crc32c
+import numpy as np
+
+from recorder.errors import SessionError
+from recorder.store import images
+from recorder.store.array import (
+    CRC_BYTES,
+    MISSING,
+    Array,
+    ArrayLayout,
+    ShardIndex,
+    ends_with_its_crc,
+)
+from recorder.store.files import LOCAL, Files, read_document, sync_tree, write_group
+
+# Memory for what was read last, shared by all readers of a process and limited in bytes.
+#
+# A reader finds what it read through a weak reference; only `RECENT` keeps it alive. So the memory
+# of a program does not grow with the sessions that it opens.
+
+T = TypeVar("T")
+
+# Largest size of everything kept [bytes].
+LIMIT = 64 << 20
+# Memory that the interpreter needs for one object that is kept: header, entries, reference [bytes].
+_OBJECT_BYTES = 600
+
+
+class Recent:
+    """The objects used last, up to a total size."""
+
+    def __init__(self, limit: int) -> None:
+        """Keep up to `limit` bytes."""
+        self.limit = limit
+        self.nbytes = 0
+        self._kept: OrderedDict[int, tuple[Any, int]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def keep(self, value: Any, nbytes: int) -> None:
+        """Keep an object alive, as the one used last; those not used for longest are released.
+
+        Args:
+            value: The object; the same object may be given again.
+            nbytes: Its size [bytes]; an object larger than the limit is not kept.
+        """
+        if nbytes > self.limit:
+            return
+        key = id(value)  # unique as long as the object is kept
+        with self._lock:
+            known = self._kept.pop(key, None)
+            self._kept[key] = (value, nbytes)
+            self.nbytes += nbytes - (known[1] if known else 0)
+            while self.nbytes > self.limit:
+                _, (_, released) = self._kept.popitem(last=False)
+                self.nbytes -= released
+
+    def clear(self) -> None:
+        """Release everything; also in a forked process, where the lock may be held for ever."""
+        self._lock = threading.Lock()
+        self._kept.clear()
+        self.nbytes = 0
+
+
+RECENT = Recent(LIMIT)
+os.register_at_fork(after_in_child=RECENT.clear)
+
+
+class Kept(Generic[T]):
+    """Values that one reader has read, as long as they are in memory. Pickled and copied empty."""
+
+    def __init__(self) -> None:
+        self._found: WeakValueDictionary[Hashable, T] = WeakValueDictionary()
+
+    def get(self, key: Hashable, nbytes: int | None = None) -> T | None:
+        """Return the value of a key, or None if it has to be read again.
+
+        Args:
+            key: The key.
+            nbytes: Size of the value [bytes]; that of the array if None.
+        """
+        value = self._found.get(key)
+        if value is not None:
+            _keep(value, nbytes)
+        return value
+
+    def put(self, key: Hashable, value: T, nbytes: int | None = None) -> T:
+        """Remember a value, which must support weak references, and return it."""
+        self._found[key] = value
+        _keep(value, nbytes)
+        return value
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (Kept, ())
+
+
+def _keep(value: Any, nbytes: int | None) -> None:
+    RECENT.keep(value, _OBJECT_BYTES + (value.nbytes if nbytes is None else nbytes))
+
+
+# Chunks and rows of one array.
+
+# Chunks fetched concurrently from a remote store: hides latency and limits memory.
+_BATCH = 16
+# Memory of one entry of a shard's index, as Python's numbers [bytes].
+_ENTRY_BYTES = 200
+
+
+class ColumnReader:
+    """Reader of one array.
+
+    It holds no file open and no data of its own, so that it can be forked, pickled and copied, and
+    thousands of readers cost little: what was read last is kept by `RECENT`, within a limit that
+    all readers of the process share.
+    """
+
+    def __init__(self, layout: ArrayLayout) -> None:
+        """Read the declared length; shards are opened only when needed."""
+        self.layout = layout
+        self.rows = layout.rows()
+        self._local = layout.files.local
+        self._indices: Kept[ShardIndex] = Kept()
+        self._decoded: Kept[Array] = Kept()
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return self.rows
+
+    def chunk(self, number: int) -> bytes:
+        """Return an encoded chunk, without its checksum."""
+        return next(self.chunks([number]))
+
+    def chunks(self, numbers: Sequence[int]) -> Iterator[bytes]:
+        """Yield encoded chunks; from a remote store several are fetched concurrently."""
+        for data in self._verified_chunks(numbers):
+            yield bytes(data)
+
+    def read_images(self, rows: Sequence[int], out: Array) -> None:
+        """Decode images into `out` (n, h, w, channels), each of them once.
+
+        Args:
+            rows: Rows of the images (n,); nothing is written for a row below 0.
+            out: Destination, contiguous; of the column's shape and little-endian type.
+        """
+        decode = images.decoder_into(self.layout.codec, self.layout.chunk_bytes)
+        first = {row: place for place, row in reversed(list(enumerate(rows))) if row >= 0}
+        wanted = sorted(first)
+        for row, data in zip(wanted, self._verified_chunks(wanted), strict=True):
+            try:
+                decode(data, out[first[row]])
+            except SessionError as error:
+                raise SessionError(f"{self._where(row)}: {error}") from error
+        for place, row in enumerate(rows):
+            if row >= 0 and first[row] != place:
+                out[place] = out[first[row]]
+
+    def rows_between(self, start: int, stop: int) -> Array:
+        """Return rows [start, stop) (n, ...) of numbers, reading only their chunks."""
+        step, per_shard = self.layout.rows_per_chunk, self.layout.chunks_per_shard
+        stop = min(stop, self.rows)
+        numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
+        for number in numbers[::per_shard]:  # the shards exist before memory is allocated
+            self._shard_index(number // per_shard)
+        out = np.empty((max(stop - start, 0), *self.layout.shape[1:]), self.layout.dtype)
+        for number, rows in self._decoded_chunks(numbers):
+            low, high = max(start, number * step), min(stop, (number + 1) * step)
+            out[low - start : high - start] = rows[low - number * step : high - number * step]
+        return out
+
+    def read(self) -> Array:
+        """Return all rows (n, ...) of numbers."""
+        return self.rows_between(0, self.rows)
+
+    def gathered(self, numbers: Array) -> Array:
+        """Return the rows with the given numbers (n, ...), reading only their chunks."""
+        chunk, within = np.divmod(numbers, self.layout.rows_per_chunk)
+        out = np.empty((len(numbers), *self.layout.shape[1:]), self.layout.dtype)
+        order = np.argsort(chunk, kind="stable")
+        wanted, first = np.unique(chunk[order], return_index=True)
+        places = np.split(order, first[1:])
+        for (_, rows), here in zip(self._decoded_chunks(wanted.tolist()), places, strict=False):
+            out[here] = rows[within[here]]
+        return out
+
+    def _decoded_chunks(self, numbers: Sequence[int]) -> Iterator[tuple[int, Array]]:
+        """Yield chunks of a small column with their rows, in order; fill values included."""
+        many = len(numbers) * self.layout.chunk_bytes > RECENT.limit // 4
+        known = {} if many else {number: self._decoded.get(number) for number in numbers}
+        missing = [number for number in numbers if known.get(number) is None]
+        fetched = self._verified_chunks(missing)
+        for number in numbers:
+            rows = known.get(number)
+            if rows is None:
+                rows = self.layout.decoded(next(fetched))
+                if not many:  # a whole column would only push everything else out
+                    self._decoded.put(number, rows)
+            yield number, rows
+
+    def _verified_chunks(self, numbers: Sequence[int]) -> Iterator[Any]:
+        """Yield encoded chunks whose checksum matches; each is valid until the next."""
+        per_shard = self.layout.chunks_per_shard
+        for first in range(0, len(numbers), _BATCH):
+            batch = numbers[first : first + _BATCH]
+            for shard, of_shard in groupby(batch, per_shard.__rfloordiv__):
+                read = self._read if self._local else self._fetched
+                yield from read(shard, list(of_shard))
+
+    def _read(self, shard: int, numbers: list[int]) -> Iterator[Any]:
+        """Read chunks of one local shard into one buffer, one after the other."""
+        index = self._shard_index(shard)
+        wanted = [self._range(index, number) for number in numbers]
+        fd = os.open(self._path(shard), os.O_RDONLY)
+        try:
+            size = os.fstat(fd).st_size  # of a range beyond it nothing is allocated
+            length = min(max(nbytes for _, nbytes in wanted), size)
+            buffer: Any = np.empty(length, np.uint8)
+            for number, (offset, nbytes) in zip(numbers, wanted, strict=True):
+                found = os.preadv(fd, [buffer[:nbytes]], offset) if offset < size else 0
+                yield self._verified(index, buffer[:found], nbytes, number)
+        finally:
+            os.close(fd)
+
+    def _path(self, shard: int) -> Path:
+        """Return the file that the chunks of a shard are read from."""
+        return self.layout.shard(shard)
+
+    def _fetched(self, shard: int, numbers: list[int]) -> Iterator[Any]:
+        index, files, path = self._shard_index(shard), self.layout.files, self.layout.shard(shard)
+        wanted = [self._range(index, number) for number in numbers]
+        fetched = files.ranges(path, wanted)
+        for number, (_, nbytes), data in zip(numbers, wanted, fetched, strict=True):
+            yield self._verified(index, data, nbytes, number)
+
+    def _range(self, index: ShardIndex, number: int) -> tuple[int, int]:
+        """Return the offset and the length of a chunk."""
+        offset, nbytes = index.ranges[number % self.layout.chunks_per_shard]
+        if offset == MISSING:
+            raise SessionError(f"{self._where(number)} is missing")
+        return offset, nbytes
+
+    def _shard_index(self, shard: int) -> ShardIndex:
+        nbytes = _ENTRY_BYTES * self.layout.chunks_per_shard
+        index = self._indices.get(shard, nbytes)
+        if index is None:
+            index = self._indices.put(shard, self.layout.index(shard), nbytes)
+        return index
+
+    def _verified(self, index: ShardIndex, data: Any, nbytes: int, number: int) -> Any:
+        if len(data) != nbytes:
+            fault = "is cut short"
+        else:
+            chunk, end = data[:-CRC_BYTES], int.from_bytes(data[-CRC_BYTES:], "little")
+            listed = index.crcs[number % self.layout.chunks_per_shard] if index.crcs else end
+            if google_crc32c.value(chunk) == listed == end:
+                return chunk
+            fault = "does not match its checksum"
+        raise SessionError(f"{self._where(number)} {fault}")
+
+    def _where(self, number: int) -> str:
+        shard, place = divmod(number, self.layout.chunks_per_shard)
+        name = self.layout.files.name(self.layout.shard(shard))
+        return f"{name}: chunk {place} (row {number * self.layout.rows_per_chunk})"
+
+
+class LazyRows:
+    """Rows of a small column that are read on first use.
+
+    Indexed like the array that they replace.
+    """
+
+    def __init__(self, reader: ColumnReader, rows: slice) -> None:
+        """Replace `reader.read()[rows]`, with `rows` without a step."""
+        self._reader = reader
+        self._first, stop, _ = rows.indices(reader.rows)
+        self.shape = (max(stop - self._first, 0), *reader.layout.shape[1:])
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return self.shape[0]
+
+    def __getitem__(self, key: Any) -> Array:
+        """Return an indexed part: rows by slice, numbers or mask, then the other axes."""
+        rows, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
+        numbers = np.arange(len(self))[rows]
+        out = self._reader.gathered(np.atleast_1d(numbers) + self._first)
+        picked: Array = out[(slice(None), *rest)]
+        return picked if np.ndim(numbers) else picked[0]
+
+
+# Groups of columns that are written in one go: `targets` and `frames`.
+
+_CHUNK_ROWS = 8192
+
+
+class TableColumn(ArrayLayout):
+    """One column of a table: its chunks are files, the last padded with zeros."""
+
+    sharded = False
+
+    @property
+    def fill_value(self) -> Any:
+        """Zero, which pads the last chunk."""
+        return np.zeros((), self.dtype).item()
+
+    def document(self) -> dict[str, Any]:
+        """Return the metadata, in the order of keys that this package has always written."""
+        document = super().document()
+        own = ("zarr_format", "node_type", "storage_transformers")
+        return document | {key: document.pop(key) for key in own}
+
+    def read(self) -> Array:
+        """Return all rows; `SessionError` if a chunk is missing or corrupt."""
+        chunks = []
+        for number in range(-(-self.rows() // self.rows_per_chunk)):
+            key = self.shard(number)
+            try:
+                data = self.files.read(key)
+            except FileNotFoundError:
+                raise SessionError(f"{self.files.name(key)}: chunk missing") from None
+            if not ends_with_its_crc(data):
+                name = self.files.name(key)
+                raise SessionError(f"{name}: the chunk does not match its checksum")
+            chunks.append(self.decoded(data[:-CRC_BYTES]))
+        return np.concatenate(chunks)[: self.rows()] if chunks else np.empty(self.shape, self.dtype)
+
+
+def write_table(
+    path: Path,
+    columns: Mapping[str, Array],
+    units: Mapping[str, tuple[str, str]],
+    attrs: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a new group with one array per column, durably.
+
+    Args:
+        path: The group; must not exist.
+        columns: Arrays (n, ...) of equal length.
+        units: Units and description by column.
+        attrs: Attributes of the group.
+    """
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise SessionError(f"{path}: columns of unequal length: {lengths}")
+    path.mkdir()
+    write_group(path, {**(attrs or {}), "columns": list(columns)})
+    for name, values in columns.items():
+        column = np.asarray(values)
+        dims = ("row", *(f"dim_{axis}" for axis in range(1, column.ndim)))
+        layout = TableColumn(
+            path / name,
+            column.dtype.name,
+            column.shape,
+            dims,
+            *units.get(name, ("1", "")),
+            rows_per_chunk=_CHUNK_ROWS,
+            chunks_per_shard=1,
+        )
+        layout.path.mkdir()
+        (layout.path / "zarr.json").write_text(json.dumps(layout.document(), indent=2))
+        for number, first in enumerate(range(0, len(column), _CHUNK_ROWS)):
+            key = layout.shard(number)
+            key.parent.mkdir(parents=True, exist_ok=True)
+            key.write_bytes(layout.encoded(column[first : first + _CHUNK_ROWS]))
+    sync_tree(path)
+
+
+def declared_rows(path: Path, files: Files) -> int:
+    """Return the number of rows that a column declares, whether or not its chunks are there."""
+    shape = read_document(files, path / "zarr.json").get("shape")
+    if not isinstance(shape, list) or not shape or type(shape[0]) is not int:
+        raise SessionError(f"{files.name(path)}: found shape {shape!r:.200}, expected a list")
+    return shape[0]
+
+
+class Table(Mapping[str, Array]):
+    """Columns of a group, read on access; those used last are kept in memory."""
+
+    def __init__(self, path: Path, names: tuple[str, ...], load: Callable[[str], Array]) -> None:
+        """Provide the columns `names`, read by `load(name)`."""
+        self._path = path
+        self._names = names
+        self._load = load
+        self._read: Kept[Array] = Kept()
+
+    @classmethod
+    def of_group(cls, path: Path, files: Files = LOCAL) -> Self:
+        """Return the table in a group written by `write_table`; empty if there is none."""
+        names = tuple(sorted(entry.name for entry in files.groups(path)))
+        if names:
+            read_document(files, path / "zarr.json")
+        return cls(path, names, partial(_column, files, path))
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column (n, ...)."""
+        if name not in self._names:
+            raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
+        found = self._read.get(name)
+        return self._read.put(name, self._load(name)) if found is None else found
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        """Return the number of columns."""
+        return len(self._names)
+
+
+def _column(files: Files, path: Path, name: str) -> Array:
+    return TableColumn.load(path / name, files).read()
