@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
 from recorder.command_line.options import whole
 from recorder.processes import Workers
-from rig.acquire.calibration.calibration import Calibration
+from rig.acquire.calibration.store import Calibration
 from rig.acquire.no_gauge import find_surface, press_in_steps
 from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.bench.guards import check_plan, planned_depth, slowed, without_gauge

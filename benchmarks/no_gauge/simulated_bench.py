@@ -23,9 +23,9 @@ import numpy as np
 
 from rig.acquire.control import Control
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
-from rig.acquire.preflight import check_clear, tip_position
 from rig.acquire.request import CollectRequest
 from rig.acquire.signal_level import SignalLevel, grey
+from rig.acquire.streams import check_clear, tip_position
 from rig.bench.bench import Bench
 from rig.bench.guards import guards_of
 from rig.bench.worlds import AnalyticSpec

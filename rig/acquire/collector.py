@@ -25,19 +25,18 @@ from recorder.command_line.errors import (
 from recorder.command_line.options import next_command
 from recorder.session import clock_lines, contact_sheet
 from rig.acquire import summary
-from rig.acquire.control import Control, Interrupted, InterruptFlag, Onlooker
-from rig.acquire.interlocks import Interlocks
+from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
-from rig.acquire.preflight import (
+from rig.acquire.progress_line import LiveLine
+from rig.acquire.request import CollectRequest, first_open_target
+from rig.acquire.streams import (
+    Streams,
     check_clear,
     check_devices,
     notes_on,
     take_tares,
     tip_position,
 )
-from rig.acquire.progress_line import LiveLine
-from rig.acquire.request import CollectRequest, first_open_target
-from rig.acquire.streams import Streams
 from rig.bench.bench import Bench
 from rig.bench.guards import guards_of, statement
 from rig.bench.indenter import find_indenter

@@ -19,11 +19,9 @@ import numpy as np
 
 from recorder import SessionError
 from recorder.progress import duration
-from rig.acquire.control import Control
-from rig.acquire.interlocks import Interlocks
-from rig.acquire.preflight import rate_window
+from rig.acquire.control import Control, Interlocks
 from rig.acquire.preview import draw
-from rig.acquire.streams import StreamHandle, Streams
+from rig.acquire.streams import StreamHandle, Streams, rate_window
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import BenchStream
 from rig.core.clock import SECOND_NS, Clock, utc_text

@@ -16,8 +16,7 @@ from typing import TextIO
 import numpy as np
 
 from recorder.command_line.options import next_command
-from rig.acquire.preflight import tip_position
-from rig.acquire.streams import Streams
+from rig.acquire.streams import Streams, tip_position
 from rig.bench.bench import Bench
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.config import from_si

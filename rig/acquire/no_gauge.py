@@ -21,15 +21,15 @@ from PIL import Image
 
 from recorder import OUTCOMES, Session
 from rig.acquire.calibration import signal_onset, store
-from rig.acquire.calibration.calibration import (
+from rig.acquire.calibration.home import home_calibration, truth_lines
+from rig.acquire.calibration.onset import TouchedSurface
+from rig.acquire.calibration.store import (
     Calibration,
     FirstPressRecord,
     HomeCalibration,
     at_surface,
     tip_heights,
 )
-from rig.acquire.calibration.home import home_calibration, truth_lines
-from rig.acquire.calibration.onset import TouchedSurface
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.guards import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
 from rig.core.errors import ConfigError, SafetyStop
@@ -50,11 +50,15 @@ UNEVEN_MAX = 0.15e-3
 
 
 def search_depth(bench: Bench) -> float:
-    """Return how far below the stated surface to search [m]: never beyond half the rating."""
+    """Return how far below the stated surface to search [m].
+
+    It is never beyond half the rating, nor beyond the bench's depth limit.
+    """
     given, _, rating = bench.without_gauge
     planned = bench.plan_limits
     return min(
         SEARCH_BELOW,
+        bench.limits.depth_max,
         FRACTION * rating / given.stiffness[1],
         # What the plan check allows, with the stiffness that the bench file expects.
         0.999 * planned.force_rating / planned.stiffness,

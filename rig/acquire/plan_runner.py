@@ -12,11 +12,10 @@ import numpy as np
 
 from recorder import OUTCOMES, SessionError, SessionWriter
 from recorder.spec import frame_columns, reference_spec
-from rig.acquire.interlocks import DeadManReleased, Interlocks
-from rig.acquire.preflight import check_no_contact, no_mean, settling, tip_position
+from rig.acquire.control import DeadManReleased, Interlocks
 from rig.acquire.progress_line import LiveLine
 from rig.acquire.request import CollectRequest
-from rig.acquire.streams import Streams
+from rig.acquire.streams import Streams, check_no_contact, no_mean, settling, tip_position
 from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from recorder import OUTCOMES, Session, SessionError
-from rig.acquire.calibration.calibration import Calibration
+from rig.acquire.calibration.store import Calibration
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError
 from trajectories import Plan, Target, plan_from_json

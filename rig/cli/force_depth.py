@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from rig.acquire.calibration.calibration import require_gauge
+from rig.acquire.calibration.store import require_gauge
 from rig.acquire.request import CollectRequest
 from rig.acquire.summary import show_curve
 from rig.cli.options import recording_options

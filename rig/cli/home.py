@@ -10,7 +10,7 @@ from pathlib import Path
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE
 from rig.acquire.calibration import home, store
-from rig.acquire.calibration.calibration import require_gauge
+from rig.acquire.calibration.store import require_gauge
 from rig.acquire.request import CollectRequest
 from rig.cli.options import recording_options
 from rig.cli.recording import Recording, measured, record, recording_of, stage, started_bench

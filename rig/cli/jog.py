@@ -62,8 +62,7 @@ def _jogged(
 ) -> str:
     from rig.acquire.control import InterruptFlag
     from rig.acquire.jog import Jog, origin_text, retract
-    from rig.acquire.preflight import check_devices, take_tares
-    from rig.acquire.streams import Streams
+    from rig.acquire.streams import Streams, check_devices, take_tares
     from rig.devices.arm.arm import Arm
     from rig.devices.hid.spacemouse import SpaceMouseDriver
 

@@ -30,7 +30,7 @@ from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
 
 if TYPE_CHECKING:
     from rig.acquire.request import CollectRequest
-    from rig.monitor.collection_page import CollectionPage
+    from rig.monitor.collection import CollectionPage
 
 
 def bench_options(
@@ -336,8 +336,7 @@ def opened_page(
     if access is None:
         yield None
         return
-    from rig.monitor.collection import CollectionJob
-    from rig.monitor.collection_page import CollectionPage
+    from rig.monitor.collection import CollectionJob, CollectionPage
     from rig.monitor.lab import Folders
     from rig.monitor.page_process import PageSettings
 

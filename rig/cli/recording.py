@@ -16,7 +16,7 @@ from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
-from rig.acquire.calibration.calibration import Calibration
+from rig.acquire.calibration.store import Calibration
 from rig.acquire.collector import Collector
 from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.no_gauge import StageStopped
@@ -30,7 +30,7 @@ from rig.core.sources import Sources
 from trajectories import Plan, Target
 
 if TYPE_CHECKING:
-    from rig.monitor.collection_page import CollectionPage
+    from rig.monitor.collection import CollectionPage
 
 
 # Opens the monitoring page: of a bench, a run folder and a request.

@@ -22,7 +22,7 @@ from rig.acquire.acceptance import SetupRecord
 from rig.acquire.calibration import store
 from rig.acquire.control import apart
 from rig.acquire.doctor import Finding, examine
-from rig.acquire.preflight import settling
+from rig.acquire.streams import settling
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import BenchStream
 from rig.cli import collect, doctor, force_depth, jog

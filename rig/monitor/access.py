@@ -1,4 +1,4 @@
-"""Access to the page and its commands, decided from a request's headers alone.
+"""Files of the page, and access to it, decided from a request's headers alone.
 
 Three attacks are prevented. Another machine gets nothing without the token. Another web site in the
 operator's browser has a different Origin. A foreign DNS name that points at this machine gives a
@@ -11,14 +11,19 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hmac
+import http
 import ipaddress
 import secrets
 import socket
 import struct
 from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
-from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
+from importlib import resources
+from pathlib import Path, PurePath
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
 
 LOOPBACK_HOST = "127.0.0.1"
 # Hosts that stand for all addresses of this machine.
@@ -40,13 +45,9 @@ def is_loopback(host: str) -> bool:
 
 
 def own_addresses(host: str) -> list[str]:
-    """Return this machine's addresses in its networks, as other machines reach it.
+    """Return this machine's addresses as other machines reach it, or its loopback address.
 
-    Args:
-        host: `0.0.0.0` for those of IPv4, `::` for those of IPv6.
-
-    Returns:
-        The addresses; without a network, the loopback address of the family.
+    `host` is `0.0.0.0` for those of IPv4, `::` for those of IPv6.
     """
     addresses = _ipv4_addresses() if host == "0.0.0.0" else _ipv6_addresses()
     others = [address for address in addresses if not is_loopback(address)]
@@ -127,9 +128,7 @@ class AccessPolicy:
     def may_open(self, path: str, cookies: str | None) -> bool:
         """Return True if the page may be shown: on this machine always, to others with the token.
 
-        Args:
-            path: Path of the request, with its query.
-            cookies: Cookie header.
+        The token is in the query of `path`, or in the Cookie header.
         """
         if is_loopback(self.host):
             return True
@@ -151,7 +150,8 @@ class AccessPolicy:
 def urls_of(access: AccessPolicy, port: int) -> list[str]:
     """Return the addresses of a page, with the token if it is required.
 
-    There is one for each network of this machine if the page serves all of them.
+    There is one for each network of this machine if the page serves all of them. They are numbers,
+    since a tablet need not know this machine's name.
     """
     token = "" if is_loopback(access.host) else f"?token={access.token}"
     hosts = own_addresses(access.host) if access.host in ANY_HOST else [access.host]
@@ -163,3 +163,116 @@ def _query_token(path: str) -> str:
         return parse_qs(urlsplit(path).query).get("token", [""])[0]
     except ValueError:
         return ""
+
+
+# Files of the page, and the headers that protect them from other sites.
+
+
+# Path of the WebSocket.
+LIVE = "/live"
+
+_TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_SCRIPTS = ("page", "wire", "widgets", "collection", "forces", "sessions", "benches", "theme")
+_FILES = ("page.css", "icon.svg", *(f"{name}.js" for name in _SCRIPTS))
+
+
+class Site:
+    """Answers all requests except those for the WebSocket, which it accepts or rejects.
+
+    The files are read once, here: no path sent by a client ever reaches the disk.
+    """
+
+    def __init__(self, access: AccessPolicy) -> None:
+        self._access = access
+        folder = resources.files("rig.monitor") / "static"
+        names = {"/": "page.html", **{f"/{name}": name for name in _FILES}}
+        self._files = {
+            path: ((folder / name).read_bytes(), _TYPES[PurePath(name).suffix])
+            for path, name in names.items()
+        }
+
+    def answer(self, request: Request, *, full: bool) -> Response | None:
+        """Return the response, or None if the WebSocket may be opened.
+
+        `full` is True if the limit of open pages is reached.
+        """
+        host = single_header(request.headers, "Host")
+        if not self._access.knows_host(host):
+            return text_of(http.HTTPStatus.FORBIDDEN, "This name is not one of this bench's.\n")
+        cookies = single_header(request.headers, "Cookie")
+        try:
+            path = unquote(urlsplit(request.path).path)
+        except ValueError:
+            return text_of(http.HTTPStatus.BAD_REQUEST, "This is not a valid address.\n")
+        if path == LIVE:
+            return self._refuse_live(request, host, cookies, full=full)
+        if not self._access.may_open(request.path, cookies):
+            return text_of(
+                http.HTTPStatus.FORBIDDEN,
+                "This page requires the token in the address that the command printed.\n",
+            )
+        if path not in self._files:
+            return text_of(http.HTTPStatus.NOT_FOUND, "There is no such page.\n")
+        body, kind = self._files[path]
+        headers = headers_of(kind, len(body), host or "")
+        if path == "/":
+            headers["Set-Cookie"] = self._access.set_cookie
+        return Response(http.HTTPStatus.OK, "OK", headers, body)
+
+    def _refuse_live(
+        self, request: Request, host: str | None, cookies: str | None, *, full: bool
+    ) -> Response | None:
+        if not self._access.same_origin(single_header(request.headers, "Origin"), host):
+            return text_of(http.HTTPStatus.FORBIDDEN, "Another site's page may not watch.\n")
+        if not self._access.has_cookie(cookies):
+            return text_of(http.HTTPStatus.FORBIDDEN, "Open the page first; it brings the token.\n")
+        if full:
+            return text_of(http.HTTPStatus.SERVICE_UNAVAILABLE, "Enough people are watching.\n")
+        return None
+
+
+def single_header(headers: Headers, name: str) -> str | None:
+    """Return a header that was sent once, else None."""
+    values = headers.get_all(name)
+    return values[0] if len(values) == 1 else None
+
+
+def text_of(status: http.HTTPStatus, text: str) -> Response:
+    """Return a response of plain text."""
+    body = text.encode()
+    headers = headers_of("text/plain; charset=utf-8", len(body), "")
+    return Response(status, status.phrase, headers, body)
+
+
+def headers_of(kind: str, length: int, host: str, policy: str = "") -> Headers:
+    """Return the headers of a response of `length` bytes, which keep other sites out.
+
+    A page of `host`, which has been checked, may open its WebSocket. `policy` is the content policy
+    of what is not one of the page's own files.
+    """
+    # Older tablets do not count ws: as 'self'.
+    live = f" ws://{host}" if host else ""
+    return Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(length),
+            "Connection": "close",
+            "Cache-Control": "no-store",
+            "Content-Security-Policy": policy
+            or (
+                "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+                f"connect-src 'self'{live}; base-uri 'none'; form-action 'none'; "
+                "frame-ancestors 'none'"
+            ),
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cross-Origin-Resource-Policy": "same-origin",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+        }
+    )

@@ -39,12 +39,7 @@ _CHOICES = ("sensor", "indenter", "status")
 
 
 class Finished:
-    """The sessions below a folder.
-
-    Args:
-        folder: The folder.
-        clock: Clock.
-    """
+    """The sessions below a folder."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.folder = folder
@@ -66,8 +61,7 @@ class Finished:
     def search(self, conditions: Mapping[str, str]) -> dict[str, Any]:
         """Return the newest sessions that meet the conditions, and the choices for each of them.
 
-        Args:
-            conditions: Fields of `Query` as text; an empty one is no condition.
+        These are fields of `Query` as text; an empty one is no condition.
         """
         since = date.fromisoformat(conditions["since"]) if conditions.get("since") else None
         faults = {"": None, "yes": True, "no": False}
@@ -182,13 +176,7 @@ class Finished:
         return values
 
     def image(self, path: str, k: int, camera: str) -> bytes:
-        """Return the image of a frame as JPEG: the camera's own bytes, if they were kept.
-
-        Args:
-            path: The session.
-            k: Frame.
-            camera: Name of the camera.
-        """
+        """Return the image of a frame as JPEG: the camera's own bytes, if they were kept."""
         session = self.session(path)
         if camera not in session.of_kind("camera"):
             raise KeyError(f"no camera {camera[:200]!r}")

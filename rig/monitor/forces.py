@@ -207,11 +207,9 @@ def _columns(pattern: str) -> list[str]:
 
 
 def add_gauge(path: Path, wrench: np.ndarray) -> None:
-    """Add the gauge's forces to a table of forces, row by row.
+    """Add the gauge's forces to a CSV file of forces.
 
-    Args:
-        path: CSV file.
-        wrench: Wrenches of its first rows (n, 6) [N, N m]; NaN where unknown.
+    `wrench` has those of its first rows (n, 6) [N, N m]; NaN where unknown.
     """
     with path.open(newline="", encoding="utf-8") as file:
         header, *rows = list(csv.reader(file))
@@ -225,12 +223,7 @@ def add_gauge(path: Path, wrench: np.ndarray) -> None:
 
 
 class ForceLine:
-    """Prints forces at a readable rate.
-
-    Args:
-        clock: Clock.
-        out: Output stream.
-    """
+    """Prints forces at a readable rate."""
 
     def __init__(self, clock: Clock, out: TextIO) -> None:
         def write(text: str) -> None:

@@ -45,12 +45,7 @@ class _News:
 
 
 class ForcesView(LiveView):
-    """Live view of forces.
-
-    Args:
-        job: Constant data.
-        clock: Clock.
-    """
+    """Live view of forces."""
 
     def __init__(self, job: ForcesJob, clock: Clock) -> None:
         self._job = job
@@ -83,12 +78,7 @@ class ForcesView(LiveView):
 
 
 class ForcesPage(PageProcess):
-    """Context manager that shows forces on a page.
-
-    Args:
-        settings: Settings of the page.
-        job: Constant data.
-    """
+    """Context manager that shows forces on a page."""
 
     def __init__(self, settings: PageSettings, job: ForcesJob) -> None:
         super().__init__(settings, ForcesView, job)
@@ -105,13 +95,9 @@ class ForcesPage(PageProcess):
         self.close()
 
     def add(self, reading: LiveForce, t_ns: int, latency: float, gauge: Triple | None) -> None:
-        """Show the forces of a frame.
+        """Show the forces of a frame, which shows the state of the sensor at `t_ns` [ns].
 
-        Args:
-            reading: Predicted forces.
-            t_ns: Time of the state of the sensor that the frame shows [ns].
-            latency: Time from frame to force [s].
-            gauge: The gauge's newest force [N]; None if there is none.
+        `latency` is the time from frame to force [s], `gauge` the gauge's newest force [N].
         """
         self._start_ns = t_ns if self._start_ns is None else self._start_ns
         low, high = reading.interval or (None, None)
@@ -125,8 +111,7 @@ class ForcesPage(PageProcess):
     def finish(self, wrench: Callable[[Any], np.ndarray] | None) -> None:
         """Show the true forces at last, if they are only known now.
 
-        Args:
-            wrench: Returns the true wrench (n, 6) [N, N m] at times (n,) [ns].
+        `wrench` returns the true wrench (n, 6) [N, N m] at times (n,) [ns].
         """
         if wrench is None or not self._recent:
             return

@@ -14,9 +14,8 @@ from urllib.parse import parse_qsl
 from recorder import SessionError
 from recorder.catalogue import Row
 from recorder.command_line.options import next_command
-from rig.acquire.again import marked, write_marks
 from rig.acquire.calibration.store import FOLDER, SETUP, report_path
-from rig.acquire.campaign import Campaign, load_campaign, progress_of
+from rig.acquire.campaign import Campaign, load_campaign, marked, progress_of, write_marks
 from rig.acquire.preview import draw
 from rig.bench.bench import BENCHES_FOLDER, Bench, BenchFile
 from rig.bench.indenter import find_indenter, indenter_names
@@ -54,11 +53,7 @@ class Refused(Exception):
 
 
 class Query(dict[str, str]):
-    """Values of a request.
-
-    Args:
-        text: The part of its address after `?`; the server limits its length.
-    """
+    """Values of a request: the part of its address after `?`, whose length the server limits."""
 
     def __init__(self, text: str) -> None:
         super().__init__(parse_qsl(text, keep_blank_values=True))
@@ -76,12 +71,7 @@ class Query(dict[str, str]):
 
 
 class Lab:
-    """The lab. Its methods are called by one thread.
-
-    Args:
-        folders: Its folders.
-        clock: Clock.
-    """
+    """The lab. Its methods are called by one thread."""
 
     def __init__(self, folders: Folders, clock: Clock) -> None:
         self._folders = folders
@@ -104,12 +94,7 @@ class Lab:
         }
 
     def answer(self, route: str, query: str) -> tuple[bytes, str]:
-        """Return the content that a request asks for, and its type.
-
-        Args:
-            route: Name of the content.
-            query: Values of the request.
-        """
+        """Return the content of a route for a request's values, and its type."""
         content = self._routes[route](Query(query))
         if not isinstance(content, bytes):
             return json.dumps(content).encode(), "application/json"

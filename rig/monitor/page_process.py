@@ -42,13 +42,7 @@ class PageSettings:
 
 
 class PageProcess:
-    """Context manager that serves the page while a command runs.
-
-    Args:
-        settings: Settings of the page.
-        view: Class of the live view.
-        job: Its constant data.
-    """
+    """Context manager that serves the page, with a live view of a job, while a command runs."""
 
     def __init__(
         self, settings: PageSettings, view: Callable[[Any, Clock], LiveView], job: object
@@ -75,11 +69,7 @@ class PageProcess:
 
     @property
     def urls(self) -> list[str]:
-        """Addresses to open, with the token if it is required. Printed, never logged.
-
-        One for each network of this machine if the page serves all of them. They are numbers,
-        since a tablet need not know this machine's name.
-        """
+        """Addresses to open, see `urls_of`. Printed, never logged."""
         return urls_of(self._settings.access, self.port)
 
     def start(self) -> None:

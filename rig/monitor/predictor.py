@@ -13,10 +13,9 @@ if TYPE_CHECKING:
 
 
 def force_model(name: str) -> str:
-    """Return the folder of a force model, or the name of an installed package's, as it is.
+    """Return the folder of a force model: of a folder, its web address, or `demo`.
 
-    Args:
-        name: A folder, the web address of one, `demo`, or such a name.
+    The name of an installed package's model is returned as it is.
     """
     from learning.errors import LearningError
     from learning.force.folder import model_name
@@ -30,14 +29,9 @@ def force_model(name: str) -> str:
 def open_predictor(
     model: str, *, before: str | None, runtime: str, sensor: str, preset: str | None
 ) -> LivePredictor:
-    """Open a trained force model.
+    """Open a model of `force_model`; forces of the model `before` are shown beside.
 
-    Args:
-        model: A model of `force_model`.
-        before: The source's model, whose forces are shown beside.
-        runtime: auto, onnx, openvino, openvino-bf16 or torch.
-        sensor: Name of the sensor, which selects the marker detection preset.
-        preset: Name or file of a preset to use instead.
+    `sensor` selects the marker detection preset, unless `preset` names one or its file.
     """
     try:
         from learning.force.live import open_live

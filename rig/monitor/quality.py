@@ -92,9 +92,7 @@ class _Growing:
     def new(self, *names: str, until: int | None = None) -> list[Array] | None:
         """Return the new rows of columns (n, ...), `t_ns` first; None if there are none.
 
-        Args:
-            names: Columns beside `t_ns`.
-            until: Time up to which rows are returned [ns]; later ones come again.
+        Rows later than `until` [ns] come again.
         """
         stream = self._refreshed()
         if stream is None:
@@ -184,10 +182,7 @@ class _Rests:
     def add(self, t_ns: Array, values: Array, free: Array) -> Iterator[tuple[int, Array, Array]]:
         """Yield number, times (m,) [ns] and median (k,) of each rest that is long enough.
 
-        Args:
-            t_ns: Times (n,) [ns].
-            values: Samples (n, k).
-            free: True where nothing touches the sensor (n,).
+        `free` (n,) is True where nothing touches the sensor: times (n,) [ns], samples (n, k).
         """
         bounds = np.flatnonzero(np.diff(free)) + 1
         for first, last in zip([0, *bounds], [*bounds, len(t_ns)], strict=True):
@@ -475,13 +470,10 @@ class _Camera:
 
 
 class LiveQuality:
-    """Quality of all that a running collection records.
+    """Quality of all that a running collection records, in a session that may not exist yet.
 
-    Args:
-        bench: The bench.
-        session: The session, which may not exist yet.
-        clearance: Height above the surface at which the tip waits before a press [m].
-        start_ns: Origin of the times that are shown [ns].
+    The tip waits at the height `clearance` above the surface before a press [m]; the times that are
+    shown begin at `start_ns` [ns].
     """
 
     def __init__(self, bench: Bench, session: Path, clearance: float, start_ns: int) -> None:

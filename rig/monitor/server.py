@@ -31,10 +31,9 @@ from websockets.http11 import Request, Response
 from recorder import SessionError
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
-from rig.monitor.access import AccessPolicy
+from rig.monitor.access import AccessPolicy, Site, headers_of, single_header, text_of
 from rig.monitor.lab import Folders, Lab, Refused
 from rig.monitor.live_view import SAMPLE_RATE_HZ, LiveView
-from rig.monitor.site import Site, headers_of, single_header, text_of
 
 # Path of the lab's data.
 DATA = "/data/"
@@ -74,14 +73,9 @@ class Marks:
 
 
 class PageServer:
-    """The page: a lab, and a live view if a command serves it.
+    """The page: a lab, if it has folders, and a live view if a command serves it.
 
-    Args:
-        access: Access policy.
-        folders: Folders of the lab; None: only the live view is served.
-        clock: Clock.
-        view: The live view.
-        pipe: Connection to the command, which ends the server; None: a signal does.
+    The command ends the server through `pipe`; without one, a signal does.
     """
 
     def __init__(
@@ -107,8 +101,7 @@ class PageServer:
     async def run(self, ready: Callable[[int], None]) -> None:
         """Serve until a signal, or until the command has ended and all clients know it.
 
-        Args:
-            ready: Called with the port.
+        `ready` is called with the port.
         """
         access = self._access
         try:
@@ -280,10 +273,8 @@ class PageServer:
 def parse_message(message: str | bytes, commands: tuple[str, ...]) -> str | Marks | None:
     """Return the command or the marks in a client's message, or None for anything else.
 
-    Args:
-        message: `{"command": one of commands}`, or `{"session": its path, "again": [numbers of
-            targets, from 1]}`.
-        commands: Commands that are allowed.
+    Allowed: `{"command": one of commands}`, and `{"session": its path, "again": [numbers of
+    targets, from 1]}`.
     """
     try:
         content = json.loads(message)

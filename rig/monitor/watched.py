@@ -67,11 +67,7 @@ class Watched:
 
 
 class GaugeBeside:
-    """The gauge of a lab bench, read while forces are predicted; zero is its first second.
-
-    Args:
-        driver: Its open driver.
-    """
+    """The gauge of a lab bench, read while forces are predicted; zero is its first second."""
 
     def __init__(self, driver: Source) -> None:
         self._driver = driver
@@ -113,11 +109,7 @@ def lab_bench(
 ) -> Iterator[Watched]:
     """Open the sensor of a lab bench. Nothing moves: no connection is made to the arm.
 
-    Args:
-        bench: The bench.
-        clock: Clock.
-        say: Called with a line about the gauge, which is opened too if there is one; None: it is
-            not opened.
+    With `say`, which is called with a line about it, the bench's gauge is opened too.
     """
     if bench.signal is None:
         raise ConfigError(f"{bench.sensor}: no camera and no taxels to watch")
@@ -173,12 +165,7 @@ def mock_bench(
 
 
 class RecordedSignal:
-    """Signal of a session's first run, played at the recorded times from the first `read` on.
-
-    Args:
-        path: The session.
-        clock: Clock.
-    """
+    """Signal of a session's first run, played at the recorded times from the first `read` on."""
 
     dropped = 0
 

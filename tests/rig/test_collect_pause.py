@@ -185,7 +185,7 @@ import json, select, sys
 from dataclasses import replace
 from pathlib import Path
 from rig.acquire.control import Control
-from rig.acquire.interlocks import DeadManReleased, Interlocks
+from rig.acquire.control import DeadManReleased, Interlocks
 from rig.bench.bench import BenchFile
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost

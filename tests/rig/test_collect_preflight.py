@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.acquire import preflight
+from rig.acquire import streams as preflight
 from rig.bench.bench import Bench, BenchFile, find_bench
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose

@@ -17,7 +17,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-from rig.acquire.calibration.calibration import Calibration
+from rig.acquire.calibration.store import Calibration
 from rig.acquire.no_gauge import press_in_steps
 from rig.cli.terminal import confirm
 from rig.acquire.control import Interrupted

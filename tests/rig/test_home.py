@@ -15,8 +15,8 @@ from support.collecting import ROOT
 
 from recorder import Session
 from rig.acquire.calibration import home, store
-from rig.acquire.calibration.calibration import Calibration, HomeCalibration, LatencyCalibration
 from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
+from rig.acquire.calibration.store import Calibration, HomeCalibration, LatencyCalibration
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.worlds import AnalyticSpec, Sphere
 from rig.core.errors import ConfigError, SafetyStop

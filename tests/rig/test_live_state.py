@@ -17,7 +17,7 @@ from rig.bench.bench import Bench, bench_from
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.core.shared_memory import SharedLatest
-from rig.monitor.live_state import MOST_PICTURES, MOST_PLOTS, LiveState, Picture
+from rig.monitor.collection import MOST_PICTURES, MOST_PLOTS, LiveState, Picture
 
 
 def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:

@@ -17,10 +17,15 @@ import pytest
 from benchmarks.no_gauge import command
 from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
 from rig.acquire import no_gauge
-from rig.acquire.calibration.calibration import Calibration, FirstPressRecord, HomeCalibration
 from rig.acquire.calibration.onset import Onset
 from rig.acquire.calibration.signal_onset import Way, onset_of, surface_of
-from rig.acquire.calibration.store import bench_hash, now_utc
+from rig.acquire.calibration.store import (
+    Calibration,
+    FirstPressRecord,
+    HomeCalibration,
+    bench_hash,
+    now_utc,
+)
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, BenchFile, bench_from

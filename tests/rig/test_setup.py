@@ -17,7 +17,7 @@ import pytest
 
 from recorder import Session
 from rig.acquire.calibration import store
-from rig.acquire.calibration.calibration import Calibration
+from rig.acquire.calibration.store import Calibration
 from rig.acquire.doctor import Finding
 from rig.bench.bench import BenchFile
 from rig.cli import setup

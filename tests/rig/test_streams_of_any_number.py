@@ -15,7 +15,7 @@ from recorder import Session, SessionWriter, recover
 from recorder.convert import FORMATS, export
 from recorder.spec import frame_columns
 from rig.acquire.plan_runner import reference_columns
-from rig.acquire.preflight import take_tares
+from rig.acquire.streams import take_tares
 from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError

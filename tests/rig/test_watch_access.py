@@ -6,8 +6,7 @@ import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
-from rig.monitor.access import AccessPolicy, is_loopback
-from rig.monitor.site import Site
+from rig.monitor.access import AccessPolicy, Site, is_loopback
 
 LOCAL = AccessPolicy("127.0.0.1", 8765, "local-token")
 REMOTE = AccessPolicy("0.0.0.0", 8765, "remote-token")

@@ -18,8 +18,7 @@ from rig.acquire.control import Control
 from rig.acquire.request import CollectRequest
 from rig.core.packaged import BENCHES
 from rig.monitor.access import AccessPolicy
-from rig.monitor.collection import CollectionJob
-from rig.monitor.collection_page import CollectionPage
+from rig.monitor.collection import CollectionJob, CollectionPage
 from rig.monitor.lab import Folders
 from rig.monitor.page_process import PageSettings
 

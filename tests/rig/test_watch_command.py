@@ -17,8 +17,7 @@ from recorder.command_line.errors import CommandError
 from recorder.command_line.options import Parser
 from rig.acquire.request import CollectRequest
 from rig.cli.options import add_page, benches_option, calibration_options, opened_page
-from rig.monitor.collection import CollectionJob
-from rig.monitor.collection_page import CollectionPage
+from rig.monitor.collection import CollectionJob, CollectionPage
 from trajectories import ForceDepth
 
 

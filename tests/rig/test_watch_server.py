@@ -19,8 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from rig.acquire.control import Control, Interrupted
 from rig.monitor.access import AccessPolicy
-from rig.monitor.collection import COMMANDS
-from rig.monitor.collection_page import CollectionPage
+from rig.monitor.collection import COMMANDS, CollectionPage
 from rig.monitor.server import ANSWER_TIMEOUT, MAX_MESSAGES, MAX_WATCHERS, parse_message
 
 PRESSED = (0.3, 0.0, -1.7, 0.0, 0.06, 0.0)

@@ -21,8 +21,7 @@ from rig.core.packaged import BENCHES
 from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.monitor.access import AccessPolicy
-from rig.monitor.collection import CollectionJob
-from rig.monitor.collection_page import CollectionPage
+from rig.monitor.collection import CollectionJob, CollectionPage
 from rig.monitor.lab import Folders
 from rig.monitor.page_process import PageSettings
 

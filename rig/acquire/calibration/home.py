@@ -9,7 +9,6 @@ import numpy as np
 
 from recorder import Session
 from recorder.session import linear
-from rig.acquire.calibration.calibration import HomeCalibration, stream_of, tip_heights
 from rig.acquire.calibration.onset import (
     Onset,
     TouchedSurface,
@@ -18,7 +17,13 @@ from rig.acquire.calibration.onset import (
     slopes_of,
 )
 from rig.acquire.calibration.signal_onset import span_of
-from rig.acquire.calibration.store import bench_hash, now_utc
+from rig.acquire.calibration.store import (
+    HomeCalibration,
+    bench_hash,
+    now_utc,
+    stream_of,
+    tip_heights,
+)
 from rig.bench.bench import Bench, BenchFile
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.geometry import invert, transform

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from recorder import Session, Stream
 from recorder.command_line.options import next_command
 from recorder.session import EXPOSURE, captured
-from rig.acquire.calibration.calibration import require_gauge, stream_of, tip_heights
 from rig.acquire.calibration.onset import student_t
+from rig.acquire.calibration.store import require_gauge, stream_of, tip_heights
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError, SafetyStop
 from rig.devices.camera.jpeg import frame_stamp

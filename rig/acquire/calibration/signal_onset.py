@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from recorder import Session, Stream
 from recorder.session import linear
-from rig.acquire.calibration.calibration import tip_heights
 from rig.acquire.calibration.onset import (
     Onset,
     Surface,
@@ -24,6 +23,7 @@ from rig.acquire.calibration.onset import (
     slopes_of,
     student_t,
 )
+from rig.acquire.calibration.store import tip_heights
 from rig.acquire.signal_level import Level, SignalLevel, reading
 from rig.core.errors import SafetyStop
 from trajectories import PHASES, Plan
