@@ -1,23 +1,20 @@
-"""Campaigns: files that list the sessions to record, and the runner that records them in order."""
+"""Campaigns: files that list the sessions to record, and their progress."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from recorder import Session, SessionError
 from recorder.catalogue import Catalogue, Row
-from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.progress import duration
 from recorder.store import replace_file
-from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.request import finished_targets, first_open_target
-from rig.acquire.summary import show_curve
 from rig.bench.bench import Bench, BenchFile, find_bench
 from rig.bench.indenter import find_indenter
 from rig.core.config import build, read_yaml
@@ -126,12 +123,24 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
         where, key = f"{path}.sessions[{number}]", (entry.sensor, entry.plan)
         if key not in walked:
             walked[key] = _walk(entry, where, benches)
-        if entry.session:
-            items.append(_again(entry, where, walked[key]))
-            continue
-        times[entry.name] += 1
-        again = f"-again-{times[entry.name]}" if times[entry.name] > 1 else ""
-        items.append(_item(entry, entry.name + again, where, walked[key]))
+        find_indenter(entry.indenter, f"{where}.indenter")
+        bench_path, bench, plan, seconds = walked[key]
+        name = entry.name
+        if not entry.session:
+            times[name] += 1
+            name += f"-again-{times[name]}" if times[name] > 1 else ""
+        else:
+            try:
+                plan = plan_from_json(Session(entry.session).attrs["plan"])
+            except (SessionError, KeyError, TypeError, ValueError) as error:
+                raise ConfigError(f"{where}.session: {error}") from None
+        last = max(entry.again, default=len(plan) if entry.targets is None else entry.targets)
+        if last > len(plan):
+            listed = "again" if entry.session else "targets"
+            raise ConfigError(f"{where}.{listed}: found {last}; allowed: 1 to {len(plan)}")
+        total = len(entry.again) or last
+        seconds = seconds * total / len(plan)
+        items.append(Item(entry, bench_path, bench, plan, total, seconds, name))
     out = Path(file.out or f"sessions/{path.stem}")
     return Campaign(path.stem, tuple(items), file.operator, out)
 
@@ -150,28 +159,6 @@ def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
     if walked.broken:
         raise ConfigError(f"{where}: the plan breaks a limit: {'; '.join(walked.broken)}")
     return bench_path, bench, plan, walked.duration
-
-
-def _item(entry: Entry, name: str, where: str, walked: _Walked) -> Item:
-    find_indenter(entry.indenter, f"{where}.indenter")
-    bench_path, bench, plan, duration = walked
-    total = len(plan) if entry.targets is None else entry.targets
-    if total > len(plan):
-        raise ConfigError(f"{where}.targets: found {total}; allowed: 1 to {len(plan)}")
-    return Item(entry, bench_path, bench, plan, total, duration * total / len(plan), name)
-
-
-def _again(entry: Entry, where: str, walked: _Walked) -> Item:
-    find_indenter(entry.indenter, f"{where}.indenter")
-    bench_path, bench, plan, duration = walked
-    try:
-        plan = plan_from_json(Session(entry.session).attrs["plan"])
-    except (SessionError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{where}.session: {error}") from None
-    if max(entry.again) > len(plan):
-        raise ConfigError(f"{where}.again: found {max(entry.again)}; allowed: 1 to {len(plan)}")
-    count = len(entry.again)
-    return Item(entry, bench_path, bench, plan, count, duration * count / len(plan), entry.name)
 
 
 # Progress of a campaign, read from its sessions only.
@@ -210,47 +197,31 @@ def progress_of(campaign: Campaign) -> list[Progress]:
     if campaign.out.is_dir():
         catalogue = Catalogue(campaign.out)
         catalogue.refresh()
-    return [_progress(campaign, item, catalogue) for item in campaign.items]
+    return [progress_in(campaign, item, catalogue) for item in campaign.items]
 
 
-def _open(campaign: Campaign, item: Item) -> Progress:
-    return Progress(item, campaign.out / f"{item.name}.zarr", "open", 0)
-
-
-def _progress(campaign: Campaign, item: Item, catalogue: Catalogue | None) -> Progress:
+def progress_in(campaign: Campaign, item: Item, catalogue: Catalogue | None) -> Progress:
     """Return the state of one entry's session; it is opened only if it is not complete."""
-    if item.entry.session:
-        return _progress_again(item)
-    initial = _open(campaign, item)
-    if catalogue is None:
-        return initial
-    path = initial.session
-    row = catalogue.look(path.name)
-    if row is None and not path.exists():
-        return initial
+    entry, path = item.entry, campaign.out / f"{item.name}.zarr"
     try:
-        note = _mismatch(item, row)
-        if not note and row is not None and row.is_session and row.status == "complete":
+        if entry.session:
+            path = Path(entry.session)
+            left = _targets_left(entry)
+            state: ItemState = "to resume" if left else "done"
+            return Progress(item, path, state, item.total - len(left), again=left)
+        row = None if catalogue is None else catalogue.look(path.name)
+        if catalogue is None or (row is None and not path.exists()):
+            return Progress(item, path, "open", 0)
+        if note := _mismatch(item, row):
+            return Progress(item, path, "unreadable", 0, note)
+        if row is not None and row.is_session and row.status == "complete":
             return Progress(item, path, "done", row.targets)
-        if not note:
-            session = Session(path)
-            plan = plan_from_json(session.attrs["plan"])
-            total = int(session.attrs["targets_wanted"])
-            done = first_open_target(plan, session.segments, total)
-            return Progress(item, path, "to resume", done, str(session.attrs.get("reason", "")))
-    except (SessionError, OSError, ValueError, KeyError) as error:
-        note = str(error)
-    return Progress(item, path, "unreadable", 0, note)
-
-
-def _progress_again(item: Item) -> Progress:
-    path = Path(item.entry.session)
-    try:
-        left = _targets_left(item.entry)
+        session = Session(path)
+        plan = plan_from_json(session.attrs["plan"])
+        done = first_open_target(plan, session.segments, int(session.attrs["targets_wanted"]))
+        return Progress(item, path, "to resume", done, str(session.attrs.get("reason", "")))
     except (SessionError, OSError, ValueError, KeyError) as error:
         return Progress(item, path, "unreadable", 0, str(error))
-    state: ItemState = "to resume" if left else "done"
-    return Progress(item, path, state, item.total - len(left), again=left)
 
 
 def _targets_left(entry: Entry) -> tuple[int, ...]:
@@ -272,10 +243,10 @@ def _mismatch(item: Item, row: Row | None) -> str:
     return ""
 
 
-def table(found: list[Progress]) -> list[str]:
+def table(states: list[Progress]) -> list[str]:
     """Return a table of finished and open entries with the remaining time, as lines."""
     lines = [f"{'':<3}{'sensor':<18}{'indenter':<14}{'plan':<13}{'targets':>10}  state"]
-    for number, progress in enumerate(found, 1):
+    for number, progress in enumerate(states, 1):
         entry = progress.item.entry
         count = f"{progress.done}/{progress.item.total}"
         note = f" ({progress.note})" if progress.note else ""
@@ -284,118 +255,10 @@ def table(found: list[Progress]) -> list[str]:
             f"{number:<3}{entry.sensor:<18}{entry.indenter:<14}{entry.plan:<13}{count:>10}  "
             f"{progress.state}{more}{note}"
         )
-    done = sum(progress.state == "done" for progress in found)
-    left = sum(progress.left for progress in found)
-    lines.append(f"{done} of {len(found)} sessions done, about {duration(left)} left")
+    done = sum(progress.state == "done" for progress in states)
+    left = sum(progress.left for progress in states)
+    lines.append(f"{done} of {len(states)} sessions done, about {duration(left)} left")
     return lines
-
-
-# Runner of a campaign's remaining sessions: requests the swap, records, continues.
-
-# Records or resumes an entry and returns the exit code.
-Record = Callable[[Progress], int]
-# Shows a question and waits; False ends the campaign.
-Ask = Callable[[str], bool]
-Say = Callable[[str], None]
-# Waits until the gripper of an item's bench holds its indenter; raises DeviceLost.
-Swap = Callable[[Item], None]
-
-
-def run_campaign(
-    campaign: Campaign,
-    record: Record,
-    ask: Ask,
-    say: Say,
-    swap: Swap | None = None,
-    *,
-    keep_going: bool = False,
-    go_on: str = "",
-) -> int:
-    """Record all unfinished sessions and return the exit code.
-
-    A technician is asked to mount each sensor and indenter. With `swap` and a gripper on the bench
-    there is no question about the indenter: the gripper detects it.
-
-    Exit code 0: all is done. Otherwise it is that of the session that ended the campaign, or with
-    `keep_going` of the first session that failed. Ctrl-C ends the current session in order, and the
-    campaign.
-
-    Args:
-        campaign: The campaign.
-        record: Records or resumes an entry.
-        ask: Asks the technician.
-        say: Shows a line.
-        swap: Waits for the gripper.
-        keep_going: Continue with the next entry after a lost device or a safety stop.
-        go_on: Command that continues the campaign, shown if something is left; empty: none.
-    """
-    campaign.out.mkdir(parents=True, exist_ok=True)
-    failed = EXIT_DONE
-    before: Item | None = None
-    catalogue = Catalogue(campaign.out)
-    catalogue.refresh()
-    for number, item in enumerate(campaign.items):
-        progress = _progress(campaign, item, catalogue)
-        entry = progress.item.entry
-        if progress.state == "done":
-            continue
-        if progress.state == "unreadable":
-            say(f"{progress.session}: {progress.note}")
-            failed = failed or EXIT_WRONG_INPUT
-            if keep_going:
-                continue
-            break
-        place = f"{number + 1} of {len(campaign.items)}"
-        if not _mount(item, place, before, ask, swap):
-            failed = EXIT_INTERRUPTED
-            break
-        before = item
-        say(f"recording {progress.session}")
-        code = record(progress)
-        if code == EXIT_DONE:
-            if progress.state == "to resume" and entry.plan == "force_depth":
-                # It was resumed by `collect`, which draws no curve.
-                show_curve(progress.session)
-            continue
-        say(f"{item.name}: ended with exit code {code}")
-        failed = failed or code
-        if code == EXIT_INTERRUPTED or not keep_going:
-            break
-    found = [_progress(campaign, item, catalogue) for item in campaign.items]
-    catalogue.save()
-    for line in table(found):
-        say(line)
-    if any(progress.state != "done" for progress in found) and go_on:
-        say(f"to continue: {go_on}")
-    return failed
-
-
-def _mount(item: Item, place: str, before: Item | None, ask: Ask, swap: Swap | None) -> bool:
-    """Have an item's sensor and indenter mounted; return False if the technician stops.
-
-    Another bench file on a lab bench is asked about even if they stay: it moves otherwise.
-    """
-    entry, bench = item.entry, item.bench
-    gripped = swap is not None and bench.gripper is not None and not bench.mock
-    new_bench = before is None or before.bench_path != item.bench_path
-    new_sensor = before is None or before.bench.sensor != bench.sensor
-    new_indenter = new_sensor or before is None or before.entry.indenter != entry.indenter
-    if new_sensor or (new_bench and not bench.mock) or (new_indenter and not gripped):
-        mount = f"{'mount' if new_indenter else 'keep'} sensor {bench.sensor}"
-        indenter = "" if gripped else f", indenter {entry.indenter}"
-        own = "" if entry.sensor == bench.sensor else f" (bench file {entry.sensor})"
-        mock = " (mock bench: nothing to mount)" if bench.mock else ""
-        pressed = replace(bench, indenter=entry.indenter)
-        lines = motion_lines(pressed, deepest(item.plan, item.total))
-        moves = "" if bench.mock else "\n".join(["", *lines])
-        if not ask(f"{place}: {mount}{indenter}{own}{mock}{moves}"):
-            return False
-    if new_indenter and gripped and swap is not None:
-        try:
-            swap(item)
-        except KeyboardInterrupt:
-            return False
-    return True
 
 
 # Targets of finished sessions that are to be recorded again, as a campaign file of such entries.
@@ -412,11 +275,8 @@ def marked(file: Path, session: Path) -> tuple[int, ...]:
 def write_marks(file: Path, path: Path, session: Session, targets: Sequence[int]) -> None:
     """List targets of a session in the file, in place of those that it listed before.
 
-    Args:
-        file: The campaign file; it is made if it is missing.
-        path: Path of the session, relative to the folder where commands run.
-        session: The session.
-        targets: Numbers from 1; none: the session is no longer listed.
+    They are numbered from 1; without any, the session is no longer listed. `path` is that of the
+    session, relative to the folder where commands run.
     """
     kept = [entry for entry in _entries(file) if Path(entry.session) != path]
     if targets:

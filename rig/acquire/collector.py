@@ -23,8 +23,8 @@ from recorder.command_line.errors import (
     EXIT_SAFETY_STOP,
 )
 from recorder.command_line.options import next_command
-from recorder.session import clock_lines, contact_sheet
-from rig.acquire import summary
+from recorder.progress import duration
+from recorder.session import accounts_of, clock_lines, contact_sheet, loss_lines, time_lines
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
 from rig.acquire.progress_line import LiveLine
@@ -161,7 +161,7 @@ class Collector:
                 raise stop
         seconds = (self._clock.now_ns() - started_ns) / 1e9
         self._show(request.path, summaries)
-        last_line = summary.last_line(
+        line = last_line(
             status,
             reason,
             request.path,
@@ -172,9 +172,9 @@ class Collector:
         )
         if stop is not None and request.go_on:
             print(f"to continue: {request.go_on}")
-        print(last_line)
+        print(line)
         if self._page is not None:
-            self._page.say(status, last_line)
+            self._page.say(status, line)
         if stop is None:
             return EXIT_DONE
         return next(code for kind, code in _EXIT_CODES.items() if isinstance(stop, kind))
@@ -322,7 +322,7 @@ class Collector:
     def _show(self, path: Path, summaries: dict[str, Any]) -> None:
         """Print what was recorded, with a contact sheet."""
         session, picture = Session(path), path.with_suffix(".png")
-        print(summary.cadence(self._bench, session, summaries))
+        print(cadence(self._bench, session, summaries))
         try:
             for line in clock_lines(session):
                 print(line)
@@ -391,3 +391,69 @@ def software() -> dict[str, str]:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[name] = importlib.metadata.version(name)
     return versions
+
+
+# Summary printed at the end: rates and gaps of the streams, and the recorded targets.
+
+
+def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
+    """Return a table of the streams: expected and measured rate, longest gap, losses, skew."""
+    accounts = accounts_of(session)
+    width = max(8, *(len(name) + 1 for name in accounts)) if accounts else 8
+    lines = [f"{'stream':<{width}}{'expected':>10}{'measured':>10}{'longest gap':>13}{'lost':>9}"]
+    for name, account in accounts.items():
+        summary = summaries.get(name, {})
+        lines.append(
+            f"{name:<{width}}{bench.row(name).rate_hz:>7.0f} Hz{account.measured_hz:>7.1f} Hz"
+            f"{1e3 * account.longest_gap:>10.1f} ms{account.lost:>9}"
+            + omitted(summary.get("refused", {}))
+        )
+    lines += [*loss_lines(accounts), *time_lines(session)]
+    frames = session.frames
+    valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
+    if valid.any():
+        skew = np.asarray(frames["skew"])[valid]
+        invalid = int((~valid).sum())
+        lines.append(
+            f"{len(valid)} frames at {bench.rate_hz:.0f} Hz, {invalid} invalid, "
+            f"worst skew {1e3 * skew.max():.1f} ms (median {1e3 * np.median(skew):.2f} ms)"
+        )
+        lines.append(frames_per_target(session))
+    return "\n".join(lines)
+
+
+def omitted(rejected: Mapping[str, int]) -> str:
+    """Return the counts of samples that were received but not stored, as text; empty if none."""
+    counts = [f"{count} {reason}" for reason, count in rejected.items() if count]
+    return f"  left out: {', '.join(counts)}" if counts else ""
+
+
+def frames_per_target(session: Session) -> str:
+    """Return the frames per target, next to the paper's 20 to 60, as text."""
+    frames = session.frames
+    pressed = np.asarray(frames["target"]) >= 0
+    # A target that was pressed again in another run counts for itself.
+    presses = np.stack([np.asarray(frames[name])[pressed] for name in ("target", "run")], axis=1)
+    fresh = ~np.asarray(frames["is_duplicate"], dtype=bool)[pressed]
+    counts = np.unique(presses, axis=0, return_counts=True)[1]
+    fresh_counts = np.unique(presses[fresh], axis=0, return_counts=True)[1]
+    if not len(counts) or not len(fresh_counts):
+        return "no frames in any target"
+    return (
+        f"frames per target: {counts.min()} to {counts.max()}, mean {counts.mean():.0f} "
+        f"(without repeats: mean {fresh_counts.mean():.0f}; paper: 20 to 60)"
+    )
+
+
+def last_line(
+    status: str, reason: str, path: Path, *, done: int, limited: int, total: int, seconds: float
+) -> str:
+    """Return one line with the status, the number of targets and the path.
+
+    `done` of `total` targets are finished, `limited` of this run ended at the soft force limit;
+    the run took `seconds` [s].
+    """
+    why = f" ({reason})" if reason else ""
+    ended = f", {limited} of them at the force limit," if limited else ""
+    took = duration(seconds)
+    return f"{status}{why}: {done} of {total} targets{ended} in {took}; readable at {path}"

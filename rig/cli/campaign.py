@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from recorder.command_line.errors import EXIT_DONE
+from recorder.catalogue import Catalogue
+from recorder.command_line.errors import EXIT_DONE, EXIT_INTERRUPTED, EXIT_WRONG_INPUT
 from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
-from rig.bench.bench import BENCHES_FOLDER
+from rig.acquire.campaign import (
+    Campaign,
+    Item,
+    Progress,
+    load_campaign,
+    progress_in,
+    progress_of,
+    table,
+)
+from rig.acquire.control import apart
+from rig.bench.bench import BENCHES_FOLDER, read_content, with_simulated_world
+from rig.cli import collect, force_depth
 from rig.cli.options import banner, bench_file, benches_option, calibration_options
 from rig.cli.recording import Recording
-from rig.cli.terminal import answer
+from rig.cli.terminal import answer, deepest, motion_lines
 from rig.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from rig.acquire.campaign import Item, Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,14 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def record_entry(progress: Progress, operator: str, calibrations: Path, world: str | None) -> int:
     """Record or resume an entry of a campaign; return the exit code.
 
-    Args:
-        progress: State of the entry.
-        operator: Name of the operator.
-        calibrations: Folder of the calibrations.
-        world: `sim`: mock benches simulate the contact.
+    With the world `sim`, mock benches simulate the contact.
     """
-    from rig.cli import collect, force_depth
-
     item, entry = progress.item, progress.item.entry
     resumed = progress.session if progress.state == "to resume" else None
     file = bench_file(item.bench_path, world=world, resume=resumed)
@@ -75,12 +79,6 @@ def record_entry(progress: Progress, operator: str, calibrations: Path, world: s
 
 def run(options: argparse.Namespace) -> int:
     """List or record; return the exit code."""
-    import dataclasses
-
-    from rig.acquire.campaign import load_campaign, progress_of, run_campaign, table
-    from rig.acquire.control import apart
-    from rig.bench.bench import read_content, with_simulated_world
-
     campaign = load_campaign(options.file, options.benches)
     if options.out is not None:
         campaign = dataclasses.replace(campaign, out=options.out)
@@ -99,15 +97,109 @@ def run(options: argparse.Namespace) -> int:
         chosen = (campaign.operator, options.calibrations, options.world)
         return apart(record_entry, progress, *chosen)
 
-    return run_campaign(
-        campaign,
-        record,
-        ask,
-        _say,
-        _swap,
-        keep_going=options.keep_going,
-        go_on=_go_on(options),
-    )
+    keep_going, go_on = options.keep_going, _go_on(options)
+    return run_campaign(campaign, record, ask, _swap, keep_going=keep_going, go_on=go_on)
+
+
+def run_campaign(
+    campaign: Campaign,
+    record: Callable[[Progress], int],
+    ask: Callable[[str], bool],
+    swap: Callable[[Item], None] | None = None,
+    *,
+    keep_going: bool = False,
+    go_on: str = "",
+) -> int:
+    """Record all unfinished sessions and return the exit code.
+
+    A technician is asked to mount each sensor and indenter. With `swap` and a gripper on the bench
+    there is no question about the indenter: the gripper detects it.
+
+    Exit code 0: all is done. Otherwise it is that of the session that ended the campaign, or with
+    `keep_going` of the first session that failed. Ctrl-C ends the current session in order, and the
+    campaign.
+
+    Args:
+        campaign: The campaign.
+        record: Records or resumes an entry, and returns the exit code.
+        ask: Shows a question and waits; False ends the campaign.
+        swap: Waits until the gripper of an item's bench holds its indenter; raises DeviceLost.
+        keep_going: Continue with the next entry after a lost device or a safety stop.
+        go_on: Command that continues the campaign, shown if something is left; empty: none.
+    """
+    campaign.out.mkdir(parents=True, exist_ok=True)
+    failed = EXIT_DONE
+    before: Item | None = None
+    catalogue = Catalogue(campaign.out)
+    catalogue.refresh()
+    for number, item in enumerate(campaign.items):
+        progress = progress_in(campaign, item, catalogue)
+        entry = progress.item.entry
+        if progress.state == "done":
+            continue
+        if progress.state == "unreadable":
+            _say(f"{progress.session}: {progress.note}")
+            failed = failed or EXIT_WRONG_INPUT
+            if keep_going:
+                continue
+            break
+        place = f"{number + 1} of {len(campaign.items)}"
+        if not _mount(item, place, before, ask, swap):
+            failed = EXIT_INTERRUPTED
+            break
+        before = item
+        _say(f"recording {progress.session}")
+        code = record(progress)
+        if code == EXIT_DONE:
+            if progress.state == "to resume" and entry.plan == "force_depth":
+                # It was resumed by `collect`, which draws no curve.
+                force_depth.show_curve(progress.session)
+            continue
+        _say(f"{item.name}: ended with exit code {code}")
+        failed = failed or code
+        if code == EXIT_INTERRUPTED or not keep_going:
+            break
+    states = [progress_in(campaign, item, catalogue) for item in campaign.items]
+    catalogue.save()
+    for line in table(states):
+        _say(line)
+    if any(progress.state != "done" for progress in states) and go_on:
+        _say(f"to continue: {go_on}")
+    return failed
+
+
+def _mount(
+    item: Item,
+    place: str,
+    before: Item | None,
+    ask: Callable[[str], bool],
+    swap: Callable[[Item], None] | None,
+) -> bool:
+    """Have an item's sensor and indenter mounted; return False if the technician stops.
+
+    Another bench file on a lab bench is asked about even if they stay: it moves otherwise.
+    """
+    entry, bench = item.entry, item.bench
+    gripped = swap is not None and bench.gripper is not None and not bench.mock
+    new_bench = before is None or before.bench_path != item.bench_path
+    new_sensor = before is None or before.bench.sensor != bench.sensor
+    new_indenter = new_sensor or before is None or before.entry.indenter != entry.indenter
+    if new_sensor or (new_bench and not bench.mock) or (new_indenter and not gripped):
+        mount = f"{'mount' if new_indenter else 'keep'} sensor {bench.sensor}"
+        indenter = "" if gripped else f", indenter {entry.indenter}"
+        own = "" if entry.sensor == bench.sensor else f" (bench file {entry.sensor})"
+        mock = " (mock bench: nothing to mount)" if bench.mock else ""
+        pressed = dataclasses.replace(bench, indenter=entry.indenter)
+        lines = motion_lines(pressed, deepest(item.plan, item.total))
+        moves = "" if bench.mock else "\n".join(["", *lines])
+        if not ask(f"{place}: {mount}{indenter}{own}{mock}{moves}"):
+            return False
+    if new_indenter and gripped and swap is not None:
+        try:
+            swap(item)
+        except KeyboardInterrupt:
+            return False
+    return True
 
 
 def _go_on(options: argparse.Namespace) -> str:

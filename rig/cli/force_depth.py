@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
+from recorder import Session, SessionError
+from recorder.session import press_curves, save_curves
 from rig.acquire.calibration.store import require_gauge
 from rig.acquire.request import CollectRequest
-from rig.acquire.summary import show_curve
 from rig.cli.options import recording_options
 from rig.cli.recording import Recording, record, recording_of
 from rig.core.errors import ConfigError
@@ -43,3 +45,21 @@ def press(recording: Recording) -> int:
     code = record(recording, request)
     show_curve(path)
     return code
+
+
+def show_curve(path: Path) -> None:
+    """Print the table of a session of presses and write its curve to a PNG."""
+    try:
+        session = Session(path)
+        curves = press_curves(session)
+    except SessionError as error:
+        print(f"no curve: {error}")
+        return
+    print("\n".join(curves.lines()))
+    picture = path.with_suffix(".curve.png")
+    try:
+        save_curves(curves, picture, f"{session.attrs['sensor']}, {session.attrs['indenter']}")
+    except OSError as error:
+        print(f"no curve: {picture}: {error}")
+    else:
+        print(f"force-depth curve: {picture}")

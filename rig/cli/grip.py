@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 
-from rig.acquire.motion_notice import grip_lines
 from rig.bench.bench import BenchFile
 from rig.cli.options import banner, bench_options, bench_path
 from rig.cli.terminal import confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
+from rig.devices.gripper.settings import RobotiqConfig
 
 # Activation opens and closes the fingers once; it takes one to two seconds [s].
 _OPENING = 5.0
@@ -43,3 +43,13 @@ def run(options: argparse.Namespace) -> int:
     if not options.open and not status.holding:
         raise DeviceLost("gripper: closed on nothing; put the indenter between the fingers")
     return 0
+
+
+def grip_lines(gripper: RobotiqConfig, *, only_open: bool) -> list[str]:
+    """Return the next motion of a gripper's fingers, with its speed and force, as lines."""
+    then = "then stay open" if only_open else "then close on the indenter"
+    return [
+        f"fingers   close and open once (activation), {then}; an indenter that is held now falls",
+        f"speed     {gripper.speed} of 255, after the activation",
+        f"force     {gripper.force} of 255",
+    ]

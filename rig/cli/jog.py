@@ -10,12 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rig.acquire.motion_notice import motion_lines
 from rig.bench.bench import BenchFile
 from rig.bench.guards import gauge_guards
 from rig.cli.options import banner, bench_options, chosen_bench
 from rig.cli.recording import started_bench
-from rig.cli.terminal import confirm
+from rig.cli.terminal import confirm, motion_lines
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, SafetyStop
 

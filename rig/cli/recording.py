@@ -18,12 +18,11 @@ from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.collector import Collector
-from rig.acquire.motion_notice import deepest, motion_lines
 from rig.acquire.no_gauge import StageStopped
 from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench, BenchFile
 from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to
-from rig.cli.terminal import confirm
+from rig.cli.terminal import confirm, deepest, motion_lines
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
 from rig.core.sources import Sources

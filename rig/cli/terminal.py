@@ -1,4 +1,7 @@
-"""Questions on the terminal of a bench. Only what is typed after a question answers it."""
+"""Questions on the terminal of a bench, and notices of how its arm will move.
+
+Only what is typed after a question answers it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,11 @@ import sys
 import termios
 
 from rig.acquire.control import Interrupted
+from rig.bench.bench import Bench
+from rig.bench.indenter import find_indenter
+from rig.core.config import from_si
 from rig.core.errors import ConfigError
+from trajectories import Plan
 
 
 def require_terminal() -> None:
@@ -45,3 +52,27 @@ def confirm(lines: list[str], word: str = "move") -> None:
     if typed != word:
         print()
         raise Interrupted(f'the answer was not "{word}"')
+
+
+def motion_lines(bench: Bench, depth: float) -> list[str]:
+    """Return the speeds, the box and the depth of a bench's motion as lines."""
+    arm, limits = bench.arm, bench.limits
+
+    def span(low: float, high: float) -> str:
+        return f"{from_si(low, 'mm'):g} to {from_si(high, 'mm'):g} mm"
+
+    forces = ", ".join(f"{limits.soft_fraction * force:.3g}" for force in bench.force_rating[:3])
+    return [
+        f"speed     {from_si(arm.speed, 'mm_s'):g} mm/s near the sensor, "
+        f"{from_si(arm.travel_speed, 'mm_s'):g} mm/s above it",
+        f"box       x {span(*limits.box_x)}, y {span(*limits.box_y)}, "
+        f"z {span(-limits.depth_max, limits.height_max)} of the contact frame",
+        f"depth     {from_si(depth, 'mm'):g} mm below the surface; a press ends at {forces} N",
+        f"indenter  {find_indenter(bench.indenter).line()}",
+    ]
+
+
+def deepest(plan: Plan, total: int | None = None) -> float:
+    """Return the deepest indentation of a plan's first `total` targets [m]; None: all."""
+    most = len(plan) if total is None else total
+    return max((target.depth for target in plan.targets() if target.index < most), default=0.0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
 import json
 import subprocess
 import sys
@@ -22,12 +24,11 @@ from rig.acquire.campaign import (
     Progress,
     load_campaign,
     progress_of,
-    run_campaign,
     table,
 )
 from rig.bench.worlds import SimulatedSpec
 from rig.cli import collect, force_depth
-from rig.cli.campaign import record_entry
+from rig.cli.campaign import record_entry, run_campaign
 from rig.cli.recording import Recording
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS
@@ -109,14 +110,14 @@ def _run(
 ) -> tuple[int, list[Progress], list[str], list[str]]:
     bench = _Bench(campaign, codes)
     asked: list[str] = []
-    reported: list[str] = []
 
     def ask(question: str) -> bool:
         asked.append(question)
         return True
 
-    code = run_campaign(campaign, bench, ask, reported.append, keep_going=keep_going)
-    return code, bench.ran, asked, reported
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        code = run_campaign(campaign, bench, ask, keep_going=keep_going)
+    return code, bench.ran, asked, printed.getvalue().splitlines()
 
 
 def test_everything_is_recorded_in_order_after_a_question_for_each_swap(
@@ -163,7 +164,7 @@ def test_a_technician_who_says_no_ends_it_before_anything_moves(
 ) -> None:
     campaign = _campaign(tmp_path)
     bench = _Bench(campaign, [])
-    assert run_campaign(campaign, bench, lambda _: False, lambda _: None) == 130
+    assert run_campaign(campaign, bench, lambda _: False) == 130
     assert bench.ran == []
 
 
@@ -189,7 +190,7 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(
     def swap(item: Item) -> None:
         events.append(f"gripper: {item.entry.indenter}")
 
-    assert run_campaign(campaign, record, ask, lambda _: None, swap) == 0
+    assert run_campaign(campaign, record, ask, swap) == 0
     entries = [item.entry for item in campaign.items]
     expected, before = [], ("", "")
     for number, entry in enumerate(entries, 1):
@@ -239,7 +240,7 @@ def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and
     def record(progress: Progress) -> int:
         return record_entry(progress, "", ROOT / "calibrations", "sim")
 
-    assert run_campaign(campaign, record, lambda _: True, lambda _: None) == 0
+    assert run_campaign(campaign, record, lambda _: True) == 0
     assert [progress.state for progress in progress_of(campaign)] == ["done"]
 
 
@@ -270,7 +271,7 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
             return True
 
         one = dataclasses.replace(campaign, items=items)
-        run_campaign(one, lambda _: 0, ask, lambda _: None)
+        run_campaign(one, lambda _: 0, ask)
         return questions
 
     told = asked(lab)
@@ -327,7 +328,7 @@ def test_a_day_reads_each_session_once(
 
     monkeypatch.setattr(catalogue_module, "_read", look)
     monkeypatch.setattr(campaign_module, "Session", None)  # no session has to be opened
-    assert run_campaign(campaign, record, lambda _: True, lambda _: None) == 0
+    assert run_campaign(campaign, record, lambda _: True) == 0
     assert all(progress.state == "done" for progress in progress_of(campaign))
     assert len(read) == len(set(read)) == count
 
@@ -381,14 +382,13 @@ def test_a_campaign_that_cannot_be_run_is_refused(tmp_path: Path, text: str, wor
 
 
 def test_a_stopped_campaign_names_the_command_that_continues_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     campaign = _campaign(tmp_path)
-    told: list[str] = []
     go_on = "tactile campaign --file day.yaml"
     record = _Bench(campaign, [3])
-    assert run_campaign(campaign, record, lambda _: True, told.append, go_on=go_on) == 3
-    assert told[-1] == f"to continue: {go_on}"
+    assert run_campaign(campaign, record, lambda _: True, go_on=go_on) == 3
+    assert capsys.readouterr().out.endswith(f"to continue: {go_on}\n")
 
 
 def test_the_example_is_runnable_and_listing_records_nothing(

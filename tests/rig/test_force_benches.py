@@ -12,8 +12,8 @@ import pytest
 from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
-from rig.acquire.motion_notice import motion_lines
 from rig.bench.bench import Bench, BenchFile
+from rig.cli.terminal import motion_lines
 from rig.core.clock import FakeClock
 from rig.core.config import READER
 from rig.core.errors import ConfigError
