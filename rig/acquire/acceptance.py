@@ -19,23 +19,18 @@ from recorder.pages import render
 from recorder.store import replace_file
 from rig.acquire.calibration.store import bench_hash, now_utc, read_setup, report_path, setup_path
 from rig.acquire.doctor import Finding
-from rig.bench.bench import Bench
+from rig.bench.bench import BenchFile
 from rig.core.errors import ConfigError
 
 
 class SetupRecord:
-    """Steps of one bench's set-up, on disk after each of them.
+    """Steps of the set-up of a bench file, in a folder of calibrations after each of them."""
 
-    Args:
-        folder: Folder of the calibrations.
-        bench: The bench as its file describes it.
-        content: Content of the file.
-    """
-
-    def __init__(self, folder: Path, bench: Bench, content: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, file: BenchFile) -> None:
+        bench = file.bench
         self.path = setup_path(folder, bench.sensor)
         self._bench = bench
-        self._content = content
+        self._content = file.content
         stored = read_setup(folder, bench)
         self.steps: dict[str, dict[str, Any]] = stored.get("steps", {})
         """Answers and findings of each step, by its name."""
@@ -49,24 +44,12 @@ class SetupRecord:
         return report_path(self.path.parent, self._bench.sensor)
 
     def done(self, name: str, keys: Sequence[str]) -> bool:
-        """Return True if a step is finished, and the sections of the file it checked are as then.
-
-        Args:
-            name: Name of the step.
-            keys: Sections of the bench file.
-        """
+        """Return True if a step is finished, and the sections of the file it checked stayed."""
         step = self.steps.get(name)
         return step is not None and step["keys_sha256"] == self._digest(keys)
 
     def show(self, name: str, number: int, count: int, findings: Sequence[Finding] = ()) -> None:
-        """Store the step that is under way, for the page, until it is added.
-
-        Args:
-            name: Name of the step.
-            number: Its number, from 1.
-            count: Number of steps.
-            findings: Its findings, before a person decides on them.
-        """
+        """Store the step that is under way, with its findings before a person decides on them."""
         step = {"step": name, "number": number, "count": count, "pid": os.getpid()}
         self._running = {**step, "findings": [asdict(each) for each in findings]}
         self._write()
@@ -95,12 +78,7 @@ class SetupRecord:
         self._replace(self.path.with_suffix(f".{name}"), content)
 
     def accept(self, names: Sequence[str], operator: str) -> None:
-        """Write the report of all steps, and the summary that sessions carry.
-
-        Args:
-            names: Names of the steps, in order.
-            operator: Name of the operator.
-        """
+        """Write the report of all steps, in order, and the summary that sessions carry."""
         steps = {name: self.steps[name] for name in names}
         faults = [name for name in names if steps[name]["state"] == "FAULT"]
         summary = {
@@ -109,7 +87,7 @@ class SetupRecord:
             "mock": self._bench.mock,
             "result": f"accepted with faults: {', '.join(faults)}" if faults else "accepted",
             "steps": {name: step["state"] for name, step in steps.items()},
-            "bench_sha256": bench_hash(dict(self._content)),
+            "bench_sha256": bench_hash(self._content),
             "steps_sha256": bench_hash(steps),
             "report": self.report.name,
         }

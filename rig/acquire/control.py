@@ -109,15 +109,11 @@ def discard_output_of_a_closed_terminal() -> None:
 
 
 def apart(function: Callable[..., int], *arguments: object) -> int:
-    """Run a function in a process of its own, at this terminal, and return its exit code.
+    """Run a function of a module in a process of its own, at this terminal; return its exit code.
 
     A vendor's library may take that process down, but not this one. Ctrl-C and a closed terminal
     reach that process as well; SIGTERM, sent to this one, is passed on. This process waits until
     the other has ended in order.
-
-    Args:
-        function: A function of a module; returns an exit code.
-        *arguments: Its arguments, which can be pickled.
     """
     # Both processes write to the same terminal, so the buffer is flushed first.
     sys.stdout.flush()
@@ -149,9 +145,7 @@ class Control:
 
     A pause takes effect before the next target, with the tip clear of the surface. An abort ends
     the collection like Ctrl-C: the current phase is finished, the arm retracts, all data is kept.
-
-    Args:
-        interrupt: Requests of the terminal, which `check` raises too; None: there are none.
+    Requests of the terminal, if there is one, are those of `interrupt`.
     """
 
     def __init__(self, interrupt: InterruptFlag | None = None) -> None:
@@ -289,8 +283,7 @@ class Interlocks:
     def check(self, *, pressing: bool = False) -> None:
         """Raise if an interlock forbids continuing.
 
-        Args:
-            pressing: True if the arm presses, or is about to: a dead-man pedal must be held.
+        If the arm presses, or is about to, a dead-man pedal must be held.
         """
         with contextlib.suppress(BlockingIOError):
             while self.wake.recv(64):

@@ -69,12 +69,8 @@ def examine(
 ) -> Iterator[Finding]:
     """Yield a finding for the plan, for each part of the computer, then for each device.
 
-    Args:
-        bench: The bench, with addresses filled in.
-        folder: Folder for records of the run.
-        sessions: Folder in which sessions would be recorded; it gets a picture of the plan.
-        clock: Clock.
-        watch: Raises if an emulator of a mock bench is gone.
+    `folder` gets records of the run, `sessions`, in which sessions would be recorded, a picture of
+    the plan. `watch` raises if an emulator of a mock bench is gone.
     """
     yield plan(bench, sessions)
     yield disk(sessions, clock)
@@ -178,13 +174,7 @@ def time_of_day() -> Finding:
 def missing_rights(bench: Bench, user: str, etc: Path = Path("/etc")) -> dict[Path, str]:
     """Return the files that give a user real-time priority, and access to pedal and SpaceMouse.
 
-    Args:
-        bench: The bench.
-        user: Name of the user.
-        etc: Folder of the system's settings.
-
-    Returns:
-        Contents by path, without those that are there already.
+    They are contents by path in `etc`, without those that are there already.
     """
     files = {etc / "security/limits.d/70-tactile-rig.conf": f"{user} - rtprio 60\n"}
     devices = [str(each.device) for each in (bench.pedal, bench.jog) if each is not None]

@@ -18,7 +18,7 @@ import numpy as np
 from recorder.command_line.options import next_command
 from rig.acquire.streams import Streams, tip_position
 from rig.bench.bench import Bench
-from rig.core.clock import SECOND_NS, Clock
+from rig.core.clock import SECOND_NS
 from rig.core.config import from_si
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose
@@ -44,16 +44,10 @@ _SHOW_NS = {True: SECOND_NS // 5, False: 5 * SECOND_NS}
 def planned(
     shift: Axes, tip: Point, box: tuple[Point, Point], speed_max: float
 ) -> tuple[Point, float] | None:
-    """Return the next goal and speed of the tip for a cap position; None: it stays.
+    """Return the next goal [m] and speed [m/s] of the tip for a cap position; None: it stays.
 
-    Args:
-        shift: Deflection of the cap, -1 to 1 in x, y, z of the contact frame.
-        tip: Position of the tip in the contact frame [m].
-        box: Lower and upper corner of its allowed positions [m].
-        speed_max: Speed at full deflection in any direction [m/s].
-
-    Returns:
-        Goal in the contact frame [m] and speed [m/s].
+    The cap is deflected by `shift`, -1 to 1 in x, y, z of the contact frame; at full deflection in
+    any direction the tip at `tip` moves at `speed_max` [m/s], within the corners of `box` [m].
     """
     velocity = np.array(shift, np.float64)
     length = float(np.linalg.norm(velocity))
@@ -88,34 +82,25 @@ class _CapChanged(Exception):
 class Jog:
     """Moves the arm as the SpaceMouse directs.
 
-    Args:
-        bench: The bench.
-        arm: The arm, started.
-        streams: Running, the F/T sensor tared.
-        mouse: Open.
-        asked: Raises if the operator requested the end.
-        clock: Clock.
-        out: Output of the position line.
+    The arm is started, the mouse open, the F/T sensor of `streams` tared. `check` raises if the
+    operator requested the end.
     """
 
     def __init__(
         self,
-        bench: Bench,
-        arm: Arm,
         streams: Streams,
+        arm: Arm,
         mouse: SpaceMouseDriver,
-        asked: Callable[[], None],
-        clock: Clock,
+        check: Callable[[], None],
         *,
         speed_max: float,
         out: TextIO | None = None,
     ) -> None:
-        self._bench = bench
-        self._arm = arm
         self._streams = streams
+        self._bench = streams.bench
+        self._arm = arm
         self._mouse = mouse
-        self._asked = asked
-        self._clock = clock
+        self._check_operator = check
         self._speed_max = speed_max
         self._out = out or sys.stdout
         self._due_ns = 0
@@ -174,7 +159,7 @@ class Jog:
             raise _CapChanged
 
     def _look(self, timeout: float) -> Cap:
-        self._asked()
+        self._check_operator()
         self._streams.check()
         cap = self._mouse.read(timeout)
         self._pressed |= cap.pressed
@@ -182,7 +167,7 @@ class Jog:
         return cap
 
     def _show(self) -> None:
-        now_ns = self._clock.now_ns()
+        now_ns = self._streams.clock.now_ns()
         if now_ns < self._due_ns:
             return
         terminal = self._out.isatty()

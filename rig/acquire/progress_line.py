@@ -25,15 +25,10 @@ _IN_LOG_NS = 10 * SECOND_NS
 
 
 class LiveLine:
-    """Progress of a collection.
+    """Progress of a collection of `total` targets, of which this run presses those of `pressing`.
 
-    Args:
-        streams: Streams whose rates are shown.
-        total: Number of targets of the session.
-        planned: Predicted duration of a target [s]; it counts like one target that was measured,
-            so that the remaining time is known from the beginning.
-        pressing: Indices of the targets of this run, in order; None: all.
-        out: Output.
+    The predicted duration of a target, `planned` [s], counts like one target that was measured, so
+    that the remaining time is known from the beginning.
     """
 
     def __init__(

@@ -183,10 +183,7 @@ def arm(host: str, timeout: float) -> Iterator[Finding]:
 def tool(bench: Bench, clock: Clock, length: float) -> Iterator[Finding]:
     """Yield findings of TCP and payload: file, installation of the pendant, caliper, and weight.
 
-    Args:
-        bench: The bench.
-        clock: Clock.
-        length: Distance of the tip from the flange by a caliper [m].
+    The caliper measured the distance of the tip from the flange as `length` [m].
     """
     config = bench.arm
     names = {name: name for name in ("tcp_offset", "payload", "actual_TCP_force")}

@@ -96,11 +96,7 @@ def shift(before: Grey, after: Grey) -> npt.NDArray[np.float64]:
 
 
 class SignalLevel:
-    """Computes the level of each sample of one stream.
-
-    Args:
-        is_image: True for a camera, False for taxels.
-    """
+    """Computes the level of each sample of one stream, a camera or taxels."""
 
     def __init__(self, *, is_image: bool) -> None:
         self._is_image = is_image

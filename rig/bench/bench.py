@@ -99,9 +99,7 @@ class BenchLimits:
     def for_plan(self, force_rating: float, dome_radius: float | None) -> Limits:
         """Return the limits that a plan is checked against before anything moves.
 
-        Args:
-            force_rating: Rated normal force of the weakest of sensor, gauge and bench [N].
-            dome_radius: Radius of the sensor's spherical top [m]; None: flat.
+        `force_rating` is the rated normal force of the weakest of sensor, gauge and bench [N].
         """
         return Limits(
             box_x=self.box_x,
@@ -403,10 +401,8 @@ def _check_streams(rows: Sequence[BenchStream]) -> None:
 def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "--sensor") -> Path:
     """Return the lab's bench file of `sensor` if it exists, else the mock bench's.
 
-    Args:
-        sensor: Name of the file without `.yaml`.
-        folder: Searched first: its `lab/`, then itself; then the packaged mock benches.
-        where: Where the name was given, for errors.
+    Searched are `lab/` in the folder, the folder itself, and the packaged mock benches. Errors name
+    `where` the name was given.
     """
     name = f"{sensor}.yaml"
     for path in (folder / "lab" / name, folder / name, BENCHES / name):
@@ -471,12 +467,7 @@ class BenchFile:
         return BenchFile(self.path, content, replace(self.bench, indenter=indenter.name))
 
     def at(self, host: str, folder: Path) -> BenchFile:
-        """Return a mock bench's file with the addresses of its emulators.
-
-        Args:
-            host: Replaces `loopback` in every string of the content.
-            folder: Replaces `runfolder`.
-        """
+        """Return a mock bench's file with host and run folder of its emulators filled in."""
 
         def filled(value: Any) -> Any:
             if isinstance(value, str):

@@ -94,12 +94,9 @@ def indenter_names(folder: Path = OWN) -> list[str]:
 
 
 def find_indenter(name: str, where: str = "--indenter", folder: Path = OWN) -> Indenter:
-    """Return the indenter of that name; the lab's own has precedence.
+    """Return the indenter of that name; those of the lab's folder have precedence.
 
-    Args:
-        name: Name as given by the user.
-        where: Option or key with the name, for errors.
-        folder: The lab's folder of indenters.
+    Errors name the option or key `where` the name was given.
     """
     described, solid = folder / f"{name}.yaml", folder / f"{name}.stl"
     if described.is_file():

@@ -222,11 +222,7 @@ class TaxelField:
         return np.stack([x.ravel(), y.ravel()], axis=1)
 
     def counts(self, moved: np.ndarray) -> np.ndarray:
-        """Return raw counts (16, 3), before noise and rounding.
-
-        Args:
-            moved: Displacement (16, 3) of the surface at `positions` [m].
-        """
+        """Return raw counts (16, 3), before noise and rounding, of a displacement (16, 3) [m]."""
         rest = _REST + _SPREAD * (np.arange(48).reshape(16, 3) % 11)
         gain = 1e3 * np.array(
             [self.counts_per_mm_shear, self.counts_per_mm_shear, -self.counts_per_mm_normal]

@@ -40,11 +40,8 @@ def calibrate(
 ) -> int:
     """Measure and store the latency of the bench's signal; return the exit code.
 
-    Args:
-        recording: The bench.
-        taps: Number of taps.
-        depth: Deepest tap [m]; None: the depth of 1 N, at most 1 mm.
-        width_max: Allowed width of the 95 % interval [s].
+    The deepest tap is `depth` deep [m], by default as deep as 1 N presses, at most 1 mm.
+    `width_max` is the allowed width of the 95 % interval [s].
     """
     bench, content = recording.bench, recording.file.content
     # Apply the surface calibration only: an old latency correction would bias the new measurement.

@@ -107,14 +107,8 @@ def collect(
 ) -> int:
     """Record a session along the bench's plan, or resume one; return the exit code.
 
-    Args:
-        recording: The bench.
-        targets: Press only this many targets; None: all.
-        resumed: The session to resume.
-        again: Indices of targets of that session to press again.
-        sources: Real recordings for a mock bench to play.
-        truth: File for a mock bench to log the World's truth to.
-        page: Opens the monitoring page.
+    Of a resumed session, the targets with the indices `again` are pressed again. A mock bench plays
+    `sources`, and logs the World's truth to a file. `page` opens the monitoring page.
     """
     bench, sources = recording.bench, sources or Sources()
     session = resumed or recording.session(bench.indenter)

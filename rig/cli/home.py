@@ -61,12 +61,8 @@ def find_by_force(
 ) -> int:
     """Find and store the surface by slow approaches; return the exit code.
 
-    Args:
-        recording: The bench.
-        repeats: Approaches per point.
-        force: Force that ends an approach [N].
-        travel: Distance to go below the assumed surface [m]; None: 1 mm, or the bench's limit.
-        corners: Also touch four corners, for the tilt.
+    Each goes `travel` below the assumed surface [m], by default 1 mm or the bench's limit, and ends
+    at `force` [N]. With `corners`, four corners are touched too, for the tilt.
     """
     bench = recording.bench
     require_gauge(bench, "home")

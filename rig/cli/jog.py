@@ -90,7 +90,7 @@ def _jogged(
         "button takes the origin; Ctrl-C ends",
         flush=True,
     )
-    jog = Jog(bench, arm, streams, mouse, interrupt.check, clock, speed_max=bench.jog.speed_max)
+    jog = Jog(streams, arm, mouse, interrupt.check, speed_max=bench.jog.speed_max)
     try:
         tip = jog.run()
     except SafetyStop:

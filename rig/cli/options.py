@@ -113,11 +113,7 @@ def recording_options(
 ) -> argparse._ArgumentGroup:
     """Add the options of a command that records; return the group of a mock bench's options.
 
-    Args:
-        parser: Parser of the command.
-        sources: See `bench_options`.
-        gauge: See `bench_options`.
-        indenter: Indenter of the command; empty: that of the bench file.
+    `indenter` is that of the command; empty: that of the bench file. See `bench_options`.
     """
     group = bench_options(parser, sources=sources, gauge=gauge)
     session = parser.add_argument_group("session")
@@ -161,13 +157,9 @@ def bench_file(
 ) -> BenchFile:
     """Read a bench file, as it is used.
 
-    A resumed session continues in the world in which it began, and without a gauge if it began so.
-
-    Args:
-        path: The file.
-        world: `sim`: the contact of a mock bench is simulated.
-        force: `none`: a mock bench is used without its gauge.
-        resume: The session to resume.
+    With the world `sim`, the contact of a mock bench is simulated; with the force `none`, it is
+    used without its gauge. A resumed session continues in the world in which it began, and without
+    a gauge if it began so.
     """
     content = read_content(path)
     began = {} if resume is None else Session(resume).attrs["bench"]
@@ -213,10 +205,7 @@ def banner(file: BenchFile) -> str:
 def bench_command(name: str, options: argparse.Namespace, **others: object) -> str:
     """Return the command to continue with on the bench of these options.
 
-    Args:
-        name: The command.
-        options: Those of a command with `bench_options`.
-        others: Further options of the command and their values; those of None are left out.
+    Further options are those in `others`; those of None are left out.
     """
     return next_command(name, **bench_choice(options), **others)
 
@@ -267,13 +256,9 @@ def add_page(
     what: str,
     default: AccessPolicy | None = None,
 ) -> None:
-    """Add an option with the address of a page.
+    """Add an option with the address of a page, whose help is `what` and the address.
 
-    Args:
-        parser: Parser of the command.
-        option: Name of the option.
-        what: Its help, without the address.
-        default: Address without the option; None: no page is served then.
+    `default` is the address without the option; None: no page is served then.
     """
     address = default or AccessPolicy()
     parser.add_argument(

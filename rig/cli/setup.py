@@ -62,9 +62,7 @@ _DEVICES = ("arm", "force", "camera", "taxels", "streams")
 class AtBench:
     """The bench during its set-up, the person at it, and the emulators of a mock bench.
 
-    Args:
-        options: Options of the command.
-        given: Answers of `--answer`.
+    `given` are the answers of `--answer`.
     """
 
     def __init__(self, options: argparse.Namespace, given: Answers) -> None:
@@ -73,7 +71,7 @@ class AtBench:
         file = chosen_bench(options)
         self.file = file.with_indenter(options.indenter or "")
         self.clock = SystemClock()
-        self.record = SetupRecord(options.calibrations, self.bench, file.content)
+        self.record = SetupRecord(options.calibrations, self.file)
         self._stack = contextlib.ExitStack()
         self._ready: Bench | None = None
         self.watch: Callable[[], None] | None = None
@@ -116,10 +114,7 @@ class AtBench:
     def do(self, text: str, *places: Point, force: Point = (0.0, 0.0, 0.0)) -> None:
         """Have the person do something at the bench; on a mock bench, its emulators do it.
 
-        Args:
-            text: Request to the person.
-            *places: Places in the contact frame to which a mock bench's tip is led [m].
-            force: Force laid on a mock bench's sensor [N].
+        They lead the tip to `places` in the contact frame [m], and lay `force` on the sensor [N].
         """
         if not self.bench.mock:
             _read(f"  {text}; then Enter: ")

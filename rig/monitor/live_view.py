@@ -13,11 +13,7 @@ SAMPLE_RATE_HZ = 40.0
 
 
 class Backlog(Generic[Item]):
-    """The newest items of a stream; each client gets those that it does not have.
-
-    Args:
-        most: Number of items that are kept.
-    """
+    """The newest `most` items of a stream; each client gets those that it does not have."""
 
     def __init__(self, most: int) -> None:
         self._items: deque[Item] = deque(maxlen=most)
@@ -52,11 +48,9 @@ class LiveView:
         raise NotImplementedError
 
     def news(self, sent: Counter[str], clients: Mapping[str, int]) -> list[dict[str, Any] | bytes]:
-        """Return the state and pictures for a client.
+        """Return the state and pictures for a client, and note in `sent` that it has them.
 
-        Args:
-            sent: What the client has; is brought up to date.
-            clients: Counts of clients, by name.
+        `clients` are counts of clients, by name.
         """
         raise NotImplementedError
 

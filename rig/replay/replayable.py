@@ -62,13 +62,7 @@ def check_taxels(stream: Stream, rows: slice) -> None:
 
 
 def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) -> None:
-    """Reject images that would not pass through MJPEG unchanged.
-
-    Args:
-        stream: A camera stream.
-        rows: Rows to check; all are read.
-        progress: Called with the number of images checked and their total.
-    """
+    """Reject images that would not pass through MJPEG unchanged; all rows are read."""
     for row in range(*rows.indices(len(stream))):
         jpeg = stream.jpeg(row)
         if jpeg is None:
@@ -95,10 +89,7 @@ def replayable(
 ) -> tuple[str, ...]:
     """Check the streams to replay, and return their names, in the order of `PLAYED_BY`.
 
-    Args:
-        session: The source.
-        without: Streams to leave out.
-        progress: Called with the number of images checked and their total.
+    `progress` is called with the number of images checked and their total.
     """
     if session.warning is not None:
         raise SessionError(session.warning)

@@ -69,14 +69,7 @@ class Timing:
 def timing(
     source: Session, replay: Session, name: str, maps: Mapping[int, Retiming]
 ) -> Timing | None:
-    """Return the timing error of a stream over all its runs; None without rows.
-
-    Args:
-        source: The replayed session.
-        replay: Its replay.
-        name: Name of the stream.
-        maps: Time map of each run.
-    """
+    """Return the timing error of a stream over all its runs, by their maps; None without rows."""
     errors = []
     for run, to_new in maps.items():
         old = source.streams[name].t_ns[source.rows_of_run(name, run)]
@@ -93,13 +86,7 @@ def timing(
 def compared(
     source: Mapping[str, str], replay: Mapping[str, str], rows: Mapping[str, int]
 ) -> tuple[bool, list[str]]:
-    """Return True if all digests are equal, and a line for each stream.
-
-    Args:
-        source: Digests of the source's streams.
-        replay: Digests of the replay's streams.
-        rows: Row counts of the replay's streams.
-    """
+    """Return True if the digests of all streams are equal, and a line for each with its rows."""
     lines = []
     width = max(7, *(len(name) + 1 for name in source)) if source else 7
     for name, digest in source.items():

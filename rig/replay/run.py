@@ -35,9 +35,7 @@ STALL_TIMEOUT = 30.0
 class EndOfTape:
     """Checks repeatedly if every stream has all its rows.
 
-    Args:
-        totals: Rows of the run, by stream.
-        gap: Longest time without a row in the recording itself [s].
+    `gap` is the longest time without a row in the recording itself [s].
     """
 
     def __init__(self, totals: Mapping[str, int], gap: float) -> None:
@@ -51,10 +49,8 @@ class EndOfTape:
     ) -> bool:
         """Return True if all rows of all streams have been taken.
 
-        Args:
-            now_ns: Current time [ns].
-            taken: Rows taken by each stream's process.
-            positions: POSITION of each emulator.
+        `taken` are the rows taken by each stream's process, `positions` the POSITION of each
+        emulator.
         """
         for name, total in self._totals.items():
             if taken[name] > total:

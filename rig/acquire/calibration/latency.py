@@ -74,11 +74,8 @@ def find_lag(
 ) -> Lag:
     """Find the lag of `motion` behind `force`.
 
-    Args:
-        force_t_ns: Times of the force (n,) [ns], ascending.
-        force: Magnitude of the force (n,) [N]; about zero without contact.
-        motion_t_ns: Times of the motion (m,) [ns], ascending.
-        motion: Distance from the state without contact (m,), any unit.
+    The magnitude of the force (n,) is about zero without contact [N], the motion (m,) is the
+    distance from the state without contact in any unit; their times ascend [ns].
     """
     grid, raster = _rastered(force_t_ns, force)
     seconds = (motion_t_ns - force_t_ns[0]) * 1e-9
@@ -280,13 +277,7 @@ def exposure_of(bench: Bench, stream: str) -> float:
 
 
 def evaluate(session: Session, stream: str, exposure: float) -> Latency:
-    """Find the lag of a stream in a recorded session of taps.
-
-    Args:
-        session: Session recorded along `Taps`.
-        stream: Name of the stream.
-        exposure: See `exposure_of` [s].
-    """
+    """Find the lag of a stream, with an exposure [s], in a session recorded along `Taps`."""
     force, (moved_ns, height) = stream_of(session, "force"), tip_heights(session)
     pressed = -np.asarray(force.array("value"))[:, 2]
     start = int(session.segments["start_ns"][0])
@@ -303,12 +294,7 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
 
 
 def refusal(found: Latency, *, width_max: float = WIDTH_MAX) -> str | None:
-    """Return the reason, with its number, to reject a result, or None.
-
-    Args:
-        found: The result.
-        width_max: Allowed width of its interval [s].
-    """
+    """Return why to reject a result whose interval may be `width_max` wide [s]; None: accept it."""
     if 2 * found.half > width_max:
         return (
             f"the interval is {2e3 * found.half:.2f} ms wide; allowed: {1e3 * width_max:.1f} ms; "

@@ -85,9 +85,7 @@ def slopes_of(
 ) -> tuple[float, float] | None:
     """Return the tilt along x and y [rad]; None unless three points were touched.
 
-    Args:
-        heights: Height of the surface at each point [m].
-        places: Place (2,) of each point in the contact frame [m].
+    The surface has a height at each point [m], which is at a place (2,) in the contact frame [m].
     """
     if len(heights) < 3:
         return None
@@ -98,9 +96,8 @@ def slopes_of(
 def find_onset(z: Floats, force: Floats) -> Onset | None:
     """Fit zero force, then a power of depth; return None if the force never exceeds its noise.
 
-    Args:
-        z: Height of the tip (n,) along one approach [m], from above downward.
-        force: Compression (n,) at those heights [N], positive.
+    `z` are heights of the tip (n,) along one approach, from above downward [m], `force` the
+    compression (n,) at them, positive [N].
     """
     z, force = np.asarray(z, np.float64), np.asarray(force, np.float64)
     if z.shape != force.shape or len(z) < _LEAST:
@@ -163,9 +160,7 @@ def student_t(freedom: int) -> float:
 def tilt(places: Floats, heights: Floats) -> tuple[float, float, float]:
     """Fit a plane to surface heights; return slopes along x and y [rad] and height at origin [m].
 
-    Args:
-        places: x and y of the points (n, 2) [m], three or more, not on one line.
-        heights: Surface height there (n,) [m].
+    Three or more places (n, 2), not on one line, have the heights (n,) [m].
     """
     matrix = np.column_stack([places, np.ones(len(places))])
     if len(places) < 3 or np.linalg.matrix_rank(matrix, tol=1e-9) < 3:

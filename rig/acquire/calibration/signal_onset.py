@@ -53,12 +53,7 @@ class Way:
 
 
 def onset_of(down: Way, up: Way) -> tuple[Onset, float] | None:
-    """Return the onset of contact of one approach and the delay [m], or None without contact.
-
-    Args:
-        down: Samples on the way in.
-        up: Samples on the way out.
-    """
+    """Return the onset of contact on the ways in and out, and the delay [m]; None: no contact."""
     found = []
     for way in (down, up):
         order = np.argsort(-way.z, kind="stable")
@@ -81,13 +76,10 @@ def surface_of(
 ) -> TouchedSurface:
     """Combine the approaches of all points.
 
-    The spread between approaches is pooled over the points, so that two at each are enough. From
-    three points on, the surface is a plane through all approaches.
-
-    Args:
-        approaches: Onset above what the plan expects, and delay, of each approach, by point; the
-            first point is the reference.
-        places: Place (2,) of each point in the contact frame [m].
+    An approach is its onset above what the plan expects, and its delay; the first point is the
+    reference. The spread between approaches is pooled over the points, so that two at each are
+    enough. From three points on, the surface is a plane through all approaches, whose places (2,)
+    are in the contact frame [m].
     """
     groups = {point: [onset for onset, _ in found] for point, found in approaches.items()}
     first = next(iter(groups))
@@ -140,12 +132,7 @@ def _on_plane(
 
 
 def evaluate(session: Session, plan: Plan) -> TouchedSurface:
-    """Find the surface in a recorded session of touches.
-
-    Args:
-        session: Session recorded along `plan`, of a bench without a gauge.
-        plan: The touches.
-    """
+    """Find the surface in a session of touches along `plan`, of a bench without a gauge."""
     found: dict[int, list[tuple[Onset, float]]] = {}
     places: dict[int, Sequence[float]] = {}
     for target in plan.targets():
@@ -202,11 +189,8 @@ def _along_contact(readings: NDArray[np.float32], z: Floats) -> Floats:
     """Return by how much each reading (n, ...) shows what the deepest ones show (n,).
 
     This is linear in small changes, and noise cancels. The mean size of the change is not: noise
-    hides its beginning, and the surface would seem 0.01 mm too high.
-
-    Args:
-        readings: Readings of one approach, of which the first ones are without contact.
-        z: Height of the tip (n,) [m].
+    hides its beginning, and the surface would seem 0.01 mm too high. The first readings are without
+    contact; `z` is the height of the tip (n,) [m].
     """
     flat = readings.reshape(len(readings), -1).astype(np.float64)
     if len(flat) <= _REST:

@@ -232,10 +232,7 @@ def device_name(bench: Bench, stream: str) -> str:
 def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[str]]:
     """Load the calibration of a bench's sensor with an indenter, and warnings about it.
 
-    Args:
-        folder: Folder of the calibration files.
-        bench: The bench as described by its file, without a calibration.
-        indenter: Name of the indenter on the arm.
+    The bench is that of its file, without a calibration.
     """
     path = folder / f"{bench.sensor}.yaml"
     acceptance = acceptance_of(folder, bench)
@@ -317,11 +314,7 @@ def read_setup(folder: Path, bench: Bench) -> dict[str, Any]:
 def pressed_before(folder: Path, bench: Bench, indenter: str, depth: float) -> bool:
     """Return True if a sensor was pressed in steps with this indenter and TCP, as deep as now.
 
-    Args:
-        folder: Folder of the calibration files.
-        bench: The bench.
-        indenter: Name of the indenter on the arm.
-        depth: Deepest indentation that is planned [m].
+    `depth` is the deepest indentation that is planned [m].
     """
     path = folder / f"{bench.sensor}.yaml"
     content = read_yaml(path) if path.exists() else {}
