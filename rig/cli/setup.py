@@ -71,7 +71,7 @@ class AtBench:
         file = chosen_bench(options)
         self.file = file.with_indenter(options.indenter or "")
         self.clock = SystemClock()
-        self.record = SetupRecord(options.calibrations, self.file)
+        self.record = SetupRecord(options.calibrations, file)
         self._stack = contextlib.ExitStack()
         self._ready: Bench | None = None
         self.watch: Callable[[], None] | None = None
