@@ -6,7 +6,7 @@ import base64
 import html
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ import numpy as np
 from learning.errors import LearningError
 from learning.evaluation import charts, predictions, translation
 from learning.evaluation.distribution import NEIGHBOURS, PERPLEXITY, embedded, mixing_score
-from learning.evaluation.paper_figures import Beside, beside_the_paper
 from learning.evaluation.predictions import (
     ALL,
     BEFORE,
@@ -90,7 +89,6 @@ SEQUENCES, PRESSES = 3, 10
 def _force(
     predictions: Sequence[Predictions],
     rows: Sequence[ForceRow],
-    beside: Sequence[Beside],
     *,
     seed: int,
 ) -> dict[str, Any]:
@@ -104,7 +102,6 @@ def _force(
             for shown in dict.fromkeys([role, *ROLES])
             if of_role(rows, shown)
         ],
-        "beside": beside,
         "pictures": list(_pictures(of_role(rows, role), role)),
         "sequences": list(_sequences(predictions, of_role(rows, role), role, seed)),
         "every": [force_line(row) for row in rows],
@@ -134,14 +131,6 @@ def _gains(rows: Sequence[ForceRow]) -> dict[str, Any]:
             for name, pairs in lines
         ],
     }
-
-
-def beside_line(one: Beside) -> dict[str, Any]:
-    """Return a figure of the paper and our value as a line of the CSV."""
-    figure = asdict(one.figure)
-    figure["pair"] = " to ".join(one.figure.pair) if one.figure.pair else ""
-    ours = {key: value for key, value in asdict(one).items() if key != "figure"}
-    return {**figure, **ours}
 
 
 def _goodness(row: ForceRow, measure: str) -> float:
@@ -302,13 +291,12 @@ def _embeddings(scores: Sequence[TranslationScores], seed: int) -> bytes:
 
 
 # File names of a report.
-PAGE, FORCE, UNSCORED, PAIRED, DISTANCES, PAPER = (
+PAGE, FORCE, UNSCORED, PAIRED, DISTANCES = (
     "report.html",
     "force.csv",
     "unscored.csv",
     "translation.csv",
     "distances.csv",
-    "paper.csv",
 )
 
 
@@ -322,8 +310,6 @@ class Report:
     """Errors of forces."""
     unscored: tuple[dict[str, Any], ...]
     """Lines on predictions without labels, see `unscored_lines`."""
-    beside: tuple[Beside, ...]
-    """The paper's figures, with our values."""
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -363,8 +349,7 @@ def write_report(
     require_alone(scores)
     pooled = merged(predictions)
     rows, unscored = force_rows(pooled), unscored_lines(pooled)
-    beside = beside_the_paper(rows)
-    force = _force(pooled, rows, beside, seed=seed)
+    force = _force(pooled, rows, seed=seed)
     progress(1, 3)
     translated = _translation(scores, seed=seed)
     progress(2, 3)
@@ -387,7 +372,6 @@ def write_report(
         UNSCORED: unscored,
         PAIRED: [score_line(one, row) for one, row in paired_rows(scores)],
         DISTANCES: [score_line(one, row) for one in scores for row in one.distances],
-        PAPER: [beside_line(one) for one in beside],
     }
     out.mkdir(parents=True, exist_ok=True)
     files = [out / PAGE]
@@ -399,7 +383,7 @@ def write_report(
         else:
             (out / name).unlink(missing_ok=True)
     progress(3, 3)
-    return Report(tuple(files), rows, tuple(unscored), beside)
+    return Report(tuple(files), rows, tuple(unscored))
 
 
 def _summary(predictions: Sequence[Predictions], scores: Sequence[TranslationScores]) -> str:

@@ -13,9 +13,11 @@ from support.predicted_forces import predictions
 from benchmarks.__main__ import main
 from benchmarks.learning.tables.group_results import read_group
 from benchmarks.learning.tables.page import write_tables
+from benchmarks.learning.tables.paper_figures import PAPER, beside_the_paper, group_of
 from learning.compensation.fit import StoredCompensation, StoredPair
 from learning.compensation.prior import Branch, Prior
 from learning.compensation.search import Choice
+from learning.evaluation.predictions import force_rows
 from learning.evaluation.translation import PairedScore, TranslationScores
 
 PAIRS = (("array-i", "circle-i"), ("circle-i", "array-i"))
@@ -195,3 +197,27 @@ def test_several_are_told_of_at_a_glance_below_the_intro(experiment: Path, tmp_p
     assert others == "-", "there is but one indenter"
     assert fractions == "16.7, 6.2"  # the labels' ranges are 3, 1 and 4 N
     assert dice == "0.950 |"
+
+
+def test_the_papers_figures_stand_beside_ours_of_the_same_pairs_alone() -> None:
+    made = [
+        predictions("transferred", ("circle-ii", "diamond-i"), off=0.5, translator="flow"),
+        predictions("transferred", ("array-i", "circle-i"), off=0.25, translator="flow"),
+        predictions("transferred", ("mine", "yours"), off=9, translator="flow"),
+    ]
+    beside = beside_the_paper(force_rows(made))
+    assert {one.figure.group for one in beside} == {"homogeneous"}
+    (pair,) = [one for one in beside if one.figure.statistic == "pair"]
+    assert (pair.figure.value, pair.held_out, pair.pairs, pair.of) == (0.96, 0.5, 1, 1)
+    (largest,) = [
+        one for one in beside if (one.figure.statistic, one.figure.measure) == ("max", "fz")
+    ]
+    assert (largest.held_out, largest.pairs, largest.of) == (0.5, 2, 20)
+    assert largest.our_share == pytest.approx(0.5 / 4)
+
+
+def test_every_figure_of_the_paper_names_pairs_of_its_test() -> None:
+    for figure in PAPER:
+        if figure.pair:
+            assert group_of(*figure.pair) == figure.group
+        assert (figure.statistic == "pair") <= (figure.pair is not None)

@@ -18,8 +18,6 @@ from learning.cli import evaluate
 from learning.data.splits import Split, make_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import MARKER_GRID
-from learning.evaluation.paper_figures import PAPER, beside_the_paper, group_of
-from learning.evaluation.predictions import force_rows
 from learning.evaluation.report import write_report
 from learning.evaluation.translation import (
     FLOOR,
@@ -180,7 +178,6 @@ def test_a_report_tells_before_and_after_in_one_page_and_in_tables(
         "force.csv",
         "translation.csv",
         "distances.csv",
-        "paper.csv",
     }
     assert report.lines[-1].startswith("new_indenter: source-only R2 -")
 
@@ -189,30 +186,6 @@ def test_a_report_of_nothing_is_refused_and_writes_nothing(tmp_path: Path) -> No
     with pytest.raises(LearningError, match="neither predictions nor translation scores"):
         write_report([], [], tmp_path / "report")
     assert not (tmp_path / "report").exists()
-
-
-def test_the_papers_figures_stand_beside_ours_of_the_same_pairs_alone() -> None:
-    made = [
-        predictions("transferred", ("circle-ii", "diamond-i"), off=0.5, translator="flow"),
-        predictions("transferred", ("array-i", "circle-i"), off=0.25, translator="flow"),
-        predictions("transferred", ("mine", "yours"), off=9, translator="flow"),
-    ]
-    beside = beside_the_paper(force_rows(made))
-    assert {one.figure.group for one in beside} == {"homogeneous"}
-    (pair,) = [one for one in beside if one.figure.statistic == "pair"]
-    assert (pair.figure.value, pair.held_out, pair.pairs, pair.of) == (0.96, 0.5, 1, 1)
-    (largest,) = [
-        one for one in beside if (one.figure.statistic, one.figure.measure) == ("max", "fz")
-    ]
-    assert (largest.held_out, largest.pairs, largest.of) == (0.5, 2, 20)
-    assert largest.our_share == pytest.approx(0.5 / 4)
-
-
-def test_every_figure_of_the_paper_names_pairs_of_its_test() -> None:
-    for figure in PAPER:
-        if figure.pair:
-            assert group_of(*figure.pair) == figure.group
-        assert (figure.statistic == "pair") <= (figure.pair is not None)
 
 
 def run(*words: str) -> int:

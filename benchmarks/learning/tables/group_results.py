@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.learning.tables.paper_figures import Beside, beside_the_paper
 from learning.compensation.fit import CHOICE_OF_METHOD, StoredCompensation, read_stored
 from learning.compensation.simulated import SIMULATED
 from learning.errors import LearningError
-from learning.evaluation.paper_figures import Beside, beside_the_paper
 from learning.evaluation.predictions import (
     UNSEEN,
     ForceRow,

@@ -8,10 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.learning.tables.group_results import NO_TRANSLATOR, Group, mean
+from benchmarks.learning.tables.paper_figures import (
+    NORMAL,
+    PAPER,
+    SHEAR,
+    beside_line,
+    label_share,
+    paper_share,
+)
 from learning.compensation.fit import CHOICE_OF_METHOD, StoredCompensation
 from learning.compensation.search import Choice
 from learning.evaluation.charts import heatmaps
-from learning.evaluation.paper_figures import NORMAL, PAPER, SHEAR, label_share, paper_share
 from learning.evaluation.predictions import (
     BEFORE,
     TARGET,
@@ -21,7 +28,6 @@ from learning.evaluation.predictions import (
     variant_name,
     variants,
 )
-from learning.evaluation.report import beside_line
 from learning.evaluation.translation import TRANSLATED, PairedScore, score_line
 from recorder.pages import render
 from recorder.store.files import replace_file

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from learning.evaluation.predictions import ALL, UNSEEN, ForceRow, of_role
 from learning.metrics import AXES
@@ -210,3 +211,11 @@ def paper_share(figure: PaperFigure) -> float:
     if figure.measure.startswith("r2"):
         return math.nan
     return figure.value / (NORMAL_RANGE if figure.measure == "fz" else SHEAR_RANGE)
+
+
+def beside_line(one: Beside) -> dict[str, Any]:
+    """Return a figure of the paper and our value as a line of the CSV."""
+    figure = asdict(one.figure)
+    figure["pair"] = " to ".join(one.figure.pair) if one.figure.pair else ""
+    ours = {key: value for key, value in asdict(one).items() if key != "figure"}
+    return {**figure, **ours}
