@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from learning.config import read_settings, settings_to_dict
-from learning.data.images import SIDE, enlarge_images, inverse
+from learning.data.images import LATTICE, SIDE, enlarge_images, inverse
 from learning.data.synthetic import pixel_grid, sample_patterns
 from learning.errors import LearningError
 from learning.training.run import METRICS, RunFolder, Session, described, generator
@@ -223,15 +223,14 @@ def _full_size(device: torch.device) -> Pretrained:
 def _random_fields(
     count: int, generator: np.random.Generator, device: torch.device
 ) -> torch.Tensor:
-    """Return synthetic displacements (count, 2, 24, 32) [px of 640 x 480], without an archive.
+    """Return synthetic displacements (count, 2, 57, 73) [px of 640 x 480], without an archive.
 
     Up to three contacts push the surface outwards and drag it along, each as a Gaussian. This is
     not the deformation of a gel, but suffices to learn the appearance of deformed markers.
     """
-    rows, columns = (np.arange(24) + 0.5) * 20, (np.arange(32) + 0.5) * 20
-    row, column = np.meshgrid(rows, columns, indexing="ij")
+    row, column = np.meshgrid(LATTICE.rows, LATTICE.columns, indexing="ij")
     places = torch.from_numpy(np.stack([column, row]).astype(np.float32)).to(device)
-    field = torch.zeros((count, 2, 24, 32), device=device)
+    field = torch.zeros((count, 2, *row.shape), device=device)
     for contact in range(3):
         there = (generator.random((count, 1)) < (1.0, 0.3, 0.1)[contact]).astype(float)
         centre = generator.uniform(0.1, 0.9, (count, 2)) * (WIDTH, HEIGHT)
@@ -253,7 +252,7 @@ def overfitted_pairs(count: int, side: int, device: torch.device) -> ImagePairs:
     patterns = sample_patterns(2 * count, chance, device)
     field = _random_fields(count, chance, device)
     both = torch.cat((field, field))
-    moved = patterns.draw(pixel_grid(side, device) + inverse(both, (side, side), None))
+    moved = patterns.draw(pixel_grid(side, device) + inverse(both, *pixel_grid(side, device)[0]))
     still = patterns.draw(pixel_grid(side, device))
     images, references = ((each[:, 0] * 255).round().to(torch.uint8) for each in (moved, still))
     every = torch.arange(2 * count, device=device)

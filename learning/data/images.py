@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -147,44 +146,30 @@ def _require(values: Any, dtype: Any, shape: tuple[int, ...], what: str) -> None
         )
 
 
-# Displacement fields as network inputs, and images warped by them.
+# Displacement fields on the lattice of archives, and images warped by them.
 #
 # A point at pixel p of the image without contact is at p + d(p) in the frame; components
-# are (column, row), in pixels of the 640 x 480 image. A field (n, 2, h, w) is given on a
-# `Lattice`, as in archives, or, without one, at the centres of h x w cells that cover the image.
+# are (column, row), in pixels of the 640 x 480 image.
 
 # Default lattice of fields in archives.
 LATTICE = Lattice()
-# Rows and columns of a force model's marker field.
-FIELD_SIDE = 32
-# Lower bound of the relative area: markers on a steep flank are seen end-on.
-LEAST_AREA = 0.05
 
 # Inversion: number of iterations, and step of the coarse grid [px].
 _STEPS, _COARSE = 8, 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fields:
-    """Displacement fields of frames."""
-
-    displacement: Tensor
-    """(n, 2, h, w) float32 [px]; unknown values are filled from their surroundings."""
-    known: Tensor
-    """(n, h, w) bool: True where there is material."""
-    lattice: Lattice
-    """Lattice of the fields."""
-
-
 def read_fields(
     sensor: ArchivedSensor, rows: Rows, *, device: torch.device | str = "cpu"
-) -> Fields:
-    """Read fields of some rows of an archive's sensor."""
-    lattice = sensor.lattice
+) -> tuple[Tensor, Tensor]:
+    """Return fields of some rows of an archive's sensor, and where there is material.
+
+    The fields are (n, 2, h, w) float32 [px] on the sensor's lattice, unknown values filled from
+    their surroundings; the second is (n, h, w) bool.
+    """
     stored = sensor.displacement(rows).astype(np.float32)
     field = torch.from_numpy(stored).to(device).permute(0, 3, 1, 2).contiguous()
     known = field.isfinite().all(dim=1)
-    return Fields(filled(field, known), known, lattice)
+    return filled(field, known), known
 
 
 def filled(field: Tensor, known: Tensor) -> Tensor:
@@ -207,69 +192,51 @@ def filled(field: Tensor, known: Tensor) -> Tensor:
     return values
 
 
-def sampled(
-    field: Tensor, columns: Tensor, rows: Tensor, lattice: Lattice | None = LATTICE
-) -> Tensor:
+def sampled(field: Tensor, columns: Tensor, rows: Tensor, lattice: Lattice = LATTICE) -> Tensor:
     """Sample fields (n, 2, h, w) bilinearly, constant beyond their borders: (n, 2, H, W).
 
     Args:
         field: The fields.
         columns: Columns of the sample points (n or 1, H, W) [px of the 640 x 480 image].
         rows: Rows of the sample points, same shape.
-        lattice: Lattice of the fields; None: cells that cover the image.
+        lattice: Lattice of the fields.
     """
     height, width = field.shape[-2:]
-    if lattice is None:
-        x = (columns + 0.5) * (2 / WIDTH) - 1
-        y = (rows + 0.5) * (2 / HEIGHT) - 1
-    else:
-        if (height, width) != lattice.shape[:2]:
-            raise LearningError(
-                f"field: found {height} x {width}; allowed: {lattice.shape[0]} x "
-                f"{lattice.shape[1]} as its lattice, or lattice None for cells of the image"
-            )
-        x = (columns + lattice.margin_px) * (2 / lattice.step_px / (width - 1)) - 1
-        y = (rows + lattice.margin_px) * (2 / lattice.step_px / (height - 1)) - 1
+    if (height, width) != lattice.shape[:2]:
+        raise LearningError(
+            f"field: found {height} x {width}; allowed: {lattice.shape[0]} x {lattice.shape[1]} "
+            "as its lattice"
+        )
+    x = (columns + lattice.margin_px) * (2 / lattice.step_px / (width - 1)) - 1
+    y = (rows + lattice.margin_px) * (2 / lattice.step_px / (height - 1)) - 1
     places = torch.stack([x, y], dim=-1).expand(len(field), -1, -1, -1)
     return functional.grid_sample(
-        field, places, mode="bilinear", padding_mode="border", align_corners=lattice is not None
+        field, places, mode="bilinear", padding_mode="border", align_corners=True
     )
 
 
 def inverse(
-    field: Tensor,
-    shape: tuple[int, int],
-    lattice: Lattice | None = LATTICE,
-    *,
-    steps: int = _STEPS,
-    coarse: int = _COARSE,
+    field: Tensor, columns: Tensor, rows: Tensor, lattice: Lattice = LATTICE, steps: int = _STEPS
 ) -> Tensor:
-    """Return e (n, 2, H, W) [px]: a point at q in the frame was at q + e(q) before contact.
+    """Return e (n, 2, H, W) [px]: a point at q in the frame was at q + e before contact.
 
     It is the fixed point of e <- -d(q + e). The iteration converges if the field stretches or
-    shrinks lengths by less than 100 %. Gradients flow through the last two iterations: two terms of
-    the series of (1 + grad d)^-1.
+    shrinks lengths by less than 100 %.
 
     Args:
         field: d (n, 2, h, w) [px of the 640 x 480 image].
-        shape: Rows and columns of an image of the whole view; q are the centres of its pixels.
-        lattice: Lattice of the field; None: cells that cover the image.
-        steps: Iterations, 2 or more.
-        coarse: Step of the grid [px] on which it is computed; interpolated between.
+        columns: Columns of the points q ((1,) H, W) [px of the 640 x 480 image].
+        rows: Rows of the points, same shape.
+        lattice: Lattice of the field.
+        steps: Iterations.
     """
-    height, width = shape
-    places = max(2, -(-height // coarse)), max(2, -(-width // coarse))
-    columns, rows = _centres(shape, field, places)
-    back = torch.zeros(len(field), 2, *places, device=field.device, dtype=field.dtype)
-    with torch.no_grad():
-        for _ in range(max(steps, 2) - 2):
-            back = -sampled(field, columns + back[:, 0], rows + back[:, 1], lattice)
-    for _ in range(2):
+    back = field.new_zeros(len(field), 2, *columns.shape[-2:])
+    for _ in range(steps):
         back = -sampled(field, columns + back[:, 0], rows + back[:, 1], lattice)
-    return functional.interpolate(back, shape, mode="bilinear", align_corners=True)
+    return back
 
 
-def warp(reference: Tensor, field: Tensor, lattice: Lattice | None = LATTICE) -> Tensor:
+def warp(reference: Tensor, field: Tensor, lattice: Lattice = LATTICE) -> Tensor:
     """Warp images without contact by fields to images (n, 1, H, W).
 
     Areas that enter the view from outside of the reference have no markers.
@@ -277,14 +244,16 @@ def warp(reference: Tensor, field: Tensor, lattice: Lattice | None = LATTICE) ->
     Args:
         reference: Images without contact (n or 1, 1, H, W) float, of any size, of the whole view.
         field: Displacements (n, 2, h, w) [px of the 640 x 480 image].
-        lattice: Lattice of the fields; None: cells that cover the image.
+        lattice: Lattice of the fields.
     """
     shape = reference.shape[-2], reference.shape[-1]
+    few = max(2, -(-shape[0] // _COARSE)), max(2, -(-shape[1] // _COARSE))
     # In bfloat16, coordinates would be off by pixels.
     with torch.autocast(field.device.type, enabled=False):
         field = field.float()
-        back = inverse(field, shape, lattice)
-        columns, rows = _centres(shape, field)
+        coarse = inverse(field, *_centres(shape, field, few), lattice)
+        back = functional.interpolate(coarse, shape, mode="bilinear", align_corners=True)
+        columns, rows = _centres(shape, field, shape)
         x = (columns + back[:, 0] + 0.5) * (2 / WIDTH) - 1
         y = (rows + back[:, 1] + 0.5) * (2 / HEIGHT) - 1
         return functional.grid_sample(
@@ -296,48 +265,22 @@ def warp(reference: Tensor, field: Tensor, lattice: Lattice | None = LATTICE) ->
         )
 
 
-def on_cells(field: Tensor, lattice: Lattice, side: int = FIELD_SIDE) -> Tensor:
-    """Return fields at the centres of side x side cells of the image: (n, 2, side, side)."""
-    columns, rows = _centres((side, side), field)
-    return sampled(field, columns, rows, lattice)
-
-
-def log_area(field: Tensor) -> Tensor:
-    """Return the logarithm (n, h, w) of the relative area, det(1 + grad d).
-
-    Args:
-        field: (n, 2, h, w) [px] at the centres of cells that cover the image.
-    """
-    height, width = field.shape[-2:]
-    down, across = torch.gradient(field, dim=(2, 3))
-    across, down = across * (width / WIDTH), down * (height / HEIGHT)
-    area = (1 + across[:, 0]) * (1 + down[:, 1]) - across[:, 1] * down[:, 0]
-    return area.clamp_min(LEAST_AREA).log()
-
-
-def marker_maps(fields: Fields) -> Tensor:
-    """Return a force model's inputs from fields (n, 3, 32, 32): dx, dy [px], log area."""
-    cells = on_cells(fields.displacement, fields.lattice)
-    return torch.cat([cells, log_area(cells).unsqueeze(1)], dim=1)
-
-
 def _centres(
-    shape: tuple[int, int], like: Tensor, places: tuple[int, int] | None = None
+    shape: tuple[int, int], like: Tensor, places: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
     """Return columns and rows (1, h, w) [px of 640 x 480] from the first pixel to the last.
 
     Args:
         shape: Rows and columns of an image of the whole view.
         like: Tensor with the device and dtype of the result.
-        places: Numbers of evenly spaced rows and columns; None: one for each pixel.
+        places: Numbers of evenly spaced rows and columns.
     """
 
     def along(pixels: int, side: int, count: int) -> Tensor:
         first = side / pixels / 2 - 0.5
         return torch.linspace(first, side - 1 - first, count, device=like.device, dtype=like.dtype)
 
-    height, width = places or shape
     rows, columns = torch.meshgrid(
-        along(shape[0], HEIGHT, height), along(shape[1], WIDTH, width), indexing="ij"
+        along(shape[0], HEIGHT, places[0]), along(shape[1], WIDTH, places[1]), indexing="ij"
     )
     return columns.unsqueeze(0), rows.unsqueeze(0)

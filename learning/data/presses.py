@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
@@ -12,15 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from learning.data.images import (
-    FIELD_SIDE,
-    SIDE,
-    marker_maps,
-    read_fields,
-    shrink,
-    shrink_masks,
-    unpack_masks,
-)
+from learning.data.images import SIDE, shrink, shrink_masks, unpack_masks
 from learning.errors import LearningError
 from recorder.archive import SHADING, ArchivedSensor
 
@@ -28,12 +20,10 @@ from recorder.archive import SHADING, ArchivedSensor
 # marker field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], log of the area change; or
 # the shading (3, 128, 128) uint8 of a gel without markers.
 Form = Literal["images", "packed", "field", "shading"]
-# Source of marker fields: tracked in the masks, or the archive's stored displacement.
-FieldSource = Literal["flow", "truth"]
 
 Progress = Callable[[int, int], None]
 
-_AT_ONCE, _FIELDS_AT_ONCE = 256, 8192
+_AT_ONCE = 256
 _IMAGE = (SIDE, SIDE)
 _ON_DEVICE = ("images", "references", "reference", "wrench")
 
@@ -134,7 +124,6 @@ def load_presses(
     *,
     device: torch.device | str = "cpu",
     form: Form = "images",
-    field_source: FieldSource = "flow",
     processes: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> Presses:
@@ -147,8 +136,7 @@ def load_presses(
         rows: Rows of its table, in any order; `Split.rows` gives those of a role.
         device: Device of images, references and wrench.
         form: Form of the frames.
-        field_source: Source of marker fields, for the form `field`.
-        processes: Number of processes that track markers; restarted about every 8,000 frames.
+        processes: Number of processes that track markers.
         progress: Called with the number of frames read and in total.
     """
     if (form == "shading") != (sensor.representation == SHADING):
@@ -159,7 +147,7 @@ def load_presses(
         )
     described = press_table(sensor, rows)
     if form == "field":
-        frames = _read_fields(sensor, described, field_source, processes, progress)
+        frames = _read_fields(sensor, described, processes, progress)
     else:
         frames = read_frames(sensor, described.rows.numpy(), torch.device(device), form, progress)
     kept = sensor.reference_frames
@@ -261,48 +249,23 @@ def read_frames_of(
 
 
 def _read_fields(
-    sensor: ArchivedSensor,
-    presses: Presses,
-    source: FieldSource,
-    processes: int,
-    progress: Progress,
+    sensor: ArchivedSensor, presses: Presses, processes: int, progress: Progress
 ) -> Tensor:
     """Return marker fields (N, 3, 32, 32) float32 on the CPU."""
     # Imported here, as only marker fields need it.
-    from learning.markers.displacement import PackedPresses, fields_of_presses
+    from learning.markers.displacement import fields_of_presses
 
-    rows, starts = presses.rows.numpy(), presses.starts.numpy()
-    fields = torch.empty(len(rows), 3, FIELD_SIDE, FIELD_SIDE)
-    progress(0, len(rows))
-    for ends in _parts(starts, _FIELDS_AT_ONCE):
-        first, end = int(ends[0]), int(ends[-1])
-        if source == "truth":
-            fields[first:end] = marker_maps(read_fields(sensor, rows[first:end]))
-            progress(end, len(rows))
-            continue
-        part = PackedPresses(
-            sensor.packed(rows[first:end]),
-            ends - first,
-            sensor.references,
-            presses.reference[first:end].numpy(),
-        )
-        found = fields_of_presses(
-            part,
-            "maps",
-            processes=processes,
-            progress=lambda done, _, before=first: progress(before + done, len(rows)),  # type: ignore[misc]
-        )
-        fields[first:end] = torch.from_numpy(found)
-    return fields
-
-
-def _parts(starts: NDArray[np.int64], most: int) -> Iterator[NDArray[np.int64]]:
-    """Yield starts and ends of runs of whole presses with at most `most` frames, or one press."""
-    first = 0
-    while first < len(starts) - 1:
-        end = max(first + 1, int(np.searchsorted(starts, starts[first] + most, "right")) - 1)
-        yield starts[first : end + 1]
-        first = end
+    rows = presses.rows.numpy()
+    fields = fields_of_presses(
+        lambda first, end: sensor.packed(rows[first:end]),
+        presses.starts.numpy(),
+        sensor.references,
+        presses.reference.numpy(),
+        "maps",
+        processes=processes,
+        progress=progress,
+    )
+    return torch.from_numpy(fields)
 
 
 def _checked_rows(sensor: ArchivedSensor, rows: Any) -> NDArray[np.int64]:

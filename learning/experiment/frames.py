@@ -14,7 +14,7 @@ from learning.data.images import shrink_masks, unpack_masks
 from learning.data.presses import Form, Presses, Progress, load_presses
 from learning.data.splits import PressKey, Role, Split
 from learning.errors import LearningError
-from learning.markers.displacement import PackedPresses, fields_of_presses
+from learning.markers.displacement import fields_of_presses
 from learning.training.run import generator
 from learning.translation.archive import Pair, target_references
 from learning.translation.flow import warp_masks
@@ -235,14 +235,16 @@ def flow_fields(
         processes: Number of processes.
         progress: Called with the number of frames done and in total.
     """
-    packed = PackedPresses(
-        presses.images.cpu().numpy(),
+    images = presses.images.cpu().numpy()
+    found = fields_of_presses(
+        lambda first, end: images[first:end],
         presses.starts.numpy(),
         presses.references.cpu().numpy(),
         presses.reference.cpu().numpy(),
-    )
-    found = fields_of_presses(
-        packed, source=source, target=target, processes=processes, progress=progress
+        source=source,
+        target=target,
+        processes=processes,
+        progress=progress,
     )
     return torch.from_numpy(found)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -202,6 +203,7 @@ def _spread(places: Floats) -> bool:
 
 
 Masks = NDArray[np.bool_]
+Packed = NDArray[np.uint8]
 Indices = NDArray[np.int64]
 
 # Maximum number of matching rounds per frame.
@@ -502,46 +504,14 @@ def _required(masks: NDArray[Any], what: str, dimensions: int) -> Masks:
 Form = Literal["displacement", "maps"]
 
 _PRESSES = 8  # presses per task
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedPresses:
-    """Presses of one sensor, as packed masks."""
-
-    packed: NDArray[np.uint8]
-    """All frames (n, 38400), press by press, in order of time."""
-    starts: NDArray[np.int64]
-    """First frame of each press, and the number of frames (p + 1,)."""
-    references: NDArray[np.uint8]
-    """Packed masks without contact (k, 38400)."""
-    reference: NDArray[np.integer[Any]]
-    """Row of `references` for each frame (n,); constant within a press."""
-
-    def __post_init__(self) -> None:
-        """Validate shapes."""
-        for name in ("packed", "references"):
-            found = getattr(self, name)
-            if found.dtype != np.uint8 or found.ndim != 2 or found.shape[1] != PACKED:
-                raise LearningError(
-                    f"{name}: found {found.dtype} {found.shape}; allowed: uint8 (n, {PACKED})"
-                )
-        rising = len(self.starts) > 1 and self.starts[0] == 0 and (np.diff(self.starts) > 0).all()
-        if not rising or self.starts[-1] != len(self.packed):
-            raise LearningError(
-                f"starts: allowed: ascending from 0 to the number of frames, {len(self.packed)}"
-            )
-        if self.reference.shape != (len(self.packed),):
-            raise LearningError(
-                f"reference: found shape {self.reference.shape}; allowed: ({len(self.packed)},)"
-            )
-
-    def __len__(self) -> int:
-        """Return the number of presses."""
-        return len(self.starts) - 1
+_AHEAD = 4  # tasks per process that are read ahead
 
 
 def fields_of_presses(
-    presses: PackedPresses,
+    packed: Callable[[int, int], Packed],
+    starts: Indices,
+    references: Packed,
+    reference: NDArray[np.integer[Any]],
     form: Form = "displacement",
     *,
     source: SensorView | None = None,
@@ -552,76 +522,81 @@ def fields_of_presses(
     """Compute the fields of all frames: displacement as float16, maps as float32.
 
     Args:
-        presses: The frames.
+        packed: Returns the packed masks (m, 38400) of the frames from a first to before an end;
+            frames are numbered press by press, in order of time.
+        starts: First frame of each press, and the number of frames (p + 1,).
+        references: Packed masks without contact (k, 38400).
+        reference: Row of `references` for each frame (n,); constant within a press.
         form: Kind of fields.
         source: View of the frames; None: the target's.
         target: View of the sensor whose image a displacement is for.
         processes: Number of processes.
         progress: Called with the number of frames done and in total.
     """
-    total = len(presses.packed)
+    total, done = int(starts[-1]), 0
     shape = LATTICE.shape if form == "displacement" else (3, MAP_SIDE, MAP_SIDE)
     fields = np.empty((total, *shape), np.float16 if form == "displacement" else np.float32)
     progress(0, total)
-    for first, part in _computed(list(_jobs(presses, form, source, target)), processes):
-        fields[first : first + len(part)] = part
-        progress(first + len(part), total)
+    jobs = (
+        (
+            packed(int(ends[0]), int(ends[-1])),
+            ends - ends[0],
+            references[reference[ends[:-1]]],
+            functools.partial(_field, form=form, source=source, target=target),
+        )
+        for ends in (starts[n : n + _PRESSES + 1] for n in range(0, len(starts) - 1, _PRESSES))
+    )
+    for part in _computed(jobs, min(processes, -(-(len(starts) - 1) // _PRESSES))):
+        fields[done : done + len(part)] = part
+        done += len(part)
+        progress(done, total)
     return fields
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Job:
-    """A group of presses, and the references that they need."""
-
-    first: int
-    presses: PackedPresses
-    form: Form
-    source: SensorView | None
-    target: SensorView | None
-
-
-def _jobs(
-    presses: PackedPresses, form: Form, source: SensorView | None, target: SensorView | None
-) -> Iterator[_Job]:
-    for number in range(0, len(presses), _PRESSES):
-        starts = presses.starts[number : number + _PRESSES + 1]
-        first, end = int(starts[0]), int(starts[-1])
-        used, reference = np.unique(presses.reference[first:end], return_inverse=True)
-        part = PackedPresses(
-            presses.packed[first:end],
-            starts - first,
-            presses.references[used],
-            reference.reshape(-1),
-        )
-        yield _Job(first, part, form, source, target)
-
-
-def _computed(jobs: list[_Job], processes: int) -> Iterator[tuple[int, NDArray[np.floating[Any]]]]:
-    if processes < 2 or len(jobs) < 2:
-        yield from map(_fields, jobs)
+def _computed(
+    jobs: Iterator[tuple[Packed, Indices, Packed, _Field]], processes: int
+) -> Iterator[NDArray[np.floating[Any]]]:
+    if processes < 2:
+        yield from (_fields(*job) for job in jobs)
         return
-    with Workers(min(processes, len(jobs))) as workers:
-        tasks = deque(workers.submit(_fields, job) for job in jobs)
+    with Workers(processes) as workers:
+        tasks: deque[Future[NDArray[np.floating[Any]]]] = deque()
+        for number, job in enumerate(jobs):
+            tasks.append(workers.submit(_fields, *job))
+            workers.done = f"{number + 1 - len(tasks)} groups of presses"
+            if len(tasks) > _AHEAD * processes:
+                # Removed from the queue, so that returned fields are not kept in memory.
+                yield tasks.popleft().result()
         while tasks:
-            workers.done = f"{len(jobs) - len(tasks)} of {len(jobs)} groups of presses"
-            # Removed from the queue, so that returned fields are not kept in memory.
             yield tasks.popleft().result()
 
 
-def _fields(job: _Job) -> tuple[int, NDArray[np.floating[Any]]]:
-    presses = job.presses
-    readers: dict[int, FieldReader] = {}
-    parts: list[NDArray[np.floating[Any]]] = []
-    for first, end in zip(presses.starts[:-1], presses.starts[1:], strict=True):
-        number = int(presses.reference[first])
-        if number not in readers:
-            readers[number] = FieldReader(unpack(presses.references[number]))
-        frames = presses.packed[first:end]
-        if job.form == "maps":
-            parts.append(readers[number].maps(frames, ordered=True))
-        else:
-            field = readers[number].displacement(
-                frames, ordered=True, source=job.source, target=job.target
-            )
-            parts.append(field.astype(np.float16))
-    return job.first, np.concatenate(parts)
+_Field = Callable[[FieldReader, Packed], NDArray[np.floating[Any]]]
+
+
+def _fields(
+    packed: Packed, starts: Indices, references: Packed, field: _Field
+) -> NDArray[np.floating[Any]]:
+    """Return the fields of presses whose references (p, 38400) are given one by one."""
+    readers: dict[bytes, FieldReader] = {}
+    parts = []
+    for first, end, reference in zip(starts[:-1], starts[1:], references, strict=True):
+        key = reference.tobytes()
+        if key not in readers:
+            readers[key] = FieldReader(unpack(reference))
+        parts.append(field(readers[key], packed[first:end]))
+    return np.concatenate(parts)
+
+
+def _field(
+    reader: FieldReader,
+    packed: Packed,
+    *,
+    form: Form,
+    source: SensorView | None,
+    target: SensorView | None,
+) -> NDArray[np.floating[Any]]:
+    if form == "maps":
+        return reader.maps(packed, ordered=True)
+    field = reader.displacement(packed, ordered=True, source=source, target=target)
+    return field.astype(np.float16)

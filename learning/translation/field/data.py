@@ -213,9 +213,9 @@ def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.devic
     if sensor.fields is None:
         shape = len(rows), 2, SIDE, SIDE
         return torch.full(shape, torch.nan, dtype=torch.half, device=device)
-    fields = read_fields(sensor, rows, device=device)
-    shift = from_displacement(fields.displacement, fields.lattice).half()
-    shift[~fields.known.flatten(1).any(dim=1)] = torch.nan
+    displacement, known = read_fields(sensor, rows, device=device)
+    shift = from_displacement(displacement, sensor.lattice).half()
+    shift[~known.flatten(1).any(dim=1)] = torch.nan
     return shift
 
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from learning.config import require
-from learning.data.images import sampled
+from learning.data.images import inverse
 from learning.data.synthetic import pixel_grid
 from learning.errors import LearningError
 from recorder.markers import HEIGHT, WIDTH, Lattice
@@ -259,19 +259,10 @@ def coarse_growth(deformation: Tensor) -> Tensor:
     return torch.cat([shift, spread], dim=1)
 
 
-def from_displacement(field: Tensor, lattice: Lattice, side: int = SIDE) -> Tensor:
-    """Return shifts (n, 2, side, side) [px] of displacement fields, by fixed-point iteration.
-
-    Args:
-        field: Displacement (column, row) [px] at the lattice's points, without NaN (n, 2, h, w).
-        lattice: Lattice of the points.
-        side: Cells along either axis.
-    """
-    columns, rows = pixel_grid(side, field.device)[0]
-    shift = torch.zeros(len(field), 2, side, side, device=field.device, dtype=field.dtype)
-    for _ in range(_INVERSIONS):
-        shift = sampled(field, columns - shift[:, 0], rows - shift[:, 1], lattice)
-    return shift
+def from_displacement(field: Tensor, lattice: Lattice) -> Tensor:
+    """Return shifts (n, 2, 64, 64) [px] of displacements (n, 2, h, w) [px], without NaN."""
+    columns, rows = pixel_grid(SIDE, field.device)[0]
+    return -inverse(field, columns, rows, lattice, _INVERSIONS)
 
 
 def transferred(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
