@@ -73,7 +73,7 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
         if not rows.any():
             continue
         one, other = measured[rows, place, None], found[rows, place, None]
-        mae[place] = mean_absolute_error(one, other)[0]
+        mae[place] = np.abs(other - one).mean(axis=0)[0]
         if place < len(AXES):
             fit[place] = r_squared(one, other)[0]
     # The relative error to constant labels is infinite, or NaN if the error is zero.
@@ -126,40 +126,16 @@ def require_forces(name: str, forces: Floats, *, whole_axes: bool) -> None:
         )
 
 
-def mean_absolute_error(true: Floats, predicted: Floats) -> Floats:
-    """Return the mean over frames of |predicted - true| (k,), in the units of the inputs (n, k)."""
-    _require_alike(true, predicted)
-    return np.asarray(np.abs(predicted - true).mean(axis=0), np.float64)
-
-
 def r_squared(true: Floats, predicted: Floats) -> Floats:
     """Return the coefficient of determination of each column (k,) of (n, k).
 
     1 - sum (predicted - true)^2 / sum (true - mean of true)^2, over all frames. 1 is perfect, 0 is
     as good as always predicting the mean, negative is worse. NaN where true is constant.
     """
-    _require_alike(true, predicted)
     missed = np.square(predicted - true).sum(axis=0)
     varied = np.square(true - true.mean(axis=0)).sum(axis=0)
     constant = np.ptp(true, axis=0) == 0
     return np.where(constant, np.nan, 1 - missed / np.where(constant, 1, varied))
-
-
-def r_squared_of_sums(count: Floats, one: Floats, square: Floats, missed: Floats) -> Floats:
-    """Return the same from sums over frames, which may be added up before; arrays of any shape.
-
-    Args:
-        count: Number of frames.
-        one: Sum of the true values.
-        square: Sum of their squares.
-        missed: Sum of squared errors.
-
-    Returns:
-        NaN where true values do not vary, to 1e-9 in the sum of their squared deviations.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        varied = square - one**2 / count
-        return np.asarray(1 - missed / np.where(varied > 1e-9, varied, np.nan))
 
 
 def with_magnitude(forces: Floats) -> Floats:
@@ -182,21 +158,6 @@ def spread_and_range(labels: Floats) -> tuple[Floats, Floats]:
         if len(known):
             spread[place], range_[place] = known.std(), np.ptp(known)
     return spread, range_
-
-
-def _require_alike(true: Floats, predicted: Floats) -> None:
-    if true.shape != predicted.shape or true.ndim != 2 or not len(true):
-        raise LearningError(
-            f"forces: found true {true.shape} and predicted {predicted.shape}; allowed: the same "
-            "shape, of one frame or more"
-        )
-    for name, values in (("true", true), ("predicted", predicted)):
-        wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if wrong.size:
-            raise LearningError(
-                f"forces: found {values[wrong[0]]} in row {wrong[0]} of {name}, and "
-                f"{wrong.size} such rows; allowed: numbers"
-            )
 
 
 def _four(values: Floats) -> tuple[float, float, float, float]:

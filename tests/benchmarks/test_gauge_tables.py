@@ -24,6 +24,7 @@ from benchmarks.learning.gauge_tables.jobs import (
     sums_of,
 )
 from benchmarks.learning.gauge_tables.skins import GROUPS, planted, require_apart, write_rows
+from benchmarks.learning.sums import r_squared_of_sums
 from learning.errors import LearningError
 from learning.metrics import r_squared
 from sim.errors import SceneError
@@ -176,3 +177,13 @@ def test_the_toy_runs_whole_and_reads_no_label_of_the_target(tmp_path: Path) -> 
         for name, parts in scored["sums"].items():
             # Labels that were read would be NaN; another number of threads rounds otherwise.
             np.testing.assert_allclose(parts["in"], stored[key][name]["in"], rtol=0.03, atol=0.01)
+
+
+def test_r_squared_of_sums_is_that_of_the_frames() -> None:
+    chance = np.random.default_rng(4)
+    true, found = chance.normal(size=(50, 3)), chance.normal(size=(50, 3))
+    true[:, 2] = 2.0
+    parts = [np.ones_like(true), true, true**2, (found - true) ** 2]
+    # Of two parts that are added up.
+    sums = [part[:20].sum(axis=0) + part[20:].sum(axis=0) for part in parts]
+    np.testing.assert_allclose(r_squared_of_sums(*sums), r_squared(true, found))

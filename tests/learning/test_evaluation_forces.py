@@ -21,9 +21,7 @@ from learning.evaluation.predictions import (
 )
 from learning.metrics import (
     force_errors,
-    mean_absolute_error,
     r_squared,
-    r_squared_of_sums,
     spread_and_range,
     with_magnitude,
 )
@@ -56,27 +54,9 @@ def test_r2_of_labels_that_never_change_is_no_number() -> None:
     assert np.isnan(r_squared(np.ones((4, 1)), np.zeros((4, 1))))
 
 
-def test_r_squared_of_sums_is_that_of_the_frames() -> None:
-    chance = np.random.default_rng(4)
-    true, found = chance.normal(size=(50, 3)), chance.normal(size=(50, 3))
-    true[:, 2] = 2.0
-    parts = [np.ones_like(true), true, true**2, (found - true) ** 2]
-    # Of two parts that are added up.
-    sums = [part[:20].sum(axis=0) + part[20:].sum(axis=0) for part in parts]
-    np.testing.assert_allclose(r_squared_of_sums(*sums), r_squared(true, found))
-
-
-@pytest.mark.parametrize("which", ["true", "predicted"])
-def test_a_force_that_is_no_number_is_refused(which: str) -> None:
-    values = {"true": TRUE.copy(), "predicted": TRUE.copy()}
-    values[which][2, 1] = np.nan
-    with pytest.raises(LearningError, match=f"row 2 of {which}"):
-        mean_absolute_error(values["true"], values["predicted"])
-
-
 def test_errors_of_no_frames_are_refused() -> None:
     with pytest.raises(LearningError, match="one frame or more"):
-        mean_absolute_error(TRUE[:0], TRUE[:0])
+        force_errors(TRUE[:0], TRUE[:0], np.ones(4))
 
 
 def test_the_spread_leaves_out_frames_without_a_label() -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from benchmarks.learning.gauge_tables.coverage import INTERVAL, RESAMPLES, read_covered
 from benchmarks.learning.gauge_tables.jobs import Study, twin_path
 from benchmarks.learning.gauge_tables.skins import GAUGE, GAUGE_PRESSES
-from learning.metrics import r_squared_of_sums
+from benchmarks.learning.sums import r_squared_of_sums
 from learning.training.run import generator
 from recorder.charts import chart
 from recorder.pages import render

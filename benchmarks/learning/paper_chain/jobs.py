@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from benchmarks.learning.paper_chain.card import card
 from benchmarks.learning.paper_chain.sizes import ALONE, RECIPES, SEED, Size, write_base
 from learning.compensation.fit import PairCompensation, StoredCompensation, find_compensation
+from benchmarks.learning.sums import r_squared_of_sums
 from learning.config import read_settings
 from learning.data.images import shrink, shrink_masks, unpack_masks
 from learning.data.presses import Presses, load_presses, read_frames
@@ -55,7 +56,7 @@ from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
 from learning.force.train import PRESETS as NET_PRESETS
 from learning.force.train import ForceSettings, StageSettings, train_force
-from learning.metrics import r_squared, r_squared_of_sums
+from learning.metrics import r_squared
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
 from learning.translation.diffusion import train as m2m
