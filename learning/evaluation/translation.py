@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from skimage import metrics
 
 from learning.errors import LearningError
@@ -26,15 +27,13 @@ from recorder.archive import ArchivedSensor, location_pairs
 from recorder.markers import SMALLEST_PX, Blobs, Lattice, find_blobs, moved, unpack
 
 if TYPE_CHECKING:
-    import torch
-
-    Masks = NDArray[np.bool_] | torch.Tensor
     from learning.data.splits import Role, Split
 
 
-# Overlap of masks, of numpy or of torch: Dice, intersection over union, area. Similarity of images.
+# Overlap of masks: Dice, intersection over union, area. Similarity of images.
 
 Floats = NDArray[np.float64]
+MaskArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,23 +65,10 @@ class Overlap:
         return np.where(empty, np.nan, np.abs(ratio - 1))
 
 
-def overlap(found: Masks, true: Masks) -> Overlap:
-    """Count the pixels that masks (n, h, w) have in common, both of numpy or both of torch."""
-    if tuple(found.shape) != tuple(true.shape) or found.ndim != 3:
-        raise LearningError(
-            f"masks: found {tuple(found.shape)} and {tuple(true.shape)}; allowed: both (n, h, w)"
-        )
-    for masks in (found, true):
-        if str(masks.dtype) not in ("bool", "torch.bool"):
-            raise LearningError(f"masks: found {masks.dtype}; allowed: bool")
-    one: Any = found
-    return Overlap(_pixels(one & true), _pixels(found), _pixels(true))
-
-
-def _pixels(masks: Any) -> NDArray[np.int64]:
-    """Return the number of set pixels (n,), counted on the device of the masks."""
-    counted = masks.reshape(len(masks), masks.shape[1] * masks.shape[2]).sum(1)
-    return np.asarray(counted if isinstance(masks, np.ndarray) else counted.cpu(), np.int64)
+def overlap(found: MaskArray, true: MaskArray) -> Overlap:
+    """Count the pixels that masks (n, h, w) have in common."""
+    pixels = (each.sum(axis=(1, 2), dtype=np.int64) for each in (found & true, found, true))
+    return Overlap(*pixels)
 
 
 def _share(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Floats:
@@ -105,42 +91,20 @@ def structural_similarity(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> 
 # the distance of neighbours, a wrong marker may be nearer: such errors are underestimated, and are
 # also visible in the overlap of the masks.
 
-MaskArray = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MarkerErrors:
-    """Errors of the markers of frames with respect to the true frames."""
-
-    apart: Floats
-    """Offset from each true marker to its match, column and row (m, 2) [px], of all frames."""
-    found: NDArray[np.int64]
-    """Number of markers of each frame (n,)."""
-    true: NDArray[np.int64]
-    """True number of markers (n,)."""
-
-    @property
-    def mismatched(self) -> NDArray[np.bool_]:
-        """Frames (n,) with a wrong number of markers."""
-        return np.asarray(self.found != self.true, np.bool_)
-
 
 def marker_errors(
     found: MaskArray, true: MaskArray, smallest_px: int = SMALLEST_PX
-) -> MarkerErrors:
-    """Return the errors of the marker centres with respect to the true frames.
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the errors of the markers of frames (n, h, w) with respect to the true frames.
 
-    Args:
-        found: Evaluated frames (n, h, w).
-        true: True frames (n, h, w).
-        smallest_px: Patches of fewer pixels are ignored.
+    These are the offset from each true marker to its match, column and row (m, 2) [px], of all
+    frames, and True for frames with a wrong number of markers (n,). Patches of fewer pixels than
+    `smallest_px` are ignored.
     """
-    if found.shape != true.shape:
-        raise LearningError(f"masks: found {found.shape} and {true.shape}; allowed: the same")
     ours, here = _centres(find_blobs(found, smallest_px), len(found))
     theirs, there = _centres(find_blobs(true, smallest_px), len(true))
     apart = [_apart(one, other) for one, other in zip(here, there, strict=True)]
-    return MarkerErrors(np.concatenate([np.empty((0, 2)), *apart]), ours, theirs)
+    return np.concatenate([np.empty((0, 2)), *apart]), ours != theirs
 
 
 def endpoint_errors(
@@ -163,11 +127,6 @@ def endpoint_errors(
         lattice: Lattice of the displacement.
         smallest_px: Patches of fewer pixels are ignored.
     """
-    if len(found) != len(displacement):
-        raise LearningError(
-            f"displacement: found {len(displacement)} fields of {len(found)} frames; allowed: one "
-            "each"
-        )
     rest, blobs = find_blobs(reference[None], smallest_px), find_blobs(found, smallest_px)
     _, centres = _centres(blobs.only(blobs.whole), len(found))
     apart = [np.empty((0, 2))]
@@ -224,7 +183,7 @@ def nearest_frames(table: Table, wanted: Rows, known: Rows) -> Rows:
         step = max(_BASELINES_AT_ONCE // len(among), 1)
         for first in range(0, len(here), step):
             some = here[first : first + step]
-            apart = _frames_apart(_motion(table, wanted[some]), _motion(table, among))
+            apart = cdist(_motion(table, wanted[some]), _motion(table, among), "sqeuclidean")
             nearest[some] = among[apart.argmin(axis=1)]
     return nearest
 
@@ -232,14 +191,6 @@ def nearest_frames(table: Table, wanted: Rows, known: Rows) -> Rows:
 def _motion(table: Table, rows: Rows) -> NDArray[np.float64]:
     """Return position and depth (n, 3) [m]."""
     return np.column_stack([table["position"][rows], table["depth"][rows]])
-
-
-def _frames_apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return squared distances (n, m), computed from differences to avoid cancellation."""
-    apart = np.zeros((len(one), len(other)))
-    for axis in range(one.shape[1]):
-        apart += np.square(one[:, axis, None] - other[None, :, axis])
-    return apart
 
 
 # Scores of translated frames and baselines: rows of tables, and their file.
@@ -426,43 +377,28 @@ Packed = NDArray[np.uint8]
 _AT_ONCE = 64
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Real:
     """Real frames of the target, the ground truth."""
 
-    sensor: ArchivedSensor
-    """The target."""
-    rows: Rows
-    """Rows of its table (n,)."""
-    packed: Packed
-    """Their packed masks (n, 38400)."""
-    mm: Floats
-    """Size of a pixel along columns and along rows (2,) [mm]."""
+    def __init__(self, sensor: ArchivedSensor, rows: Rows) -> None:
+        """Load some rows (n,) of the target's table."""
+        from learning.translation.translator import SensorView
 
-    @property
-    def smallest_px(self) -> int:
+        view = SensorView.of(sensor)
+        self.sensor, self.rows = sensor, rows
+        self.packed = sensor.packed(rows)
+        """Their packed masks (n, 38400)."""
+        self.mm = np.array([view.mm_per_column, view.mm_per_row])
+        """Size of a pixel along columns and along rows (2,) [mm]."""
+        check = sensor.attrs.get("marker_check") or {}
+        self.smallest_px = int(check.get("smallest_px", SMALLEST_PX))
         """Minimum size of its markers [px]; smaller patches are ignored."""
-        return int((self.sensor.attrs.get("marker_check") or {}).get("smallest_px", SMALLEST_PX))
-
-
-def real_frames(sensor: ArchivedSensor, rows: Rows) -> Real:
-    """Load real frames of a target."""
-    from learning.translation.translator import SensorView
-
-    view = SensorView.of(sensor)
-    mm = np.array([view.mm_per_column, view.mm_per_row])
-    return Real(sensor, rows, sensor.packed(rows), mm)
 
 
 def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedScore:
     """Score frames (n, 38400) against the real ones of the same presses and phases."""
     from learning.data.images import shrink
 
-    if packed.shape != real.packed.shape:
-        raise LearningError(
-            f"{real.sensor.name}: found {packed.shape} frames of {real.packed.shape}; allowed: "
-            "as many, packed"
-        )
     dice, iou, ssim, area, apart, wrong, missed = [], [], [], [], [], [], []
     sensor = real.sensor
     for first in range(0, len(packed), _AT_ONCE):
@@ -473,9 +409,9 @@ def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedSc
         iou.append(covered.iou)
         ssim.append(structural_similarity(shrink(packed[part]), shrink(real.packed[part])))
         area.append(covered.area_ratio_error)
-        markers = marker_errors(found, true, real.smallest_px)
-        apart.append(markers.apart)
-        wrong.append(markers.mismatched)
+        offsets, mismatched = marker_errors(found, true, real.smallest_px)
+        apart.append(offsets)
+        wrong.append(mismatched)
         if sensor.fields is not None:
             missed.append(_endpoint_errors(found, real, part))
     distance = np.linalg.norm(np.concatenate(apart), axis=1)
@@ -565,7 +501,7 @@ def score_translation(
     total = sum(5 * len(rows) for rows, _, _ in drawn)
     done = 0
     for role, (real_rows, source_rows, translated_rows) in zip(roles, drawn, strict=True):
-        real = real_frames(target, real_rows)
+        real = Real(target, real_rows)
         shown = {
             TRANSLATED: translated.packed(translated_rows),
             SOURCE: source.packed(source_rows),

@@ -44,10 +44,10 @@ from learning.evaluation.translation import (
     NEAREST,
     REFERENCE,
     SOURCE,
+    Real,
     nearest_frames,
     overlap,
     paired_score,
-    real_frames,
 )
 from learning.experiment.frames import frames_of_a_press, look_of, translate_presses
 from learning.force.export import export_onnx
@@ -72,7 +72,7 @@ from learning.translation.loading import load_translator
 from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
-from recorder.markers import pack
+from recorder.markers import pack, unpack
 
 Floats = NDArray[np.float64]
 TRANSLATORS = ("m2m", "field")
@@ -610,9 +610,9 @@ def _images(chain: Chain, name: str, ends: tuple[str, str], translator: Translat
             REFERENCE: target.references[target.table["reference"][after]],
             NEAREST: target.packed(nearest_frames(target.table, after, train)),
         }
-    real = real_frames(target, after)
+    real = Real(target, after)
     true = _features(chain, real.packed)
-    dice = overlap(_masks(translated), _masks(real.packed)).dice
+    dice = overlap(unpack(translated), unpack(real.packed)).dice
     worst = dice.argsort()[:2]
     frames = [source.packed(before[worst]), translated[worst], real.packed[worst]]
     (chain.out / "worst").mkdir(exist_ok=True)
@@ -716,7 +716,7 @@ def patterns(chain: Chain) -> None:
             ("before", real[source], known[source]),
             ("after", made, _features(chain, made)),
         ):
-            dice = overlap(_masks(packed), _masks(real[target])).dice.mean()
+            dice = overlap(unpack(packed), unpack(real[target])).dice.mean()
             far = _distances(chain, known[target], features)
             row |= {f"dice_{when}": round(float(dice), 4)}
             row |= {f"{key}_{when}": far[key] for key in ("frechet", "kernel")}
