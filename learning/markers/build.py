@@ -14,12 +14,8 @@ from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.flags import FLAG, INVALID
 from learning.markers.frames import RecordedSensor, one_thread
-from learning.markers.recording import Group, SensorGroup, read_group
-from learning.markers.segment import (
-    names,
-    preset,
-    preset_of_sensor,
-)
+from learning.markers.recording import Group, read_group
+from learning.markers.segment import names, preset_of_sensor
 from recorder import MarkerArchive
 from recorder.archive import MASKS
 
@@ -74,10 +70,10 @@ def archive_sessions(
     one_thread()
     group = read_group(sessions, sensor)
     sensors = [
-        recorded_sensor(
+        RecordedSensor(
             one,
-            group,
-            preset_name=preset_name,
+            group.indenters,
+            preset_name or _preset_for(one.name),
             mm_per_px=mm_per_px,
             unseen=unseen,
             sam=sam,
@@ -90,34 +86,13 @@ def archive_sessions(
     return Built(out, made, (*_left_out(group), *told(out)))
 
 
-def recorded_sensor(
-    one: SensorGroup,
-    group: Group,
-    *,
-    preset_name: str | None = None,
-    mm_per_px: float | None = None,
-    unseen: tuple[str, ...] = UNSEEN,
-    sam: EfficientSam | None = None,
-    irregular: bool = False,
-) -> RecordedSensor:
-    """Return a sensor of a group with the given preset, or the one for its name."""
-    chosen = preset_name or preset_of_sensor(one.name)
-    if chosen is None:
+def _preset_for(sensor: str) -> str:
+    found = preset_of_sensor(sensor)
+    if found is None:
         raise LearningError(
-            f"{one.name}: no preset is assigned to it; allowed: {', '.join(names())}, or a .yaml "
-            "file"
+            f"{sensor}: no preset is assigned to it; allowed: {', '.join(names())}, or a .yaml file"
         )
-    found = preset(chosen)
-    return RecordedSensor(
-        one,
-        group.indenters,
-        found,
-        preset_name=chosen,
-        mm_per_px=mm_per_px,
-        unseen=unseen,
-        sam=sam if found.KIND == "camera" else None,
-        irregular=irregular,
-    )
+    return found
 
 
 def told(path: Path) -> tuple[str, ...]:

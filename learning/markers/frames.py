@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,21 +14,21 @@ from numpy.typing import NDArray
 from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
-from learning.markers.flags import FLAG, INVALID, Flagger
+from learning.markers.flags import FLAG, INVALID, marker_flags
 from learning.markers.lattice import Lattice, with_reference
-from learning.markers.recording import Placed, Recording, SensorGroup
+from learning.markers.recording import Recording, SensorGroup
 from learning.markers.regular import spread_of
 from learning.markers.segment import (
     CameraPreset,
     Picture,
-    Preset,
     Segmenter,
     ShadingPreset,
     TaxelPreset,
+    preset,
 )
 from learning.markers.shading import cells_of, shading_of
 from recorder.archive import MASKS, SHADING, MarkerCount, SensorPlan
-from recorder.markers import HEIGHT, WIDTH, draw_discs, find_blobs, pack
+from recorder.markers import draw_discs, find_blobs, pack
 
 if TYPE_CHECKING:
     from learning.markers.efficient_sam import EfficientSam
@@ -59,9 +60,124 @@ def taxel_masks(
     return draw_discs(change)
 
 
-Masks = NDArray[np.bool_]
 # Depths and positions that nobody knows; `archive join` refuses them.
 UNKNOWN = "unknown: 0"
+
+Integers = NDArray[np.int64]
+Stored = NDArray[np.uint8]
+
+
+# What a preset makes of the rows of recordings: stored references, and frames.
+
+
+class _Markers:
+    """Pictures of a gel with markers, as packed masks."""
+
+    device, representation, one_reference = "camera", MASKS, False
+
+    def __init__(
+        self, preset: CameraPreset, name: str, sam: EfficientSam | None, irregular: bool
+    ) -> None:
+        self._preset, self._name, self._sam, self._irregular = preset, name, sam, irregular
+        self._segmenter = Segmenter(preset)
+        self._finders: dict[tuple[str, int], Segmenter | Lattice] = {}
+        self.count = MarkerCount(preset.area_px[0], preset.tolerance)
+        self.attrs = {} if sam is None else {"efficient_sam": sam.identity}
+
+    def references(self, recording: Recording) -> Stored:
+        """Return the references of a recording (k, 38400)."""
+        masks = []
+        for image in recording.reference_images():
+            mask = self._mask(self._view(recording, image), self._segmenter)
+            blobs = find_blobs(mask[None], self._preset.area_px[0])
+            if not len(blobs):
+                raise LearningError(
+                    f"{recording.name}: preset {self._name} finds no markers in its "
+                    f"reference, image {image}; allowed: another preset, or --preset shading "
+                    "for a gel without markers"
+                )
+            spread = spread_of(blobs.only(blobs.whole))
+            if not (self._irregular or spread.is_regular):
+                raise LearningError(
+                    f"{recording.name}: preset {self._name} finds no pattern of "
+                    f"markers in its reference, image {image}: {spread}; allowed: --preset "
+                    "shading for a gel without markers, another preset (tactile markers-fit "
+                    "fits one), or --irregular if the markers have no pattern"
+                )
+            masks.append(mask)
+        return pack(np.stack(masks))
+
+    def frames(self, recording: Recording, rows: Integers) -> Stored:
+        """Return some rows of a recording (n, 38400); each picture is processed once."""
+        images, first, place = np.unique(
+            recording.column("image")[rows], return_index=True, return_inverse=True
+        )
+        masks = []
+        for image, reference in zip(images, recording.reference[rows[first]], strict=True):
+            finder = self._finder(recording, int(reference))
+            masks.append(self._mask(self._view(recording, int(image)), finder))
+        return pack(np.stack(masks))[place.reshape(-1)]
+
+    def _view(self, recording: Recording, image: int) -> Picture:
+        return self._segmenter.view(recording.picture(image))
+
+    def _mask(self, view: Picture, finder: Segmenter | Lattice) -> NDArray[np.bool_]:
+        mask = finder.mask_of_view(view)
+        return mask if self._sam is None else self._sam.refined(view, mask, self._preset.box_px)
+
+    def _finder(self, recording: Recording, reference: int) -> Segmenter | Lattice:
+        """Return what makes the masks of pictures of one reference; the last one is kept."""
+        key = recording.name, reference
+        if key not in self._finders:
+            view = self._view(recording, recording.reference_images()[reference])
+            self._finders = {key: with_reference(self._segmenter, view)}
+        return self._finders[key]
+
+
+class _Taxels:
+    """Counts of taxels, drawn as packed masks; one reference holds for all recordings."""
+
+    device, representation, one_reference = "taxels", MASKS, True
+    count = None
+    attrs: Mapping[str, Any] = {}
+
+    def __init__(self, preset: TaxelPreset) -> None:
+        self._preset = preset
+
+    def references(self, recording: Recording) -> Stored:
+        return pack(taxel_masks(np.zeros((1, 16, 3)), np.zeros((16, 3)), self._preset))
+
+    def frames(self, recording: Recording, rows: Integers) -> Stored:
+        no_contact = recording.session.reference["taxels"][recording.references]
+        counts = recording.column("taxels")[rows]
+        return pack(taxel_masks(counts, no_contact[recording.reference[rows]], self._preset))
+
+
+class _Shading:
+    """Pictures of a gel without markers, as the change of their colours (n, 3, 128, 128)."""
+
+    device, representation, one_reference = "camera", SHADING, False
+    count = None
+    attrs: Mapping[str, Any] = {}
+
+    def __init__(self, preset: ShadingPreset) -> None:
+        self._preset = preset
+
+    def references(self, recording: Recording) -> Stored:
+        return np.rint(self._no_contact(recording)).astype(np.uint8)
+
+    def frames(self, recording: Recording, rows: Integers) -> Stored:
+        no_contact = self._no_contact(recording)
+        images, reference = recording.column("image")[rows], recording.reference[rows]
+        frames = []
+        for image, still in zip(images, no_contact[reference], strict=True):
+            frames.append(shading_of(cells_of(recording.picture(int(image)), self._preset), still))
+        return np.stack(frames)
+
+    def _no_contact(self, recording: Recording) -> NDArray[np.float32]:
+        """Return the colours without contact (k, 3, 128, 128) of each reference in use."""
+        images = recording.reference_images()
+        return np.stack([cells_of(recording.picture(image), self._preset) for image in images])
 
 
 class RecordedSensor:
@@ -71,9 +187,8 @@ class RecordedSensor:
         self,
         group: SensorGroup,
         indenters: tuple[str, ...],
-        preset: Preset,
-        *,
         preset_name: str,
+        *,
         mm_per_px: float | None = None,
         unseen: tuple[str, ...] = UNSEEN,
         sam: EfficientSam | None = None,
@@ -84,31 +199,34 @@ class RecordedSensor:
         Args:
             group: Its sessions.
             indenters: Names, by code.
-            preset: Settings of the marker detection.
-            preset_name: Name of the preset, stored in the archive.
+            preset_name: Preset of the marker detection, stored in the archive.
             mm_per_px: Size of a pixel [mm]; None: the preset's.
             unseen: Indenters that models may not be trained on.
-            sam: Model that refines the masks; None: no refinement.
+            sam: Model that refines the masks of pictures; None: no refinement.
             irregular: True for markers without a regular pattern; False rejects their references.
         """
-        of = "camera" if isinstance(preset, ShadingPreset) else preset.KIND
-        if group.kind != of:
+        found = preset(preset_name)
+        self._frames: _Markers | _Taxels | _Shading
+        if isinstance(found, TaxelPreset):
+            self._frames = _Taxels(found)
+        elif isinstance(found, ShadingPreset):
+            self._frames = _Shading(found)
+        else:
+            self._frames = _Markers(found, preset_name, sam, irregular)
+        if group.kind != self._frames.device:
             raise LearningError(
-                f"preset {preset_name}: is for {preset.KIND}; {group.name} has {group.kind}"
+                f"preset {preset_name}: is for {found.KIND}; {group.name} has {group.kind}"
             )
-        scale = mm_per_px if mm_per_px is not None else preset.mm_per_px
+        scale = mm_per_px if mm_per_px is not None else found.mm_per_px
         if scale is None:
             raise LearningError(
                 f"{group.name}.mm_per_px: not in preset {preset_name}; allowed: say it"
             )
         self._group, self._indenters, self._unseen = group, indenters, unseen
-        self.preset, self._preset_name, self._mm_per_px = preset, preset_name, scale
-        self._sam = sam
-        self._irregular = irregular
-        self._segmenter = Segmenter(preset) if isinstance(preset, CameraPreset) else None
-        self._finders: dict[tuple[str, int], Segmenter | Lattice] = {}
-        lengths = [len(placed.recording) for placed in group.placed]
-        self._ends = np.cumsum([0, *lengths])
+        self._preset, self._preset_name, self._mm_per_px = found, preset_name, scale
+        recordings = [placed.recording for placed in group.placed]
+        self._ends = np.cumsum([0, *map(len, recordings)])
+        self._first_reference = np.cumsum([0, *(len(one.references) for one in recordings)])
 
     @cached_property
     def plan(self) -> SensorPlan:
@@ -117,179 +235,67 @@ class RecordedSensor:
             "made_from": "sessions",
             "sessions": [_identity(placed.recording) for placed in self._group.placed],
             "preset": self._preset_name,
-            "preset_says": repr(self.preset),
+            "preset_says": repr(self._preset),
             "wrench_frame": "that of the force/torque sensor, as in the sessions",
         }
         if not all(placed.recording.is_placed for placed in self._group.placed):
             attrs |= {"depth": UNKNOWN, "position": UNKNOWN}
-        if self._sam is not None:
-            attrs["efficient_sam"] = self._sam.identity
-        count = None
-        if isinstance(self.preset, CameraPreset):
-            count = MarkerCount(self.preset.area_px[0], self.preset.tolerance)
+        recordings = [placed.recording for placed in self._group.placed]
+        if self._frames.one_reference:
+            recordings = recordings[:1]
         return SensorPlan(
             name=self._group.name,
             rows=int(self._ends[-1]),
             chunk_rows=CHUNK_ROWS,
             unit_rows=UNIT_ROWS,
-            references=self._references,
+            references=np.concatenate([self._frames.references(one) for one in recordings]),
             mm_per_px=self._mm_per_px,
-            marker_count=count,
-            attrs=attrs,
-            representation=SHADING if isinstance(self.preset, ShadingPreset) else MASKS,
+            marker_count=self._frames.count,
+            attrs={**attrs, **self._frames.attrs},
+            representation=self._frames.representation,
         )
 
     def read(self, rows: slice) -> Frames:
         """Make some of the frames."""
         parts = []
-        for index, placed in enumerate(self._group.placed):
+        for index in range(len(self._group.placed)):
             begin, end = int(self._ends[index]), int(self._ends[index + 1])
             first, last = max(rows.start, begin) - begin, min(rows.stop, end) - begin
             if first < last:
-                parts.append(self._part(index, placed, slice(first, last)))
+                parts.append(self._part(index, slice(first, last)))
         return Frames(
             np.concatenate([part.packed for part in parts]),
             {name: np.concatenate([part.table[name] for part in parts]) for name in parts[0].table},
             [line for part in parts for line in part.source],
         )
 
-    @cached_property
-    def _flagger(self) -> Flagger:
-        return Flagger(self._group.name, self._references, self.plan.marker_count)
-
-    @cached_property
-    def _references(self) -> NDArray[np.uint8]:
-        """Stored references (K, ...): packed masks or colours, recording by recording."""
-        if isinstance(self.preset, ShadingPreset):
-            stored = [self._no_contact(placed.recording) for placed in self._group.placed]
-            return np.rint(np.concatenate(stored)).astype(np.uint8)
-        if isinstance(self.preset, TaxelPreset):
-            still = np.zeros((1, 16, 3))
-            return pack(taxel_masks(still, np.zeros((16, 3)), self.preset))
-        masks = []
-        for placed in self._group.placed:
-            recording = placed.recording
-            images = recording.session.reference["image"][recording.references]
-            for row, mask in zip(images, self._seen(recording, images), strict=True):
-                blobs = find_blobs(mask[None], self.preset.area_px[0])
-                if not len(blobs):
-                    raise LearningError(
-                        f"{recording.name}: preset {self._preset_name} finds no markers in its "
-                        f"reference, image {row}; allowed: another preset, or --preset shading "
-                        "for a gel without markers"
-                    )
-                spread = spread_of(blobs.only(blobs.whole))
-                if not (self._irregular or spread.is_regular):
-                    raise LearningError(
-                        f"{recording.name}: preset {self._preset_name} finds no pattern of "
-                        f"markers in its reference, image {row}: {spread}; allowed: --preset "
-                        "shading for a gel without markers, another preset (tactile markers-fit "
-                        "fits one), or --irregular if the markers have no pattern"
-                    )
-                masks.append(mask)
-        return pack(np.stack(masks))
-
-    def _no_contact(self, recording: Recording) -> NDArray[np.float32]:
-        """Return the colours without contact (k, 3, 128, 128) of each reference in use."""
-        images = recording.session.reference["image"][recording.references]
-        return np.stack([self._cells(recording, int(row)) for row in images])
-
-    def _cells(self, recording: Recording, image: int) -> NDArray[np.float32]:
-        if not isinstance(self.preset, ShadingPreset):
-            raise LearningError(f"{recording.name}: has no preset of shading")
-        (picture,) = recording.camera.images([image])
-        return cells_of(picture, self.preset)
-
-    def _shading(self, recording: Recording, chosen: NDArray[np.int64]) -> NDArray[np.uint8]:
-        """Return the shading (n, 3, 128, 128) of some rows of a recording."""
-        no_contact = self._no_contact(recording)
-        frames = np.empty((len(chosen), *SHADING.shape), np.uint8)
-        for place, row in enumerate(chosen):
-            cells = self._cells(recording, int(recording.column("image")[row]))
-            frames[place] = shading_of(cells, no_contact[recording.reference[row]])
-        return frames
-
-    def _first_reference(self, index: int) -> int:
-        if isinstance(self.preset, TaxelPreset):
-            return 0
-        return sum(len(placed.recording.references) for placed in self._group.placed[:index])
-
-    def _part(self, index: int, placed: Placed, rows: slice) -> Frames:
+    def _part(self, index: int, rows: slice) -> Frames:
         """Make frames of one recording."""
-        recording = placed.recording
+        recording = self._group.placed[index].recording
         invalid = recording.invalid()[rows]
         there = np.array([not reason for reason in invalid])
-        table = self._table(index, placed, rows, there)
-        reported = self._said(recording, rows, invalid)
-        chosen = np.flatnonzero(there) + rows.start
-        if isinstance(self.preset, ShadingPreset):
-            frames = np.zeros((len(there), *SHADING.shape), np.uint8)
-            if there.any():
-                frames[there] = self._shading(recording, chosen)
-            lines = [json.dumps(one, ensure_ascii=False) for one in reported]
-            return Frames(frames, table, lines)
-        masks = np.zeros((len(there), HEIGHT, WIDTH), np.bool_)
+        table = self._table(index, rows, there)
+        frames = np.zeros((len(there), *self._frames.representation.shape), np.uint8)
         if there.any():
-            masks[there] = self._masks(recording, chosen)
-        for row, flag in self._flagger.flags(masks, table["reference"], there).items():
-            reported[row][FLAG] = flag
-        lines = [json.dumps(one, ensure_ascii=False) for one in reported]
-        return Frames(pack(masks), table, lines)
-
-    def _masks(self, recording: Recording, chosen: NDArray[np.int64]) -> Masks:
-        """Return the masks of some rows of a recording; each picture is processed once."""
-        if isinstance(self.preset, TaxelPreset):
-            counts = recording.column("taxels")[chosen]
-            no_contact = recording.session.reference["taxels"][recording.references]
-            return taxel_masks(counts, no_contact[recording.reference[chosen]], self.preset)
-        images, first, place = np.unique(
-            recording.column("image")[chosen], return_index=True, return_inverse=True
+            frames[there] = self._frames.frames(recording, np.flatnonzero(there) + rows.start)
+        flags = marker_flags(
+            self._group.name, frames, table, self.plan.references, self._frames.count
         )
-        reference = recording.reference[chosen[first]]
-        return self._seen(recording, images, reference)[place.reshape(-1)]
+        lines = []
+        run, target = recording.column("run")[rows], recording.column("target")[rows]
+        for place, reason in enumerate(invalid):
+            line: dict[str, Any] = {
+                "session": recording.name,
+                "run": int(run[place]),
+                "target": int(target[place]),
+            }
+            line |= {INVALID: reason} if reason else {}
+            line |= {FLAG: flags[place]} if place in flags else {}
+            lines.append(json.dumps(line, ensure_ascii=False))
+        return Frames(frames, table, lines)
 
-    def _seen(
-        self,
-        recording: Recording,
-        images: NDArray[np.integer],
-        references: NDArray[np.integer] | None = None,
-    ) -> Masks:
-        """Return the masks of pictures; without references, each is one itself."""
-        masks = np.empty((len(images), HEIGHT, WIDTH), np.bool_)
-        for place, row in enumerate(images):
-            view = self._view(recording, int(row))
-            finder = (
-                self._segmenter_of(recording)
-                if references is None
-                else self._finder(recording, int(references[place]))
-            )
-            mask = finder.mask_of_view(view)
-            if self._sam is not None:
-                mask = self._sam.refined(view, mask, self._segmenter_of(recording).preset.box_px)
-            masks[place] = mask
-        return masks
-
-    def _view(self, recording: Recording, image: int) -> Picture:
-        (picture,) = recording.camera.images([image])
-        return self._segmenter_of(recording).view(picture)
-
-    def _segmenter_of(self, recording: Recording) -> Segmenter:
-        if self._segmenter is None:
-            raise LearningError(f"{recording.name}: has no pictures")
-        return self._segmenter
-
-    def _finder(self, recording: Recording, reference: int) -> Segmenter | Lattice:
-        """Return what makes the masks of pictures of one reference; the last one is kept."""
-        key = recording.name, reference
-        if key not in self._finders:
-            image = recording.session.reference["image"][recording.references][reference]
-            view = self._view(recording, int(image))
-            self._finders = {key: with_reference(self._segmenter_of(recording), view)}
-        return self._finders[key]
-
-    def _table(
-        self, index: int, placed: Placed, rows: slice, there: NDArray[np.bool_]
-    ) -> dict[str, NDArray[Any]]:
+    def _table(self, index: int, rows: slice, there: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+        placed = self._group.placed[index]
         recording = placed.recording
         target = recording.column("target")[rows].astype(np.int64)
         position = recording.positions()[rows]
@@ -304,8 +310,7 @@ class RecordedSensor:
         location = np.full(len(target), -1)
         if placed.first_location is not None:
             location = placed.first_location + target
-        of_taxels = isinstance(self.preset, TaxelPreset)
-        reference = target * 0 if of_taxels else recording.reference[rows]
+        reference = self._first_reference[index] + recording.reference[rows]
         return {
             "indenter": np.full(len(target), self._indenters.index(recording.indenter)),
             "seen": np.full(len(target), recording.indenter not in self._unseen),
@@ -317,24 +322,9 @@ class RecordedSensor:
             "wrench": wrench,
             "frame": recording.number[rows],
             "t_ns": recording.column("t_ns")[rows],
-            "reference": self._first_reference(index) + reference,
+            "reference": target * 0 if self._frames.one_reference else reference,
             "valid": there,
         }
-
-    def _said(self, recording: Recording, rows: slice, invalid: list[str]) -> list[dict[str, Any]]:
-        """Return the provenance of each frame, and the reason if it is missing."""
-        reported = []
-        run, target = recording.column("run")[rows], recording.column("target")[rows]
-        for place, reason in enumerate(invalid):
-            line: dict[str, Any] = {
-                "session": recording.name,
-                "run": int(run[place]),
-                "target": int(target[place]),
-            }
-            if reason:
-                line[INVALID] = reason
-            reported.append(line)
-        return reported
 
 
 def one_thread() -> None:

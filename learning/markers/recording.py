@@ -88,6 +88,16 @@ class Recording:
             raise LearningError(f"{self.name}: has no camera")
         return self.session.streams[found]
 
+    def picture(self, image: int) -> NDArray[np.uint8]:
+        """Return one of the camera's images (h, w, 3), RGB."""
+        (picture,) = self.camera.images([image])
+        return np.asarray(picture)
+
+    def reference_images(self) -> list[int]:
+        """Return the image of each reference in use."""
+        images: list[int] = self.session.reference["image"][self.references].tolist()
+        return images
+
     def layout(self) -> NDArray[np.int64]:
         """Return point, depth level and direction of each target (t, 3), which pair sensors."""
         targets = self.session.targets

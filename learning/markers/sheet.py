@@ -67,7 +67,7 @@ def _draw_row(
         _draw_shading(page, top, archived, chosen)
         return
     first = int(archived.table["reference"][of[0]])
-    view = _view(archived, placed, int(_reference_image(placed)))
+    view = _view(archived, placed, placed.recording.reference_images()[0])
     mask = unpack(archived.references[first])
     tiles = [(_outlined(view, mask), f"reference: {_count(archived, mask)}", "no contact", False)]
     for row in chosen:
@@ -137,11 +137,6 @@ def _said(archived: ArchivedSensor, row: int) -> dict[str, object]:
     return reported
 
 
-def _reference_image(placed: Placed) -> int:
-    recording = placed.recording
-    return int(recording.session.reference["image"][recording.references[0]])
-
-
 def _image_of(placed: Placed, row: int) -> int:
     return int(placed.recording.column("image")[row])
 
@@ -153,8 +148,7 @@ def _view(archived: ArchivedSensor, placed: Placed, image: int) -> NDArray[np.ui
     found = preset(str(archived.attrs["preset"]))
     if not isinstance(found, CameraPreset):
         raise LearningError(f"{archived.name}: preset {archived.attrs['preset']} is for taxels")
-    (picture,) = placed.recording.camera.images([image])
-    return Segmenter(found).view(picture)
+    return Segmenter(found).view(placed.recording.picture(image))
 
 
 def _outlined(view: NDArray[np.uint8] | None, mask: NDArray[np.bool_]) -> NDArray[np.uint8]:

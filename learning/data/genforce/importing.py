@@ -59,7 +59,7 @@ from learning.data.genforce.format import (
 from learning.data.genforce.turns import turn_of
 from learning.errors import LearningError
 from learning.indenters import UNSEEN, coded
-from learning.markers.flags import FLAG, Flagger
+from learning.markers.flags import FLAG, marker_flags
 from learning.markers.frames import taxel_masks
 from learning.markers.lattice import Lattice, with_reference
 from learning.markers.segment import (
@@ -139,8 +139,7 @@ class PublishedSensor:
         """Read some of the frames."""
         plan, table = self.plan, {name: values[rows] for name, values in self.table.items()}
         frames = np.stack([self.read_mask(path) for path in self.files[rows]])
-        flagger = Flagger(plan.name, plan.references, plan.marker_count)
-        flags = flagger.flags(unpack(frames), table["reference"], table["valid"])
+        flags = marker_flags(plan.name, frames, table, plan.references, plan.marker_count)
         lines = [
             {**line, **({FLAG: flags[row]} if row in flags else {})}
             for row, line in enumerate(self.lines[rows])
