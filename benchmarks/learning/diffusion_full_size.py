@@ -26,11 +26,11 @@ import torch
 
 from learning.config import read_settings, settings_to_dict
 from learning.data.images import LATTICE, SIDE, enlarge_images, inverse
+from learning.data.pairs import PairedFrames
 from learning.data.synthetic import pixel_grid, sample_patterns
 from learning.errors import LearningError
 from learning.training.run import METRICS, RunFolder, Session, described, generator
 from learning.training.run import accelerator as launched
-from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.network import KIND, MarkerToMarker, fuse
 from learning.translation.diffusion.train import (
     PRESETS,
@@ -246,7 +246,7 @@ def _random_fields(
     return field
 
 
-def overfitted_pairs(count: int, side: int, device: torch.device) -> ImagePairs:
+def overfitted_pairs(count: int, side: int, device: torch.device) -> PairedFrames:
     """Return pairs of random patterns with equal motion, as images of a given side [px]."""
     chance = generator(0, "full-size-check")
     patterns = sample_patterns(2 * count, chance, device)
@@ -256,7 +256,7 @@ def overfitted_pairs(count: int, side: int, device: torch.device) -> ImagePairs:
     still = patterns.draw(pixel_grid(side, device))
     images, references = ((each[:, 0] * 255).round().to(torch.uint8) for each in (moved, still))
     every = torch.arange(2 * count, device=device)
-    return ImagePairs(images, every, references, every[:count], every[count:])
+    return PairedFrames(images, every, every, references, every.view(2, count).T)
 
 
 def _measured(

@@ -28,7 +28,6 @@ from learning.errors import LearningError
 from learning.training.optim import Constant
 from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
 from learning.translation.diffusion import train as translator
-from learning.translation.diffusion.data import ImagePairs
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import build
 from learning.translation.diffusion.train import LossWeights, TranslatorSettings, evaluate, train
@@ -199,18 +198,10 @@ def test_the_authors_decoder_is_given_scaled_latents() -> None:
     torch.testing.assert_close(given[0] * 0.18215, given[1])
 
 
-def test_pairs_that_do_not_fit_together_are_refused() -> None:
-    images = torch.zeros(2, 8, 8, dtype=torch.uint8)
-    one = torch.zeros(2, dtype=torch.int64)
-    with pytest.raises(LearningError, match=r"images: found torch\.float32"):
-        ImagePairs(images.float(), one, images[:1], one, one)
-    with pytest.raises(LearningError, match="references: found"):
-        ImagePairs(images, one, torch.zeros(1, 4, 4, dtype=torch.uint8), one, one)
-    with pytest.raises(LearningError, match="target: found rows beyond 0 to 1"):
-        ImagePairs(images, one, images[:1], one, one + 2)
-    none = ImagePairs(images, one, images[:1], one[:0], one[:0])
+def test_a_training_without_pairs_is_refused() -> None:
+    pairs = striped_pairs()
     with pytest.raises(LearningError, match="pairs: found none"):
-        train(none, tiny_pretrained(), tiny_settings())
+        train(pairs.of_pairs(torch.arange(0)), tiny_pretrained(), tiny_settings())
 
 
 def test_losses_need_what_judges_them() -> None:

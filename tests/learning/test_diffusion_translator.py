@@ -21,7 +21,8 @@ from support.tiny_diffusion import (
     write_base,
 )
 
-from learning.data.images import unit
+from learning.data.images import shrink, unit
+from learning.data.pairs import paired_rows, read_paired
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import load_extractor
@@ -29,7 +30,6 @@ from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder
 from learning.translation import Translator, load_translator
 from learning.translation.diffusion import command
-from learning.translation.diffusion.data import read_image_pairs, read_role_images
 from learning.translation.diffusion.network import KIND, MarkerToMarker, build
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.vae import KIND as VAE
@@ -125,18 +125,19 @@ def test_published_weights_are_found_beside_a_model_and_others_are_refused(
 
 def test_pairs_of_many_sensors_keep_every_image_once(archive: MarkerArchive) -> None:
     split = make_split(archive, validation=0.34, new_press=0)
-    pairs = read_image_pairs(archive, split, "train")
+    rows = paired_rows(archive, split, ["dots", "grid"], "train")
+    frames = read_paired(archive, rows)
     # Two presses of the sphere with four phases each; two sensors, in both directions.
-    assert (len(pairs), len(pairs.images), len(pairs.references)) == (16, 16, 2)
-    rows = split.rows(archive["dots"].table, "train")
-    assert len(read_role_images(archive, split, "train", sensors=["dots"])) == len(rows) == 10
-    source, target = pairs.source.tolist(), pairs.target.tolist()
-    assert sorted(zip(source, target, strict=True)) == sorted(zip(target, source, strict=True))
-    one_way = read_image_pairs(archive, split, "train", pairs=[("grid", "dots")])
-    assert torch.equal(one_way.images[one_way.source], pairs.images[pairs.source[8:]])
-    assert torch.equal(one_way.images[one_way.target], pairs.images[pairs.target[8:]])
-    with pytest.raises(LearningError, match="no sensor dense; known: dots, grid"):
-        read_image_pairs(archive, split, "train", sensors=["dots", "dense"])
+    assert (len(frames.pairs), len(frames), len(frames.references)) == (16, 16, 2)
+    ends = [tuple(pair) for pair in frames.pairs.tolist()]
+    assert sorted(ends) == sorted((target, source) for source, target in ends)
+    for name, begin in (("dots", 0), ("grid", 8)):
+        shown = shrink(archive[name].packed(rows[name]))
+        assert torch.equal(frames.images[begin : begin + 8], torch.from_numpy(shown))
+    every = paired_rows(archive, split, ["dots"], "train", every=1)["dots"]
+    assert len(every) == len(split.rows(archive["dots"].table, "train")) == 10
+    with pytest.raises(LearningError, match="no sensor 'dense'; known: dots, grid"):
+        paired_rows(archive, split, ["dots", "dense"], "train")
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -216,11 +215,6 @@ def test_an_archive_that_is_not_finished_is_refused(tmp_path: Path, archive: Mar
     )
     with pytest.raises(SessionError, match="still being written"):
         gather_role(begun, make_split(archive), ("dots",), "train")
-
-
-def test_frames_that_do_not_fit_together_are_refused(frames: Frames) -> None:
-    with pytest.raises(LearningError, match="reference: found shape"):
-        replace(frames, reference=frames.reference[1:])
 
 
 def test_an_untrained_model_gives_the_targets_reference_back() -> None:

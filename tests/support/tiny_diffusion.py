@@ -9,7 +9,7 @@ import torch
 
 from benchmarks.learning.diffusion_full_size import random_pretrained
 from learning.config import read_settings
-from learning.translation.diffusion.data import ImagePairs
+from learning.data.pairs import PairedFrames
 from learning.translation.diffusion.train import PRESETS, Pretrained, TranslatorSettings
 from learning.translation.diffusion.train_vae import MarkerVaeSettings
 
@@ -96,7 +96,7 @@ def tiny_vae_settings(*overrides: str, stage: str = VAE_STAGE) -> MarkerVaeSetti
     return read_settings(TranslatorSettings, PRESETS, "ours", few).of_marker_vae()
 
 
-def striped_pairs(count: int = 4) -> ImagePairs:
+def striped_pairs(count: int = 4) -> PairedFrames:
     """Return pairs of stripes: the target has those of the source, rotated by a right angle."""
     lines = torch.arange(SIDE)
     shifted = torch.stack([((lines + 2 * each) // 4) % 2 for each in range(count)])
@@ -104,4 +104,5 @@ def striped_pairs(count: int = 4) -> ImagePairs:
     images = torch.cat((source, source.transpose(1, 2)))
     belongs = torch.arange(2 * count) // count
     every = torch.arange(2 * count)
-    return ImagePairs(images, belongs, images[[0, count]], every[:count], every[count:])
+    pairs = every.view(2, count).T
+    return PairedFrames(images, belongs, belongs, images[[0, count]], pairs)

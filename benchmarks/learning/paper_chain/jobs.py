@@ -31,7 +31,8 @@ from learning.compensation.fit import PairCompensation, StoredCompensation, find
 from benchmarks.learning.sums import r_squared_of_sums
 from learning.config import read_settings
 from learning.data.images import shrink, shrink_masks, unpack_masks
-from learning.data.presses import Presses, load_presses, read_frames
+from learning.data.pairs import paired_rows, read_paired
+from learning.data.presses import Presses, load_presses, read_frames, read_frames_of
 from learning.data.splits import Role, Split, make_split
 from learning.errors import LearningError
 from learning.evaluation.distribution import (
@@ -60,7 +61,6 @@ from learning.metrics import r_squared
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
 from learning.translation.diffusion import train as m2m
-from learning.translation.diffusion.data import read_image_pairs, read_role_images
 from learning.translation.diffusion.network import KIND as M2M
 from learning.translation.diffusion.train_vae import MarkerVaeSettings, train_vae
 from learning.translation.diffusion.vae import KIND as VAE
@@ -286,8 +286,13 @@ def vae(chain: Chain) -> None:
         data.append((chain.patterns, _patterns_split(chain)))
     images = torch.cat(
         [
-            read_role_images(
-                archive, split, "train", sensors=split.trained_sensors(archive), device=chain.device
+            read_frames_of(
+                [archive[name] for name in split.trained_sensors(archive)],
+                [
+                    split.rows(archive[name].table, "train")
+                    for name in split.trained_sensors(archive)
+                ],
+                chain.device,
             )
             for archive, split in data
         ]
@@ -330,8 +335,9 @@ def _translator(
 ) -> None:
     if (chain.model(name) / "model.safetensors").exists():
         return
-    pairs = read_image_pairs(archive, split, "train", device=chain.device)
-    print(f"{len(pairs):,} location pairs", flush=True)
+    rows = paired_rows(archive, split, split.trained_sensors(archive), "train")
+    pairs = read_paired(archive, rows, device=chain.device)
+    print(f"{len(pairs.pairs):,} location pairs", flush=True)
 
     def settings(steps: int) -> m2m.TranslatorSettings:
         # The paper's inputs; its losses with published weights are left out.

@@ -29,7 +29,9 @@ from torch.nn import functional
 from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
 from learning.data.images import unit
-from learning.data.splits import Split
+from learning.data.pairs import PairedFrames, paired_rows, read_paired
+from learning.data.presses import read_frames_of
+from learning.data.splits import Role, Split
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training, trained_on
 from learning.training.checkpoint import load_weights, read_model_folder
@@ -37,7 +39,6 @@ from learning.training.optim import set_rate
 from learning.training.run import Session, accelerator
 from learning.training.run import batch as sampled
 from learning.training.run import generator as chance
-from learning.translation.diffusion.data import ImagePairs, read_image_pairs, read_role_images
 from learning.translation.diffusion.discriminator import (
     ClipFeatures,
     DiscriminatorHeads,
@@ -326,10 +327,10 @@ def _advance(side: Side, runs_on: Accelerator) -> None:
 
 
 def train(
-    pairs: ImagePairs,
+    pairs: PairedFrames,
     pretrained: Pretrained,
     settings: TranslatorSettings,
-    validation: ImagePairs | None = None,
+    validation: PairedFrames | None = None,
     session: Session | None = None,
     *,
     vae_adapter: Mapping[str, torch.Tensor] | None = None,
@@ -346,7 +347,7 @@ def train(
         vae_adapter: Adapter of the marker VAE, for encoder, decoder and reference.
         start_from: State of a trained network with the same settings.
     """
-    if not len(pairs):
+    if not len(pairs.pairs):
         raise LearningError("pairs: found none; allowed: one or more")
     session = session or Session(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
@@ -415,21 +416,21 @@ def train(
 
 @torch.no_grad()
 def evaluate(
-    network: MarkerToMarker, pairs: ImagePairs, settings: TranslatorSettings, runs_on: Accelerator
+    network: MarkerToMarker, pairs: PairedFrames, settings: TranslatorSettings, runs_on: Accelerator
 ) -> dict[str, float]:
     """Return a network's mean squared error on pairs (images in [0, 1]) and the Dice of masks."""
-    count = min(settings.validated, len(pairs))
+    count = min(settings.validated, len(pairs.pairs))
     # Evenly spread over all pairs, the same ones each time.
-    chosen = torch.linspace(0, len(pairs) - 1, count, device=pairs.source.device).round().long()
+    chosen = torch.linspace(0, len(pairs.pairs) - 1, count, device=pairs.device).round().long()
     references = encoded_references(network, pairs.references, runs_on)
     square, both, marked = 0.0, 0.0, 0.0
     for first in range(0, count, _AT_ONCE):
-        part = pairs.rows(chosen[first : first + _AT_ONCE])
+        part = pairs.of_pairs(chosen[first : first + _AT_ONCE])
         target, source = _latents(part, references, settings.source_reference, noise=None)
         with runs_on.autocast():
-            made = network(part.sources(), target, source)
+            made = network(part.seen(part.pairs[:, 0]), target, source)
         grey = network.grey(made).float() / 255
-        true = part.targets()[:, 0]
+        true = part.seen(part.pairs[:, 1])[:, 0]
         square += float(((grey - true) ** 2).mean(dim=(1, 2)).sum())
         ours, theirs = grey > 0.5, true > 0.5
         both += float((ours & theirs).sum())
@@ -473,7 +474,7 @@ def _judges(
 
 
 def _batch(
-    pairs: ImagePairs,
+    pairs: PairedFrames,
     references: Posterior,
     settings: TranslatorSettings,
     number: int,
@@ -481,9 +482,10 @@ def _batch(
     ranks: int,
 ) -> Batch:
     """Return one batch; random numbers depend only on seed, number and rank."""
-    device = pairs.source.device
-    index = sampled(settings.seed, number, settings.batch, len(pairs), rank=rank, ranks=ranks)
-    chosen = pairs.rows(torch.from_numpy(index).to(device))
+    device = pairs.device
+    count = len(pairs.pairs)
+    index = sampled(settings.seed, number, settings.batch, count, rank=rank, ranks=ranks)
+    chosen = pairs.of_pairs(torch.from_numpy(index).to(device))
     generator = torch.Generator(device)
     generator.manual_seed(int(chance(settings.seed, "noise", number, rank).integers(2**62)))
     noise = None
@@ -494,18 +496,18 @@ def _batch(
         chosen, references, settings.source_reference, None if noise is None else noise[1:]
     )
     own = None if noise is None else noise[0]
-    return Batch(chosen.sources(), chosen.targets(), target, source, own, generator)
+    images = [chosen.seen(rows) for rows in chosen.pairs.unbind(dim=1)]
+    return Batch(images[0], images[1], target, source, own, generator)
 
 
 def _latents(
-    pairs: ImagePairs, references: Posterior, source_reference: bool, noise: torch.Tensor | None
+    pairs: PairedFrames, references: Posterior, source_reference: bool, noise: torch.Tensor | None
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
     """Return the latents of the targets' references, and of the sources if they are an input."""
     drawn = (None, None) if noise is None else (noise[0], noise[1])
-    target = references.rows(pairs.reference[pairs.target]).at(drawn[0])
-    if not source_reference:
-        return target, None
-    return target, references.rows(pairs.reference[pairs.source]).at(drawn[1])
+    own, other = pairs.reference[pairs.pairs].unbind(dim=1)
+    target = references.rows(other).at(drawn[0])
+    return target, references.rows(own).at(drawn[1]) if source_reference else None
 
 
 # Command
@@ -559,6 +561,8 @@ def train_in(
     sensors = trained_on(archive, split, sensors)
     require_base_folder(settings.weights.base)
     base = fingerprint(settings.weights.base)
+    roles: tuple[Role, ...] = ("train", "validation")
+    rows = [paired_rows(archive, split, sensors, role, preset=pairing) for role in roles]
     frames = " ".join(["archive", archive_fingerprint(archive), split.fingerprint, *sensors])
     vae_adapter, state, begun = None, None, ""
     if marker_vae is not None:
@@ -572,17 +576,9 @@ def train_in(
 
     def read_images(session: Session) -> list[torch.Tensor]:
         """Return the frames of training and validation, for the marker VAE."""
-        return [
-            read_role_images(
-                archive,
-                split,
-                role,
-                sensors=sensors,
-                device=session.device,
-                progress=session.reading,
-            )
-            for role in ("train", "validation")
-        ]
+        chosen = [archive[name] for name in sensors]
+        every = [[split.rows(each.table, role) for each in chosen] for role in roles]
+        return [read_frames_of(chosen, each, session.device, session.reading) for each in every]
 
     def train_it(session: Session) -> None:
         adapter = vae_adapter
@@ -593,28 +589,23 @@ def train_in(
             session = replace(session, accelerator=accelerator(settings.launch))
         pretrained = read_pretrained(settings)
         pairs, validation = (
-            read_image_pairs(
-                archive,
-                split,
-                role,
-                sensors=sensors,
-                preset=pairing,
-                device=session.device,
-                progress=session.reading,
+            read_paired(
+                archive, each, preset=pairing, device=session.device, progress=session.reading
             )
-            if len(split.locations(role))
-            else None
-            for role in ("train", "validation")
+            for each in rows
         )
-        if pairs is None:
-            raise LearningError("split: found no press to train on; allowed: one or more")
-        print(f"{len(pairs):,} pairs of {', '.join(sensors)}", file=sys.stderr)
+        if not len(pairs.pairs):
+            raise LearningError(
+                f"{archive.name}: {', '.join(sensors)} have no location pairs with role train; "
+                "allowed: sensors that were pressed at the same places"
+            )
+        print(f"{len(pairs.pairs):,} pairs of {', '.join(sensors)}", file=sys.stderr)
         with session.stop:
             train(
                 pairs,
                 pretrained,
                 settings,
-                validation,
+                validation if len(validation.pairs) else None,
                 session,
                 vae_adapter=adapter,
                 start_from=state,

@@ -6,7 +6,7 @@ not depend on the device.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +19,8 @@ from torch.nn import functional
 from learning.config import require
 from learning.data.images import SIDE as IMAGE_SIDE
 from learning.data.images import read_fields
-from learning.data.presses import FRAME_BYTES, free_bytes, read_frames_of
+from learning.data.pairs import PairedFrames, paired_rows, read_paired
+from learning.data.presses import FRAME_BYTES, free_bytes
 from learning.data.splits import Role, Split
 from learning.data.synthetic import Patterns, pixel_grid, sample_patterns
 from learning.errors import LearningError
@@ -31,7 +32,7 @@ from learning.translation.field.network import (
     signed_distance,
 )
 from learning.translation.translator import SensorView
-from recorder.archive import ArchivedSensor, MarkerArchive, location_pairs
+from recorder.archive import ArchivedSensor, MarkerArchive
 from recorder.markers import HEIGHT, WIDTH, unpack
 
 _AT_ONCE = 256  # frames read at once
@@ -68,57 +69,16 @@ class ExampleSettings:
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Frames:
-    """Concatenated frames of some sensors, all on one device."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Frames(PairedFrames):
+    """Frames with what the field net compares them with, all on one device."""
 
-    images: Tensor
-    """(n, 256, 256) uint8."""
-    sensor: Tensor
-    """Index of the sensor of each frame (n,) int64."""
-    reference: Tensor
-    """Row of `distances` for each frame (n,) int64."""
     distances: Tensor
     """Signed distances of the reference masks (k, 1, 256, 256) float16 [px of 640 x 480]."""
     scales: Tensor
     """Millimetres per pixel (column, row) of each sensor (s, 2) float32."""
-    pairs: Tensor
-    """Rows of source and target frames under the same press (m, 2) int64."""
-    shift: Tensor | None = None
+    shift: Tensor | None
     """True shift (n, 2, 64, 64) float16 [px], NaN if a frame has none; None: no frame has one."""
-
-    def __post_init__(self) -> None:
-        """Reject inconsistent tensors."""
-        count, square = len(self.images), (IMAGE_SIDE, IMAGE_SIDE)
-        due = {
-            "images": (count, *square),
-            "sensor": (count,),
-            "reference": (count,),
-            "distances": (len(self.distances), 1, *square),
-            "scales": (len(self.scales), 2),
-            "pairs": (len(self.pairs), 2),
-        }
-        if self.shift is not None:
-            due["shift"] = (count, 2, SIDE, SIDE)
-        for name, shape in due.items():
-            found = tuple(getattr(self, name).shape)
-            if found != shape:
-                raise LearningError(f"{name}: found shape {found}; allowed: {shape}")
-        if not count:
-            raise LearningError("images: found none; allowed: one or more frames")
-
-    def __len__(self) -> int:
-        """Return the number of frames."""
-        return len(self.images)
-
-    @property
-    def device(self) -> torch.device:
-        """Device of the frames."""
-        return self.images.device
-
-    def seen(self, rows: Tensor) -> Tensor:
-        """Return some frames in 0..1 (m, 1, 256, 256) float32."""
-        return self.images[rows].unsqueeze(1).float() / 255
 
     def distance(self, rows: Tensor) -> Tensor:
         """Return signed distances of the frames' references (m, 1, 256, 256) float32 [px]."""
@@ -150,48 +110,33 @@ def gather_role(
         device: Device for the frames.
         progress: Called with the number of frames read and the total.
     """
-    rows, device = {}, torch.device(device)
-    for name in sensors:
-        if name not in archive:
-            raise LearningError(f"{archive.name}: no sensor {name!r}; known: {', '.join(archive)}")
-        table = archive[name].table
-        there = split.rows(table, role)
-        # Pairing a sensor with itself gives all frames that can occur in pairs.
-        paired = np.isin(there, location_pairs(table, table).source)
-        rows[name] = np.sort(there[paired | (table["frame"][there] % every == 0)])
-    counts = [len(each) for each in rows.values()]
-    if not any(counts):
+    rows, device = paired_rows(archive, split, sensors, role, every=every), torch.device(device)
+    count = sum(map(len, rows.values()))
+    if not count:
         return None
     # Concatenated shifts are held twice; afterwards that half is free for training.
-    needed, free = sum(counts) * (FRAME_BYTES + _SHIFT_BYTES), free_bytes(device) / 2
+    needed, free = count * (FRAME_BYTES + _SHIFT_BYTES), free_bytes(device) / 2
     if needed > free:
         raise LearningError(
-            f"frames: found {sum(counts):,}, {needed / 1e9:.1f} GB; allowed: {free / 1e9:.1f} GB "
+            f"frames: found {count:,}, {needed / 1e9:.1f} GB; allowed: {free / 1e9:.1f} GB "
             f"on {device} (a larger every_frame, fewer sensors)"
         )
-    chosen = [archive[name] for name in rows]
-    images = read_frames_of(chosen, [*rows.values()], device, progress)
-    references, distances, shifts, held = [], [], [], 0
-    for sensor, wanted in zip(chosen, rows.values(), strict=True):
+    paired = read_paired(archive, rows, device=device, progress=progress)
+    distances, shifts, views = [], [], []
+    for name, wanted in rows.items():
+        sensor = archive[name]
         for first in range(0, len(wanted), _AT_ONCE):
             shifts.append(_shifts(sensor, wanted[first : first + _AT_ONCE], device))
         own = distances_of(unpack(sensor.references), device)
         if not bool((own > 0).flatten(1).any(dim=1).all()):
-            raise LearningError(
-                f"{sensor.name}: found a reference without markers; allowed: markers"
-            )
+            raise LearningError(f"{name}: found a reference without markers; allowed: markers")
         distances.append(own)
-        references.append(held + sensor.table["reference"][wanted].astype(np.int64))
-        held += len(own)
+        views.append(SensorView.of(sensor))
     shift = torch.cat(shifts)
-    views = [SensorView.of(sensor) for sensor in chosen]
     return Frames(
-        images=images,
-        sensor=torch.repeat_interleave(torch.tensor(counts)).to(device),
-        reference=torch.from_numpy(np.concatenate(references)).to(device),
+        **vars(paired),
         distances=torch.cat(distances),
         scales=torch.tensor([(v.mm_per_column, v.mm_per_row) for v in views]).to(device),
-        pairs=torch.from_numpy(_pairs(archive, rows)).to(device),
         shift=shift if bool(shift.isfinite().any()) else None,
     )
 
@@ -217,22 +162,6 @@ def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.devic
     shift = from_displacement(displacement, sensor.lattice).half()
     shift[~known.flatten(1).any(dim=1)] = torch.nan
     return shift
-
-
-def _pairs(archive: MarkerArchive, rows: Mapping[str, NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Return frame rows (m, 2) of the location pairs of all directed pairs of sensors."""
-    begins = np.cumsum([0, *(len(each) for each in rows.values())])
-    found = [np.zeros((0, 2), np.int64)]
-    for source, source_begin in zip(rows, begins, strict=False):
-        for target, target_begin in zip(rows, begins, strict=False):
-            if source == target:
-                continue
-            pairs = location_pairs(archive[source].table, archive[target].table)
-            there = np.isin(pairs.source, rows[source]) & np.isin(pairs.target, rows[target])
-            one = source_begin + np.searchsorted(rows[source], pairs.source[there])
-            other = target_begin + np.searchsorted(rows[target], pairs.target[there])
-            found.append(np.stack([one, other], axis=1).astype(np.int64))
-    return np.concatenate(found)
 
 
 _DRAWN_AT_ONCE = 8
