@@ -227,4 +227,4 @@ def test_the_full_size_check_measures_and_writes(tmp_path: Path) -> None:
     assert [row["batch"] for row in found["measured"]] == [1, 2]
     assert all(row["training_images_per_s"] > 0 for row in found["measured"])
     assert "mean square on 4 pairs" in table(found)
-    assert len(overfitted_pairs(3, SIDE, torch.device("cpu"))) == 3
+    assert len(overfitted_pairs(3, SIDE, torch.device("cpu")).pairs) == 3

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from benchmarks.learning.paper_chain.card import card
 from benchmarks.learning.paper_chain.sizes import ALONE, RECIPES, SEED, Size, write_base
-from learning.compensation.fit import PairCompensation, StoredCompensation, find_compensation
 from benchmarks.learning.sums import r_squared_of_sums
+from learning.compensation.fit import PairCompensation, StoredCompensation, find_compensation
 from learning.config import read_settings
 from learning.data.images import shrink, shrink_masks, unpack_masks
 from learning.data.pairs import paired_rows, read_paired
