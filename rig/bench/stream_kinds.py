@@ -18,6 +18,7 @@ from recorder import (
     pose_spec,
     taxels_spec,
 )
+from recorder.command_line.extras import extra_of
 from rig.core.clock import Clock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
@@ -168,7 +169,8 @@ class BenchStream:
         try:
             return device.make_driver(self.config, clock)
         except ImportError as error:
-            cure = "install the extra: pip install 'tactile-rig[rig]'"
+            extra = extra_of(error.name or "", "rig") or "rig"
+            cure = f"install the extra: pip install 'tactile-rig[{extra}]'"
             if device.kind not in registry.DEVICES:
                 cure = f"the device {device.kind} of another package needs it"
             raise ConfigError(f"{self.name}: {error.name} is not installed; {cure}") from None

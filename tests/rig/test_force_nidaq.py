@@ -16,10 +16,11 @@ import pytest
 from support.cal_files import emit_calibration
 from support.drivers import FixedWorld, collect, opening, running
 
+from rig.bench.stream_kinds import BenchStream
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
-from rig.devices.force import nidaq_task
+from rig.devices.force import nidaq
 from rig.devices.force.calibration import ToolTransform, read_calibration
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
@@ -145,8 +146,8 @@ def test_a_stopped_sample_clock_leaves_a_gap_as_long_as_it_stood(host: str) -> N
 def test_an_overrun_starts_anew_and_counts_what_was_lost(
     host: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(nidaq_task, "_BUFFER_MIN", 100)
-    monkeypatch.setattr(nidaq_task, "_BUFFER_SECONDS", 0.1)
+    monkeypatch.setattr(nidaq, "_BUFFER_MIN", 100)
+    monkeypatch.setattr(nidaq, "_BUFFER_SECONDS", 0.1)
     burst = threading.Event()
 
     def flood(volts: np.ndarray) -> np.ndarray:
@@ -263,9 +264,14 @@ def test_a_setting_that_reads_back_otherwise_is_refused(
 
 
 def test_without_the_library_the_extra_is_named(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "rig.devices.force.nidaq_task")
+    monkeypatch.delitem(sys.modules, "rig.devices.force.nidaq")
     monkeypatch.setitem(sys.modules, "nidaqmx", None)
-    assert "install the extra: pip install 'tactile-rig[nidaq]'" in rejected(host)
+    config = NidaqConfig(str(CALIBRATION), grpc=f"{host}:{PORT}")
+    with pytest.raises(ConfigError) as caught:
+        BenchStream("force", config).driver(CLOCK)
+    assert str(caught.value) == (
+        "force: nidaqmx is not installed; install the extra: pip install 'tactile-rig[nidaq]'"
+    )
 
 
 def test_without_the_driver_of_the_card_it_is_said_so() -> None:
