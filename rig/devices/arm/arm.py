@@ -1,26 +1,46 @@
 """The arm as seen by the recording process: commands run in a supervised child, which may crash.
 
+The child may crash (ur_rtde, SIGSEGV) or hang (a command to a controller that is gone: 300 s). Both
+are reported as DeviceLost within a bounded time, and leave no zombie.
+
 An end that leaves the arm usable is returned as a `MoveResult`. Otherwise DeviceLost is raised (the
 arm, or data the guard needs, is gone) or SafetyStop (a hard limit, or a controller safety stop).
 """
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import logging
-from collections.abc import Callable, Mapping
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Literal, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.core.clock import Clock, SystemClock
+from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import Guard, GuardLimits, Mode
-from rig.devices.arm.messages import Close, Halt, Move, Reply, Retract, Setup
+from rig.devices.arm.messages import (
+    START,
+    Alarm,
+    Command,
+    Move,
+    Order,
+    Reply,
+    Report,
+    Setup,
+    Started,
+)
 from rig.devices.arm.settings import ArmConfig
-from rig.devices.arm.supervisor import Child, HasFileno
 
 logger = logging.getLogger(__name__)
 
@@ -28,6 +48,24 @@ logger = logging.getLogger(__name__)
 _ANSWER = 10.0
 # The same for a halt, which may have to wait for a move to end [s].
 _STOP_ANSWER = 5.0
+# Interval between two calls of `on_wait` [s].
+_SLICE = 0.05
+# After its last report a child has this long to end before it is killed [s].
+_EXIT = 3.0
+
+
+class HasFileno(Protocol):
+    """Object that can be waited for: a socket, a connection."""
+
+    def fileno(self) -> int:
+        """Return the file descriptor."""
+
+
+def _move_arm(setup: Setup, pipe: Connection) -> NoReturn:
+    """Run the arm's process, which alone loads what moves the arm."""
+    from rig.devices.arm import motion
+
+    motion.run(setup, pipe)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +83,7 @@ class MoveResult:
 
 
 class Arm:
-    """Moves one UR e-Series arm under the guard.
+    """Moves one UR e-Series arm under the guard. Safe to use from several threads.
 
     Args:
         config: Address, tool and speeds.
@@ -68,22 +106,48 @@ class Arm:
         clock: Clock | None = None,
     ) -> None:
         self._config = config
-        setup = Setup(config, _floats(contact_frame), limits, pose_path, tuple(guards.items()))
-        self._child = Child(setup, clock or SystemClock())
+        self._setup = Setup(
+            config, _floats(contact_frame), limits, pose_path, tuple(guards.items())
+        )
+        self._clock = clock or SystemClock()
+        self._process: SpawnProcess | None = None
+        self._pipe: Connection | None = None
+        self._numbers = itertools.count(START + 1)
+        self._reports: dict[int, Reply | Started] = {}
+        self._where = f"arm at {config.host}"
+        self._lost = f"{self._where}: not started"
+        # Last one raised by the guard while no command was running.
+        self._alarm: Alarm | None = None
+        # Reentrant: a signal handler may halt while its own thread waits for a move.
+        self._lock = threading.RLock()
 
     def start(self, timeout: float) -> None:
         """Start the child and wait at most `timeout` [s] until the arm accepts commands."""
-        if self._child.alive:
+        if self.alive:
             return
-        reply = self._child.start(timeout)
+        self._discard()
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        # Daemon: at a normal exit of this process the child gets SIGTERM, halts and retracts.
+        self._process = context.Process(
+            target=_move_arm, args=(self._setup, theirs), name="arm", daemon=True
+        )
+        self._pipe, self._numbers = ours, itertools.count(START + 1)
+        try:
+            with _interrupts_held():
+                self._process.start()
+        finally:
+            theirs.close()
+        reply = self._answer(START, timeout)
         if reply.outcome != "done":
-            self._child.discard(reply.reason)
+            self._discard(reply.reason)
             _raise_for(reply)
 
     @property
     def alive(self) -> bool:
         """True while the child runs; False after any crash."""
-        return self._child.alive
+        with self._lock:
+            return self._process is not None and self._process.is_alive()
 
     def move(
         self,
@@ -110,7 +174,7 @@ class Arm:
         slow = mode == "guarded"
         speed = speed or (config.speed if slow else config.travel_speed)
         acceleration = acceleration or (config.acceleration if slow else config.travel_acceleration)
-        reply = self._child.ask(
+        reply = self._ask(
             lambda number: Move(number, target, speed, acceleration, mode), _ANSWER, on_wait, wake
         )
         if reply.outcome == "device_lost" or reply.outcome == "safety_stop":
@@ -119,7 +183,7 @@ class Arm:
 
     def halt(self) -> None:
         """Stop and wait until the arm is at rest; a `move` in another thread ends as "stopped"."""
-        reply = self._child.ask(Halt, _STOP_ANSWER)
+        reply = self._ask(partial(Order, what="halt"), _STOP_ANSWER)
         if reply.outcome != "done":
             _raise_for(reply)
 
@@ -129,7 +193,7 @@ class Arm:
         Does not raise when the arm is lost, since it is called while shutting down.
         """
         try:
-            reply = self._child.ask(Retract, _STOP_ANSWER)
+            reply = self._ask(partial(Order, what="retract"), _STOP_ANSWER)
         except DeviceLost as error:
             logger.warning("no retract: %s", error)
             return False
@@ -152,21 +216,162 @@ class Arm:
 
     def check(self) -> None:
         """Raise if the guard found a problem while no command was running."""
-        self._child.poll()
-        alarm, self._child.alarm = self._child.alarm, None
+        self._pump(0.0)
+        alarm, self._alarm = self._alarm, None
         if alarm is not None:
             lost = alarm.kind in ("stale_force", "stale_pose")
             raise (DeviceLost if lost else SafetyStop)(alarm.reason)
 
     def close(self) -> None:
         """Stop the arm in place and end the child; may be called twice."""
-        if self._child.alive:
+        if self.alive:
             try:
-                self._child.ask(Close, _STOP_ANSWER)
-                self._child.join()
+                self._ask(partial(Order, what="close"), _STOP_ANSWER)
+                self._join()
             except DeviceLost as error:
                 logger.warning("arm not closed in order: %s", error)
-        self._child.discard()
+        self._discard()
+
+    def _ask(
+        self,
+        make: Callable[[int], Command],
+        timeout: float,
+        on_wait: Callable[[], None] | None = None,
+        wake: HasFileno | None = None,
+    ) -> Reply:
+        """Send the command that `make` builds from a number, and return the reply to it.
+
+        Args:
+            make: Called once.
+            timeout: For the reply, or for the report of its start and time limit [s].
+            on_wait: Called about 20 times a second; an exception leaves the command running.
+            wake: When it becomes readable, `on_wait` is called at once and must drain it.
+        """
+        number = next(self._numbers)
+        command = make(number)
+        with self._lock:
+            pipe = self._require_pipe()
+            # A child that has just ended may have left the reason in the pipe: continue reading.
+            with contextlib.suppress(OSError), _interrupts_held():
+                pipe.send(command)
+        return self._answer(number, timeout, on_wait, wake)
+
+    def _require_pipe(self) -> Connection:
+        if self._pipe is None:
+            raise DeviceLost(self._lost)
+        return self._pipe
+
+    def _answer(
+        self,
+        number: int,
+        timeout: float,
+        on_wait: Callable[[], None] | None = None,
+        wake: HasFileno | None = None,
+    ) -> Reply:
+        deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
+        while True:
+            with self._lock:
+                report = self._reports.pop(number, None)
+            if isinstance(report, Started):
+                deadline_ns = self._clock.now_ns() + round(report.limit * SECOND_NS)
+            elif report is not None:
+                if report.outcome == "device_lost" and report.kind is None:
+                    # The child's last report (a violation has a kind): let it end before anybody
+                    # checks whether it is alive.
+                    self._join()
+                    self._discard(report.reason)
+                return report
+            if self._clock.now_ns() > deadline_ns:
+                self._discard(
+                    f"{self._where}: the process that moves it did not answer and was ended; "
+                    "the controller's watchdog stops the arm. Is the network cable in?"
+                )
+                self._require_pipe()
+            self._pump(_SLICE, wake)
+            if on_wait is not None:
+                on_wait()
+
+    def _pump(self, timeout: float, wake: HasFileno | None = None) -> None:
+        """Wait up to `timeout` [s] for a report and file it, or detect that the child is dead."""
+        with self._lock:
+            pipe, process = self._require_pipe(), self._process
+            if process is None:
+                return
+            wait([pipe, process.sentinel, *(() if wake is None else (wake,))], timeout)
+            try:
+                if pipe.poll(0):
+                    with _interrupts_held():
+                        self._file(pipe.recv())
+                    return
+                if process.is_alive():
+                    return
+            except (EOFError, OSError):
+                pass
+            process.join(_EXIT)
+            code = process.exitcode
+            died = "crashed" if code is None or code < 0 else "ended"
+            why = (
+                f"{self._where}: the process that moves it {died} (exit code {code}); "
+                "the controller's watchdog stops the arm. Was the connection or the power cut?"
+            )
+            for report in self._reports.values():
+                # Between two commands, the reason comes under the number of the last one.
+                if isinstance(report, Reply) and report.outcome == "device_lost":
+                    why = report.reason
+            self._discard(why)
+            self._require_pipe()
+
+    def _file(self, report: Report) -> None:
+        if isinstance(report, Alarm):
+            self._alarm = report
+            return
+        self._reports[report.number] = report
+        # Replies nobody waits for any more, after an interrupted move, must not accumulate.
+        for number in sorted(self._reports)[:-8]:
+            del self._reports[number]
+
+    def _discard(self, why: str | None = None) -> None:
+        """End the child, if any, within bounded time and without leaving a zombie.
+
+        Args:
+            why: Message of the error that later calls raise.
+        """
+        with self._lock:
+            self._lost = why or f"{self._where}: not started"
+            if self._process is not None:
+                if self._process.pid is not None:
+                    self._process.join(0)
+                    self._process.kill()
+                    self._process.join()
+                self._process.close()
+                self._process = None
+            if self._pipe is not None:
+                self._pipe.close()
+                self._pipe = None
+            self._reports.clear()
+            self._alarm = None
+
+    def _join(self) -> None:
+        """Wait for a child that was asked to end."""
+        if self._process is not None:
+            self._process.join(_EXIT)
+
+
+def _move_arm(setup: Setup, pipe: Connection) -> NoReturn:
+    """Run the arm's process, which alone loads what moves the arm."""
+    from rig.devices.arm import motion
+
+    motion.run(setup, pipe)
+
+
+@contextlib.contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Defer Ctrl-C and hang-up: half a message, or a child without its handlers, is useless."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _floats(values: ArrayLike) -> tuple[float, ...]:

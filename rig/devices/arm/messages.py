@@ -49,27 +49,16 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Halt:
-    """Stop and come to rest."""
+class Order:
+    """Any other command; the arm stops and comes to rest before each."""
 
     number: int
+    what: Literal["halt", "retract", "close"]
+    """`retract`: move away along +z of the contact frame. `close`: end the program on the
+    controller, and the child."""
 
 
-@dataclass(frozen=True, slots=True)
-class Retract:
-    """Stop, then move away along +z of the contact frame."""
-
-    number: int
-
-
-@dataclass(frozen=True, slots=True)
-class Close:
-    """End the program on the controller, and the child."""
-
-    number: int
-
-
-Command = Move | Halt | Retract | Close
+Command = Move | Order
 
 
 @dataclass(frozen=True, slots=True)

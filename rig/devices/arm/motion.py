@@ -1,7 +1,7 @@
 """The process that moves the arm: it owns ur_rtde, polls the guard and obeys the pipe.
 
 ur_rtde crashes its process when the connection drops (SIGSEGV), so it lives here, under the
-supervision of `rig.devices.arm.supervisor`. A closed pipe means that the recording process is gone:
+supervision of `rig.devices.arm.arm`. A closed pipe means that the recording process is gone:
 the arm halts and retracts, and this process ends. After a protective or emergency stop no command
 is sent.
 """
@@ -22,14 +22,12 @@ from rig.core.guard import Kind
 from rig.devices.arm.messages import (
     START,
     Alarm,
-    Close,
     Command,
-    Halt,
     Move,
+    Order,
     Outcome,
     Reply,
     Report,
-    Retract,
     Setup,
     Started,
 )
@@ -145,7 +143,7 @@ class Motion:
                 command = self._next_command()
                 number = command.number
                 self._obey(command)
-                if isinstance(command, Close):
+                if isinstance(command, Order) and command.what == "close":
                     return 0
         except _ParentGoneError:
             self._leave()
@@ -168,20 +166,21 @@ class Motion:
 
     def _obey(self, command: Command) -> None:
         start_ns = self._clock.now_ns()
-        if not isinstance(command, Move):
+        what = None if isinstance(command, Move) else command.what
+        if what is not None:
             self._mover.halt()
         latched = self._mover.latched
-        if isinstance(command, Close):
+        if what == "close":
             self._control.close()
             self._reply(command.number, "done", start_ns)
         elif latched is not None:
             self._reply(command.number, "safety_stop", start_ns, latched.reason, latched.kind)
-        elif isinstance(command, Halt):
-            self._reply(command.number, "done", start_ns)
-        elif isinstance(command, Retract):
+        elif isinstance(command, Move):
+            self._move(command)
+        elif what == "retract":
             self._move(self._mover.retract_command(command.number))
         else:
-            self._move(command)
+            self._reply(command.number, "done", start_ns)
 
     def _move(self, move: Move) -> None:
         self._send(self._mover.move(move, lambda limit: self._send(Started(move.number, limit))))
