@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -46,10 +47,10 @@ RUN_FOLDER = "runfolder"
 READER = replace(
     PLAIN_READER,
     families={
-        ForceSettings: registry.family("force"),
-        CameraSettings: registry.family("camera"),
-        TaxelSettings: registry.family("taxels"),
-        StreamSettings: registry.family(None),
+        ForceSettings: partial(registry.settings_of, stream="force"),
+        CameraSettings: partial(registry.settings_of, stream="camera"),
+        TaxelSettings: partial(registry.settings_of, stream="taxels"),
+        StreamSettings: partial(registry.settings_of, stream=None),
     },
 )
 # Most targets of a plan. More are a mistake in a unit: they would take days to press.

@@ -22,7 +22,7 @@ from recorder.command_line.extras import extra_of
 from rig.core.clock import Clock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
-from rig.core.samples import CAMERA_LATEST, FORCE_LATEST, POSE_LATEST, latest_dtype
+from rig.core.samples import latest_dtype
 from rig.devices import registry
 
 
@@ -32,8 +32,6 @@ class StreamKind:
 
     spec: Callable[..., StreamSpec]
     """Returns its storage, given its rate [Hz]."""
-    latest: np.dtype[Any]
-    """Dtype of its newest sample in shared memory."""
     record: Callable[[dict[str, Any], int], tuple[Any, ...]]
     """Builds that record from a sample's columns and row (-1 while nothing is recorded)."""
     averaged: bool
@@ -45,13 +43,11 @@ class StreamKind:
 KINDS = {
     "force": StreamKind(
         force_spec,
-        FORCE_LATEST,
         lambda sample, row: (sample["t_ns"], sample["status"], sample["value"]),
         True,
     ),
     "pose": StreamKind(
         pose_spec,
-        POSE_LATEST,
         lambda sample, row: (
             sample["t_ns"],
             sample["device_t"],
@@ -64,16 +60,12 @@ KINDS = {
     ),
     "arm_wrench": StreamKind(
         arm_wrench_spec,
-        FORCE_LATEST,
         lambda sample, row: (sample["t_ns"], 0, sample["value"]),
         True,
     ),
-    "camera": StreamKind(
-        camera_spec, CAMERA_LATEST, lambda sample, row: (sample["t_ns"], row), False
-    ),
+    "camera": StreamKind(camera_spec, lambda sample, row: (sample["t_ns"], row), False),
     "taxels": StreamKind(
         taxels_spec,
-        latest_dtype("taxels", (16, 3)),
         lambda sample, row: (sample["t_ns"], sample["value"]),
         True,
     ),
@@ -132,9 +124,7 @@ class BenchStream:
     @property
     def latest(self) -> np.dtype[Any]:
         """Dtype of its newest sample in shared memory."""
-        if self.shape:
-            return latest_dtype(self.kind, tuple(self.shape.values()))
-        return KINDS[self.kind].latest
+        return latest_dtype(self.kind, tuple(self.shape.values()))
 
     def empty_spec(self) -> StreamSpec:
         """Return its storage as far as it is known before its device is open."""

@@ -170,17 +170,16 @@ def _missing(kind: Kind, record: str) -> Violation:
     return Violation(kind, f"no {record} has arrived yet: is its stream running?")
 
 
-def _stale(
-    kind: Kind, record: str, now_ns: int, records: np.ndarray, limit: float
+def stale(
+    kind: Kind, record: str, now_ns: int, t_ns: int, limit: float, cause: str
 ) -> Violation | None:
-    age_ns = now_ns - int(records["t_ns"][-1])
+    """Return the violation of a record of `t_ns` that is older than `limit` [s], or None."""
+    age_ns = now_ns - t_ns
     if age_ns <= round(limit * SECOND_NS):
         return None
-    device = "F/T sensor" if record == "force" else "pose stream"
     return Violation(
         kind,
-        f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms: "
-        f"check the {device} and its cable",
+        f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms: {cause}",
     )
 
 
@@ -226,7 +225,9 @@ class MotionGuard:
         safety = judge_safety(int(np.bitwise_or.reduce(records["safety_status"])))
         if safety is not None or mode == "retreat":
             return safety
-        late = _stale("stale_pose", "pose", now_ns, records, self._limits.stale_pose)
+        newest_ns, limit = int(records["t_ns"][-1]), self._limits.stale_pose
+        cause = "check the pose stream and its cable"
+        late = stale("stale_pose", "pose", now_ns, newest_ns, limit, cause)
         if late is not None:
             return late
         for point in records["value"][:, :3] @ self._turn.T + self._shift:
@@ -275,7 +276,8 @@ class ForceGuard:
         ahead = self._predict()
         newest = self._loads(forces[-1].tolist())
         later = self._loads(ahead) if ahead is not None else newest
-        late = _stale("stale_force", "force", now_ns, records, limits.stale_force)
+        arrived_ns, cause = int(records["t_ns"][-1]), "check the F/T sensor and its cable"
+        late = stale("stale_force", "force", now_ns, arrived_ns, limits.stale_force, cause)
         if mode == "retreat":
             # A sensor lost under load must not keep the arm there, nor a single bad record.
             before = self._loads(self._history[-2][1]) if len(self._history) > 1 else None

@@ -13,19 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rig.core.clock import SECOND_NS
-from rig.core.guard import Mode, Violation
+from rig.core.guard import Mode, Violation, stale
 from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
-
-
-def _stale(what: str, now_ns: int, t_ns: int, limit: float, cause: str) -> Violation | None:
-    age = (now_ns - t_ns) / SECOND_NS
-    if age <= limit:
-        return None
-    return Violation(
-        "stale_force",
-        f"{what} is {1e3 * age:.0f} ms old, allowed {1e3 * limit:.0f} ms: {cause}",
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,21 +38,17 @@ class SignalGuard:
             return None
         if records is None:
             return Violation("stale_force", "no signal of the sensor has arrived yet")
-        fresh = _stale(
-            "newest signal",
-            now_ns,
-            int(records["t_ns"][-1]),
-            self.stale,
-            "check the sensor and its cable",
-        ) or _stale(
-            "newest signal that changed",
-            now_ns,
-            int(records["fresh_ns"][-1]),
-            self.stale,
-            "the sensor repeats one picture or reading: is it frozen?",
-        )
-        if fresh is not None:
-            return fresh
+        for what, field, cause in (
+            ("signal", "t_ns", "check the sensor and its cable"),
+            (
+                "signal that changed",
+                "fresh_ns",
+                "the sensor repeats one picture or reading: is it frozen?",
+            ),
+        ):
+            t_ns = int(records[field][-1])
+            if late := stale("stale_force", what, now_ns, t_ns, self.stale, cause):
+                return late
         what = "a marker moved" if self.unit == "px" else "a taxel changed"
         motion = float(records["motion"].max())
         # Negated, so that NaN stops too.
@@ -95,14 +80,8 @@ class CrashGuard:
             return None
         if records is None:
             return Violation("stale_force", "no wrench of the arm has arrived yet")
-        late = _stale(
-            "newest wrench of the arm",
-            now_ns,
-            int(records["t_ns"][-1]),
-            self.stale,
-            "check its cable",
-        )
-        if late is not None:
+        t_ns, cause = int(records["t_ns"][-1]), "check its cable"
+        if late := stale("stale_force", "wrench of the arm", now_ns, t_ns, self.stale, cause):
             return late
         force = float(np.linalg.norm(records["value"][:, :3], axis=1).max())
         if not force <= self.force:

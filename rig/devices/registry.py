@@ -7,7 +7,7 @@ its value a `Device`. docs/how-to/add-a-device.md writes one.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -81,7 +81,7 @@ DEVICES = {
         Device(ArmConfig, "rig.devices.arm.reader:RtdePoseDriver", "rig.devices.arm.emulator", _UR),
         # Further readers of the same controller.
         Device(PoseConfig, "rig.devices.arm.reader:RtdePoseDriver", cures=_UR),
-        Device(WrenchConfig, "rig.devices.arm.wrench:RtdeWrenchDriver", cures=_UR),
+        Device(WrenchConfig, "rig.devices.arm.reader:RtdeWrenchDriver", cures=_UR),
         Device(
             NetFtConfig,
             "rig.devices.force.netft:NetFtDriver",
@@ -155,12 +155,12 @@ def contract_devices() -> list[Device]:
     return [each for each in (*DEVICES.values(), *foreign) if each.example]
 
 
-def settings_of(stream: str | None, kind: Any) -> dict[str, type[Any]]:
+def settings_of(kind: Any, *, stream: str | None) -> dict[str, type[Any]]:
     """Return the settings of all devices with a stream, by kind, for the reader of bench files.
 
     Args:
-        stream: Kind of the stream; None: any but the arm's own.
         kind: Kind that the bench file names: other packages are looked at if none of ours has it.
+        stream: Kind of the stream; None: any but the arm's own.
     """
     devices = list(DEVICES.values())
     if isinstance(kind, str) and kind not in DEVICES:
@@ -201,8 +201,3 @@ def _loaded(kind: str) -> Device:
             f"{kind!r}"
         )
     return found
-
-
-def family(stream: str | None) -> Callable[[Any], dict[str, type[Any]]]:
-    """Return `settings_of` for one kind of stream."""
-    return functools.partial(settings_of, stream)

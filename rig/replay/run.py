@@ -14,7 +14,6 @@ from recorder.progress import duration
 from rig.acquire.control import InterruptFlag
 from rig.acquire.streams import StreamHandle
 from rig.bench.bench import Bench
-from rig.bench.stream_kinds import KINDS
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import DeviceLost
 from rig.core.playback import ENDED, load_recorded_stream
@@ -180,7 +179,7 @@ class ReplayedRun:
             for name in names:
                 self._handles[name] = StreamHandle(name, self._bench, self._folder)
                 path = self._folder / f"{name}.latest"
-                self._latest[name] = SharedLatest.attach(path, KINDS[self._kinds[name]].latest)
+                self._latest[name] = SharedLatest.attach(path, self._bench.row(name).latest)
             for name in names:
                 interrupt.check()
                 description[name] = self._handles[name].wait_opened()

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from support.jpegs import stripped, without_stamp
 
 from rig.devices.camera.jpeg import (
-    HUFFMAN_SEGMENT,
     frame_stamp,
+    huffman_segment,
     is_whole,
     jpeg_size,
     stamped,
@@ -39,7 +39,7 @@ def test_missing_huffman_tables_are_put_back_and_the_picture_is_the_same() -> No
     bare = stripped(whole)
     assert len(bare) < len(whole) - 400
     restored = with_huffman_tables(bare)
-    assert HUFFMAN_SEGMENT in restored
+    assert huffman_segment() in restored
     image, expected = decoded(restored), decoded(whole)
     assert image is not None
     assert (image == expected).all()

@@ -23,10 +23,10 @@ from rig.devices.camera.camera import OpenCvDriver, V4l2Driver
 from rig.devices.camera.jpeg import frame_stamp, jpeg_size, stamped
 from rig.devices.camera.mjpeg_emulator import (
     FrameSource,
-    LoopSource,
     MjpegEmulator,
     MjpegEmulatorConfig,
-    WorldSource,
+    looped,
+    rendered,
 )
 from rig.devices.camera.settings import CameraConfig
 
@@ -40,14 +40,9 @@ def encoded(value: int, width: int = 640, height: int = 480) -> bytes:
     return cv2.imencode(".jpg", np.full((height, width, 3), value, np.uint8))[1].tobytes()
 
 
-class OneImage:
-    """An endless source of the same file."""
-
-    def __init__(self, jpeg: bytes) -> None:
-        self._jpeg = jpeg
-
-    def jpeg(self, state: np.void) -> bytes:
-        return self._jpeg
+def one_image(jpeg: bytes) -> FrameSource:
+    """Return an endless source of the same file."""
+    return lambda state: jpeg
 
 
 class CountingWorld:
@@ -90,7 +85,7 @@ def opened(host: str, **options: Any) -> AbstractContextManager[OpenCvDriver]:
 
 def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
     jpeg = encoded(77)
-    with emulated(host, OneImage(jpeg)), opened(host) as driver:
+    with emulated(host, one_image(jpeg)), opened(host) as driver:
         samples = collect(driver, 5)
         assert {without_stamp(sample["value"]) for sample in samples} == {jpeg}
         assert all(np.isnan(sample["device_t"]) for sample in samples)
@@ -109,7 +104,7 @@ def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
 
 
 def test_frames_come_in_order_and_are_not_held_back(host: str) -> None:
-    with emulated(host, OneImage(encoded(5))) as emulator, opened(host) as driver:
+    with emulated(host, one_image(encoded(5))) as emulator, opened(host) as driver:
         for _ in range(20):
             newest = emulator.frames.count
             stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 1)]
@@ -123,7 +118,7 @@ def test_huffman_tables_are_put_into_frames_that_lack_them(host: str) -> None:
     from support.jpegs import stripped
 
     whole = encoded(90)
-    with emulated(host, OneImage(stripped(whole))), opened(host) as driver:
+    with emulated(host, one_image(stripped(whole))), opened(host) as driver:
         value = collect(driver, 1)[0]["value"]
         image = cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_COLOR)
         assert image.shape == (480, 640, 3)
@@ -134,14 +129,14 @@ def test_torn_frames_are_counted_and_left_out(host: str) -> None:
     def tear(number: int, jpeg: bytes) -> Iterable[bytes]:
         return (jpeg,) if number % 3 else (jpeg[: len(jpeg) // 2], jpeg[2:])
 
-    with emulated(host, OneImage(encoded(5)), tear), opened(host) as driver:
+    with emulated(host, one_image(encoded(5)), tear), opened(host) as driver:
         stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 20)]
         assert all(stamp is not None and stamp[0] % 3 for stamp in stamps)
         assert driver.rejected["corrupt"] >= 9
 
 
 def test_nothing_but_torn_frames_is_device_lost(host: str) -> None:
-    with emulated(host, OneImage(encoded(5))) as emulator, opened(host) as driver:
+    with emulated(host, one_image(encoded(5))) as emulator, opened(host) as driver:
         emulator.fault = lambda number, jpeg: (jpeg[:-9],)
         with pytest.raises(DeviceLost, match="torn frames in a row"):
             collect(driver, 1000)
@@ -149,7 +144,7 @@ def test_nothing_but_torn_frames_is_device_lost(host: str) -> None:
 
 def test_another_size_than_the_bench_says_is_a_config_error(host: str) -> None:
     with (
-        emulated(host, OneImage(encoded(5, 320, 240))),
+        emulated(host, one_image(encoded(5, 320, 240))),
         pytest.raises(ConfigError, match="asked 640x480, got 320x240"),
         opened(host),
     ):
@@ -174,13 +169,13 @@ def test_a_missing_v4l2_node_is_device_lost() -> None:
 
 def test_the_environment_is_as_it_was_after_opening(host: str) -> None:
     before = dict(os.environ)
-    with emulated(host, OneImage(encoded(5))), opened(host):
+    with emulated(host, one_image(encoded(5))), opened(host):
         assert dict(os.environ) == before
 
 
 def test_a_client_that_does_not_read_gets_few_old_frames(host: str) -> None:
     noisy = cv2.imencode(".jpg", RNG.integers(0, 255, (480, 640, 3), np.uint8))[1].tobytes()
-    with emulated(host, OneImage(noisy)) as emulator:
+    with emulated(host, one_image(noisy)) as emulator:
         with socket.create_connection((host, 8090), 5.0) as slow:
             slow.sendall(b"GET / HTTP/1.0\r\n\r\n")
             while emulator.frames.count < 100:
@@ -202,7 +197,7 @@ def test_frames_of_the_world_carry_the_time_of_its_state(host: str) -> None:
     def view(state: np.void) -> np.ndarray:
         return np.full((480, 640, 3), (200, 40, int(state["t_ns"] // 1_000_000) % 100), np.uint8)
 
-    with emulated(host, WorldSource(view), world=CountingWorld()), opened(host) as driver:
+    with emulated(host, rendered(view), world=CountingWorld()), opened(host) as driver:
         for sample in collect(driver, 5):
             stamp = frame_stamp(sample["value"])
             assert stamp is not None
@@ -222,21 +217,21 @@ def test_a_folder_is_played_in_natural_order_and_jpeg_of_the_right_size_as_it_is
 ) -> None:
     for k in (10, 2, 1):
         (tmp_path / f"image_{k}.jpg").write_bytes(encoded(20 * k))
-    source = LoopSource(tmp_path)
-    played = [source.jpeg(any_state) for _ in range(6)]
+    source = looped(tmp_path)
+    played = [source(any_state) for _ in range(6)]
     assert played == [encoded(20), encoded(40), encoded(200)] * 2
 
 
 def test_each_image_is_held_for_the_asked_ticks(tmp_path: Path, any_state: Any) -> None:
     for k in range(2):
         (tmp_path / f"{k}.jpg").write_bytes(encoded(50 * k))
-    source = LoopSource(tmp_path, hold=3)
-    assert [source.jpeg(any_state) for _ in range(6)] == [encoded(0)] * 3 + [encoded(50)] * 3
+    source = looped(tmp_path, hold=3)
+    assert [source(any_state) for _ in range(6)] == [encoded(0)] * 3 + [encoded(50)] * 3
 
 
 def test_images_of_another_size_are_letterboxed(tmp_path: Path, any_state: Any) -> None:
     cv2.imwrite(str(tmp_path / "wide.png"), np.full((100, 400, 3), 255, np.uint8))
-    jpeg = LoopSource(tmp_path).jpeg(any_state)
+    jpeg = looped(tmp_path)(any_state)
     assert jpeg_size(jpeg) == (640, 480)
     image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert image[240, 320] > 250
@@ -245,7 +240,7 @@ def test_images_of_another_size_are_letterboxed(tmp_path: Path, any_state: Any) 
 
 def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no images"):
-        LoopSource(tmp_path)
+        looped(tmp_path)
 
 
 @pytest.mark.parametrize(("size", "kept"), [((640, 480), True), ((320, 240), False)])
@@ -260,8 +255,8 @@ def test_a_motion_jpeg_video_of_the_right_size_is_played_byte_for_byte(
         writer.write(np.full((size[1], size[0], 3), 80 * k, np.uint8))
     writer.release()
     content = path.read_bytes()
-    source = LoopSource(path)
-    played = [source.jpeg(any_state) for _ in range(6)]
+    source = looped(path)
+    played = [source(any_state) for _ in range(6)]
     assert [jpeg_size(jpeg) for jpeg in played] == [(640, 480)] * 6
     assert all((jpeg in content) == kept for jpeg in played)
     assert played[:3] == played[3:]

@@ -24,7 +24,7 @@ from rig.devices.arm.emulator import ArmEmulator
 from rig.devices.arm.reader import RtdePoseDriver
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.camera.camera import OpenCvDriver
-from rig.devices.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig, WorldSource
+from rig.devices.camera.mjpeg_emulator import MjpegEmulator, MjpegEmulatorConfig, rendered
 from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_emulator import NetFtEmulator, NetFtEmulatorConfig
@@ -220,7 +220,7 @@ def _xela(host: str) -> tuple[Any, Any, Callable[..., Any]]:
 def _mjpeg(host: str) -> tuple[Any, Any, Callable[..., Any]]:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (480, 640, 3)).astype(np.uint8)
-    source = WorldSource(lambda state: image)
+    source = rendered(lambda state: image)
     config = CameraConfig(f"http://{host}:8090/", rate_hz=60.0, silence=0.3)
     emulator = MjpegEmulator(MjpegEmulatorConfig(config, host=host), source, None, CLOCK)
     return emulator, OpenCvDriver(config, CLOCK), emulator.faults.inject

@@ -172,7 +172,7 @@ def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
     with pytest.raises(DeviceLost, match="not a HID device"):
         pedal.open()
     with pytest.raises(DeviceLost, match="not open"):
-        pedal.read(0.1)
+        pedal.report(0.1)
 
 
 def test_an_emulated_node_without_the_shim_says_how_to_get_it(tmp_path: Path) -> None:

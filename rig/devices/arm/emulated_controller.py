@@ -211,6 +211,8 @@ class Program:
 VERSION = (5, 12, 4, 1101661)
 
 _GRAVITY = 9.81
+# Contact force that triggers a protective stop [N].
+_FORCE_MOST = 150.0
 
 # RTDE runtime_state.
 STOPPED, PLAYING = 1, 2
@@ -231,17 +233,15 @@ class Controller:
     Args:
         pose: TCP pose (6,) in the base frame at start [m, rad].
         tcp: TCP (6,) in the flange frame set in the installation [m, rad].
-        force_limit: Contact force that triggers a protective stop [N].
     """
 
-    def __init__(self, pose: Array, tcp: Array, *, force_limit: float = 150.0) -> None:
+    def __init__(self, pose: Array, tcp: Array) -> None:
         self.robot = Robot(pose, tcp)
         self.payload = 0.0
         self.payload_cog = (0.0, 0.0, 0.0)
         self.tool_mass: float | None = None
         """True mass on the flange [kg]; None: the payload that is set."""
         self.version = VERSION
-        self.force_limit = force_limit
         self.wrench = np.zeros(6)
         """On the sensor, from the World [N, N m]; reported as actual_TCP_force unrotated."""
         self.wrist: Wrist | None = None
@@ -358,8 +358,8 @@ class Controller:
             self._braking = None
         self.robot.end_cycle(before)
         force = float(np.linalg.norm(self.wrench[:3]))
-        if force > self.force_limit:
-            self.protective_stop(f"contact force {force:.1f} N above {self.force_limit:.1f} N")
+        if force > _FORCE_MOST:
+            self.protective_stop(f"contact force {force:.1f} N above {_FORCE_MOST:.1f} N")
 
     def _step_program(self) -> None:
         self._idle_cycles += 1

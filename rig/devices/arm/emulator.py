@@ -521,8 +521,6 @@ class ArmEmulatorConfig(PlayableConfig):
     """File to publish the pose in."""
     pose: Vector | None = None
     """TCP at start, in the base frame: x y z [m] rx ry rz [rad]; None: tool down."""
-    force_limit: float = field(default=150.0, metadata={"unit": "n"})
-    """Contact force that triggers a protective stop [N]."""
     fault_port: int | None = field(default=PORTS["arm"], kw_only=True)
     """Port for injecting faults; None: none."""
     wrist: bool = False
@@ -533,7 +531,7 @@ def emulate(settings: ArmEmulatorConfig, clock: Clock) -> Served:
     """Return the emulated arm."""
     tcp = np.array(settings.device.tcp)
     pose = settings.pose or compose(flange_pose(np.array(POSTURE)), tcp)
-    controller = Controller(np.array(pose), tcp, force_limit=settings.force_limit)
+    controller = Controller(np.array(pose), tcp)
     controller.payload = settings.device.payload
     controller.payload_cog = settings.device.payload_cog
     if settings.wrist:

@@ -7,10 +7,15 @@ them SOS followed by the coded picture, and EOI (FFD9). Some UVC cameras omit th
 
 from __future__ import annotations
 
+import functools
 import random
 import re
 import struct
 from collections.abc import Iterator
+
+import numpy as np
+
+from recorder.store import images
 
 SOI = b"\xff\xd8"
 EOI = b"\xff\xd9"
@@ -19,32 +24,6 @@ _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _BASELINE = frozenset({0xC0, 0xC1})
 _UNCODED = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 _STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
-
-# ITU-T T.81, Annex K.3: the tables implied by a stream without DHT.
-_DC_VALUES = "000102030405060708090a0b"
-_AC_TAIL_LUMA = (
-    "434445464748494a535455565758595a636465666768696a737475767778797a838485868788898a92939495969798"
-    "999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9bac2c3c4c5c6c7c8c9cad2d3d4d5d6d7d8d9dae1e2e3e4e5e6e7e8e9"
-    "eaf1f2f3f4f5f6f7f8f9fa"
-)
-_AC_TAIL_CHROMA = (
-    "434445464748494a535455565758595a636465666768696a737475767778797a82838485868788898a929394959697"
-    "98999aa2a3a4a5a6a7a8a9aab2b3b4b5b6b7b8b9bac2c3c4c5c6c7c8c9cad2d3d4d5d6d7d8d9dae2e3e4e5e6e7e8e9"
-    "eaf2f3f4f5f6f7f8f9fa"
-)
-_TABLES = bytes.fromhex(
-    "00"
-    "00010501010101010100000000000000" + _DC_VALUES + "10"
-    "0002010303020403050504040000017d"
-    "01020300041105122131410613516107227114328191a1082342b1c11552d1f02433627282090a161718191a252627"
-    "28292a3435363738393a" + _AC_TAIL_LUMA + "01"
-    "00030101010101010101010000000000" + _DC_VALUES + "11"
-    "00020102040403040705040400010277"
-    "000102031104052131061241510761711322328108144291a1b1c109233352f0156272d10a162434e125f11718191a"
-    "262728292a35363738393a" + _AC_TAIL_CHROMA
-)
-# The standard tables as one DHT segment.
-HUFFMAN_SEGMENT = b"\xff\xc4" + struct.pack(">H", len(_TABLES) + 2) + _TABLES
 
 _STAMP = re.compile(rb"tactile-rig emulator seq=(\d+) state_t_ns=(-?\d+)")
 
@@ -109,8 +88,19 @@ def with_huffman_tables(jpeg: bytes) -> bytes:
         if marker == _DHT:
             return jpeg
         if marker == _SOS:
-            return jpeg[:at] + HUFFMAN_SEGMENT + jpeg[at:]
+            return jpeg[:at] + huffman_segment() + jpeg[at:]
     raise ValueError("no SOS")
+
+
+@functools.cache
+def huffman_segment() -> bytes:
+    """Return the tables implied by a stream without DHT (ITU-T T.81, Annex K.3), as one segment.
+
+    Every file that libjpeg encodes without optimisation has them.
+    """
+    sample = images.encode_jpeg(np.zeros((16, 16, 3), np.uint8), 90)
+    tables = b"".join(content for marker, _, content in segments(sample) if marker == _DHT)
+    return b"\xff\xc4" + struct.pack(">H", len(tables) + 2) + tables
 
 
 def stamped(jpeg: bytes, seq: int, t_ns: int) -> bytes:

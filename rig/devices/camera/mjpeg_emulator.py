@@ -25,7 +25,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 from urllib.parse import SplitResult, urlsplit
 
 import cv2
@@ -69,51 +69,28 @@ _SUFFIXES_IMAGE = (".png", ".jpg", ".jpeg")
 _MJPG = cv2.VideoWriter.fourcc(*"MJPG")
 
 
-class FrameSource(Protocol):
-    """Source of one JPEG file per tick of the camera."""
-
-    def jpeg(self, state: np.void) -> bytes:
-        """Return the picture of a WORLD_STATE record, of size `SIZE`."""
+# Returns one JPEG file of size `SIZE` per tick of the camera, given the WORLD_STATE record.
+FrameSource = Callable[[np.void], bytes]
 
 
-class WorldSource:
-    """Source of pictures of the World.
-
-    Args:
-        view: Renders the RGB picture (480, 640, 3) of a WORLD_STATE record.
-    """
-
-    def __init__(self, view: Callable[[np.void], Image]) -> None:
-        self._view = view
-
-    def jpeg(self, state: np.void) -> bytes:
-        """Return the picture of `state`."""
-        return _encoded(cv2.cvtColor(self._view(state), cv2.COLOR_RGB2BGR), QUALITY_RENDERED)
+def rendered(view: Callable[[np.void], Image]) -> FrameSource:
+    """Return the source of pictures of the World, whose RGB picture (480, 640, 3) is a `view`."""
+    return lambda state: _encoded(cv2.cvtColor(view(state), cv2.COLOR_RGB2BGR), QUALITY_RENDERED)
 
 
-class LoopSource:
-    """Source that loops over the pictures of a folder or a video, independent of the World.
+def looped(path: Path, *, hold: int = 1) -> FrameSource:
+    """Return the source that loops over the pictures of a folder or a video, whatever the state.
 
     Args:
         path: A folder of images, shown in natural order, or a video file.
         hold: Number of ticks for which each picture is shown.
     """
-
-    def __init__(self, path: Path, *, hold: int = 1) -> None:
-        self._frames = _looped(path)
-        self._hold = max(hold, 1)
-        self._left = self._hold
-        try:
-            self._shown = next(self._frames)
-        except StopIteration:
-            raise ValueError(f"{path}: no images and no video") from None
-
-    def jpeg(self, state: np.void) -> bytes:
-        """Return the picture of this tick, ignoring `state`."""
-        if self._left == 0:
-            self._shown, self._left = next(self._frames), self._hold
-        self._left -= 1
-        return self._shown
+    frames = (jpeg for jpeg in _looped(path) for _ in range(max(hold, 1)))
+    first = next(frames, None)
+    if first is None:
+        raise ValueError(f"{path}: no images and no video")
+    shown = itertools.chain([first], frames)
+    return lambda state: next(shown)
 
 
 def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -335,7 +312,7 @@ class MjpegEmulator(Emulator):
                 _, state = self._world.state()
                 t_ns = int(state["t_ns"])
             filmed += 1
-            jpeg = source.jpeg(state)
+            jpeg = source(state)
             if self._lens != (1.0, 0.0):
                 jpeg = through_lens(jpeg, *self._lens)
             parts = tuple(self.parts(stamped(jpeg, filmed, t_ns)))
@@ -437,10 +414,10 @@ def emulate(settings: MjpegEmulatorConfig, clock: Clock) -> Served:
     elif settings.view is not None and settings.source is None:
         from rig.mock.world import load_view
 
-        source, world = WorldSource(load_view(settings.view)), SharedWorld(settings.world)
+        source, world = rendered(load_view(settings.view)), SharedWorld(settings.world)
     elif settings.source is not None and settings.view is None:
         hold = round(_STILL * settings.device.rate_hz) if settings.motion == "still" else 1
-        source = LoopSource(settings.source, hold=hold)
+        source = looped(settings.source, hold=hold)
     else:
         found = "both" if settings.view else "neither"
         raise ConfigError(f"view, source: found {found}; allowed: one of them")

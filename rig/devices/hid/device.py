@@ -46,7 +46,7 @@ class HidDevice:
             raise DeviceLost(f"{self._where}: {error}{self._hint()}") from error
         self._handle = handle
 
-    def read(self, timeout: float) -> bytes:
+    def report(self, timeout: float) -> bytes:
         """Return the next report, empty if none comes within `timeout` [s]."""
         if self._handle is None:
             raise DeviceLost(f"{self._where}: not open")

@@ -23,7 +23,7 @@ logger = logging.getLogger(__name__)
 _KEYBOARD = (0x01, 0x06)
 
 
-class PedalDriver:
+class PedalDriver(HidDevice):
     """One pedal.
 
     Args:
@@ -31,18 +31,14 @@ class PedalDriver:
     """
 
     def __init__(self, config: PedalConfig) -> None:
+        super().__init__(config.device, "foot pedal", _KEYBOARD)
         self._config = config
-        self._device = HidDevice(config.device, "foot pedal", _KEYBOARD)
         self.garbage = 0
         """Number of reports that were not from a keyboard; each counted as a release."""
 
-    def open(self) -> None:
-        """Find and open the pedal."""
-        self._device.open()
-
     def read(self, timeout: float) -> bool | None:
         """Return True if the next report shows it down; None if none comes in `timeout` [s]."""
-        report = self._device.read(timeout)
+        report = self.report(timeout)
         if not report:
             return None
         try:
@@ -56,11 +52,7 @@ class PedalDriver:
 
     def describe(self) -> dict[str, object]:
         """Return properties for the session."""
-        return {"kind": self._config.KIND, "mode": self._config.mode, "path": self._device.path}
-
-    def close(self) -> None:
-        """Close the pedal; may be called twice."""
-        self._device.close()
+        return {"kind": self._config.KIND, "mode": self._config.mode, "path": self.path}
 
 
 # Watching of the foot pedal on a background thread, through unplugging and replugging.

@@ -32,7 +32,7 @@ class Cap:
     """Numbers of the buttons pressed since the last `read`, from 0."""
 
 
-class SpaceMouseDriver:
+class SpaceMouseDriver(HidDevice):
     """One SpaceMouse.
 
     Args:
@@ -41,26 +41,22 @@ class SpaceMouseDriver:
     """
 
     def __init__(self, config: SpaceMouseConfig, clock: Clock) -> None:
+        super().__init__(config.device, "SpaceMouse", _MULTI_AXIS)
         self._config = config
         self._clock = clock
-        self._device = HidDevice(config.device, "SpaceMouse", _MULTI_AXIS)
         self._shift = self._turn = _ZERO
         self._shift_ns = self._turn_ns = 0
         self._held: frozenset[int] = frozenset()
         self.garbage = 0
         """Number of reports that were not from a SpaceMouse."""
 
-    def open(self) -> None:
-        """Find and open the SpaceMouse."""
-        self._device.open()
-
     def read(self, timeout: float) -> Cap:
         """Return the state of the cap after waiting up to `timeout` [s] for a report."""
         pressed: frozenset[int] = frozenset()
-        report = self._device.read(timeout)
+        report = self.report(timeout)
         while report:
             pressed |= self._take(report)
-            report = self._device.read(0.0)
+            report = self.report(0.0)
         now_ns = self._clock.now_ns()
         limit_ns = round(self._config.silence * SECOND_NS)
         return Cap(
@@ -68,10 +64,6 @@ class SpaceMouseDriver:
             turn=self._turn if now_ns - self._turn_ns <= limit_ns else _ZERO,
             pressed=pressed,
         )
-
-    def close(self) -> None:
-        """Close the SpaceMouse; may be called twice."""
-        self._device.close()
 
     def _take(self, report: bytes) -> frozenset[int]:
         """Process a report and return the buttons that it newly shows as pressed."""

@@ -50,8 +50,6 @@ class XelaEmulatorConfig(PlayableConfig):
     """Port, rate and message layout of the emulated server."""
 
     device: XelaConfig = field(default_factory=XelaConfig)
-    jitter: float = field(default=0.0, metadata={"unit": "ms"})
-    """Standard deviation of the delay of a scan [s]; scans are never early."""
     layout: Literal["1.7", "1.8"] = "1.8"
     """Message layout."""
     noise: float = 0.0
@@ -162,10 +160,7 @@ class XelaEmulator(Emulator):
     def _make_scans(self, source: SharedWorld | Log) -> None:
         pacer = Pacer(self._clock, self._config.device.rate_hz)
         while not self._ending.is_set():
-            deadline_ns = pacer.wait()
-            if self._config.jitter > 0:
-                late = abs(self._rng.normal(0.0, self._config.jitter))
-                self._clock.sleep_until(deadline_ns + round(late * SECOND_NS))
+            pacer.wait()
             self.missed = pacer.missed
             counts = self._counts(source)
             now_ns = self._clock.now_ns() - self._anchor.t0_ns + self._anchor.utc_ns
