@@ -23,6 +23,7 @@ from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.config import build, read_yaml
 from rig.core.geometry import compose, invert
 from rig.core.mock_names import PORTS
+from rig.core.samples import latest_dtype
 from rig.core.shared_memory import SharedLatest
 from rig.mock.world import WorldConfig
 
@@ -121,11 +122,12 @@ class Observer:
                 self.seen.shown.setdefault(name, set()).add(int(newest["t_ns"]))
 
     def _open_records(self) -> Iterator[tuple[str, tuple[SharedLatest, SharedLatest]]]:
-        for name, kind in KINDS.items():
+        for name in KINDS:
             if name not in self._records:
                 # A file that is missing or incomplete is tried again at the next poll.
                 with contextlib.suppress(OSError, ValueError):
-                    latest = SharedLatest.attach(self._folder / f"{name}.latest", kind.latest)
+                    dtype = latest_dtype(name, (16, 3))
+                    latest = SharedLatest.attach(self._folder / f"{name}.latest", dtype)
                     path = self._folder / f"{name}.counters"
                     self._records[name] = latest, SharedLatest.attach(path, COUNTERS)
             if name in self._records:

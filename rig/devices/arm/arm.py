@@ -61,13 +61,6 @@ class HasFileno(Protocol):
         """Return the file descriptor."""
 
 
-def _move_arm(setup: Setup, pipe: Connection) -> NoReturn:
-    """Run the arm's process, which alone loads what moves the arm."""
-    from rig.devices.arm import motion
-
-    motion.run(setup, pipe)
-
-
 @dataclass(frozen=True, slots=True)
 class MoveResult:
     """Result of a move that leaves the arm usable."""
