@@ -14,8 +14,7 @@ import struct
 from collections.abc import Iterator
 
 import numpy as np
-
-from recorder.store import images
+import simplejpeg
 
 SOI = b"\xff\xd8"
 EOI = b"\xff\xd9"
@@ -98,7 +97,7 @@ def huffman_segment() -> bytes:
 
     Every file that libjpeg encodes without optimisation has them.
     """
-    sample = images.encode_jpeg(np.zeros((16, 16, 3), np.uint8), 90)
+    sample = simplejpeg.encode_jpeg(np.zeros((16, 16, 3), np.uint8))
     tables = b"".join(content for marker, _, content in segments(sample) if marker == _DHT)
     return b"\xff\xc4" + struct.pack(">H", len(tables) + 2) + tables
 
