@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import numpy as np
 from PIL import Image
 
 from recorder.convert.import_session import Draft
-from recorder.convert.import_tracks import Film
 from recorder.pages import render
 from recorder.plot import Curve, line_plot
 from recorder.session.align import NS
@@ -24,29 +22,8 @@ _LINE, _PRESSED = (62, 118, 196), (196, 78, 62)
 _DRAWN = 30
 
 
-@dataclass(frozen=True, slots=True)
-class _Drawn:
-    """One recording on the page."""
-
-    name: str
-    indenter: str
-    tracks: str
-    presses: str
-    lag: str
-    plot: str
-    """PNG as a data URI; empty if it is not drawn."""
-    pictures: tuple[tuple[str, str], ...]
-    """Caption and PNG of pictures."""
-
-
 def write_page(drafts: Sequence[Draft], path: Path, *, sensor: str, places: str) -> None:
-    """Write the page (HTML).
-
-    Args:
-        drafts: Recordings.
-        path: File to write.
-        sensor: Name of the sensor.
-        places: What is known of places and depths.
+    """Write the page (HTML); `places` says what is known of places and depths.
 
     Raises:
         OSError: The file is not writable.
@@ -63,7 +40,8 @@ def write_page(drafts: Sequence[Draft], path: Path, *, sensor: str, places: str)
     path.write_text(text, encoding="utf-8")
 
 
-def _drawn(draft: Draft, is_drawn: bool) -> _Drawn:
+def _drawn(draft: Draft, is_drawn: bool) -> dict[str, Any]:
+    """Return a recording as the template takes it; pictures are PNG as data URIs."""
     tracks = ", ".join(
         f"{track.stream} ({track.source}, {len(track.content.t_ns):,} at "
         f"{track.content.rate_hz:.4g} Hz)"
@@ -72,15 +50,15 @@ def _drawn(draft: Draft, is_drawn: bool) -> _Drawn:
     presses = ", ".join(
         f"{NS * press.start_ns:.2f} to {NS * press.end_ns:.2f} s" for press in draft.presses
     )
-    return _Drawn(
-        draft.take.name,
-        draft.indenter,
-        tracks,
-        presses,
-        str(draft.lag or ""),
-        _plot(draft) if is_drawn else "",
-        _pictures(draft) if is_drawn else (),
-    )
+    return {
+        "name": draft.take.name,
+        "indenter": draft.indenter,
+        "tracks": tracks,
+        "presses": presses,
+        "lag": str(draft.lag or ""),
+        "plot": _plot(draft) if is_drawn else "",
+        "pictures": _pictures(draft) if is_drawn else (),
+    }
 
 
 def _plot(draft: Draft) -> str:
@@ -98,8 +76,8 @@ def _plot(draft: Draft) -> str:
 
 
 def _pictures(draft: Draft) -> tuple[tuple[str, str], ...]:
-    film = next((track.content for track in draft.take.tracks if track.kind == "video"), None)
-    if not isinstance(film, Film):
+    film = draft.take.film
+    if film is None:
         return ()
     found = [("without contact", (draft.no_contact[0] + draft.no_contact[1]) // 2)]
     found += [(f"press {at}", press.peak_ns) for at, press in enumerate(draft.presses[:4], 1)]

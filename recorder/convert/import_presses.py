@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -97,18 +98,15 @@ def find_no_contact(signal: Signal, recording: str) -> Span:
 
     With a force it is the first still span of the least pressing force; with images or taxels it is
     the beginning, if the recording returns to it.
-
-    Args:
-        signal: Signal that shows contacts.
-        recording: Name of the recording, for errors.
     """
     t_ns, count = signal.t_ns, len(signal.t_ns)
     step = float(np.median(np.diff(t_ns))) * NS if count > 1 else 1.0
     length = max(_STILL_SAMPLES, round(_STILL_S / max(step, 1e-9)))
     length = int(max(1, min(length, count * _STILL_MOST)))
     if signal.pressing is not None:
-        mean, deviation = _windows(signal.pressing, length)
-        score = mean + 3 * deviation
+        windows = np.lib.stride_tricks.sliding_window_view(signal.pressing, length)
+        mean = windows.mean(axis=1)
+        score = mean + 3 * windows.std(axis=1)
         # Of spans that are about as free of force the first is the best: gel creeps after contact.
         _require_ends(f"{recording}: {signal.name}", mean)
         least = float(score.min()) + _AS_FREE * float(np.ptp(signal.pressing))
@@ -117,13 +115,15 @@ def find_no_contact(signal: Signal, recording: str) -> Span:
     change = np.abs(signal.rows - begin.mean(axis=0)).mean(axis=1)
     largest = float(change.max())
     apart = float(np.abs(end.mean(axis=0) - begin.mean(axis=0)).mean())
-    if largest > _TOLD * _noise(change[:length]) and apart > _RETURNED * largest:
+    noise = max(float(change[:length].max()), 1e-12)
+    if largest > _TOLD * noise and apart > _RETURNED * largest:
+        spans = (_span(t_ns, at, length) for at in (0, count - length))
         raise MissingAnswer(
             "no_contact",
             f"{recording}: {signal.name}: the recording ends {100 * apart / largest:.0f} % of its "
             "largest change away from its beginning, so one of them is in contact, and nothing "
             "tells which",
-            [f"{recording}={_stated(t_ns, at, length)}" for at in (0, count - length)],
+            [f"{recording}={NS * begin:.2f}:{NS * end:.2f}" for begin, end in spans],
         )
     return _span(t_ns, 0, length)
 
@@ -142,12 +142,7 @@ def _require_ends(name: str, pressing: Floats) -> None:
 
 
 def find_presses(trace: Trace, no_contact: Span) -> list[Press]:
-    """Return the contacts of at least `_PRESS_S` in a trace, in order of time.
-
-    Args:
-        trace: Change from the span without contact.
-        no_contact: That span [ns].
-    """
+    """Return the contacts of at least `_PRESS_S` in a trace, in order of time."""
     t_ns, value = trace.t_ns, trace.value
     inside = (t_ns >= no_contact[0]) & (t_ns < no_contact[1])
     noise = float(value[inside].max()) if inside.any() else 0.0
@@ -179,23 +174,16 @@ def press_within(trace: Trace, span: Span) -> Press:
 
 def widened(presses: Sequence[Press], start_ns: int, end_ns: int, by_ns: int) -> list[Press]:
     """Return presses with up to `by_ns` before and after each, which touch no other press."""
-    found = []
-    for index, press in enumerate(presses):
-        before = presses[index - 1].end_ns if index else start_ns
-        after = presses[index + 1].start_ns if index + 1 < len(presses) else end_ns
-        low = max(press.start_ns - by_ns, (before + press.start_ns) // 2 if index else start_ns)
-        high = min(
-            press.end_ns + by_ns,
-            (after + press.end_ns) // 2 if index + 1 < len(presses) else end_ns,
-        )
-        found.append(Press(low, press.peak_ns, high))
-    return found
+    between = [(one.end_ns + two.start_ns) // 2 for one, two in pairwise(presses)]
+    return [
+        Press(max(press.start_ns - by_ns, low), press.peak_ns, min(press.end_ns + by_ns, high))
+        for press, low, high in zip(presses, [start_ns, *between], [*between, end_ns], strict=True)
+    ]
 
 
 def _press(t_ns: Times, value: Floats, first: int, last: int) -> Press:
     peak = first + int(np.argmax(value[first : last + 1]))
-    end = int(t_ns[last + 1]) if last + 1 < len(t_ns) else int(t_ns[last]) + 1
-    start = int(t_ns[first])
+    start, end = _span(t_ns, first, last + 1 - first)
     return Press(start, min(max(int(t_ns[peak]), start + 1), end - 1), end)
 
 
@@ -205,25 +193,10 @@ def _runs(high: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
 
 
-def _windows(values: Floats, length: int) -> tuple[Floats, Floats]:
-    """Return mean and standard deviation of every window of a length."""
-    windows = np.lib.stride_tricks.sliding_window_view(values, length)
-    return windows.mean(axis=1), windows.std(axis=1)
-
-
-def _noise(values: Floats) -> float:
-    return max(float(values.max()), 1e-12)
-
-
-def _stated(t_ns: Times, first: int, length: int) -> str:
-    """Return a span as `--no-contact` takes it."""
-    begin, end = _span(t_ns, first, length)
-    return f"{NS * begin:.2f}:{NS * end:.2f}"
-
-
 def _span(t_ns: Times, first: int, length: int) -> Span:
-    last = first + length - 1
-    end = int(t_ns[last + 1]) if last + 1 < len(t_ns) else int(t_ns[last]) + 1
+    """Return the time of a number of samples [ns], to the next one or the end."""
+    after = first + length
+    end = int(t_ns[after]) if after < len(t_ns) else int(t_ns[after - 1]) + 1
     return int(t_ns[first]), end
 
 

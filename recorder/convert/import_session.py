@@ -7,6 +7,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,6 @@ from recorder.convert.import_tracks import (
     As,
     Film,
     MissingAnswer,
-    Numbers,
     Take,
     Times,
     Track,
@@ -58,7 +58,6 @@ from recorder.spec import (
 
 Rows = Iterator[dict[str, Any]]
 
-_BLOCK = 1 << 20
 # Recordings may differ in length by this fraction, or by this duration [s].
 _LENGTH_TOLERANCE = 0.05
 _LENGTH_LEAST = 0.1
@@ -98,10 +97,7 @@ def draft_recordings(
 ) -> list[Draft]:
     """Find the recordings in files and folders, and the contacts in each.
 
-    Args:
-        paths: Files and folders, whose kinds are found out.
-        stated: Kind, stream (or an empty text) and path of files that are one recording.
-        answers: What the files cannot tell.
+    `stated` has kind, stream (or an empty text) and path of files that are one recording.
 
     Raises:
         SessionError: Nothing can be imported, or a file is damaged.
@@ -111,25 +107,9 @@ def draft_recordings(
     takes = find_takes(paths, stated, answers)
     if not answers.sensor:
         raise MissingAnswer("sensor", "nothing tells the name of the sensor")
-    if answers.contact_frame and not all(_first(take, "pose") for take in takes):
+    if answers.contact_frame and not all(take.first("pose") for take in takes):
         raise SessionError("--contact-frame: found without poses, which a depth takes")
     return [_draft(take, answers) for take in takes]
-
-
-def _first(take: Take, kind: As) -> Track | None:
-    return next((track for track in take.tracks if track.kind == kind), None)
-
-
-def _film(take: Take) -> Film | None:
-    """Return the pictures of the first camera; None without one."""
-    track = _first(take, "video")
-    return track.content if track is not None and isinstance(track.content, Film) else None
-
-
-def _numbers(take: Take, kind: As) -> Numbers | None:
-    """Return the numbers of the first track of a kind; None without one."""
-    track = _first(take, kind)
-    return track.content if track is not None and isinstance(track.content, Numbers) else None
 
 
 def _draft(take: Take, answers: Answers) -> Draft:
@@ -147,12 +127,12 @@ def _draft(take: Take, answers: Answers) -> Draft:
     if end < max(seconds.values()):
         assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")
     end_ns = round(end * 1e9)
-    film = _film(take)
+    film = take.film
     if film is not None and film.names and shown is not None:
         no_contact, presses, trace = _stills(film, shown, answers)
     else:
         no_contact, presses, trace = _contacts(take, shown, answers, end_ns)
-    forces = _first(take, "force")
+    forces = take.first("force")
     if forces is not None and presses:
         _require_sign(forces, no_contact, presses)
     if presses:
@@ -177,15 +157,9 @@ def _shrunk(image: Any) -> NDArray[np.uint8]:
     return np.asarray(picture.resize(_SMALL[::-1], Image.Resampling.BOX), np.uint8)
 
 
-def _coarse(small: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return small pictures (n, 30, 30, 3) as colours of 10 x 10 cells (n, 300)."""
-    cells = small.reshape(len(small), 10, 3, 10, 3, 3).mean(axis=(2, 4), dtype=np.float32)
-    return np.asarray(cells.reshape(len(small), -1), np.float32)
-
-
 def _seen(take: Take) -> Track | None:
     """Return the first camera, else the first taxels."""
-    return _first(take, "video") or _first(take, "taxels")
+    return take.first("video") or take.first("taxels")
 
 
 def _shown(take: Take) -> Signal | None:
@@ -194,14 +168,17 @@ def _shown(take: Take) -> Signal | None:
         return None
     content = track.content
     if isinstance(content, Film):
-        rows = _coarse(np.stack([_shrunk(image) for image in content.load()]))
+        # The colours of 10 x 10 cells of each picture.
+        small = np.stack([_shrunk(image) for image in content.load()])
+        cells = small.reshape(len(small), 10, 3, 10, 3, 3).mean(axis=(2, 4), dtype=np.float32)
+        rows = cells.reshape(len(small), -1)
         return Signal("change of the image [grey levels]", content.t_ns, rows)
     counts = content.value.reshape(len(content.value), -1).astype(np.float64)
     return Signal("change of the taxels [counts]", content.t_ns, counts)
 
 
 def _force(take: Take) -> Signal | None:
-    content = _numbers(take, "force")
+    content = take.numbers("force")
     if content is None:
         return None
     return force_signal(content.t_ns, content.value, content.attrs["axes_measured"])
@@ -212,7 +189,7 @@ def _on_one_clock(
 ) -> tuple[Take, Lag | None, list[str]]:
     """Return the recording with the lag of another clock taken out, that lag, and messages."""
     clocks = list(dict.fromkeys(track.clock for track in take.tracks))
-    forces, force, seen = _first(take, "force"), _force(take), _seen(take)
+    forces, force, seen = take.first("force"), _force(take), _seen(take)
     if len(clocks) == 1 or forces is None or seen is None or seen.clock == forces.clock:
         several = len(clocks) > 1
         return take, None, [f"{take.name}: all files start together"] if several else []
@@ -231,8 +208,8 @@ def _on_one_clock(
 
 def _rest(signal: Signal) -> Span:
     """Return the beginning of a signal, which a lag does not need to be free of contact."""
-    count = max(1, min(5, len(signal.t_ns) // 4))
-    return int(signal.t_ns[0]), int(signal.t_ns[count - 1]) + 1
+    samples = max(1, min(5, len(signal.t_ns) // 4))
+    return int(signal.t_ns[0]), int(signal.t_ns[samples - 1]) + 1
 
 
 def _shifted(take: Take, clock: str, seconds: float) -> Take:
@@ -334,15 +311,14 @@ def _require_sign(track: Track, no_contact: Span, presses: Sequence[Press]) -> N
         return
     t_ns, force = content.t_ns, content.value[:, 2]
     rest = force[_inside(t_ns, no_contact)]
-    touched = np.zeros(len(t_ns), np.bool_)
-    for press in presses:
-        touched[_inside(t_ns, (press.start_ns, press.end_ns))] = True
-    if not rest.size or not touched.any():
+    spans = [_inside(t_ns, (press.start_ns, press.end_ns)) for press in presses]
+    touched = force[np.concatenate(spans)]
+    if not rest.size or not touched.size:
         return
-    change = force[touched] - rest.mean()
+    change = touched - rest.mean()
     if float(change.max()) > 2 * -float(change.min()) and float(change.max()) > 4 * rest.std():
         raise SessionError(
-            f"{track.source}: Fz rises to {force[touched].max():+.3g} N under contact; a session "
+            f"{track.source}: Fz rises to {touched.max():+.3g} N under contact; a session "
             "has negative Fz there; turn the sign of the file's forces (all axes turn with the "
             "frame), or import the pressing force alone as one column"
         )
@@ -356,11 +332,8 @@ def write_sessions(
 ) -> list[Path]:
     """Write one session for each object that touched; recordings of one object are its runs.
 
-    Args:
-        drafts: Recordings, of one sensor.
-        out: The session; with several objects, the folder of their sessions.
-        answers: Answers on them; stored in the sessions.
-        progress: Called with the number of rows written and the total.
+    `out` is the session; with several objects, the folder of their sessions. The answers are stored
+    in them.
 
     Raises:
         SessionError: Something exists at the path, or recordings of one object differ in their
@@ -378,23 +351,20 @@ def write_sessions(
     if out.exists():
         raise SessionError(f"{out}: exists already; choose another name")
     total = sum(len(track.content.t_ns) for draft in drafts for track in draft.take.tracks)
-    written, done = [], 0
+    rows = count(1)
+
+    def tick() -> None:
+        if progress is not None:
+            progress(next(rows), total)
+
+    names = [f"{_file_name(indenter)}.zarr" if several else "" for indenter in by_indenter]
     out.parent.mkdir(parents=True, exist_ok=True)
     with building(out) as beside:
         if several:
             beside.mkdir()
-        for indenter, some in by_indenter.items():
-            name = f"{_file_name(indenter)}.zarr"
-            before = done
-            done += _write(
-                beside / name if several else beside,
-                some,
-                indenter,
-                answers,
-                None if progress is None else lambda n, b=before: progress(b + n, total),  # type: ignore[misc]
-            )
-            written.append(out / name if several else out)
-    return written
+        for name, (indenter, some) in zip(names, by_indenter.items(), strict=True):
+            _write(beside / name, some, indenter, answers, tick)
+    return [out / name for name in names]
 
 
 def _file_name(text: str) -> str:
@@ -406,30 +376,28 @@ def _write(
     drafts: Sequence[Draft],
     indenter: str,
     answers: Answers,
-    progress: Callable[[int], None] | None,
-) -> int:
-    """Write the session of some recordings and return the number of its rows."""
+    tick: Callable[[], None],
+) -> None:
+    """Write the session of some recordings; `tick` is called for each of its rows."""
     specs = _specs(drafts)
-    now = datetime.datetime.now(datetime.UTC).isoformat()
-    placed = bool(answers.contact_frame)
+    placed = "pose" if answers.contact_frame else "unknown"
     attrs = {
         "mock": False,
         "sensor": answers.sensor,
         "indenter": indenter,
         **({"operator": answers.operator} if answers.operator else {}),
-        **({"contact_frame": list(answers.contact_frame)} if placed else {}),
+        **({"contact_frame": list(answers.contact_frame)} if answers.contact_frame else {}),
         "calibration": {},
         "imported": {
             "files": _digests(drafts),
             "assumed": [line for draft in drafts for line in draft.assumed],
             "answers": answers.to_json(),
             "recordings": [draft.take.name for draft in drafts],
-            "place": "pose" if placed else "unknown",
-            "depth": "pose" if placed else "unknown",
-            "utc": now,
+            "place": placed,
+            "depth": placed,
+            "utc": datetime.datetime.now(datetime.UTC).isoformat(),
         },
     }
-    done = 0
     targets = _targets(drafts, answers)
     with SessionWriter.create(path, attrs=attrs, streams=specs, targets=targets) as session:
         first_target = 0
@@ -442,9 +410,7 @@ def _write(
                     rows_before[track.stream] = writer.rows
                     for row in _rows(track, spec.columns, draft.end_ns):
                         writer.append(**row)
-                        done += 1
-                        if progress is not None:
-                            progress(done)
+                        tick()
             if draft.presses:
                 session.reference.append(**_reference(draft, run, specs, rows_before))
             for number, press in enumerate(draft.presses):
@@ -461,13 +427,12 @@ def _write(
         signal = signal_of((spec.name, spec.traits) for spec in specs) or specs[0].name
         rate_hz = next(spec.rate_hz for spec in specs if spec.name == signal)
         session.finish("complete", rate_hz=rate_hz)
-    return done
 
 
 def _phases(press: Press, draft: Draft) -> list[tuple[int, Span]]:
     """Return the phases of a press: loading to its largest change, then unloading."""
     down, up = PHASES.index("normal_inc"), PHASES.index("normal_dec")
-    film = _film(draft.take)
+    film = draft.take.film
     if film is not None and film.names:
         return [(down, (press.start_ns, press.end_ns))]
     return [(down, (press.start_ns, press.peak_ns)), (up, (press.peak_ns, press.end_ns))]
@@ -475,13 +440,13 @@ def _phases(press: Press, draft: Draft) -> list[tuple[int, Span]]:
 
 def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
     """Return the presses as targets; what nobody knows of them is NaN."""
-    count = sum(len(draft.presses) for draft in drafts)
-    depth, planned = np.full(count, np.nan), np.full((count, 3), np.nan)
+    presses = sum(len(draft.presses) for draft in drafts)
+    depth, planned = np.full(presses, np.nan), np.full((presses, 3), np.nan)
     if answers.contact_frame:
         frame = np.array(answers.contact_frame, np.float64)
         row = 0
         for draft in drafts:
-            poses = _numbers(draft.take, "pose")
+            poses = draft.take.numbers("pose")
             if poses is None:
                 raise SessionError(f"{draft.take.name}: found no pose")
             depths = -in_frame(frame, poses.value)[:, 2]
@@ -493,9 +458,9 @@ def _targets(drafts: Sequence[Draft], answers: Answers) -> dict[str, Any]:
                     planned[row] = poses.value[deepest, :3]
                 row += 1
     return {
-        "point": np.zeros(count, np.int16),
+        "point": np.zeros(presses, np.int16),
         "depth": depth,
-        "direction": np.full(count, -1, np.int16),
+        "direction": np.full(presses, -1, np.int16),
         "planned": planned,
     }
 
@@ -610,23 +575,19 @@ def _inside(t_ns: Times, span: Span) -> NDArray[np.intp]:
 
 def _digests(drafts: Sequence[Draft]) -> dict[str, dict[str, Any]]:
     """Return name and SHA-256 of each file; for a folder, over its files in order of the names."""
-    found = {}
-    for draft in drafts:
-        for path in draft.take.files:
-            found[f"{draft.take.name}/{path.name}"] = {"name": path.name, "sha256": _sha256(path)}
-    return found
+    return {
+        f"{draft.take.name}/{path.name}": {"name": path.name, "sha256": _sha256(path)}
+        for draft in drafts
+        for path in draft.take.files
+    }
 
 
 def _sha256(path: Path) -> str:
     digest = hashlib.sha256()
-    files = [path]
-    if path.is_dir():
-        files = sorted(entry for entry in path.rglob("*") if entry.is_file())
-    for file in files:
-        if path.is_dir():
+    for file in sorted(each for each in path.rglob("*") if each.is_file()) or [path]:
+        if file != path:
             name = file.relative_to(path).as_posix()
             digest.update(f"{name} {file.stat().st_size}\n".encode())
         with file.open("rb") as content:
-            while block := content.read(_BLOCK):
-                digest.update(block)
+            hashlib.file_digest(content, lambda: digest)
     return digest.hexdigest()

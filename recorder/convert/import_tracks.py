@@ -257,6 +257,21 @@ class Take:
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
 
+    def first(self, kind: As) -> Track | None:
+        """Return the first track of a kind; None without one."""
+        return next((track for track in self.tracks if track.kind == kind), None)
+
+    @property
+    def film(self) -> Film | None:
+        """Pictures of the first camera; None without one."""
+        track = self.first("video")
+        return track.content if track is not None and isinstance(track.content, Film) else None
+
+    def numbers(self, kind: As) -> Numbers | None:
+        """Return the numbers of the first track of a kind; None without one."""
+        track = self.first(kind)
+        return track.content if track is not None and isinstance(track.content, Numbers) else None
+
 
 def kind_of_name(name: str) -> As | None:
     """Return the kind that a name tells by its last known word; None if it tells none."""
