@@ -23,12 +23,8 @@ INK, SOFT, BAND = "#262a33", "#787f8c", "#e2e5eb"
 def chart(file: Path | IO[bytes], width: float, height: float) -> Iterator[Figure]:
     """Yield an empty figure of the style; write it to a file at the end of the block.
 
-    Equal charts are equal bytes: no version or date is written.
-
-    Args:
-        file: Path, whose suffix is the format (.png or .svg), or an open file for a PNG.
-        width: Width [inch].
-        height: Height [inch].
+    Width and height are in inch. The format is that of the path's suffix (.png or .svg), or PNG
+    for an open file. Equal charts are equal bytes: no version or date is written.
     """
     import matplotlib
     from matplotlib.figure import Figure

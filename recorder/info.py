@@ -26,18 +26,14 @@ from recorder.spec import OUTCOMES, PHASES
 from recorder.store.attributes import says_it_is
 from recorder.store.files import locate
 
+# Called with the number of images read and the total.
 Progress = Callable[[int, int], None]
 
 _LEFT_OUT = {"camera": {"device_t", "seq"}}
 
 
 def stream_digest(stream: Stream, progress: Progress | None = None) -> str:
-    """Return the digest of a stream as 64 hexadecimal digits.
-
-    Args:
-        stream: The stream; all of it is read.
-        progress: Called with the number of images read and the total.
-    """
+    """Return the digest of a stream, all of which is read, as 64 hexadecimal digits."""
     digest = hashlib.sha256()
     for layout in stream.layout.columns:
         column = layout.column

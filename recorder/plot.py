@@ -50,15 +50,10 @@ def line_plot(
     marks: Floats | tuple[()] = (),
     x_label: str = "",
 ) -> Image.Image:
-    """Return a plot of curves over a common x.
+    """Return a plot of `size` [px] of curves over a common x (n,), ascending.
 
-    Args:
-        size: Width and height [px].
-        x: Abscissa (n,), ascending.
-        curves: Lines, each with n values.
-        title: Quantity plotted, with its unit.
-        marks: Positions on x that get a numbered line.
-        x_label: Name of the abscissa; if empty, its numbers are left out too.
+    `marks` are positions on x that get a numbered line. Without `x_label` the numbers of the
+    abscissa are left out too.
     """
     width, height = size
     left, right, top, bottom = 64, 16, 34, 40 if x_label else 12

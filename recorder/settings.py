@@ -106,9 +106,7 @@ class Reader:
     def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
         """Return the mapping in a YAML file, merged over the file that its `extends` names.
 
-        Args:
-            path: The file.
-            library: Folder in which a file named by `extends` is also looked for.
+        That file is also looked for in the folder `library`.
         """
         try:
             return read_mapping(path, library=library)
@@ -123,12 +121,9 @@ class Reader:
             raise self.error(str(error)) from None
 
     def build(self, kind: type[Value], content: Any, where: str) -> Value:
-        """Return the dataclass `kind` that a mapping describes.
+        """Return the frozen dataclass `kind` that a mapping of YAML describes.
 
-        Args:
-            kind: Frozen dataclass.
-            content: The mapping, as YAML gives it.
-            where: File and dotted path, for errors.
+        `where` is its file and dotted path, for errors.
         """
         if not isinstance(content, dict):
             raise self.error(

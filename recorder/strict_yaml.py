@@ -85,18 +85,12 @@ def _in_one_line(error: yaml.MarkedYAMLError) -> str:
 
 
 def read_mapping(
-    path: Path,
-    above: tuple[Path, ...] = (),
-    *,
-    library: Path | None = None,
+    path: Path, above: tuple[Path, ...] = (), *, library: Path | None = None
 ) -> dict[str, Any]:
     """Return the mapping in a YAML file, merged over the file named by its `extends`.
 
-    Args:
-        path: The file; the name in `extends` is relative to it.
-        above: Files that led here through `extends`.
-        library: Folder that is searched as well if `extends` is `NAME` or `../NAME` and that file
-            does not exist.
+    That name is relative to the file; if it is `NAME` or `../NAME` and does not exist, the folder
+    `library` is searched as well. `above` are the files that led here through `extends`.
     """
     if path.resolve() in above:
         raise YamlError(f"{path}: extends: the files extend each other in a circle")

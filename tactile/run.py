@@ -71,12 +71,8 @@ def run_module(
 ) -> int:
     """Import the module of a command, parse its options, run it and return the exit code.
 
-    Args:
-        name: Name of the module.
-        argv: Options of the command.
-        prog: Command in the usage.
-        description: Description in the help, unless the module sets another; empty: its docstring.
-        interrupted: Consequence of Ctrl-C, printed when it has ended the command.
+    Without a description, that in the help is the module's docstring. `interrupted` is what Ctrl-C
+    leads to, printed when it has ended the command.
     """
 
     def call() -> int:

@@ -31,14 +31,10 @@ from recorder.store.manifest import GROUP
 def check(path: str | os.PathLike[str], *, quick: bool = False) -> list[Finding]:
     """Return the faults of a session or a marker archive, and notes on what it cannot tell.
 
-    Each finding states its `level`: `fault` or `note`.
-
-    Unreadable data is reported once and its content is not checked.
-
-    Args:
-        path: A directory or a URL.
-        quick: True to hold only metadata and the ends of shards against the manifest. It takes
-            seconds and finds files that were removed, added or exchanged, but not each flipped bit.
+    Each finding states its `level`: `fault` or `note`. Unreadable data is reported once and its
+    content is not checked. `quick` holds only metadata and the ends of shards against the manifest:
+    it takes seconds and finds files that were removed, added or exchanged, but not each flipped
+    bit.
 
     Raises:
         SessionError: Neither a session nor an archive, or `quick` for an archive.

@@ -48,10 +48,7 @@ def check_stream(
 ) -> Iterator[Finding]:
     """Yield problems in the times, sequence numbers and values of a stream, run by run.
 
-    Args:
-        session: The session, for its runs.
-        stream: One of its streams.
-        contents: A checksum per image (n,), or None for a stream without images.
+    `contents` has a checksum per image (n,); it is None for a stream without images.
     """
     where = f"streams/{stream.name}"
     account = account_of(session, stream.name)

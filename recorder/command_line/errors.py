@@ -30,9 +30,7 @@ class CommandError(Exception):
 def failure(error: BaseException, interrupted: str = "") -> int:
     """Print the line of a known error or of Ctrl-C, and return the exit code of the command.
 
-    Args:
-        error: The error; one that is a fault of the program is raised again.
-        interrupted: Consequence of Ctrl-C.
+    An error that is a fault of the program is raised again; `interrupted` is what Ctrl-C leads to.
     """
     if isinstance(error, CommandError):
         line, code = error.report(), error.exit_code

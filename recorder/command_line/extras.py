@@ -40,11 +40,9 @@ LIBRARIES = {
 
 
 def extra_of(library: str, wanted: str) -> str:
-    """Return the extra that installs a library, `wanted` if it does; empty for an unknown library.
+    """Return the extra that installs a library such as `scipy.linalg`; empty for an unknown one.
 
-    Args:
-        library: Name of the module that could not be imported, such as `scipy.linalg`.
-        wanted: Extras of the command, between commas.
+    It is `wanted`, the extras of the command between commas, if one of these does.
     """
     known = LIBRARIES.get(library.partition(".")[0], ())
     own = [extra for extra in wanted.split(",") if extra in known]

@@ -41,11 +41,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def next_command(*words: object, **options: object) -> str:
-    """Return a command of `tactile` that can be copied into a shell.
+    """Return a command of `tactile`, its words and options, that can be copied into a shell.
 
-    Args:
-        *words: The command's own words and its positional arguments.
-        **options: Its options and their values: None and False leave one out, True needs no value.
+    An option of None or False is left out; one of True needs no value.
     """
     line = ["tactile", *map(str, words)]
     for name, value in options.items():

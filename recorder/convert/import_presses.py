@@ -174,10 +174,10 @@ def press_within(trace: Trace, span: Span) -> Press:
 
 def widened(presses: Sequence[Press], start_ns: int, end_ns: int, by_ns: int) -> list[Press]:
     """Return presses with up to `by_ns` before and after each, which touch no other press."""
-    between = [(one.end_ns + two.start_ns) // 2 for one, two in pairwise(presses)]
+    middles = [(one.end_ns + two.start_ns) // 2 for one, two in pairwise(presses)]
     return [
         Press(max(press.start_ns - by_ns, low), press.peak_ns, min(press.end_ns + by_ns, high))
-        for press, low, high in zip(presses, [start_ns, *between], [*between, end_ns], strict=True)
+        for press, low, high in zip(presses, [start_ns, *middles], [*middles, end_ns], strict=True)
     ]
 
 

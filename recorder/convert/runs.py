@@ -35,11 +35,8 @@ class RecordedPress:
 def need_presses(session: Session, *, valid_only: bool) -> list[RecordedPress]:
     """Return the presses that have rows, at least one, in the order in which they were made.
 
-    Rows without an image of every camera that is a signal are left out.
-
-    Args:
-        session: A finished session.
-        valid_only: If true, leave out rows that are not `valid`.
+    Rows without an image of every camera that is a signal are left out, and with `valid_only` those
+    that are not `valid`.
     """
     frames = session.frames
     if "t_ns" not in frames or not len(frames["t_ns"]):
@@ -98,13 +95,7 @@ def parse_utc(text: str) -> int:
 
 
 def utc_of_rows(session: Session, name: str, times: Times) -> Clock:
-    """Return times of all rows of a stream or table (n,) as UTC (n,) [ns], run by run.
-
-    Args:
-        session: The session.
-        name: A stream, `segments` or `reference`.
-        times: Host times (n,) [ns], one per row.
-    """
+    """Return host times [ns] of all rows of a stream, `segments` or `reference` (n,) as UTC."""
     tables = {"segments": session.segments, "reference": session.reference}
     out = times.copy()
     for run in range(max(len(session.runs), 1)):

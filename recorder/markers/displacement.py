@@ -64,10 +64,7 @@ STEEP = 0.45
 def moved(centres: Floats, field: NDArray[np.floating], lattice: Lattice) -> Floats:
     """Return the positions to which a field moves pixels (n, 2); NaN beyond its material.
 
-    Args:
-        centres: Column and row in the image without contact [px].
-        field: Displacement (h, w, 2) [px].
-        lattice: Lattice of the field.
+    They are column and row in the image without contact [px], the field (h, w, 2) [px].
     """
     column, row, along, down = _cells(centres, lattice)
     values = field.astype(np.float64)

@@ -8,14 +8,13 @@ turned into place.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.data.genforce.format import GenForcePress, Packed
+from learning.data.genforce.format import GenForcePress, Packed, ReadMask
 from learning.errors import LearningError
 from learning.markers.segment import find_centres
 from learning.markers.track import Tracker
@@ -54,24 +53,18 @@ def turn_of(
     name: str,
     presses: Sequence[GenForcePress],
     references: Packed,
-    read: Callable[[Path], Packed],
+    read: ReadMask,
 ) -> Turn | None:
     """Return the turn of a sensor; None if its presses do not tell it.
 
-    Args:
-        name: Name of the sensor.
-        presses: Its presses, with positions along the axes of the robot.
-        references: Packed masks without contact (K, 38400).
-        read: Reads the packed mask of a frame's file.
+    The presses have positions along the axes of the robot; `references` are packed masks without
+    contact (K, 38400).
     """
-    sheared = [press for press in presses if _ends(press) is not None]
+    sheared = [(press, ends) for press in presses if (ends := _ends(press)) is not None]
     chosen = np.unique(np.linspace(0, len(sheared) - 1, _PRESSES).round().astype(int))
     shears, motions = [], []
     trackers: dict[int, Tracker] = {}
-    for press in (sheared[place] for place in chosen.tolist() if sheared):
-        ends = _ends(press)
-        if ends is None:
-            continue
+    for press, ends in (sheared[place] for place in chosen.tolist() if sheared):
         if press.reference not in trackers:
             (reference,) = unpack(references[press.reference : press.reference + 1])
             trackers[press.reference] = Tracker(find_centres(reference).place)
