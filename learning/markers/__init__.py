@@ -1,7 +1,7 @@
 """Binary marker images from the pictures and taxels of sessions.
 
-A preset configures the detection (`preset`). `Segmenter` makes masks, `find_centres` locates
-markers with subpixel accuracy, `Tracker` follows them. `archive_sessions` processes whole sessions.
+A preset configures the detection (`preset`). `Segmenter` makes masks, `Tracker` follows markers.
+`archive_sessions` processes whole sessions.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from learning.markers.frames import taxel_masks
     from learning.markers.segment import (
         CameraPreset,
-        Centres,
         Preset,
         Segmenter,
         TaxelPreset,
-        find_centres,
         grey,
         names,
         preset,
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Built",
     "CameraPreset",
-    "Centres",
     "EfficientSam",
     "Preset",
     "Segmenter",
@@ -39,7 +36,6 @@ __all__ = [
     "Track",
     "Tracker",
     "archive_sessions",
-    "find_centres",
     "grey",
     "names",
     "preset",

@@ -22,9 +22,18 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from learning.errors import LearningError
-from learning.markers.segment import Centres, find_centres
 from learning.markers.track import GATE, SPEED
-from recorder.markers import HEIGHT, PACKED, SMALLEST_PX, WIDTH, Lattice, pack, unpack
+from recorder.markers import (
+    HEIGHT,
+    PACKED,
+    SMALLEST_PX,
+    WIDTH,
+    Blobs,
+    Lattice,
+    find_blobs,
+    pack,
+    unpack,
+)
 from recorder.processes import Workers
 
 if TYPE_CHECKING:
@@ -236,12 +245,12 @@ class Matcher:
             reference: The mask without contact (480, 640).
             smoothing: Smoothing of the spline.
         """
-        found = find_centres(reference)
+        found = find_blobs(reference[None], SMALLEST_PX)
         # Markers at the border are excluded, as their visible centre moves with the cut.
         chosen = found.whole if found.whole.any() else np.ones(len(found), np.bool_)
         if not chosen.any():
             raise LearningError(f"reference: found no marker of {SMALLEST_PX} px or more")
-        self.markers: Floats = found.place[chosen]
+        self.markers: Floats = found.centre[chosen]
         self.area = found.area[chosen].astype(np.float64)
         self.spline = Spline(self.markers, smoothing=smoothing)
         self.pitch_px = pitch(self.markers) or _LONE_PITCH
@@ -255,7 +264,7 @@ class Matcher:
 
     def step(self, mask: Masks) -> Match:
         """Find the markers in the next frame (480, 640)."""
-        seen = find_centres(mask)
+        seen = find_blobs(mask[None], SMALLEST_PX)
         start = self._before + SPEED * self._step
         moved, found = self._searched(start, seen)
         if not (found >= 0).all() and len(seen):
@@ -269,10 +278,10 @@ class Matcher:
         growth[known, 0] = np.log(seen.area[found[known]] / self.area[known])
         return Match(moved, self.spline.filled(growth, known)[:, 0], known)
 
-    def _searched(self, start: Floats, seen: Centres) -> tuple[Floats, Indices]:
+    def _searched(self, start: Floats, seen: Blobs) -> tuple[Floats, Indices]:
         """Return the displacement of all markers (m, 2), and the detection of each (m,) or -1."""
         usable = np.flatnonzero(seen.whole | self._all_cut)
-        places = seen.place[usable]
+        places = seen.centre[usable]
         moved, found = start, np.full(len(self.markers), -1)
         if not len(places):
             return moved, found
@@ -311,7 +320,7 @@ class Matcher:
         # Lost markers move as expected, plus the deviation of the others from their expectation.
         return start + self.spline.filled(offset - start, known)
 
-    def _cut(self, mask: Masks, seen: Centres, expected: Floats) -> Centres | None:
+    def _cut(self, mask: Masks, seen: Blobs, expected: Floats) -> Blobs | None:
         """Return detections with merged patches divided between markers; None if there are none."""
         large = MERGED * float(np.median(self.area))
         if not (seen.area > large).any():
@@ -327,14 +336,14 @@ class Matcher:
         claims = np.bincount(at, minlength=len(stats))
         merged = (claims > 1) & (stats[:, cv2.CC_STAT_AREA] > large)
         merged[0] = False
-        place, area, whole = list(seen.place), list(seen.area), list(seen.whole)
+        place, area, whole = list(seen.centre), list(seen.area), list(seen.whole)
         gone: list[int] = []
         for label in np.flatnonzero(merged).tolist():
             left, top, wide, high, _ = stats[label]
             rows, columns = np.nonzero(labels[top : top + high, left : left + wide] == label)
             pixels = np.stack([columns + left, rows + top], axis=1).astype(np.float64)
             parts, sizes = _parted(pixels, expected[at == label])
-            one = int(np.linalg.norm(seen.place - middle[label], axis=1).argmin())
+            one = int(np.linalg.norm(seen.centre - middle[label], axis=1).argmin())
             gone.append(one)
             place += list(parts)
             area += sizes
@@ -343,7 +352,8 @@ class Matcher:
             return None
         kept = np.ones(len(place), np.bool_)
         kept[gone] = False
-        return Centres(np.array(place)[kept], np.array(area, np.int64)[kept], np.array(whole)[kept])
+        frame = np.zeros(len(place), np.int64)
+        return Blobs(frame, np.array(area, np.int64), np.array(place), np.array(whole)).only(kept)
 
 
 def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:

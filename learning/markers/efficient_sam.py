@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from learning.markers.segment import find_centres
-from recorder.markers import HEIGHT, WIDTH
+from recorder.markers import HEIGHT, WIDTH, marker_centres
 
 # Labels of the two corners of a box.
 CORNERS = (2.0, 3.0)
@@ -77,7 +76,7 @@ class EfficientSam:
         Raises:
             LearningError: The model's outputs are not masks of the picture's size.
         """
-        centres = find_centres(mask).place
+        centres = marker_centres(mask)
         union = np.zeros((HEIGHT, WIDTH), np.bool_)
         if not len(centres):
             return union

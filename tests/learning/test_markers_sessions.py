@@ -18,12 +18,12 @@ from support.sessions import reseal
 import sim.indenters
 from learning.errors import LearningError
 from learning.indenters import NAMES
-from learning.markers import Segmenter, archive_sessions, find_centres, grey, preset, taxel_masks
+from learning.markers import Segmenter, archive_sessions, preset, taxel_masks
 from learning.markers.flags import FLAG, INVALID
 from learning.markers.recording import read_group
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs
-from recorder.markers import unpack
+from recorder.markers import marker_centres, unpack
 from rig.mock.world.picture import MarkerCamera
 from tactile.__main__ import main
 from trajectories import PressShear, plan_to_json
@@ -103,9 +103,9 @@ def test_masks_show_the_markers_where_the_world_had_them(
     world = MarkerCamera(VIEWS["bench-gelsight"])
     for mask, depth, shear in zip(sensor.masks(rows), *state(seconds - 0.1), strict=True):
         truth = world.pixels(surface(float(depth), float(shear)))
-        centres = find_centres(mask)
+        centres = marker_centres(mask)
         assert len(centres) == len(truth) == 63
-        apart = np.linalg.norm(truth[:, None] - centres.place[None], axis=-1)
+        apart = np.linalg.norm(truth[:, None] - centres[None], axis=-1)
         assert apart.min(axis=1).max() < 0.4
 
 
@@ -113,7 +113,7 @@ def test_the_reference_is_the_picture_without_contact(archive: MarkerArchive, ca
     (picture,) = Session(camera).streams["camera"].images([0])
     mask = Segmenter(preset("bench-gelsight")).mask(picture)  # type: ignore[arg-type]
     np.testing.assert_array_equal(unpack(archive["gelsight"].references), mask[None])
-    assert len(find_centres(mask, grey(picture))) == 63
+    assert len(marker_centres(mask)) == 63
 
 
 def test_frames_that_lost_markers_are_flagged_and_kept(
@@ -152,7 +152,7 @@ def test_sensors_of_one_plan_are_paired_by_location(
     np.testing.assert_array_equal(pad.masks(slice(0, len(pad))), expected)
     assert expected.any(axis=0).sum() > expected[0].sum()
     assert pad.attrs["marker_check"] is None
-    assert len(find_centres(pad.reference(0))) == 16
+    assert len(marker_centres(pad.reference(0))) == 16
 
 
 def test_indenters_of_a_sensor_have_locations_and_references_of_their_own(

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.markers import CameraPreset, Segmenter, find_centres, grey, preset
+from learning.markers import CameraPreset, Segmenter, preset
+from recorder.markers import SMALLEST_PX, find_blobs, marker_centres
 from rig.bench.worlds import MarkerView
 from rig.mock.world.picture import MarkerCamera, Surface
 from sim.layer import Layer
@@ -46,12 +47,10 @@ class Found:
 
     iou: float
     """Smallest overlap of masks."""
-    mask_rms_px: float
-    """RMS error of the centres of patches."""
-    grey_rms_px: float
-    """RMS error of the centres weighted by grey level."""
+    rms_px: float
+    """RMS error of centres."""
     worst_px: float
-    """Largest error of the centres weighted by grey level."""
+    """Largest error of centres."""
     missed: int
     """Markers without a centre within 5 px, and centres without a marker."""
     rate: float
@@ -89,10 +88,9 @@ def simulated_pictures() -> Iterator[Known]:
     if not isinstance(reader, CameraReadout):
         raise TypeError("the GelSight has a camera")
     masks = reader.masks(top)[:, 0]
-    coverage = reader.coverage(top)[:, 0]
-    for picture, mask, cover in zip(pictures(each, reader, top), masks, coverage, strict=True):
-        truth = find_centres(mask, cover)
-        yield Known(picture, mask, truth.place[truth.whole])
+    for picture, mask in zip(pictures(each, reader, top), masks, strict=True):
+        truth = find_blobs(mask[None], SMALLEST_PX)
+        yield Known(picture, mask, truth.centre[truth.whole])
 
 
 def measure(known: list[Known], name: str) -> Found:
@@ -102,38 +100,29 @@ def measure(known: list[Known], name: str) -> Found:
         raise TypeError(f"{name} is not for pictures")
     segmenter = Segmenter(found)
     cv2.setNumThreads(1)
-    ious, by_mask, by_grey, missed = [], [], [], 0
+    ious, errors, missed = [], [], 0
     for one in known:
         mask = segmenter.mask(one.picture)
         ious.append(np.sum(mask & one.mask) / np.sum(mask | one.mask))
-        for errors, light in ((by_mask, None), (by_grey, grey(one.picture))):
-            centres = find_centres(mask, light)
-            apart = np.linalg.norm(one.centres[:, None] - centres.place[None], axis=-1)
-            near = apart.min(axis=1)
-            errors += near[near < 5].tolist()
-            if light is not None:
-                missed += int(np.sum(near >= 5))
-                inset = np.minimum(centres.place, [639, 479] - centres.place).min(axis=1)
-                missed += int(np.sum((apart.min(axis=0) >= 5) & (inset > 25)))
+        centres = marker_centres(mask)
+        apart = np.linalg.norm(one.centres[:, None] - centres[None], axis=-1)
+        near = apart.min(axis=1)
+        errors += near[near < 5].tolist()
+        inset = np.minimum(centres, [639, 479] - centres).min(axis=1)
+        missed += int(np.sum(near >= 5)) + int(np.sum((apart.min(axis=0) >= 5) & (inset > 25)))
     spent = []
     for _ in range(3):
         began = time.process_time()
         for one in known:
             segmenter.mask(one.picture)
         spent.append((time.process_time() - began) / len(known))
-    return Found(
-        min(ious), rms(by_mask), rms(by_grey), max(by_grey), missed, 1 / max(min(spent), 1e-9)
-    )
-
-
-def rms(values: list[float]) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    rms = float(np.sqrt(np.mean(np.square(errors))))
+    return Found(min(ious), rms, max(errors), missed, 1 / max(min(spent), 1e-9))
 
 
 def main() -> None:
     """Print the accuracy of every preset on the pictures that it could be meant for."""
-    print(f"{'pictures':32s}{'preset':18s}{'IoU':>7s}{'patch':>8s}{'grey':>8s}{'worst':>8s} missed")
+    print(f"{'pictures':32s}{'preset':18s}{'IoU':>7s}{'centre':>8s}{'worst':>8s} missed")
     cases = [
         (f"{name}, noise {noise:g}", name, list(mock_pictures(view, grey_noise=noise)))
         for name, view in VIEWS.items()
@@ -150,8 +139,8 @@ def main() -> None:
     for title, name, known in cases:
         found = measure(known, name)
         print(
-            f"{title:32s}{name:18s}{found.iou:7.3f}{found.mask_rms_px:8.3f}"
-            f"{found.grey_rms_px:8.3f}{found.worst_px:8.3f}{found.missed:5d}"
+            f"{title:32s}{name:18s}{found.iou:7.3f}{found.rms_px:8.3f}"
+            f"{found.worst_px:8.3f}{found.missed:5d}"
             f"   {found.rate:5.0f} masks/s"
         )
 

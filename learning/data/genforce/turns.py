@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from learning.data.genforce.format import GenForcePress, Packed, ReadMask
 from learning.errors import LearningError
-from learning.markers.segment import find_centres
 from learning.markers.track import Tracker
-from recorder.markers import unpack
+from recorder.markers import marker_centres, unpack
 from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]
@@ -67,13 +66,13 @@ def turn_of(
     for press, ends in (sheared[place] for place in chosen.tolist() if sheared):
         if press.reference not in trackers:
             (reference,) = unpack(references[press.reference : press.reference + 1])
-            trackers[press.reference] = Tracker(find_centres(reference).place)
+            trackers[press.reference] = Tracker(marker_centres(reference))
         tracker = trackers[press.reference]
         tracker.restart()
         places = []
         for frame in ends:
             (mask,) = unpack(read(press.files[frame])[None])
-            places.append(tracker.step(find_centres(mask).place).place)
+            places.append(tracker.step(marker_centres(mask)).place)
         moved = places[1] - places[0]
         if np.isfinite(moved).any():
             shears.append(press.position[ends[1]] - press.position[ends[0]])
