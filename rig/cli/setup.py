@@ -25,7 +25,7 @@ from rig.acquire.doctor import Finding, examine
 from rig.acquire.streams import settling
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import BenchStream
-from rig.cli import collect, doctor, force_depth, jog
+from rig.cli import collect, doctor, force_depth
 from rig.cli.calibrate_latency import calibrate
 from rig.cli.home import find_by_force, find_by_signal
 from rig.cli.options import (
@@ -44,7 +44,7 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose
 from rig.core.mock_names import PORTS
 
-Answers = dict[str, float | str]
+Answers = dict[str, float]
 Point = tuple[float, float, float]
 
 # Time over which a gauge is averaged, and a signal is watched [s].
@@ -98,15 +98,13 @@ class AtBench:
         self._tip = (0.0, 0.0, _CLEAR)
         self._stack.close()
 
-    def ask(self, name: str, text: str, default: float | str) -> float | str:
+    def ask(self, name: str, text: str, default: float) -> float:
         """Return an answer: of `--answer`, of the person, or with `--yes` the default."""
         if name in self.given:
-            return _as(type(default), self.given[name], f"--answer {name}")
+            return self.given[name]
         while not self.options.yes:
-            usual = default if isinstance(default, str) else f"{default:g}"
-            found = _read(f"  {text} [{usual}]: ") or str(default)
             try:
-                return _as(type(default), found, name)
+                return _number(_read(f"  {text} [{default:g}]: ") or str(default), name)
             except ConfigError as error:
                 print(f"  {error}")
         return default
@@ -173,7 +171,7 @@ def arm(at: AtBench, _: Answers) -> Iterable[Finding]:
 
 def tool(at: AtBench, answers: Answers) -> Iterable[Finding]:
     """Are TCP and payload those of the tool?"""
-    return checks.tool(at.ready, at.clock, to_si(float(answers["length_mm"]), "mm"))
+    return checks.tool(at.ready, at.clock, to_si(answers["length_mm"], "mm"))
 
 
 def devices(at: AtBench, _: Answers) -> Iterator[Finding]:
@@ -184,7 +182,7 @@ def devices(at: AtBench, _: Answers) -> Iterator[Finding]:
 
 def gauge(at: AtBench, answers: Answers) -> Iterator[Finding]:
     """Does each gauge show a known weight in newtons, with its sign?"""
-    mass = 1e-3 * float(answers["weight_g"])
+    mass = 1e-3 * answers["weight_g"]
     # The mock bench has one weight, which may not be that of the answer.
     own = 0.1
     at.free()
@@ -248,26 +246,11 @@ def camera(at: AtBench, _: Answers) -> Iterator[Finding]:
         yield from checks.camera(row, picture)
 
 
-def contact(at: AtBench, answers: Answers) -> Iterator[Finding]:
+def contact(at: AtBench, _: Answers) -> Iterator[Finding]:
     """Is the origin of contact_frame where the tip touches the middle of the sensor?"""
-    by = answers["contact_by"]
-    if by == "jog":
-        code = at.run(jog.follow, at.file)
-        yield _outcome("contact", code, "set by jog: is contact_frame as printed?", "tactile jog")
-        return
-    if by == "pose":
-        text = "pose at the touch, x y z [mm] rx ry rz [rad], as the pendant shows it"
-        numbers = str(at.ask("pose", text, "")).replace(",", " ").split()
-        try:
-            x, y, z, *turn = map(float, numbers)
-            pose = np.array([to_si(x, "mm"), to_si(y, "mm"), to_si(z, "mm"), *turn])
-            found = checks.contact(at.ready, pose)
-        except ValueError:
-            raise ConfigError(f"pose: found {' '.join(numbers)!r}; allowed: 6 numbers") from None
-        yield found
-        return
     at.do(
-        "lead the tip until it just touches the middle (freedrive, in local mode)",
+        "lead the tip until it just touches the middle (freedrive or pendant in local mode, or "
+        "tactile jog)",
         (0.0, 0.0, 0.0),
     )
     pose = np.array(at.read(at.ready.row("pose"), 0.1)[-1])
@@ -333,7 +316,7 @@ class Question:
     name: str
     """Key of the answer."""
     text: str
-    default: Callable[[Bench], float | str]
+    default: Callable[[Bench], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -382,17 +365,7 @@ STEPS = (
         needed=lambda bench: bool(bench.gauges) or bench.signal is not None,
     ),
     Step(camera, ("camera", "streams"), needed=lambda bench: bool(bench.of_kind("camera"))),
-    Step(
-        contact,
-        ("arm", "contact_frame"),
-        (
-            Question(
-                "contact_by",
-                "how the tip comes to the surface: freedrive, jog (SpaceMouse) or pose (pendant)",
-                lambda bench: "freedrive",
-            ),
-        ),
-    ),
+    Step(contact, ("arm", "contact_frame")),
     Step(home, ("arm", "contact_frame", "indenter")),
     Step(
         latency,
@@ -426,7 +399,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help=f"answer of: {', '.join(ask.name for step in STEPS for ask in step.asks)}, pose",
+        help=f"answer of: {', '.join(ask.name for step in STEPS for ask in step.asks)}",
     )
     parser.add_argument(
         "--out",
@@ -444,10 +417,10 @@ def run(options: argparse.Namespace) -> int:
     given: Answers = {}
     for stated in options.answer:
         name, equals, value = stated.partition("=")
-        known = [ask.name for step in STEPS for ask in step.asks] + ["pose"]
+        known = [ask.name for step in STEPS for ask in step.asks]
         if not equals or name not in known:
             raise ConfigError(f"--answer: found {stated!r}; allowed: {'=, '.join(known)}=")
-        given[name] = value
+        given[name] = _number(value, f"--answer {name}")
     repeated = set(options.again or ())
     while True:
         at = AtBench(options, given)
@@ -518,9 +491,7 @@ def _checked(at: AtBench, step: Step, answers: Answers) -> list[Finding]:
     return found
 
 
-def _as(kind: type, text: float | str, where: str) -> float | str:
-    if kind is str:
-        return text
+def _number(text: str, where: str) -> float:
     try:
         number = float(text)
     except ValueError:
