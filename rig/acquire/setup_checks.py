@@ -17,17 +17,19 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from recorder.command_line.options import next_command
 from rig.acquire.doctor import Finding, State
-from rig.acquire.jog import origin_text
 from rig.acquire.no_gauge import CONTACT
 from rig.acquire.signal_level import SignalLevel, reading, shift, whole_grey
 from rig.bench.bench import Bench
 from rig.bench.stream_kinds import BenchStream
 from rig.core.clock import SECOND_NS, Clock
+from rig.core.config import from_si
 from rig.core.errors import DeviceLost
 from rig.core.geometry import compose, invert
 from rig.devices.arm import dashboard
 from rig.devices.arm.reader import RtdeLink
+from trajectories import Point
 
 GRAVITY = 9.81
 # Oldest PolyScope that says over the network if remote control is on.
@@ -437,6 +439,19 @@ def contact(bench: Bench, pose: Sequence[float] | np.ndarray) -> Finding:
         "contact_frame",
         origin_text(bench, (x, y, z)).partition("\n")[2].partition("\nthen")[0],
         "if the numbers look like another place: the pendant's TCP and the bench file's arm.tcp",
+    )
+
+
+def origin_text(bench: Bench, tip: Point) -> str:
+    """Return the origin at `tip` (in the current contact frame [m]) as text for a bench file."""
+    pose = compose(bench.contact_frame, (*tip, 0.0, 0.0, 0.0))
+    place = ", ".join(f"{from_si(float(value), 'mm'):.3f}" for value in pose[:3])
+    turn = ", ".join(f"{from_si(value, 'deg'):.3f}" for value in bench.contact_frame[3:])
+    moved = ", ".join(f"{from_si(value, 'mm'):+.3f}" for value in tip)
+    return (
+        f"origin set, [{moved}] mm from the one in the bench file; to keep it, write there:\n"
+        f"contact_frame:\n  position_mm: [{place}]\n  rotation_deg: [{turn}]\n"
+        f"then find the surface by force: {next_command('home', sensor=bench.sensor)}"
     )
 
 

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from support import hidraw_nodes
 from support.collecting import ROOT, Collection
 
-from rig.acquire.jog import REACH, origin_text, planned
+from rig.acquire.setup_checks import origin_text
 from rig.bench.bench import BenchFile
+from rig.cli.jog import REACH, planned
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.mock_names import PORTS
