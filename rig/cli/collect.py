@@ -16,14 +16,14 @@ from rig.cli.options import (
     add_page,
     check_page,
     log_to,
-    opened_page,
     recording_options,
     sources_of,
 )
-from rig.cli.recording import OpenPage, Recording, record, recording_of, stage, started_bench
+from rig.cli.recording import Recording, record, recording_of, stage, started_bench
 from rig.cli.terminal import confirm, require_terminal
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
+from rig.monitor.access import AccessPolicy
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         again=options.again,
         sources=sources,
         truth=options.truth,
-        page=functools.partial(opened_page, options),
+        watch=options.watch,
     )
 
 
@@ -103,12 +103,12 @@ def collect(
     again: tuple[int, ...] = (),
     sources: Sources | None = None,
     truth: Path | None = None,
-    page: OpenPage | None = None,
+    watch: AccessPolicy | None = None,
 ) -> int:
     """Record a session along the bench's plan, or resume one; return the exit code.
 
     Of a resumed session, the targets with the indices `again` are pressed again. A mock bench plays
-    `sources`, and logs the World's truth to a file. `page` opens the monitoring page.
+    `sources`, and logs the World's truth to a file. `watch` is the address of the monitoring page.
     """
     bench, sources = recording.bench, sources or Sources()
     session = resumed or recording.session(bench.indenter)
@@ -163,7 +163,9 @@ def collect(
             placed = calibration.applied(ready)
             return guards.slowed(placed, depth) if bench.no_gauge else placed
 
-        return record(recording, request, prepare=prepare, sources=sources, truth=truth, page=page)
+        return record(
+            recording, request, prepare=prepare, sources=sources, truth=truth, watch=watch
+        )
 
 
 def _show(lines: list[str]) -> None:

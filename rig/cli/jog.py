@@ -3,7 +3,7 @@
 Only the tip's position changes, never the tool's orientation. The arm makes short straight moves
 under the guard: inside the bench's box, never faster than the bench file allows, halted as soon as
 the cap's direction changes or the cap is released or falls silent. If this process hangs, the arm
-stops at the end of the current move, at most `REACH` seconds later.
+stops at the end of the current move, at most a second later.
 """
 
 from __future__ import annotations

@@ -192,10 +192,8 @@ def _opened_page(
         return None
     from rig.monitor.forces_page import ForcesJob, ForcesPage
     from rig.monitor.lab import Folders
-    from rig.monitor.page_process import PageSettings
 
-    settings = PageSettings(options.page, Folders(Path("sessions")), "--page")
     job = ForcesJob(source.sensor, source.kind)
-    page = stack.enter_context(ForcesPage(settings, job))
+    page = stack.enter_context(ForcesPage(options.page, Folders(Path("sessions")), job))
     print("\n".join(page_lines(options.page, page.urls, "see the forces")), flush=True)
     return page

@@ -311,23 +311,13 @@ def page_lines(access: AccessPolicy, urls: list[str], power: str) -> list[str]:
 
 @contextlib.contextmanager
 def opened_page(
-    options: argparse.Namespace,
-    bench: Bench,
-    folder: Path,
-    request: CollectRequest,
-) -> Iterator[CollectionPage | None]:
-    """Run the monitoring page during the context; yield None without --watch."""
-    access: AccessPolicy | None = options.watch
-    if access is None:
-        yield None
-        return
+    access: AccessPolicy, calibrations: Path, bench: Bench, folder: Path, request: CollectRequest
+) -> Iterator[CollectionPage]:
+    """Run the monitoring page during the context."""
     from rig.monitor.collection import CollectionJob, CollectionPage
     from rig.monitor.lab import Folders
-    from rig.monitor.page_process import PageSettings
 
-    folders = Folders(request.path.parent, calibrations=options.calibrations)
-    settings = PageSettings(access, folders, "--watch")
-    job = CollectionJob.of(bench, folder, request)
-    with CollectionPage(settings, job) as page:
+    folders = Folders(request.path.parent, calibrations=calibrations)
+    with CollectionPage(access, folders, CollectionJob.of(bench, folder, request)) as page:
         print("\n".join(page_lines(access, page.urls, "see, pause and abort")), flush=True)
         yield page

@@ -7,10 +7,8 @@ import contextlib
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
@@ -21,19 +19,13 @@ from rig.acquire.collector import Collector
 from rig.acquire.no_gauge import StageStopped
 from rig.acquire.request import CollectRequest
 from rig.bench.bench import Bench, BenchFile
-from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to
+from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to, opened_page
 from rig.cli.terminal import confirm, deepest, motion_lines
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
 from rig.core.sources import Sources
+from rig.monitor.access import AccessPolicy
 from trajectories import Plan, Target
-
-if TYPE_CHECKING:
-    from rig.monitor.collection import CollectionPage
-
-
-# Opens the monitoring page: of a bench, a run folder and a request.
-OpenPage = Callable[[Bench, Path, CollectRequest], AbstractContextManager["CollectionPage | None"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +139,13 @@ def record(
     prepare: Callable[[Bench], Bench] | None = None,
     sources: Sources | None = None,
     truth: Path | None = None,
-    page: OpenPage | None = None,
+    watch: AccessPolicy | None = None,
 ) -> int:
     """Record a plan from its first open target on, and return the collector's exit code.
 
     `prepare` returns the final bench: speeds, limits, calibrated frame; None: the request's
-    calibration is applied. The mock's World does not see these changes.
+    calibration is applied. The mock's World does not see these changes. `watch` is the address of
+    the monitoring page.
     """
     prepare = prepare or request.calibration.applied
     if not recording.bench.mock and not recording.agreed:
@@ -165,8 +158,12 @@ def record(
             started_bench(recording.file, sources=sources, truth=truth, folder=folder)
         )
         bench = prepare(on.file.bench)
-        shown = None if page is None else stack.enter_context(page(bench, folder, request))
-        return Collector(bench, on.file.content, folder, on.watch, shown).run(request)
+        page = None
+        if watch is not None:
+            page = stack.enter_context(
+                opened_page(watch, recording.calibrations, bench, folder, request)
+            )
+        return Collector(bench, on.file.content, folder, on.watch, page).run(request)
 
 
 def stage(

@@ -32,10 +32,11 @@ from rig.core.config import from_si
 from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
 from rig.core.shared_memory import AwaitedRecord
+from rig.monitor.access import AccessPolicy
 from rig.monitor.finished import LETTERS
-from rig.monitor.lab import ADDRESS
+from rig.monitor.lab import ADDRESS, Folders
 from rig.monitor.live_view import SAMPLE_RATE_HZ, Backlog, LiveView, number
-from rig.monitor.page_process import PageProcess, PageSettings
+from rig.monitor.page_process import PageProcess
 from rig.monitor.quality import LiveQuality, Quality
 from trajectories import PressShear, Target, dome_height
 
@@ -417,8 +418,10 @@ class _LogLines(logging.Handler):
 class CollectionPage(PageProcess):
     """Context manager that serves the page while a collection runs."""
 
-    def __init__(self, settings: PageSettings, job: CollectionJob) -> None:
-        super().__init__(settings, CollectionView, job)
+    option = "--watch"
+
+    def __init__(self, access: AccessPolicy, folders: Folders, job: CollectionJob) -> None:
+        super().__init__(access, folders, CollectionView, job)
         self._clock = SystemClock()
         self._start_ns = self._clock.now_ns()
         self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.targets))

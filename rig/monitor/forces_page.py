@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock
+from rig.monitor.access import AccessPolicy
+from rig.monitor.lab import Folders
 from rig.monitor.live_view import Backlog, LiveView, number
-from rig.monitor.page_process import PageProcess, PageSettings
+from rig.monitor.page_process import PageProcess
 
 if TYPE_CHECKING:
     from rig.monitor.predictor import LiveForce
@@ -80,8 +82,10 @@ class ForcesView(LiveView):
 class ForcesPage(PageProcess):
     """Context manager that shows forces on a page."""
 
-    def __init__(self, settings: PageSettings, job: ForcesJob) -> None:
-        super().__init__(settings, ForcesView, job)
+    option = "--page"
+
+    def __init__(self, access: AccessPolicy, folders: Folders, job: ForcesJob) -> None:
+        super().__init__(access, folders, ForcesView, job)
         self._start_ns: int | None = None
         # The forces that are shown with their times [ns], and those that were not sent yet.
         self._recent: deque[tuple[int, Point]] = deque(maxlen=_MOST)

@@ -12,7 +12,6 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -29,31 +28,29 @@ _PERIOD = 0.2
 _START_TIMEOUT = 30.0
 
 
-@dataclass(frozen=True, slots=True)
-class PageSettings:
-    """Where and to whom a command serves its page."""
-
-    access: AccessPolicy
-    """Address to listen on, and access policy."""
-    folders: Folders
-    """Folders of the lab; without one of sessions, only the live view is served."""
-    option: str = "--watch"
-    """Option of the command, for error messages."""
-
-
 class PageProcess:
-    """Context manager that serves the page, with a live view of a job, while a command runs."""
+    """Context manager that serves the page, with a live view of a job, while a command runs.
+
+    If the lab has no folder of sessions, only the live view is served.
+    """
+
+    option: str
+    """Option of the command with the address, for error messages."""
 
     def __init__(
-        self, settings: PageSettings, view: Callable[[Any, Clock], LiveView], job: object
+        self,
+        access: AccessPolicy,
+        folders: Folders,
+        view: Callable[[Any, Clock], LiveView],
+        job: object,
     ) -> None:
-        self._settings = settings
+        self._access = access
         self._ending = threading.Event()
-        self.port = settings.access.port
+        self.port = access.port
         """Port of the server, once started."""
         context = multiprocessing.get_context("spawn")
         self._pipe, self._far_end = context.Pipe()
-        arguments = (settings, view, job, self._far_end)
+        arguments = (access, folders, view, job, self._far_end)
         self._process = context.Process(target=run_page, args=arguments, name="page")
         self._thread = threading.Thread(target=self._exchange, name="page", daemon=True)
 
@@ -70,7 +67,7 @@ class PageProcess:
     @property
     def urls(self) -> list[str]:
         """Addresses to open, see `urls_of`. Printed, never logged."""
-        return urls_of(self._settings.access, self.port)
+        return urls_of(self._access, self.port)
 
     def start(self) -> None:
         """Start the process, and wait until it serves the page."""
@@ -84,7 +81,7 @@ class PageProcess:
             answer = "its process ended"
         if isinstance(answer, str):
             self._stop_process()
-            raise ConfigError(f"{self._settings.option}: {answer}")
+            raise ConfigError(f"{self.option}: {answer}")
         self.port = answer
         self._thread.start()
 
@@ -119,7 +116,8 @@ class PageProcess:
 
 
 def run_page(
-    settings: PageSettings,
+    access: AccessPolicy,
+    folders: Folders,
     make_view: Callable[[Any, Clock], LiveView],
     job: object,
     pipe: Connection,
@@ -137,9 +135,9 @@ def run_page(
         pipe.send(port)
         view.start()
 
-    folders = settings.folders if settings.folders.sessions.is_dir() else None
+    lab = folders if folders.sessions.is_dir() else None
     try:
-        server = PageServer(settings.access, folders, clock, view, pipe)
+        server = PageServer(access, lab, clock, view, pipe)
         asyncio.run(server.run(ready))
     except ConfigError as error:
         pipe.send(str(error))

@@ -35,7 +35,6 @@ from rig.monitor.access import AccessPolicy
 from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
 from rig.monitor.forces_page import ForcesJob, ForcesPage
 from rig.monitor.lab import Folders
-from rig.monitor.page_process import PageSettings
 from rig.monitor.watched import GaugeBeside, Watched, mock_bench, replayed
 from tactile.__main__ import main
 
@@ -151,8 +150,8 @@ def test_forces_before_and_after_stand_beside_the_gauge_in_a_table_and_on_a_page
     predictor = Stub(clock, first=0, with_intervals=True, with_before=True)
     out, summary, printed = tmp_path / "forces.csv", Summary(), io.StringIO()
     line, access = ForceLine(clock, printed), AccessPolicy(port=0)
-    settings = PageSettings(access, Folders(tmp_path / "none", BENCHES), "--page")
-    with ForcesPage(settings, ForcesJob("uskin", "REPLAY")) as page:
+    folders = Folders(tmp_path / "none", BENCHES)
+    with ForcesPage(access, folders, ForcesJob("uskin", "REPLAY")) as page:
 
         def show(force: LiveForce, t_ns: int, latency: float, beside: Any) -> None:
             line(force, latency)

@@ -20,7 +20,6 @@ from rig.core.packaged import BENCHES
 from rig.monitor.access import AccessPolicy
 from rig.monitor.collection import CollectionJob, CollectionPage
 from rig.monitor.lab import Folders
-from rig.monitor.page_process import PageSettings
 
 pytestmark = [
     pytest.mark.serial,
@@ -148,9 +147,7 @@ def test_a_fault_of_the_recording_is_seen_by_words_and_colour(tmp_path: Path) ->
     with recording(GELSIGHT, tmp_path) as made, Chromium() as browser:
         request = CollectRequest(made.path, GELSIGHT.trajectory, 48)
         job = CollectionJob.of(GELSIGHT, tmp_path, request)
-        with CollectionPage(
-            PageSettings(AccessPolicy(port=0), Folders(tmp_path, BENCHES)), job
-        ) as page:
+        with CollectionPage(AccessPolicy(port=0), Folders(tmp_path, BENCHES), job) as page:
             page.begin(Control(), dict, made.path, 0)
             browser.resize(1280, 800)
             browser.open(page.urls[0])

@@ -31,15 +31,14 @@ def parse(*words: str) -> argparse.Namespace:
 
 def opened(
     options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack
-) -> CollectionPage | None:
+) -> CollectionPage:
     request = CollectRequest(folder / "s.zarr", BENCH.trajectory, TARGETS)
-    page = opened_page(options, BENCH, folder, request)
+    page = opened_page(options.watch, options.calibrations, BENCH, folder, request)
     return stack.enter_context(page)
 
 
-def test_nothing_is_served_unless_asked_for(tmp_path: Path) -> None:
-    with contextlib.ExitStack() as stack:
-        assert opened(parse(), tmp_path, stack) is None
+def test_nothing_is_served_unless_asked_for() -> None:
+    assert parse().watch is None
 
 
 def test_the_port_has_a_default() -> None:
@@ -71,8 +70,7 @@ def test_a_page_for_all_networks_prints_addresses_that_answer(
 ) -> None:
     """A tablet resolves no name of this machine, so the addresses are numbers."""
     with contextlib.ExitStack() as stack:
-        page = opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
-        assert page is not None
+        opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
         printed = re.findall(r"watch it at (\S+)", capsys.readouterr().out)
         assert printed
         for url in printed:
@@ -88,12 +86,10 @@ def test_the_address_is_printed_and_a_remote_one_has_the_token(
 ) -> None:
     with contextlib.ExitStack() as stack:
         page = opened(parse("--watch", "0"), tmp_path, stack)
-        assert page is not None
         assert capsys.readouterr().out == f"watch it at http://127.0.0.1:{page.port}/\n"
     with contextlib.ExitStack() as stack:
-        page = opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
+        opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
         printed = capsys.readouterr().out
-        assert page is not None
         assert f":{page.port}/?token=" in printed
         assert "not encrypted" in printed
 

@@ -134,7 +134,7 @@ def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     access = AccessPolicy(port=0)
-    arguments = (watched_bench.settings(access), CollectionView, watched_bench.job(), theirs)
+    arguments = (access, watched_bench.folders(), CollectionView, watched_bench.job(), theirs)
     process = context.Process(target=run_page, args=arguments)
     process.start()
     theirs.close()

@@ -23,7 +23,6 @@ from rig.core.shared_memory import SharedLatest
 from rig.monitor.access import AccessPolicy
 from rig.monitor.collection import CollectionJob, CollectionPage
 from rig.monitor.lab import Folders
-from rig.monitor.page_process import PageSettings
 
 BENCH = BenchFile.read(BENCHES / "tacpalm.yaml").bench
 TARGETS = 40
@@ -71,11 +70,11 @@ class WatchedBench:
         request = CollectRequest(self.session, BENCH.trajectory, TARGETS)
         return CollectionJob.of(BENCH, self.folder, request)
 
-    def settings(self, access: AccessPolicy | None = None) -> PageSettings:
-        return PageSettings(access or AccessPolicy(port=0), Folders(self.folder, BENCHES))
+    def folders(self) -> Folders:
+        return Folders(self.folder, BENCHES)
 
     def page(self, access: AccessPolicy | None = None) -> CollectionPage:
-        return CollectionPage(self.settings(access), self.job())
+        return CollectionPage(access or AccessPolicy(port=0), self.folders(), self.job())
 
     def writer(self) -> SessionWriter:
         """Return a writer of the session, to add segments."""
