@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -42,8 +41,6 @@ _WRITTEN = 32 << 20
 AT_REST = 0.35
 # Distance of the tip from the sensor beyond which the contact frame, or its units, is wrong [m].
 FAR = 1.5
-# `device` of pedal and SpaceMouse by vendor and product.
-VENDOR = re.compile("[0-9a-f]{4}:[0-9a-f]{4}")
 # A clock that is earlier was never set.
 _SET = "2024-01-01"
 
@@ -154,8 +151,8 @@ def realtime() -> Finding:
         "note",
         "no rights: a busy computer may delay samples (their times stay right)",
         (
-            "tactile doctor --fix writes a file in /etc/security/limits.d with the line "
-            "`USER - rtprio 60`; then log in again",
+            'echo "$USER - rtprio 60" | sudo tee /etc/security/limits.d/70-tactile-rig.conf; then '
+            "log in again",
         ),
     )
 
@@ -166,25 +163,6 @@ def time_of_day() -> Finding:
     if now < _SET:
         return Finding("clock", "FAULT", now, ("timedatectl set-ntp true, or set it by hand",))
     return Finding("clock", "well", now)
-
-
-# Rights
-
-
-def missing_rights(bench: Bench, user: str, etc: Path = Path("/etc")) -> dict[Path, str]:
-    """Return the files that give a user real-time priority, and access to pedal and SpaceMouse.
-
-    They are contents by path in `etc`, without those that are there already.
-    """
-    files = {etc / "security/limits.d/70-tactile-rig.conf": f"{user} - rtprio 60\n"}
-    devices = [str(each.device) for each in (bench.pedal, bench.jog) if each is not None]
-    vendors = [device.partition(":")[0] for device in devices if VENDOR.fullmatch(device)]
-    if vendors:
-        rule = 'KERNEL=="hidraw*", ATTRS{{idVendor}}=="{}", MODE="0660", TAG+="uaccess"\n'
-        files[etc / "udev/rules.d/70-tactile-rig.rules"] = "".join(map(rule.format, vendors))
-    return {
-        path: text for path, text in files.items() if not path.exists() or path.read_text() != text
-    }
 
 
 # Devices

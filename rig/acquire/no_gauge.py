@@ -21,7 +21,7 @@ from PIL import Image
 
 from recorder import OUTCOMES, Session
 from rig.acquire.calibration import signal_onset, store
-from rig.acquire.calibration.home import home_calibration, truth_lines
+from rig.acquire.calibration.home import home_calibration
 from rig.acquire.calibration.onset import TouchedSurface
 from rig.acquire.calibration.store import (
     Calibration,
@@ -167,8 +167,8 @@ def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
         )
 
 
-def lines_of(found: TouchedSurface, home: HomeCalibration, bench: Bench) -> list[str]:
-    """Return the result as lines, with the true height of a mock bench's surface."""
+def lines_of(found: TouchedSurface, home: HomeCalibration) -> list[str]:
+    """Return the result as lines."""
     low, high = (1e3 * value for value in home.interval)
     lines = [
         f"home: surface {1e3 * home.shift:+.3f} mm along z of the bench file's contact frame "
@@ -182,7 +182,7 @@ def lines_of(found: TouchedSurface, home: HomeCalibration, bench: Bench) -> list
             + ", ".join(f"{point}: {1e3 * z:+.3f}" for point, z in found.heights.items())
             + " mm"
         )
-    return [*lines, *truth_lines(bench, home.shift)]
+    return lines
 
 
 class Record(Protocol):
@@ -284,7 +284,7 @@ def find_surface(file: BenchFile, record: Record) -> HomeCalibration:
     )
     surface = signal_onset.evaluate(session, touches)
     home = home_calibration(signal_onset.METHOD, surface, file, raised=rough)
-    print("\n".join(lines_of(surface, home, bench)), flush=True)
+    print("\n".join(lines_of(surface, home)), flush=True)
     check_surface(surface, home.shift)
     return home
 

@@ -252,7 +252,7 @@ class Bench:
 
     @property
     def without_gauge(self) -> tuple[StandIns, BenchStream, float]:
-        """What a bench without a gauge has: limits of guards, signal, rating of the sensor [N]."""
+        """Limits of guards, signal and rating of the sensor [N] of a bench without a gauge."""
         stand_ins, signal, rating = self.stand_ins, self.signal, self.limits.sensor_rating
         if stand_ins is None or signal is None or rating is None:
             raise ConfigError(f"{self.sensor}.force: has a gauge; allowed: none")

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import getpass
 import logging
-import os
-import shlex
-import sys
 import tempfile
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from rig.acquire.calibration import store
-from rig.acquire.doctor import Finding, examine, missing_rights
-from rig.bench.bench import Bench
+from rig.acquire.doctor import Finding, examine
 from rig.cli.options import (
     bench_command,
     bench_options,
@@ -22,9 +17,7 @@ from rig.cli.options import (
     chosen_bench,
 )
 from rig.cli.recording import started_bench
-from rig.cli.terminal import confirm
 from rig.core.clock import SystemClock
-from rig.core.errors import ConfigError
 
 # Default folder of sessions.
 SESSIONS = Path("sessions")
@@ -48,20 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of sessions, whose disk is tested, and of the plan's picture (%(default)s)",
     )
     calibration_options(parser)
-    parser.add_argument(
-        "--fix",
-        action="store_true",
-        help="write what gives you real-time priority and access to pedal and SpaceMouse, after "
-        "asking (needs root); tests nothing",
-    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Print a line for each part, and its cures; return the exit code."""
     file = chosen_bench(options)
     bench = file.bench
-    if options.fix:
-        return fix(bench, os.environ.get("SUDO_USER") or getpass.getuser(), Path("/etc"))
     kind = "mock bench" if bench.mock else "LAB BENCH"
     parts = [row.name for row in bench.rows]
     print(f"{kind} {file.path}: {', '.join(parts)}; nothing moves", flush=True)
@@ -94,26 +79,3 @@ def show(found: Finding) -> None:
     print(f"  {found.state:5}  {found.part:10} {found.text}", flush=True)
     for number, cure in enumerate(found.cures):
         print(f"         {'' if number else 'cure:':10} {cure}", flush=True)
-
-
-def fix(bench: Bench, user: str, etc: Path) -> int:
-    """Write the files of `missing_rights` after asking; return the exit code."""
-    files = missing_rights(bench, user, etc)
-    if not files:
-        print(f"doctor: {user} has these rights already")
-        return EXIT_DONE
-    lines = [f"{path}:\n  {text}" for path, text in files.items()]
-    if not os.access(etc, os.W_OK):
-        again = shlex.join(["sudo", *sys.argv])
-        raise ConfigError(
-            f"--fix: {etc} needs root; {again} writes\n" + "".join(lines).rstrip("\n")
-        )
-    if not sys.stdin.isatty():
-        raise ConfigError("--fix: asks before it writes, and there is no terminal to ask on")
-    confirm([f"This writes for {user}:", *lines], "write")
-    for path, text in files.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-        print(f"{path}: written")
-    print("doctor: log in again, and plug pedal and SpaceMouse in again")
-    return EXIT_DONE

@@ -73,7 +73,11 @@ _UR = (
     "ping {at}: this computer needs an address of its own in the arm's network",
     "let a firewall pass ports 29999, 30001 to 30004",
 )
-_HID = ("plug it in; lsusb shows vendor:product; a udev rule gives access (tactile doctor --fix)",)
+_HID = (
+    "plug it in; lsusb shows vendor:product, which the bench file has as {at}",
+    'a udev rule gives access: in /etc/udev/rules.d/70-tactile-rig.rules KERNEL=="hidraw*", '
+    'ATTRS{idVendor}=="VENDOR", MODE="0660", TAG+="uaccess"; then plug it in again',
+)
 
 DEVICES = {
     device.kind: device

@@ -365,7 +365,7 @@ FAULTS: list[tuple[str, Callable[[Site], Any], str, str, str]] = [
         "A name of /dev/serial/by-id stays the same",
     ),
     ("contact frame elsewhere", elsewhere, "contact", "x -20.00", "position_mm: [-120.000, -430"),
-    ("no rights", no_rights, "real time", "no rights", "tactile doctor --fix"),
+    ("no rights", no_rights, "real time", "no rights", "rtprio 60"),
     ("full disk", full_disk, "disk", "0 GB free", "free some space"),
     ("clock never set", unset_clock, "clock", "1970", "timedatectl"),
 ]

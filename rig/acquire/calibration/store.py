@@ -29,8 +29,8 @@ from rig.core.geometry import compose, invert, transform
 
 
 @dataclass(frozen=True, slots=True)
-class HomeCalibration:
-    """Height of the undeformed surface along z of the bench file's contact frame."""
+class Measurement:
+    """Statement of every calibration about its measurement."""
 
     date_utc: str
     """Time of the measurement, ISO 8601."""
@@ -40,6 +40,12 @@ class HomeCalibration:
     """True if measured on a mock bench."""
     bench_sha256: str
     """Hash of the bench's content as read."""
+
+
+@dataclass(frozen=True, slots=True)
+class HomeCalibration(Measurement):
+    """Height of the undeformed surface along z of the bench file's contact frame."""
+
     contact_frame: tuple[float, ...] = field(metadata={"pose": True})
     """Contact frame (6,) during the measurement, base frame [m, rad]."""
     tcp: tuple[float, ...] = field(metadata={"pose": True})
@@ -69,17 +75,9 @@ class FirstPressRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class LatencyCalibration:
+class LatencyCalibration(Measurement):
     """Latency of a signal."""
 
-    date_utc: str
-    """Time of the measurement, ISO 8601."""
-    method: str
-    """Method of the measurement."""
-    mock: bool
-    """True if measured on a mock bench."""
-    bench_sha256: str
-    """Hash of the bench's content as read."""
     stream: str
     """The signal: `camera` or `taxels`."""
     device: str
