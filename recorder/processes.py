@@ -69,7 +69,9 @@ class Workers:
     ) -> Future[Answer]:
         """Schedule a call on the next free process."""
         kept_off = contextlib.nullcontext() if self._patient else _interrupts_kept_off()
-        with _threads_of_processes(self._threads), kept_off:
+        own = "OMP_NUM_THREADS" in os.environ
+        threads = {} if own else {"OMP_NUM_THREADS": self._threads}
+        with environment(**threads), kept_off:
             return self._executor.submit(call, *args, **kwargs)
 
     def __enter__(self) -> Self:
@@ -120,16 +122,18 @@ class _Spawning(SpawnContext):
 
 
 @contextlib.contextmanager
-def _threads_of_processes(number: str) -> Iterator[None]:
-    """Set the number of threads of processes started inside, unless the environment has one."""
-    if "OMP_NUM_THREADS" in os.environ:
-        yield
-        return
-    os.environ["OMP_NUM_THREADS"] = number
+def environment(**values: str) -> Iterator[None]:
+    """Set environment variables for the processes and libraries that start inside."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:
-        del os.environ["OMP_NUM_THREADS"]
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @contextlib.contextmanager

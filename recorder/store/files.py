@@ -11,10 +11,9 @@ import json
 import os
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -29,74 +28,26 @@ DOCUMENT_MAX = 1 << 28
 Range = tuple[int, int]
 
 
-class Files(Protocol):
-    """Read access to files by path."""
-
-    @property
-    def local(self) -> bool:
-        """True if the paths are on this machine."""
-        ...
-
-    def name(self, path: Path) -> str:
-        """Return the path or URL for messages."""
-        ...
-
-    def read(self, path: Path) -> bytes:
-        """Return a whole file.
-
-        Raises:
-            FileNotFoundError: No such file.
-        """
-        ...
-
-    def tail(self, path: Path, nbytes: int) -> bytes:
-        """Return the last `nbytes` of a file, or all of a shorter one.
-
-        Raises:
-            FileNotFoundError: No such file.
-        """
-        ...
-
-    def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
-        """Return parts of a file; a part that extends beyond its end is short.
-
-        Raises:
-            FileNotFoundError: No such file.
-        """
-        ...
-
-    def groups(self, path: Path) -> list[Path]:
-        """Return the directories directly below a path that contain a `zarr.json`, sorted."""
-        ...
-
-    def listed(self, path: Path) -> list[Path]:
-        """Return all files below a directory."""
-        ...
-
-    def sizes(self, path: Path) -> dict[Path, int]:
-        """Return all files below a directory with their sizes [bytes]."""
-        ...
-
-    def remembering(self) -> AbstractContextManager[None]:
-        """Read each zarr.json only once as long as this context lasts."""
-        ...
-
-
-class LocalFiles:
-    """Files on the local disk."""
+class Files:
+    """Read access to files by path: here of the local disk, which its subclasses replace."""
 
     local = True
+    """True if the paths are on this machine."""
 
     def __init__(self) -> None:
         # zarr.json files read so far, while `remembering`.
         self._documents: dict[Path, bytes] | None = None
 
     def name(self, path: Path) -> str:
-        """Return the path unchanged."""
+        """Return the path or URL for messages."""
         return str(path)
 
     def read(self, path: Path) -> bytes:
-        """Return a whole file."""
+        """Return a whole file.
+
+        Raises:
+            FileNotFoundError: No such file; so do `tail` and `ranges`.
+        """
         documents = self._documents
         if documents is None or path.name != "zarr.json":
             return path.read_bytes()
@@ -107,20 +58,21 @@ class LocalFiles:
     @contextmanager
     def remembering(self) -> Iterator[None]:
         """Read each zarr.json only once as long as this context lasts."""
-        self._documents = {}
+        before = self._documents
+        self._documents = {} if before is None else before
         try:
             yield
         finally:
-            self._documents = None
+            self._documents = before
 
     def tail(self, path: Path, nbytes: int) -> bytes:
-        """Return the last bytes of a file."""
+        """Return the last `nbytes` of a file, or all of a shorter one."""
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             return os.pread(file.fileno(), nbytes, max(size - nbytes, 0))
 
     def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
-        """Return parts of a file."""
+        """Return parts of a file; a part that extends beyond its end is short."""
         fd = os.open(path, os.O_RDONLY)
         try:
             return [os.pread(fd, nbytes, offset) for offset, nbytes in wanted]
@@ -128,7 +80,7 @@ class LocalFiles:
             os.close(fd)
 
     def groups(self, path: Path) -> list[Path]:
-        """Return the Zarr nodes directly below a directory."""
+        """Return the directories directly below a path that contain a `zarr.json`, sorted."""
         return sorted(entry.parent for entry in path.glob("*/zarr.json"))
 
     def listed(self, path: Path) -> list[Path]:
@@ -136,7 +88,7 @@ class LocalFiles:
         return [entry for entry in path.rglob("*") if entry.is_file()]
 
     def sizes(self, path: Path) -> dict[Path, int]:
-        """Return all files below a directory with their sizes."""
+        """Return all files below a directory with their sizes [bytes]."""
         found = {}
         for entry in self.listed(path):
             try:
@@ -147,7 +99,7 @@ class LocalFiles:
 
 
 # The only instance that writers use.
-LOCAL = LocalFiles()
+LOCAL = Files()
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
@@ -168,7 +120,7 @@ def locate(
         return open_url(str(place), storage_options or {})
     if storage_options:
         raise SessionError(f"{place}: storage options are for URLs; this is a path")
-    return LocalFiles(), Path(place)
+    return Files(), Path(place)
 
 
 # Reading from object stores and web servers, through fsspec: `s3://`, `https://`, `memory://` ...
@@ -187,21 +139,23 @@ _HINTS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteFiles:
+class RemoteFiles(Files):
     """Files of one remote store; pickled and forked as protocol and options."""
 
-    protocol: str
-    """Protocol of the store, as named by fsspec."""
-    options: Mapping[str, Any]
-    """Options that fsspec needs to open it; never printed, since they may contain secrets."""
-    prefix: str
-    """Part of the URL before a path."""
-    local: bool = field(default=False, init=False)
-    """Always False."""
-    _documents: dict[Path, bytes] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )  # zarr.json files: a finished session does not change
+    local = False
+
+    def __init__(self, protocol: str, options: Mapping[str, Any], prefix: str) -> None:
+        """Name a store.
+
+        Args:
+            protocol: Protocol of the store, as named by fsspec.
+            options: Options that fsspec needs to open it; never printed, since they may contain
+                secrets.
+            prefix: Part of the URL before a path.
+        """
+        self.protocol, self.options, self.prefix = protocol, options, prefix
+        # zarr.json files: a finished session does not change.
+        self._documents: dict[Path, bytes] = {}
 
     def name(self, path: Path) -> str:
         """Return the URL of a path."""
@@ -279,10 +233,6 @@ class RemoteFiles:
             if unknown:  # a web server's listing has no sizes
                 sizes |= zip(unknown, self._system().sizes(unknown), strict=True)
         return {Path(name.removeprefix(self.prefix)): int(size) for name, size in sizes.items()}
-
-    def remembering(self) -> AbstractContextManager[None]:
-        """Return a context that changes nothing: metadata is always read only once here."""
-        return nullcontext()
 
     def _with_documents(self, places: list[Path]) -> list[Path]:
         """Return the directories that contain a `zarr.json`, fetching all concurrently."""

@@ -12,7 +12,6 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import astuple, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -251,26 +250,17 @@ def run_of(attrs: dict[str, Any]) -> int:
 # Files of a session, compared with its manifests when they are read, or all at once.
 
 
-@dataclass(frozen=True)
-class SealedFiles:
+class SealedFiles(Files):
     """Files of a session whose content is verified by its manifest when it is read.
 
     While a run is open, only the shards that are `fixed` are verified.
     """
 
-    inner: Files
-    """Files of the session."""
-    session: Path
-    """The session."""
-    manifest: Manifest
-    """Manifest to hold them against."""
-    is_open: bool = False
-    """True while another run is recorded."""
-
-    @property
-    def local(self) -> bool:
-        """True if the paths are on this machine."""
-        return self.inner.local
+    def __init__(self, inner: Files, session: Path, manifest: Manifest, is_open: bool) -> None:
+        """Hold the files of a session against a manifest; `is_open` while a run is recorded."""
+        super().__init__()
+        self.inner, self.session, self.manifest, self.is_open = inner, session, manifest, is_open
+        self.local = inner.local
 
     def name(self, path: Path) -> str:
         """Return the path or URL for messages."""
@@ -320,10 +310,6 @@ class SealedFiles:
         """Return all files below a directory with their sizes [bytes]."""
         return self.inner.sizes(path)
 
-    def remembering(self) -> AbstractContextManager[None]:
-        """Read each zarr.json only once as long as this context lasts."""
-        return self.inner.remembering()
-
     def _key(self, path: Path) -> str:
         return str(path.relative_to(self.session))
 
@@ -362,7 +348,7 @@ def sealed_files(
     lost = None if broken is None else str(broken)
     if not chain:
         return files, lost
-    sealed = SealedFiles(files, session, chain[0])
+    sealed = SealedFiles(files, session, chain[0], False)
     sealed.read(session / "zarr.json")
     if files.local:
         for message in wrong_sizes(session, sealed.manifest):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from scipy.special import gammainc
 from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCount, SensorPlan
 from recorder.command_line.options import next_command
 from recorder.markers import count_markers, unpack
-from recorder.processes import Workers
+from recorder.processes import Workers, environment
 from sim.dataset.generate import LATTICE, Packed, Reader, make_unit, reader
 from sim.dataset.plan import (
     DatasetPlan,
@@ -283,7 +282,7 @@ def make_in_processes(
     workers = Workers(max(1, min(processes, len(units))), ready_device, device, fewer=FEWER)
     workers.done = f"0 of {len(units)} units"
     with workers:
-        with _one_thread():
+        with environment(**ONE_THREAD):
             due = {
                 workers.submit(make_unit, opened.path, opened.plan, unit, device): unit
                 for unit in units
@@ -291,18 +290,6 @@ def make_in_processes(
         for done, task in enumerate(as_completed(due), 1):
             yield due[task], task.result()
             workers.done = f"{done} of {len(units)} units"
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Limit processes started inside to one thread for linear algebra."""
-    before = dict(os.environ)
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
 
 
 # Compressed size of a mask and of a displacement field [bytes]: means over the paper's states.

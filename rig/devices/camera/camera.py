@@ -8,10 +8,8 @@ frames for a late reader; the reader thread takes each on arrival.
 
 from __future__ import annotations
 
-import contextlib
-import os
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -19,6 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from recorder.processes import environment
 from rig.core.clock import Clock
 from rig.core.driver import CORRUPT_IN_A_ROW, ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
@@ -276,22 +275,8 @@ def open_stream(url: str, *, open_timeout: float, read_timeout: float) -> cv2.Vi
     options = "|".join(f"{name};{value}" for name, value in _OPTIONS.items())
     # A camera on the bench is never behind a proxy, even if the environment sets one.
     host = urlsplit(url).hostname or ""
-    with _environment(OPENCV_FFMPEG_CAPTURE_OPTIONS=options, no_proxy=host):
+    with environment(OPENCV_FFMPEG_CAPTURE_OPTIONS=options, no_proxy=host):
         return cv2.VideoCapture(url, cv2.CAP_FFMPEG, params)
-
-
-@contextlib.contextmanager
-def _environment(**wanted: str) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 class OpenCvDriver(CameraDriver):
