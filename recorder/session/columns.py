@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,18 +23,6 @@ from recorder.store.layout import StreamLayout
 from recorder.store.reader import ColumnReader, Kept, LazyRows
 
 Array = np.ndarray[Any, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class StreamRow:
-    """One row of a stream."""
-
-    stream: str
-    """Name of the stream."""
-    number: int
-    """Number of the row in the stream."""
-    columns: dict[str, Any]
-    """Value of each column; an image as its pixels (h, w, channels)."""
 
 
 class Stream:
@@ -184,15 +171,6 @@ class Stream:
         if len(rows):
             self._checked(max(int(np.max(rows)), 0))
         reader.read_images(np.asarray(rows).tolist(), out)
-
-    def rows_from(self, start: int) -> Iterator[StreamRow]:
-        """Yield the rows from `start` on."""
-        columns = {name: self.rows_between(name, start, self._rows) for name in self.small}
-        for place in range(max(self._rows - start, 0)):
-            values = {name: column[place] for name, column in columns.items()}
-            if self.layout.image is not None:
-                values[self.layout.image.column.name] = self.images([start + place])[0]
-            yield StreamRow(self.name, start + place, values)
 
     def jpeg(self, row: int) -> bytes | None:
         """Return the camera's original bytes of one image, or None if it was stored losslessly.

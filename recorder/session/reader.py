@@ -1,8 +1,7 @@
 """Read-only access to a session. Takes no lock, changes nothing and never fills in values."""
 
 import os
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -13,14 +12,13 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.session.align import Sources
-from recorder.session.columns import Stream, StreamRow
+from recorder.session.columns import Stream
 from recorder.session.loss import Losses, is_compressed, stream_losses
-from recorder.session.notebook import html_of
 from recorder.session.sources import RunStreams, sources_near, sources_of_run, span_of_run
 from recorder.session.window import Window, align_window, ticks_before
 from recorder.spec import frame_columns, signal_of
 from recorder.store.attributes import read_order, read_session_attrs
-from recorder.store.files import LOCAL, Files, locate
+from recorder.store.files import Files, locate
 from recorder.store.manifest import sealed_files
 from recorder.store.reader import Table
 
@@ -85,12 +83,6 @@ class Session:
         rows = ", ".join(f"{name} {len(stream):,}" for name, stream in self.streams.items())
         parts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
         return f"<Session {self.name}: {', '.join(parts)}>"
-
-    def _repr_html_(self) -> str:
-        """Return a table of the streams and some pictures, for notebooks."""
-        about = [self.status, *(self.attrs.get(key) for key in ("sensor", "indenter"))]
-        title = ", ".join(str(each) for each in about if each)
-        return html_of(self.name, title, self.warning, self.streams)
 
     def require_frames(self) -> Table:
         """Return `frames`.
@@ -250,49 +242,6 @@ class Session:
             if aligned.row is not None and self.streams[name].layout.image is not None
         }
         return replace(rows, streams={**rows.streams, **shown})
-
-    def follow(
-        self, *streams: str, poll: float = 0.1, timeout: float | None = None
-    ) -> Iterator[StreamRow]:
-        """Yield rows as they are recorded, from the first after those that `streams` shows.
-
-        Ends when the session is closed and all rows were yielded. Rows of one stream come in order.
-
-        Args:
-            streams: Names of the streams to follow; all if none is given.
-            poll: Pause before looking for further rows [s].
-            timeout: Longest time without a row before the iteration ends [s]; None waits for ever.
-
-        Raises:
-            SessionError: No such stream, a remote session, or a corrupt file.
-        """
-        if not self.files.local:
-            raise SessionError(f"{self.name}: only sessions on this machine can be followed")
-        unknown = [name for name in streams if name not in self.streams]
-        if unknown:
-            known = ", ".join(self.order)
-            raise SessionError(f"{self.name}: no stream {unknown[0]!r}; known: {known}")
-        ends = {name: len(self.streams[name]) for name in streams or self.order}
-        followed = {name: Stream(self.path / "streams" / name, live=True) for name in ends}
-        last = time.monotonic()
-        while True:
-            live = read_session_attrs(self.path, LOCAL)["status"] == "recording"
-            found = False
-            for name, start in ends.items():
-                if live:
-                    followed[name].refresh()
-                else:
-                    followed[name] = Stream(self.path / "streams" / name)
-                for row in followed[name].rows_from(start):
-                    yield row
-                    found = True
-                ends[name] = len(followed[name])
-            if not live and not found:
-                return
-            last = time.monotonic() if found else last
-            if timeout is not None and time.monotonic() - last > timeout:
-                return
-            time.sleep(poll)
 
     def _pixels(self, name: str, rows: NDArray[np.int64]) -> Array:
         """Return the images of some rows (n, h, w, channels); zeros for row -1."""

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import io
-import re
 import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from support.sessions import make_session, reseal
 
 from recorder import Session, SessionError, to_pandas, to_xarray
@@ -61,18 +57,3 @@ def test_a_missing_library_and_missing_frames_are_said(
         monkeypatch.setitem(sys.modules, name, None)
         with pytest.raises(SessionError, match=rf"needs {name}: pip install 'tactile-rig\[tables"):
             table(session)
-
-
-def test_a_notebook_shows_streams_and_pictures(session: Session, tmp_path: Path) -> None:
-    text = session._repr_html_()
-    for name, stream in session.streams.items():
-        assert re.search(rf"<td>{name}</td><td>\w+</td><td [^>]*>{len(stream):,}</td>", text)
-    shown = re.findall(r"base64,([^']+)'", text)
-    assert len(shown) == 4
-    camera = session.streams["camera"]
-    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(shown[-1]))), float)
-    true = camera.images([len(camera) - 1])[0].astype(float)
-    assert np.abs(picture - true).mean() < 8  # stored as JPEG twice
-    assert "<" not in re.sub(r"<[^<>]*>", "", text)
-    odd = make_session(tmp_path / "a<b>&c.zarr", seconds=0.6, names=("force",))
-    assert "a&lt;b&gt;&amp;c.zarr" in Session(odd)._repr_html_()
