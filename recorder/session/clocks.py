@@ -75,10 +75,6 @@ class ClockFit:
 
     pieces: tuple[ClockPiece, ...]
     """One per stretch without a reset, in order."""
-    window: float
-    """Length of a window [s]."""
-    causal: bool
-    """True if each knot uses only samples before it."""
     wrap: float | None
     """Period after which the device's clock wraps [s]; None if no wrap was seen."""
 
@@ -116,8 +112,8 @@ class ClockFit:
             }
             for part in self.pieces
         ]
-        method = "lower envelope, " + ("causal" if self.causal else "two-sided")
-        return {"method": method, "window_s": self.window, "wrap_s": self.wrap, "pieces": pieces}
+        method = "lower envelope, two-sided"
+        return {"method": method, "window_s": WINDOW, "wrap_s": self.wrap, "pieces": pieces}
 
     @classmethod
     def from_json(cls, stored: dict[str, Any]) -> Self:
@@ -136,8 +132,7 @@ class ClockFit:
             for part in stored["pieces"]
         )
         wrap = stored["wrap_s"]
-        causal = str(stored["method"]).endswith("causal")
-        return cls(pieces, float(stored["window_s"]), causal, None if wrap is None else float(wrap))
+        return cls(pieces, None if wrap is None else float(wrap))
 
 
 def _finite(value: float) -> float | None:
@@ -149,24 +144,12 @@ def _or_nan(value: Any) -> float:
     return float("nan") if value is None else float(value)
 
 
-def fit_clock(
-    device_t: Floats,
-    t_ns: NDArray[np.int64],
-    *,
-    window: float = WINDOW,
-    causal: bool = False,
-    wrap: float | None = None,
-    least_delay: float = 0.0,
-) -> ClockFit | None:
+def fit_clock(device_t: Floats, t_ns: NDArray[np.int64]) -> ClockFit | None:
     """Fit the device's clock to the host's; return None if there are too few samples.
 
     Args:
         device_t: Device times (n,) [s] in order of arrival; NaN if the device gave none.
         t_ns: Arrivals (n,) [ns].
-        window: Window of a fit [s].
-        causal: Use only samples before each knot, as a live program must.
-        wrap: Period after which the device's clock wraps [s]; None searches the known ones.
-        least_delay: Least delay of an arrival, if known [s].
     """
     rows = np.flatnonzero(np.isfinite(device_t))
     if len(rows) < _LEAST_SAMPLES:
@@ -174,41 +157,30 @@ def fit_clock(
     # Relative to the first arrival: float64 would round nanoseconds since boot.
     origin_ns = int(t_ns[rows[0]])
     host = np.asarray((t_ns[rows] - origin_ns) * 1e-9, np.float64)
-    device, found_wrap = _unwrapped(np.asarray(device_t, np.float64)[rows], host, wrap)
+    device, wrap = _unwrapped(np.asarray(device_t, np.float64)[rows], host)
     offset = host - device
     bounds = [0, *_resets(host, offset), len(rows)]
-    pieces = []
-    for start, stop in pairwise(bounds):
-        part = slice(start, stop)
-        piece = _fit_piece(device[part], offset[part] - least_delay, window, causal)
-        if piece is None:
-            continue
-        knots, values, drift_ppm, rms, half = piece
-        at_first = float(np.interp(device[start], knots, values))
-        base = origin_ns * 1e-9
-        first, count = int(rows[start]), stop - start
-        pieces.append(
-            ClockPiece(first, count, base + at_first, drift_ppm, rms, half, knots, base + values)
-        )
-    return ClockFit(tuple(pieces), window, causal, found_wrap) if pieces else None
+    parts = [slice(*bound) for bound in pairwise(bounds)]
+    fits = [
+        _fit_piece(device[part], offset[part], int(rows[part.start]), origin_ns * 1e-9)
+        for part in parts
+    ]
+    pieces = tuple(piece for piece in fits if piece is not None)
+    return ClockFit(pieces, wrap) if pieces else None
 
 
-def _unwrapped(device: Floats, host: Floats, wrap: float | None) -> tuple[Floats, float | None]:
+def _unwrapped(device: Floats, host: Floats) -> tuple[Floats, float | None]:
     """Return unwrapped device times, and the wrap period if there was one."""
     change, passed = np.diff(device), np.diff(host)
-    back = np.flatnonzero(change < -STEP)
-    if not back.size:
-        return device, wrap
-    known = WRAPS if wrap is None else (wrap,)
     turns = np.zeros(len(device))
-    found = wrap
-    for row in back:
+    period = None
+    for row in np.flatnonzero(change < -STEP):
         wanted = passed[row] - change[row]
-        fitting = [p for p in known if abs(p - wanted) < min(_WRAP_SLACK, 0.1 * p)]
+        fitting = [p for p in WRAPS if abs(p - wanted) < min(_WRAP_SLACK, 0.1 * p)]
         if fitting:
-            found = min(fitting, key=lambda period: abs(period - wanted))
-            turns[row + 1 :] += found
-    return device + turns, found
+            period = min(fitting, key=lambda each: abs(each - wanted))
+            turns[row + 1 :] += period
+    return (device + turns if period else device), period
 
 
 def _resets(host: Floats, offset: Floats) -> list[int]:
@@ -235,35 +207,43 @@ def _resets(host: Floats, offset: Floats) -> list[int]:
     return found
 
 
-def _fit_piece(
-    device: Floats, offset: Floats, window: float, causal: bool
-) -> tuple[Floats, Floats, float, float, float] | None:
-    """Return knots (k,), offsets there (k,), drift [ppm], rms residual [s] and its half interval.
+def _fit_piece(device: Floats, offset: Floats, first_row: int, base: float) -> ClockPiece | None:
+    """Return the fit of the rows between two resets; None for too few or too short a time.
 
-    It is None for too few samples or too short a time.
+    Args:
+        device: Unwrapped device times (n,) [s].
+        offset: Host times minus those, less `base` (n,) [s].
+        first_row: First row.
+        base: Origin of the host's times [s].
     """
     first, last = float(device.min()), float(device.max())
     if len(device) < _LEAST_SAMPLES or last - first < _LEAST_SPAN:
         return None
     # Remove the drift of the whole piece first, so that a bin's minimum is its promptest arrival.
     trend, _ = _line_below(*_least_of_bins(device, offset, (last - first) / (4 * _BINS)))
-    x, level = _least_of_bins(device, offset - trend * device, min(window, last - first) / _BINS)
-    count = max(int(np.ceil((last - first) / window * _KNOTS)) + 1, 2)
+    x, level = _least_of_bins(device, offset - trend * device, min(WINDOW, last - first) / _BINS)
+    count = max(int(np.ceil((last - first) / WINDOW * _KNOTS)) + 1, 2)
     knots = np.linspace(first, last, count)
     values = np.empty(count)
     for number, knot in enumerate(knots):
-        start = max(first, float(knot) - (window if causal else window / 2))
-        if not causal:
-            # At the ends the window keeps its length and the knot moves off its centre.
-            start = min(start, max(last - window, first))
-        stop = max(knot, first + _LEAST_SPAN) if causal else start + window
-        inside = (x >= start) & (x <= stop)
+        # At the ends the window keeps its length and the knot moves off its centre.
+        start = max(first, float(knot) - WINDOW / 2)
+        start = min(start, max(last - WINDOW, first))
+        inside = (x >= start) & (x <= start + WINDOW)
         _, at_zero = _line_below(x[inside] - knot, level[inside])
         values[number] = at_zero + trend * knot
     drift = float(np.polyfit(knots - knots.mean(), values, 1)[0])
     residual = offset - np.interp(device, knots, values)
-    rms = float(np.sqrt(np.mean(residual**2)))
-    return knots, values, -1e6 * drift / (1 + drift), rms, 1e6 * _drift_interval(device, residual)
+    return ClockPiece(
+        first_row,
+        len(device),
+        base + float(np.interp(device[0], knots, values)),
+        -1e6 * drift / (1 + drift),
+        float(np.sqrt(np.mean(residual**2))),
+        1e6 * _drift_interval(device, residual),
+        knots,
+        base + values,
+    )
 
 
 def _drift_interval(device: Floats, residual: Floats) -> float:
