@@ -78,37 +78,30 @@ def fill_archive(
     writer = ArchiveWriter.begin(path, plan)
     missing = writer.missing()
     total = sum(one.rows for one in plan.sensors)
-    todo = sum(
-        _rows(writer, name, unit).stop - _rows(writer, name, unit).start
-        for name, units in missing.items()
-        for unit in units
-    )
-    made = 0
-    progress(total - todo, total)
-    for sensor in sensors:
-        name = sensor.plan.name
-        for unit in missing.get(name, ()):
-            rows = _rows(writer, name, unit)
-            frames = sensor.read(rows)
-            writer.sensors[name].write(
-                unit,
-                packed=frames.packed,
-                table=frames.table,
-                source=frames.source,
-                displacement=frames.displacement,
-            )
-            made += rows.stop - rows.start
-            progress(total - todo + made, total)
+    due = [
+        (sensor, one.name, unit, writer.sensors[one.name].rows_of(unit))
+        for one, sensor in zip(plan.sensors, sensors, strict=True)
+        for unit in missing.get(one.name, ())
+    ]
+    todo = left = sum(rows.stop - rows.start for *_, rows in due)
+    progress(total - left, total)
+    for sensor, name, unit, rows in due:
+        frames = sensor.read(rows)
+        writer.sensors[name].write(
+            unit,
+            packed=frames.packed,
+            table=frames.table,
+            source=frames.source,
+            displacement=frames.displacement,
+        )
+        left -= rows.stop - rows.start
+        progress(total - left, total)
     writer.finish()
     for name, forces in (simulated or {}).items():
         known = MarkerArchive(path)[name]
         if known.simulated is None or known.simulated.made_from != forces.made_from:
             write_simulated(known, forces.force, forces.spread, forces.made_from)
-    return made
-
-
-def _rows(writer: ArchiveWriter, name: str, unit: int) -> slice:
-    return writer.sensors[name].rows_of(unit)
+    return todo
 
 
 # Fingerprint of an archive that does not need to read its masks.
