@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,21 +22,9 @@ from recorder.spec import STAMPS, Traits
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Array = np.ndarray[Any, Any]
 
 NS = 1e-9
-
-
-class Values(Protocol):
-    """Samples (m, ...): an array, or an array-like object that reads only the rows used."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape, samples first."""
-        ...
-
-    def __getitem__(self, key: Any, /) -> Any:
-        """Return the indexed samples, as an array would."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +86,7 @@ def nearest(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
     return _picked(times, query, index, max_age)
 
 
-def linear(times: Times, values: Values, query: Times, *, max_age: float = np.inf) -> Aligned:
+def linear(times: Times, values: Array, query: Times, *, max_age: float = np.inf) -> Aligned:
     """Return values interpolated linearly between the samples around each query.
 
     Args:
@@ -121,7 +109,7 @@ def linear(times: Times, values: Values, query: Times, *, max_age: float = np.in
 
 
 def mean(
-    times: Times, values: Values, start: Times, stop: Times, *, max_age: float = np.inf
+    times: Times, values: Array, start: Times, stop: Times, *, max_age: float = np.inf
 ) -> Aligned:
     """Return the mean of the samples inside each interval [start, stop], both ends included.
 
@@ -158,7 +146,7 @@ def mean(
     return Aligned(value, age, gap, valid, interpolated)
 
 
-def pose(times: Times, poses: Values, query: Times, *, max_age: float = np.inf) -> Aligned:
+def pose(times: Times, poses: Array, query: Times, *, max_age: float = np.inf) -> Aligned:
     """Return poses: positions interpolated linearly, rotations along the shortest arc.
 
     Args:
@@ -269,7 +257,7 @@ def _picked(times: Times, query: Times, index: NDArray[np.int64], max_age: float
     return Picked(index, age, valid)
 
 
-def _sums(values: Values, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
+def _sums(values: Array, first: NDArray[np.intp], last: NDArray[np.intp]) -> Floats:
     """Return the sums of values[first:last] for each pair, none of them empty.
 
     Each interval is summed separately rather than by differences of a running sum, so that a NaN
@@ -284,8 +272,6 @@ def _sums(values: Values, first: NDArray[np.intp], last: NDArray[np.intp]) -> Fl
 
 
 # The streams of one run, prepared for alignment: capture times and values in memory.
-
-Array = np.ndarray[Any, Any]
 
 # Exposure assumed for a camera that does not state it [s].
 EXPOSURE = 1 / 60
@@ -304,7 +290,7 @@ class Source:
     """Capture times (m,) [ns], ascending."""
     rows: NDArray[np.int64]
     """Row number of each in its stream (m,)."""
-    values: Values | None
+    values: Array | None
     """Values (m, ...); None for images and text, which stay on disk."""
     is_pose: bool
     """True if a value is a position and a rotation vector."""
@@ -345,7 +331,7 @@ def source(stream: Columns, rows: slice, losses: Losses) -> Source:
     times = captured(stream)[rows]
     numbers = np.arange(len(stream.t_ns), dtype=np.int64)[rows]
     column = stream.value_column
-    values = stream.values(rows) if column is not None and column.is_number else None
+    values = stream.array("value")[rows] if column is not None and column.is_number else None
     lost = losses.on(times)
     if np.any(np.diff(times) < 0):
         order = np.argsort(times, kind="stable")

@@ -20,7 +20,7 @@ from recorder.store import images
 from recorder.store.files import LOCAL, Files
 from recorder.store.growing import LiveRows, LiveStream
 from recorder.store.layout import StreamLayout
-from recorder.store.reader import ColumnReader, Kept, LazyRows
+from recorder.store.reader import ColumnReader, Kept
 
 Array = np.ndarray[Any, Any]
 
@@ -122,13 +122,6 @@ class Stream:
         stored = self._live.stored
         rest = self._live.journalled[name][max(start - stored, 0) : max(stop - stored, 0)]
         return np.concatenate([found, rest])
-
-    def values(self, rows: slice) -> Array | LazyRows:
-        """Return rows of the column `value` (n, ...): in memory, or read lazily if remote."""
-        reader = self._reader("value")
-        if reader.layout.files.local:
-            return self.array("value")[rows]
-        return LazyRows(reader, rows)
 
     def arrivals(self, first: int, last: int) -> Arrivals:
         """Return the arrival times of rows [first, last), those of one run, for a search."""
@@ -241,10 +234,6 @@ class StreamPart:
     def array(self, name: str) -> Array:
         """Return a small column (n, ...)."""
         return self._stream.rows_between(name, self._first, self._last)
-
-    def values(self, rows: slice) -> Array:
-        """Return rows of the column `value` (n, ...)."""
-        return self.array("value")[rows]
 
 
 # What alignment and the search for losses read: a stream, or some of its rows.

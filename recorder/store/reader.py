@@ -280,31 +280,6 @@ class ColumnReader:
         return f"{name}: chunk {place} (row {number * self.layout.rows_per_chunk})"
 
 
-class LazyRows:
-    """Rows of a small column that are read on first use.
-
-    Indexed like the array that they replace.
-    """
-
-    def __init__(self, reader: ColumnReader, rows: slice) -> None:
-        """Replace `reader.read()[rows]`, with `rows` without a step."""
-        self._reader = reader
-        self._first, stop, _ = rows.indices(reader.rows)
-        self.shape = (max(stop - self._first, 0), *reader.layout.shape[1:])
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return self.shape[0]
-
-    def __getitem__(self, key: Any) -> Array:
-        """Return an indexed part: rows by slice, numbers or mask, then the other axes."""
-        rows, rest = (key[0], key[1:]) if isinstance(key, tuple) else (key, ())
-        numbers = np.arange(len(self))[rows]
-        out = self._reader.gathered(np.atleast_1d(numbers) + self._first)
-        picked: Array = out[(slice(None), *rest)]
-        return picked if np.ndim(numbers) else picked[0]
-
-
 # Groups of columns that are written in one go: `targets` and `frames`.
 
 _CHUNK_ROWS = 8192
