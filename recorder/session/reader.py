@@ -14,8 +14,15 @@ from recorder.errors import SessionError
 from recorder.session.align import Sources
 from recorder.session.columns import Stream
 from recorder.session.loss import Losses, is_compressed, stream_losses
-from recorder.session.sources import RunStreams, sources_near, sources_of_run, span_of_run
-from recorder.session.window import Window, align_window, ticks_before
+from recorder.session.window import (
+    RunStreams,
+    Window,
+    align_window,
+    sources_near,
+    sources_of_run,
+    span_of_run,
+    ticks_before,
+)
 from recorder.spec import frame_columns, signal_of
 from recorder.store.attributes import read_order, read_session_attrs
 from recorder.store.files import Files, locate
@@ -205,10 +212,6 @@ class Session:
         t_ns: int,
         n: int,
         *,
-        image: str | None = None,
-        force: str | None = None,
-        pose: str | None = None,
-        taxels: str | None = None,
         align: Mapping[str, str] | None = None,
         rate_hz: float | None = None,
         run: int | None = None,
@@ -218,11 +221,8 @@ class Session:
         Args:
             t_ns: Tick of the last row [ns]; the others lie before it, one period apart.
             n: Number of rows.
-            image: Method for images instead of their own alignment: `latest` or `nearest`.
-            force: `mean`, `interpolated`, `latest` or `nearest`, at the signal's capture.
-            pose: `interpolated`, `latest` or `nearest`, at the signal's capture.
-            taxels: `interpolated`, `latest` or `nearest`, at the signal's capture.
-            align: Methods by the name of a stream; they precede those by kind.
+            align: Methods by stream in place of its own alignment: `latest` or `nearest`, of
+                numbers also `interpolated`, and `mean` if they are no poses.
             rate_hz: Rate of the rows; the session's if None.
             run: Run of whose clock `t_ns` is; determined from the samples if None.
 
@@ -232,10 +232,7 @@ class Session:
         ticks = ticks_before(t_ns, n, rate_hz or self.rate_hz)
         streams = self.run_streams(self.run_at(t_ns) if run is None else run)
         sources = sources_near(streams, ticks) if n > 0 else sources_of_run(streams)
-        by_kind = {"camera": image, "depth": image, "force": force, "pose": pose, "taxels": taxels}
-        chosen = {name: by_kind.get(self.streams[name].traits.kind) for name in sources.streams}
-        methods = {name: method for name, method in chosen.items() if method is not None}
-        rows = align_window(ticks, sources, {**methods, **(align or {})})
+        rows = align_window(ticks, sources, align)
         shown = {
             name: replace(aligned, value=self._pixels(name, aligned.row))
             for name, aligned in rows.streams.items()

@@ -163,8 +163,8 @@ def test_everything_reads_as_it_does_from_the_disk(url: str, recorded: Path) -> 
         t_ns = int(near.frames["t_ns"][index])
         for method in ("mean", "interpolated", "latest"):
             expected, found = (
-                near.window(t_ns, 16, force=method),
-                far.window(t_ns, 16, force=method),
+                near.window(t_ns, 16, align={"force": method}),
+                far.window(t_ns, 16, align={"force": method}),
             )
             for field in ("t_ns", "capture_ns", "signal_row", "valid", "skew"):
                 np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))

@@ -253,13 +253,14 @@ def test_a_window_of_any_method_stays_near_its_samples(recorded: Path) -> None:
     session = Session(recorded)
     for force in ("mean", "interpolated", "latest", "nearest"):
         for image in ("latest", "nearest"):
-            window = session.window(T0 + 10**9, 5, force=force, pose="nearest", image=image)
+            align = {"force": force, "pose": "nearest", "camera": image}
+            window = session.window(T0 + 10**9, 5, align=align)
             assert window.valid.all()
             assert np.abs(window.streams["force"].age).max() < 0.002
     with pytest.raises(
         SessionError, match="found method 'cubic'; known: latest, nearest, interpolated, mean"
     ):
-        session.window(T0, 1, force="cubic")
+        session.window(T0, 1, align={"force": "cubic"})
 
 
 def test_runs_keep_apart_even_if_the_clock_starts_anew(tmp_path: Path) -> None:
