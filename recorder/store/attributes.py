@@ -8,7 +8,8 @@ or a failed allocation.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,80 +35,12 @@ INT_MAX = (1 << 63) - 1
 CLOCK_MAX, DRIFT_MAX = 1e12, 1e9
 
 
-class _Attributes:
-    """Attributes of one group, which are refused by name."""
+def _refused(where: str, key: str, value: object, allowed: str) -> SessionError:
+    return SessionError(f"{where}: found {key} {value!r:.80}; allowed: {allowed}")
 
-    def __init__(self, attrs: Mapping[str, Any], where: str) -> None:
-        self._attrs, self._where = attrs, where
 
-    def get(self, key: str) -> Any:
-        """Return an attribute; None if it is missing."""
-        return self._attrs.get(key)
-
-    def refuse(self, key: str, value: object, allowed: str) -> SessionError:
-        return SessionError(f"{self._where}: found {key} {value!r:.80}; allowed: {allowed}")
-
-    def number(self, key: str, low: float, high: float) -> None:
-        """Reject anything but a number from `low` to `high`, or null."""
-        value = self._attrs.get(key)
-        if value is None:
-            return
-        if not _is_number(value) or not low <= value <= high:
-            raise self.refuse(key, value, f"{low:g} to {high:g}")
-
-    def whole(self, key: str, low: int, high: int) -> None:
-        """Reject anything but a whole number from `low` to `high`, or null."""
-        value = self._attrs.get(key)
-        if value is not None and (type(value) is not int or not low <= value <= high):
-            raise self.refuse(key, value, f"a whole number from {low} to {high}")
-
-    def numbers(self, key: str, most: float, *, count: int | None, limit: int) -> None:
-        """Reject anything but a list of `count` numbers from -most to most, or null."""
-        value = self._attrs.get(key)
-        if value is None:
-            return
-        wanted = f"up to {limit}" if count is None else str(count)
-        if (
-            not isinstance(value, list)
-            or len(value) > limit
-            or (count is not None and len(value) != count)
-            or not all(_is_number(each) and abs(each) <= most for each in value)
-        ):
-            raise self.refuse(key, value, f"{wanted} numbers from {-most:g} to {most:g}")
-
-    def words(self, key: str) -> None:
-        """Reject anything but a list of texts, or null."""
-        value = self._attrs.get(key)
-        if value is None:
-            return
-        if (
-            not isinstance(value, list)
-            or len(value) > VALUES_MAX
-            or not all(isinstance(each, str) for each in value)
-        ):
-            raise self.refuse(key, value, f"a list of up to {VALUES_MAX} texts")
-
-    def inner(self, key: str) -> _Attributes:
-        """Return the attributes inside of one, empty if it is missing or null."""
-        value = self._attrs.get(key)
-        if value is not None and not isinstance(value, dict):
-            raise self.refuse(key, value, "a JSON object")
-        return _Attributes(value or {}, f"{self._where}: {key}")
-
-    def entries(self, key: str, limit: int = ENTRIES_MAX) -> list[_Attributes | None]:
-        """Return the attributes inside of each entry of a list; None for null."""
-        value = self._attrs.get(key)
-        if value is None:
-            return []
-        if not isinstance(value, list) or len(value) > limit:
-            raise self.refuse(key, value, f"a list of up to {limit} JSON objects")
-        found: list[_Attributes | None] = []
-        for number, entry in enumerate(value):
-            if entry is not None and not isinstance(entry, dict):
-                raise self.refuse(f"{key}[{number}]", entry, "a JSON object or null")
-            part = f"{self._where}: {key}[{number}]"
-            found.append(None if entry is None else _Attributes(entry, part))
-        return found
+# Returns the allowed values of an attribute as text if it has another one.
+Rule = Callable[[Any], str | None]
 
 
 def _is_number(value: object) -> bool:
@@ -115,65 +48,122 @@ def _is_number(value: object) -> bool:
     return number and (isinstance(value, int) or math.isfinite(value))  # type: ignore[arg-type]
 
 
+def _number(low: float, high: float) -> Rule:
+    allowed = f"{low:g} to {high:g}"
+    return lambda value: None if _is_number(value) and low <= value <= high else allowed
+
+
+def _whole(low: int, high: int) -> Rule:
+    allowed = f"a whole number from {low} to {high}"
+    return lambda value: None if type(value) is int and low <= value <= high else allowed
+
+
+def _numbers(most: float, limit: int, count: int | None = None) -> Rule:
+    """Return the rule of a list of numbers from -most to most."""
+    wanted = f"up to {limit}" if count is None else str(count)
+
+    def rule(value: Any) -> str | None:
+        lengths = isinstance(value, list) and len(value) <= limit and count in (None, len(value))
+        right = lengths and all(_is_number(each) and abs(each) <= most for each in value)
+        return None if right else f"{wanted} numbers from {-most:g} to {most:g}"
+
+    return rule
+
+
+def _texts(value: Any) -> str | None:
+    right = isinstance(value, list) and len(value) <= VALUES_MAX
+    right = right and all(isinstance(each, str) for each in value)
+    return None if right else f"a list of up to {VALUES_MAX} texts"
+
+
+def _speed(value: Any) -> str | None:
+    return None if value == "max" else _number(0, 1e9)(value)
+
+
+@dataclass(frozen=True, slots=True)
+class _Entries:
+    """A list of attributes of one kind."""
+
+    rules: Mapping[str, Any]
+    """Rules of each entry."""
+    limit: int = ENTRIES_MAX
+    """Most entries."""
+    null: bool = True
+    """True if an entry may be null."""
+
+
+_MOMENT = _whole(-INT_MAX, INT_MAX)
+# Rules by attribute: one of its value, of the attributes inside of it, or of its entries.
+_PIECE = {
+    "first_row": _whole(0, INT_MAX),
+    "rows": _whole(0, INT_MAX),
+    "offset_s": _number(-CLOCK_MAX, CLOCK_MAX),
+    "drift_ppm": _number(-DRIFT_MAX, DRIFT_MAX),
+    "drift_interval_ppm": _number(0, DRIFT_MAX * 1e3),
+    "residual_rms_s": _number(0, CLOCK_MAX),
+    "knots_device_t": _numbers(CLOCK_MAX, KNOTS_MAX),
+    "knots_host_minus_device": _numbers(CLOCK_MAX, KNOTS_MAX),
+}
+_FIT = {
+    "window_s": _number(0, AGE_MAX),
+    "wrap_s": _number(0, CLOCK_MAX),
+    "pieces": _Entries(_PIECE, KNOTS_MAX, null=False),
+}
+_STREAM = {
+    "latency": _number(LATENCY_LEAST, SECONDS_MAX),
+    "exposure": _number(0, SECONDS_MAX),
+    "max_age": _number(0, AGE_MAX),
+    "sync_interval": _number(0, AGE_MAX),
+    "bias": _numbers(BIAS_MAX, VALUES_MAX),
+    "axes_measured": _texts,
+    "latency_calibration": {"interval_s": _numbers(SECONDS_MAX, 2, 2)},
+    "device": {"rate_hz": _number(0, RATE_MAX_HZ), "axes_measured": _texts},
+    "clock_fit": _Entries(_FIT),
+}
+_SESSION = {
+    "contact_frame": _numbers(FRAME_MAX, 6, 6),
+    "t0_ns": _MOMENT,
+    "targets_wanted": _whole(0, INT_MAX),
+    "replay_of": {"speed": _speed},
+    "runs": _Entries({"t0_ns": _MOMENT, "utc_ns": _MOMENT}),
+    "sealed_later": _Entries({"lost": _numbers(INT_MAX, ENTRIES_MAX)}, null=False),
+}
+
+
 def check_stream_attrs(attrs: Mapping[str, Any], where: str) -> None:
-    """Reject attributes of a stream that no device has.
-
-    Args:
-        attrs: Attributes of its group.
-        where: Place of the group, for messages.
-    """
-    stream = _Attributes(attrs, where)
-    stream.number("latency", LATENCY_LEAST, SECONDS_MAX)
-    stream.number("exposure", 0, SECONDS_MAX)
-    stream.number("max_age", 0, AGE_MAX)
-    stream.number("sync_interval", 0, AGE_MAX)
-    stream.numbers("bias", BIAS_MAX, count=None, limit=VALUES_MAX)
-    stream.words("axes_measured")
-    stream.inner("latency_calibration").numbers("interval_s", SECONDS_MAX, count=2, limit=2)
-    device = stream.inner("device")
-    device.number("rate_hz", 0, RATE_MAX_HZ)
-    device.words("axes_measured")
-    for fit in stream.entries("clock_fit"):
-        if fit is not None:
-            _check_fit(fit)
-
-
-def _check_fit(fit: _Attributes) -> None:
-    fit.number("window_s", 0, AGE_MAX)
-    fit.number("wrap_s", 0, CLOCK_MAX)
-    for piece in fit.entries("pieces", KNOTS_MAX):
-        if piece is None:
-            raise fit.refuse("pieces", None, "JSON objects")
-        piece.whole("first_row", 0, INT_MAX)
-        piece.whole("rows", 0, INT_MAX)
-        piece.number("offset_s", -CLOCK_MAX, CLOCK_MAX)
-        piece.number("drift_ppm", -DRIFT_MAX, DRIFT_MAX)
-        piece.number("drift_interval_ppm", 0, DRIFT_MAX * 1e3)
-        piece.number("residual_rms_s", 0, CLOCK_MAX)
-        for key in ("knots_device_t", "knots_host_minus_device"):
-            piece.numbers(key, CLOCK_MAX, count=None, limit=KNOTS_MAX)
+    """Reject attributes of a stream that no device has; `where` names its group in messages."""
+    _check(attrs, _STREAM, where)
 
 
 def check_session_attrs(attrs: Mapping[str, Any], where: str) -> None:
-    """Reject attributes that no session has, when they are written or read.
+    """Reject attributes that no session has, when they are written or read."""
+    _check(attrs, _SESSION, where)
 
-    See `check_stream_attrs`.
-    """
-    session = _Attributes(attrs, where)
-    session.numbers("contact_frame", FRAME_MAX, count=6, limit=6)
-    session.whole("t0_ns", -INT_MAX, INT_MAX)
-    session.whole("targets_wanted", 0, INT_MAX)
-    replay = session.inner("replay_of")
-    if replay.get("speed") != "max":
-        replay.number("speed", 0, 1e9)
-    for run in session.entries("runs"):
-        if run is not None:
-            run.whole("t0_ns", -INT_MAX, INT_MAX)
-            run.whole("utc_ns", -INT_MAX, INT_MAX)
-    for number, entry in enumerate(session.entries("sealed_later")):
-        if entry is None:
-            raise session.refuse(f"sealed_later[{number}]", None, "a JSON object")
-        entry.numbers("lost", INT_MAX, count=None, limit=ENTRIES_MAX)
+
+def _check(attrs: Mapping[str, Any], rules: Mapping[str, Any], where: str) -> None:
+    for key, rule in rules.items():
+        value = attrs.get(key)
+        if value is None:
+            continue
+        if isinstance(rule, _Entries):
+            _check_entries(value, rule, key, where)
+        elif isinstance(rule, dict):
+            if not isinstance(value, dict):
+                raise _refused(where, key, value, "a JSON object")
+            _check(value, rule, f"{where}: {key}")
+        elif (allowed := rule(value)) is not None:
+            raise _refused(where, key, value, allowed)
+
+
+def _check_entries(value: Any, entries: _Entries, key: str, where: str) -> None:
+    if not isinstance(value, list) or len(value) > entries.limit:
+        raise _refused(where, key, value, f"a list of up to {entries.limit} JSON objects")
+    for number, entry in enumerate(value):
+        if isinstance(entry, dict):
+            _check(entry, entries.rules, f"{where}: {key}[{number}]")
+        elif entry is not None or not entries.null:
+            allowed = "a JSON object" + " or null" * entries.null
+            raise _refused(where, f"{key}[{number}]", entry, allowed)
 
 
 def check_rate(rate_hz: object, where: str) -> None:
@@ -196,7 +186,7 @@ def read_order(path: Path, files: Files = LOCAL) -> list[str]:
 # Attributes of a session or an archive.
 
 
-class _Required(dict[str, Any]):
+class _Attributes(dict[str, Any]):
     """Attributes of a session or an archive; `attrs["x"]` raises `SessionError` without an x."""
 
     where = ""
@@ -263,7 +253,7 @@ def read_attrs(
             raise SessionError(f"{name}: no such {what} ({error})") from None
     except OSError as error:
         raise SessionError(f"{name}: {error}") from error
-    attrs = _Required(read_document(files, path / "zarr.json").get("attributes", {}))
+    attrs = _Attributes(read_document(files, path / "zarr.json").get("attributes", {}))
     attrs.where = name
     if attrs.get("format") != format_:
         raise SessionError(f"{name}: found format {attrs.get('format')!r}, expected {format_!r}")
