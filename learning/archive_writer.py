@@ -83,7 +83,8 @@ def fill_archive(
         for one, sensor in zip(plan.sensors, sensors, strict=True)
         for unit in missing.get(one.name, ())
     ]
-    todo = left = sum(rows.stop - rows.start for *_, rows in due)
+    todo: int = sum(rows.stop - rows.start for *_, rows in due)
+    left = todo
     progress(total - left, total)
     for sensor, name, unit, rows in due:
         frames = sensor.read(rows)

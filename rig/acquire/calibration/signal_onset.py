@@ -206,7 +206,7 @@ def readings_of(stream: Stream, rows: NDArray[np.int64]) -> list[NDArray[np.floa
     """Return the readings of a stream's samples."""
     is_image = stream.traits.kind == "camera"
     return [
-        reading((is_image and stream.jpeg(row)) or stream.values(slice(row, row + 1))[0])
+        reading((is_image and stream.jpeg(row)) or stream.array("value")[row])
         for row in rows.tolist()
     ]
 
