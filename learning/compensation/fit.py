@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import permutations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from learning.compensation.prior import (
     curve_of_table,
     fit_prior,
     prior_of_coefficients,
-    require_choice,
 )
 from learning.compensation.search import (
     D0_MM,
@@ -38,6 +36,7 @@ from learning.compensation.search import (
     tried,
 )
 from learning.compensation.simulated import simulated_r2
+from learning.config import READER
 from learning.data.genforce.format import Compensation, read_compensation
 from learning.errors import LearningError
 from recorder import MarkerArchive
@@ -77,11 +76,7 @@ class PairCompensation:
         depth: NDArray[np.float64],
         phase: NDArray[np.integer],
     ) -> tuple[NDArray[np.float64], int]:
-        """Return compensated labels (n, 3) or (n, 6), and the number that were clamped.
-
-        Raises:
-            LearningError: See `compensate`.
-        """
+        """Return compensated labels (n, 3) or (n, 6), and the number that were clamped."""
         return compensate(wrench, depth, phase, self.source, self.target, self.d0, self.weight)
 
 
@@ -93,7 +88,7 @@ class StoredPair:
     target: str
     before: Choice
     """Errors without compensation."""
-    choices: Mapping[str, Choice]
+    choices: dict[str, Choice]
     """By the names of `CHOICES`; choices that could not be made are missing."""
     pairs: int = 0
     """Number of location pairs that errors are computed from."""
@@ -103,7 +98,7 @@ class StoredPair:
 class StoredCompensation:
     """Result of `tactile compensate`."""
 
-    priors: Mapping[str, Prior]
+    priors: dict[str, Prior]
     """By sensor."""
     pairs: tuple[StoredPair, ...]
     made_from: str = ""
@@ -111,16 +106,7 @@ class StoredCompensation:
     """Its file, for errors."""
 
     def pair(self, source: str, target: str, choice: str = "default") -> PairCompensation:
-        """Return the compensation from a source to a target.
-
-        Args:
-            source: Name of the sensor whose labels are compensated.
-            target: Name of the sensor that they are compensated for.
-            choice: One of `CHOICES`.
-
-        Raises:
-            LearningError: The pair does not exist, or has no such choice.
-        """
+        """Return the compensation of a source's labels for a target, by one of `CHOICES`."""
         for found in self.pairs:
             if (found.source, found.target) == (source, target):
                 if choice not in found.choices:
@@ -136,21 +122,7 @@ class StoredCompensation:
         raise LearningError(f"{self.where}: no pair {source} to {target}; known: {known}")
 
     def write(self, path: Path) -> None:
-        """Write the file atomically.
-
-        Raises:
-            LearningError: A different file exists.
-            OSError: It cannot be written.
-        """
-        text = self._text()
-        if path.exists():
-            if path.read_text(encoding="utf-8") == text:
-                return
-            raise LearningError(f"{path}: exists and says something else; allowed: another name")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(path, text.encode())
-
-    def _text(self) -> str:
+        """Write the file atomically; a different one is never replaced."""
         content = {
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
@@ -160,15 +132,17 @@ class StoredCompensation:
             "priors": {name: asdict(prior) for name, prior in self.priors.items()},
             "pairs": [asdict(pair) for pair in self.pairs],
         }
-        return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+        text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+        if path.exists():
+            if path.read_text(encoding="utf-8") == text:
+                return
+            raise LearningError(f"{path}: exists and says something else; allowed: another name")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(path, text.encode())
 
 
 def read_stored(path: Path) -> StoredCompensation:
-    """Read a compensation file.
-
-    Raises:
-        LearningError: The file is missing, of an unsupported format version, or corrupt.
-    """
+    """Read a compensation file."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -181,62 +155,15 @@ def read_stored(path: Path) -> StoredCompensation:
     version = content.get("format_version")
     if version != FORMAT_VERSION:
         raise LearningError(f"{path}.format_version: found {version!r}; allowed: {FORMAT_VERSION}")
-    try:
-        priors = {name: _prior(prior) for name, prior in content["priors"].items()}
-        pairs = tuple(_pair(pair) for pair in content["pairs"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise LearningError(f"{path}: damaged: {error!r}") from None
-    for pair in pairs:
+    parts = {key: content[key] for key in ("priors", "pairs", "made_from") if key in content}
+    stored = READER.build(StoredCompensation, {**parts, "where": str(path)}, str(path))
+    for pair in stored.pairs:
         for name in (pair.source, pair.target):
-            if name not in priors:
+            if name not in stored.priors:
                 raise LearningError(
-                    f"{path}.pairs: {name} has no prior; known: {', '.join(priors)}"
+                    f"{path}.pairs: {name} has no prior; known: {', '.join(stored.priors)}"
                 )
-    return StoredCompensation(priors, pairs, str(content.get("made_from", "")), str(path))
-
-
-def _prior(content: Mapping[str, Any]) -> Prior:
-    return Prior(
-        str(content["sensor"]),
-        _branch(content["loading"]),
-        _branch(content["unloading"]),
-        float(content["depth_range"]),
-        float(content["depth_max"]),
-        str(content["indenter"]),
-        str(content["source"]),
-    )
-
-
-def _branch(content: Mapping[str, Any]) -> Branch:
-    residual = content["residual"]
-    return Branch(
-        tuple(float(value) for value in content["coefficients"]),
-        None if residual is None else float(residual),
-        int(content["samples"]),
-    )
-
-
-def _pair(content: Mapping[str, Any]) -> StoredPair:
-    return StoredPair(
-        str(content["source"]),
-        str(content["target"]),
-        _choice(content["before"]),
-        {str(name): _choice(choice) for name, choice in content["choices"].items()},
-        int(content["pairs"]),
-    )
-
-
-def _choice(content: Mapping[str, Any]) -> Choice:
-    d0, weight, error = float(content["d0"]), float(content["weight"]), content["error"]
-    require_choice(d0, weight)
-    return Choice(
-        d0,
-        weight,
-        None if error is None else float(error),
-        tuple(None if value is None else float(value) for value in content["axes"]),
-        int(content["clamped"]),
-        None if (r2 := content["r2"]) is None else float(r2),
-    )
+    return stored
 
 
 # Priors of an archive's sensors, from all sources of force-depth curves.
@@ -256,11 +183,14 @@ class Curves:
     """Depth that counts as 1, by sensor [mm], instead of the deepest located press."""
 
 
+ARCHIVED = Curves()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Gathered:
     """Priors, and the data of their fits."""
 
-    priors: Mapping[str, Prior]
+    priors: dict[str, Prior]
     """By sensor."""
     measured: Mapping[str, ForceDepth]
     """By sensor; not for sensors with given coefficients."""
@@ -268,7 +198,7 @@ class Gathered:
     """Sensors without a force-depth curve."""
 
 
-def gather_priors(archive: MarkerArchive, curves: Curves) -> Gathered:
+def gather_priors(archive: MarkerArchive, curves: Curves = ARCHIVED) -> Gathered:
     """Return the priors of an archive's sensors.
 
     For each sensor the first available source is used: a session, published coefficients,
@@ -336,25 +266,15 @@ def write_compensation(
     out: Path,
     *,
     pairs: Sequence[tuple[str, str]] | None = None,
-    curves: Curves | None = None,
+    curves: Curves = ARCHIVED,
     split: Path | None = None,
 ) -> list[str]:
-    """Write compensations between an archive's sensors, and a picture of their curves.
-
-    Args:
-        archive: The archive.
-        out: File to write; the picture is beside it.
-        pairs: Sources and targets; None: all pairs of sensors with a prior.
-        curves: Sources of force-depth curves in addition to the archive's rows.
-        split: File of a split, whose training presses count; None: labels of all seen indenters.
+    """Write what `find_compensation` finds, and beside it a picture of the curves.
 
     Returns:
         Lines with tables of the priors and choices.
     """
-    with ItemProgress("pairs", sys.stderr) as progress:
-        made, gathered = find_compensation(
-            archive, pairs=pairs, curves=curves, split=split, progress=progress
-        )
+    made, gathered = find_compensation(archive, pairs=pairs, curves=curves, split=split)
     made.write(out)
     picture = out.with_suffix(".png")
     draw_curves(made, gathered, picture)
@@ -369,9 +289,8 @@ def find_compensation(
     archive: MarkerArchive,
     *,
     pairs: Sequence[tuple[str, str]] | None = None,
-    curves: Curves | None = None,
+    curves: Curves = ARCHIVED,
     split: Path | None = None,
-    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[StoredCompensation, Gathered]:
     """Find compensations between an archive's sensors; return them with their curves.
 
@@ -380,19 +299,17 @@ def find_compensation(
         pairs: Sources and targets; None: all pairs of sensors with a prior.
         curves: Sources of force-depth curves in addition to the archive's rows.
         split: File of a split, whose training presses count; None: labels of all seen indenters.
-        progress: Called with the number of pairs done and in total.
     """
-    gathered = gather_priors(archive, curves or Curves())
+    gathered = gather_priors(archive, curves)
     wanted = _wanted(archive, gathered, pairs)
     found = []
-    for done, (source, target) in enumerate(wanted):
-        progress(done, len(wanted))
-        one, other = gathered.priors[source], gathered.priors[target]
-        paired = paired_labels(archive, source, target, split)
-        found.append(_chosen(one, other, paired))
-    progress(len(wanted), len(wanted))
-    made = StoredCompensation(dict(gathered.priors), tuple(found), made_from=archive.name)
-    return made, gathered
+    with ItemProgress("pairs", sys.stderr) as progress:
+        for done, (source, target) in enumerate(wanted):
+            progress(done, len(wanted))
+            one, other = gathered.priors[source], gathered.priors[target]
+            found.append(_chosen(one, other, paired_labels(archive, source, target, split)))
+        progress(len(wanted), len(wanted))
+    return StoredCompensation(gathered.priors, tuple(found), made_from=archive.name), gathered
 
 
 def _chosen(source: Prior, target: Prior, paired: Paired | None) -> StoredPair:

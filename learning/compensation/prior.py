@@ -49,15 +49,6 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
 
     Such rows have location -1 and the phase `normal_inc` or `normal_dec`. Rows that are invalid or
     without contact (depth 0) are ignored.
-
-    Args:
-        sensor: Name of the sensor.
-        table: Its table.
-        indenters: Names of the archive's indenters, by code.
-
-    Raises:
-        LearningError: Some rows have no label of Fz, there are several indenters but not the
-            paper's prism, or only one of the two phases.
     """
     phase = table["phase"]
     rows = (table["location"] < 0) & table["valid"] & np.isin(phase, (DOWN, UP))
@@ -83,17 +74,8 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
     )
 
 
-def curve_of_session(path: Path, sensor: str | None = None) -> ForceDepth:
-    """Return the curve from a session of `tactile force-depth`.
-
-    Args:
-        path: The session.
-        sensor: Name of its sensor; None: the name in the session.
-
-    Raises:
-        LearningError: The session does not name its sensor and indenter.
-        SessionError: There is no session, or no target in it was pressed and released.
-    """
+def curve_of_session(path: Path) -> ForceDepth:
+    """Return the curve from a session of `tactile force-depth`."""
     session = Session(path)
     curves = press_curves(session)
     known = [session.attrs.get(name) for name in ("sensor", "indenter")]
@@ -102,7 +84,7 @@ def curve_of_session(path: Path, sensor: str | None = None) -> ForceDepth:
             f"{path}: found sensor {known[0]!r}, indenter {known[1]!r}; allowed: names"
         )
     return ForceDepth(
-        sensor or str(known[0]),
+        str(known[0]),
         str(known[1]),
         f"session {path.name}",
         _known(curves.depth, curves.loading),
@@ -197,13 +179,7 @@ class Prior:
 def fit_prior(measured: ForceDepth, depth_range: float | None = None) -> Prior:
     """Fit polynomials of degree 2 by least squares.
 
-    Args:
-        measured: Forces over depth.
-        depth_range: Depth that counts as 1 [m]; None: the greatest measured depth.
-
-    Raises:
-        LearningError: Values are NaN, there are too few different depths, or the compression at the
-            greatest depths is not positive.
+    `depth_range` is the depth that counts as 1 [m]; None: the greatest measured depth.
     """
     reach = measured.depth_max if len(measured.loading) and len(measured.unloading) else np.nan
     span = reach if depth_range is None else depth_range
@@ -233,9 +209,6 @@ def prior_of_coefficients(
         per_mm: True if they are of depth in mm (material test); else of its fraction of the range
             (heterogeneous test).
         source: Description of their origin.
-
-    Raises:
-        LearningError: Coefficients are not finite, or the range is not positive.
     """
     unit = depth_range * 1e3 if per_mm else 1.0
     loading, unloading = _converted(known.down, unit), _converted(known.up, unit)
@@ -302,18 +275,13 @@ def compensate(
         wrench: Labels of the source (n, 3) or (n, 6) [N, N m]; NaN is no label and remains.
         depth: Indentation of the source (n,) [m].
         phase: Codes of phases (n,); -1 only where nothing is compensated.
-        source: Prior of the sensor whose labels are compensated.
-        target: Prior of the sensor that they are compensated for.
+        source: Prior of the source.
+        target: Prior of the target.
         d0: Fraction of the source's depth range below which labels are unchanged, 0 to 1.
         lam: Weight of the correction, 0 to 1.
-
-    Raises:
-        LearningError: Labels are infinite, depths are NaN, lengths differ, a pressed row has no
-            phase, or d0 or lam is out of range.
     """
     forces: Floats = np.asarray(wrench, np.float64)
     depth = np.asarray(depth, np.float64)
-    _require_labels(forces, depth, phase)
     require_choice(d0, lam)
     ratio, clamped = ratios(depth, phase, source, target)
     deep = depth / source.depth_range > d0
@@ -355,24 +323,3 @@ def require_choice(d0: float, lam: float) -> None:
     for name, value in (("d0", d0), ("lambda", lam)):
         if not 0.0 <= value <= 1.0:
             raise LearningError(f"{name}: found {value}; allowed: 0 to 1")
-
-
-def _require_labels(wrench: Floats, depth: Floats, phase: NDArray[np.integer]) -> None:
-    if wrench.ndim != 2 or wrench.shape[1] not in (3, 6):
-        raise LearningError(f"wrench: found shape {wrench.shape}; allowed: (n, 3) or (n, 6)")
-    for name, values in (("depth", depth), ("phase", phase)):
-        if np.shape(values) != (len(wrench),):
-            raise LearningError(
-                f"{name}: found shape {np.shape(values)}; allowed: ({len(wrench)},), as the wrench"
-            )
-    wrong = np.flatnonzero(np.isinf(wrench).any(axis=1))
-    if wrong.size:
-        raise LearningError(
-            f"wrench: found infinity in {wrong.size} rows, first {wrong[0]}; allowed: numbers, or "
-            "NaN without a label"
-        )
-    wrong = np.flatnonzero(~np.isfinite(depth))
-    if wrong.size:
-        raise LearningError(
-            f"depth: found NaN or infinity in {wrong.size} rows, first {wrong[0]}; allowed: numbers"
-        )

@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.compensation.prior import Prior, compensate, ratios
+from learning.compensation.prior import Prior, compensate, ratios, require_choice
+from learning.data.splits import read_split
 from learning.errors import LearningError
 from learning.metrics import axis_means, r_squared
 from recorder import PHASES, MarkerArchive
@@ -62,6 +63,9 @@ class Choice:
     constant.
     """
 
+    def __post_init__(self) -> None:
+        require_choice(self.d0, self.weight)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Paired:
@@ -98,13 +102,17 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
     means = axis_means(np.abs(apart)).tolist()
     axes = tuple(None if np.isnan(value) else float(value) for value in means)
     error = float(np.linalg.norm(np.where(known, apart, 0.0), axis=1).mean())
-    fits = [
-        r_squared(paired.target[rows, axis, None], labels[rows, axis, None])[0]
-        for axis, rows in enumerate(known.T)
-        if rows.any()
-    ]
-    fit = float(np.mean(fits))
-    return Choice(d0, weight, error, axes, clamped, fit if np.isfinite(fit) else None)
+    return Choice(d0, weight, error, axes, clamped, label_r2(paired.target, labels))
+
+
+def label_r2(true: Floats, labels: Floats) -> float | None:
+    """Return R2 of labels (n, 3) as predictions of others, mean over axes; None if unknown."""
+    fits = []
+    for one, other in zip(true.T, labels.T, strict=True):
+        rows = np.isfinite(one) & np.isfinite(other)
+        if rows.any():
+            fits.append(r_squared(one[rows, None], other[rows, None])[0])
+    return float(np.mean(fits)) if fits and np.isfinite(fits).all() else None
 
 
 def best_for_labels(
@@ -112,19 +120,8 @@ def best_for_labels(
 ) -> Choice:
     """Return the choice with labels nearest to the target's; ties go to the smallest lambda.
 
-    Args:
-        paired: Labels at common locations.
-        source: Prior of the sensor whose labels are compensated.
-        target: Prior of the sensor that they are compensated for.
-        d0s: Starting depths to try, as fractions of the source's range.
-
-    Raises:
-        LearningError: There are no pairs, or a label is not finite.
+    Starting depths `d0s` are fractions of the source's range.
     """
-    if not len(paired):
-        raise LearningError(
-            f"{source.sensor}, {target.sensor}: found no paired labels; allowed: one or more"
-        )
     choices = [tried(paired, source, target, d0, weight) for weight in WEIGHTS for d0 in d0s]
     return min(choices, key=lambda choice: np.inf if choice.error is None else choice.error)
 
@@ -134,39 +131,25 @@ def best_for_priors(
 ) -> tuple[float, float] | None:
     """Return d0 and lambda with the smallest expected error of the curves.
 
-    None if a prior has no residual.
-
-    Args:
-        source: Prior of the sensor whose labels are compensated.
-        target: Prior of the sensor that they are compensated for.
-        d0s: Starting depths to try, as fractions of the source's range.
+    None if a prior has no residual. Starting depths `d0s` are fractions of the source's range.
     """
-    risks = {}
-    for weight in WEIGHTS:
-        for d0 in d0s:
-            risk = expected_error(source, target, d0, weight)
-            if risk is None:
-                return None
-            risks[d0, weight] = risk
-    return min(risks, key=lambda choice: risks[choice])
+    branches = (prior.branch(loading) for prior in (source, target) for loading in (True, False))
+    if any(branch.residual is None for branch in branches):
+        return None
+    choices = [(d0, weight) for weight in WEIGHTS for d0 in d0s]
+    return min(choices, key=lambda choice: _expected_error(source, target, *choice))
 
 
-def expected_error(source: Prior, target: Prior, d0: float, weight: float) -> float | None:
-    """Return the expected mean square error of the source's compensated curve [N^2].
-
-    None if a prior has no residual.
-    """
+def _expected_error(source: Prior, target: Prior, d0: float, weight: float) -> float:
+    """Return the expected mean square error of the source's compensated curve [N^2]."""
     parts = []
     for loading in (True, False):
         own, other = source.branch(loading), target.branch(loading)
-        if own.residual is None or other.residual is None:
-            return None
         code = PHASES.index("normal_inc" if loading else "normal_dec")
         depth = _SHARES * source.depth_range
         ratio, _ = ratios(depth, np.full(len(depth), code), source, target)
-        force = own.compression(_SHARES)
-        correction = force * (ratio - 1.0)
-        variance = other.residual**2 + (ratio * own.residual) ** 2
+        correction = own.compression(_SHARES) * (ratio - 1.0)
+        variance = (other.residual or 0.0) ** 2 + (ratio * (own.residual or 0.0)) ** 2
         lam = np.where(d0 < _SHARES, weight, 0.0)
         parts.append((1 - lam) ** 2 * (correction**2 - variance) + lam**2 * variance)
     return float(np.mean(parts))
@@ -182,12 +165,6 @@ def paired_labels(
 
     Uses the last frames of the phases, of the training presses of a split or, without one, of all
     seen indenters.
-
-    Args:
-        archive: The archive.
-        source: Name of the sensor whose labels are compensated.
-        target: Name of the sensor that they are compensated for.
-        split: File of a split.
     """
     one, other = archive[source], archive[target]
     pairs = location_pairs(one.table, other.table)
@@ -218,8 +195,6 @@ def learned_from(
     """Return a mask (n,) of the rows that may be trained on: of a split, or of seen indenters."""
     if split is None:
         return np.asarray(sensor.table["seen"][rows], np.bool_)
-    from learning.data.splits import read_split
-
     found = read_split(split)
     found.check(archive)
     roles = np.asarray(found.role(sensor.table["location"][rows]))

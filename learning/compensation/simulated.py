@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.compensation.search import learned_from
+from learning.compensation.search import label_r2, learned_from
 from learning.errors import LearningError
-from learning.metrics import r_squared
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor, Simulated, location_pairs, press_rows
 
@@ -34,10 +33,6 @@ def simulated_labels(source: ArchivedSensor, target: ArchivedSensor) -> Simulate
 
     Frames meet at the same place and phase, and the same fraction of the phase. Without a press of
     both, labels are NaN; their spread is that of both twins.
-
-    Raises:
-        LearningError: A sensor has no forces of a twin.
-        SessionError: The archive is corrupt.
     """
     own, other = twin_forces(source), twin_forces(target)
     shape = (len(source), 3)
@@ -72,10 +67,6 @@ def simulated_r2(
 
     At paired locations, of the training presses of a split or of all seen indenters. None if a
     sensor has no forces of a twin, or the target no labels there.
-
-    Raises:
-        LearningError: The split belongs to another archive.
-        SessionError: The archive is corrupt.
     """
     one, other = archive[source], archive[target]
     if one.simulated is None or other.simulated is None:
@@ -84,20 +75,11 @@ def simulated_r2(
     kept = learned_from(archive, one, pairs.source, split)
     labels = simulated_labels(one, other).force[pairs.source[kept]]
     true = other.table["wrench"][pairs.target[kept], :3]
-    fits = []
-    for axis in range(3):
-        rows = np.isfinite(labels[:, axis]) & np.isfinite(true[:, axis])
-        if rows.any():
-            fits.append(r_squared(true[rows, axis, None], labels[rows, axis, None])[0])
-    return float(np.mean(fits)) if fits and np.isfinite(fits).all() else None
+    return label_r2(true, labels)
 
 
 def twin_forces(sensor: ArchivedSensor) -> Simulated:
-    """Return the forces of a sensor's twin.
-
-    Raises:
-        LearningError: It has none.
-    """
+    """Return the forces of a sensor's twin."""
     if sensor.simulated is None:
         raise LearningError(
             f"{sensor.name}: found no forces of a twin; allowed: tactile sim labels ARCHIVE "

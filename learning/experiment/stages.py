@@ -19,7 +19,6 @@ import torch
 from learning.archive_writer import archive_fingerprint
 from learning.compensation.fit import (
     CHOICE_OF_METHOD,
-    Curves,
     StoredCompensation,
     gather_priors,
     read_stored,
@@ -296,7 +295,7 @@ class Experiment:
         # An unlabelled target may have no force-depth curve.
         missing = self.unlabelled
         if missing:
-            missing = missing & frozenset(gather_priors(self.archive, Curves()).without)
+            missing = missing & frozenset(gather_priors(self.archive).without)
         for name in sorted(missing):
             self.say(f"{name}: no force-depth curve, so labels are not compensated for it")
         pairs = [(p.source, p.target) for p in self.pairs if p.target not in missing]

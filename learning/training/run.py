@@ -95,10 +95,6 @@ class RunFolder:
             metadata: Plain values known before training that are needed to use the model.
             keep: Number of newest checkpoints to keep, in addition to the best.
             writes: True if this process writes; of several, only the main one does.
-
-        Raises:
-            LearningError: A run exists and `resume` is False, it was begun with other settings or
-                data, or the folder holds something else.
         """
         folder = Path(path)
         if keep < 1:
@@ -166,9 +162,6 @@ class RunFolder:
             training: Other state needed to resume, by name: objects with a `state_dict`, such as
                 optimisers, or plain values. Torch's generators are saved as well.
             score: Validation score, lower is better; None: not scored.
-
-        Raises:
-            LearningError: A value in `training` cannot be read back safely.
         """
         folder = self.path / CHECKPOINTS / f"{step:08d}"
         if not self.writes:
@@ -216,9 +209,6 @@ class RunFolder:
             models: Networks by the names that they were saved under, not wrapped by Accelerate.
             training: Objects to restore by `load_state_dict`, by name; others are ignored.
             checkpoint: Path; None: the newest. Without any, nothing changes and 0 is returned.
-
-        Raises:
-            LearningError: Weights or states are missing or belong to another network.
         """
         folder = checkpoint or self.latest()
         if folder is None:
@@ -242,11 +232,7 @@ class RunFolder:
         return step
 
     def training_values(self, checkpoint: Path | None = None) -> dict[str, Any]:
-        """Return a checkpoint's training state, by name; empty if there is no checkpoint.
-
-        Raises:
-            LearningError: The file is corrupt.
-        """
+        """Return a checkpoint's training state, by name; empty if there is no checkpoint."""
         folder = checkpoint or self.latest()
         return {} if folder is None else _read_training(folder / TRAINING)
 
@@ -408,11 +394,7 @@ class LaunchSettings:
 
 
 def accelerator(settings: LaunchSettings) -> Accelerator:
-    """Return the Accelerator for the requested device and precision.
-
-    Raises:
-        LearningError: The device does not exist, or does not support the precision.
-    """
+    """Return the Accelerator for the requested device and precision."""
     from accelerate import Accelerator
     from accelerate.state import AcceleratorState, PartialState
 
