@@ -14,8 +14,16 @@ from learning.compensation.simulated import twin_forces
 from learning.data.presses import Presses, load_presses
 from learning.data.splits import Split
 from learning.errors import LearningError
-from learning.force.intervals import FEWEST, NORMAL, Intervals, Scale, fit_errors
-from learning.force.learned import SHAPE, fit_learned, shapes_of
+from learning.force.intervals import (
+    FEWEST,
+    NORMAL,
+    SHAPE,
+    Intervals,
+    Scale,
+    fit_errors,
+    fit_learned,
+    shapes_of,
+)
 from learning.force.model import ForceModel
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor

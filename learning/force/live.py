@@ -5,7 +5,7 @@
         found = predictor.step(picture)  # None while the reference is being taken
 
 Each frame is processed like the training data: markers by a preset of `learning.markers`, then the
-image or marker field that the network takes (`shown_to`), then a network step that keeps its state.
+image or marker field that the network takes (`input_of`), then a network step that keeps its state.
 The first frames must show the sensor without contact. Training sequences are short and begin
 without contact, so the state is reset while nothing touches the sensor (`Contact`).
 """
@@ -13,9 +13,10 @@ without contact, so the state is reset while nothing touches the sensor (`Contac
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,11 @@ from numpy.typing import NDArray
 from learning.data.images import shrink
 from learning.errors import LearningError
 from learning.force.folder import model_name
-from learning.force.intervals import Intervals, read_intervals
-from learning.force.learned import edge_length, shapes_of
+from learning.force.intervals import Intervals, edge_length, read_intervals, shapes_of
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
-from learning.markers.lattice import Lattice, with_reference
+from learning.markers.lattice import with_reference
 from learning.markers.segment import (
     CameraPreset,
     Preset,
@@ -51,27 +51,20 @@ from recorder.markers import pack
 Mask = NDArray[Any]
 
 
-class Shown(Protocol):
-    """Converts masks to network inputs."""
+@dataclass(frozen=True, slots=True)
+class NetworkInput:
+    """Converts the masks of a stream to inputs of a network."""
 
-    @property
-    def reference(self) -> NDArray[np.uint8] | None:
-        """Image of the sensor without contact, for a network that takes images."""
-
-    def of(self, mask: Mask) -> NDArray[Any]:
-        """Return the network input for the next mask (480, 640)."""
-
-    def restart(self) -> None:
-        """Forget earlier frames; the next frame shows no contact."""
+    of: Callable[[Mask], NDArray[Any]]
+    """Returns the input for the next mask."""
+    restart: Callable[[], None] = lambda: None
+    """Forgets earlier frames; the next one shows no contact."""
+    reference: NDArray[np.uint8] | None = None
+    """Image of the sensor without contact, for a network that takes images."""
 
 
-def shown_to(network: ForceStream, reference: Mask) -> Shown:
-    """Return the converter from masks to a network's inputs.
-
-    Args:
-        network: The force model.
-        reference: The mask without contact (480, 640).
-    """
+def input_of(network: ForceStream, reference: Mask) -> NetworkInput:
+    """Return the converter from masks to a network's inputs, by the mask without contact."""
     shape = network.inputs.frame[1:]
     if (shape == SHADING.shape) != (reference.shape == SHADING.shape):
         raise LearningError(
@@ -79,50 +72,26 @@ def shown_to(network: ForceStream, reference: Mask) -> Shown:
             "and one of markers for another"
         )
     if shape == SHADING.shape:
-        return AsSeen()
+        return NetworkInput(lambda mask: mask)
     if network.inputs.is_image:
-        return Images(reference)
+        return NetworkInput(_image, reference=_image(reference))
     if shape != (3, MAP_SIDE, MAP_SIDE):
         raise LearningError(
             f"model: takes frames {shape}; allowed: images, or marker fields (3, {MAP_SIDE}, "
             f"{MAP_SIDE})"
         )
-    return Fields(reference)
+    fields = Fields(reference)
+    return NetworkInput(fields.of, fields.restart)
 
 
-class Images:
-    """Images of 256 x 256, as in the training data."""
-
-    def __init__(self, reference: Mask) -> None:
-        """Store the mask without contact (480, 640)."""
-        self.reference: NDArray[np.uint8] | None = self.of(reference)
-
-    def of(self, mask: Mask) -> NDArray[np.uint8]:
-        """Return the image (256, 256) of a mask (480, 640)."""
-        (image,) = shrink(pack(mask)[None])
-        return np.asarray(image, np.uint8)
-
-    def restart(self) -> None:
-        """Do nothing, as an image does not depend on earlier ones."""
-
-
-class AsSeen:
-    """Shading, which is relative to the sensor without contact already."""
-
-    reference: NDArray[np.uint8] | None = None
-
-    def of(self, mask: Mask) -> NDArray[Any]:
-        """Return the shading (3, 128, 128) as it is."""
-        return mask
-
-    def restart(self) -> None:
-        """Do nothing, as a frame does not depend on earlier ones."""
+def _image(mask: Mask) -> NDArray[np.uint8]:
+    """Return the image (256, 256) of a mask (480, 640), as in the training data."""
+    (image,) = shrink(pack(mask)[None])
+    return np.asarray(image, np.uint8)
 
 
 class Fields(FieldReader):
     """Marker fields (3, 32, 32), with markers tracked from frame to frame."""
-
-    reference: NDArray[np.uint8] | None = None
 
     def of(self, mask: Mask) -> NDArray[np.float32]:
         """Return displacement [px] and growth (3, 32, 32) of the next mask (480, 640)."""
@@ -208,9 +177,6 @@ class Contact:
 
 Frame = NDArray[Any]
 
-# Runtimes: ONNX Runtime and OpenVINO run the exported model, torch the trained one; `auto` is ONNX
-# Runtime if the model was exported, else torch.
-RUNTIMES = ("auto", "onnx", "openvino", "openvino-bf16", "torch")
 # Number of frames without contact for the reference.
 START_FRAMES = 10
 _TAXELS = (16, 3)
@@ -239,16 +205,6 @@ class LiveForce:
     """Fx, Fy, Fz that the other model predicts [N]; None: there is no other."""
 
 
-class Masks(Protocol):
-    """Computes masks from sensor frames."""
-
-    def reference_masks(self, frames: NDArray[Any]) -> NDArray[Any]:
-        """Return masks (n, 480, 640) of frames without contact, and store their baseline."""
-
-    def mask(self, frame: Frame) -> NDArray[Any]:
-        """Return the mask (480, 640) of a frame."""
-
-
 class LivePredictor:
     """Predicts the force of each frame of a live stream."""
 
@@ -275,17 +231,11 @@ class LivePredictor:
         self._networks = [network] if before is None else [network, before]
         self.intervals = intervals
         """Intervals of the model; None if it has none."""
-        self._masks: Masks
-        if isinstance(chosen, ShadingPreset):
-            self._masks = _Shading(chosen)
-        elif isinstance(chosen, CameraPreset):
-            self._masks = _PictureMasks(chosen)
-        else:
-            self._masks = _TaxelMasks(chosen)
-        self._start_frames = start_frames
+        self._preset, self._start_frames = chosen, start_frames
         self._first: list[Frame] = []
         self._contact: Contact | None = None
-        self._shown: list[Shown] = []
+        self._mask_of: MaskOf
+        self._inputs: list[NetworkInput] = []
 
     @property
     def has_before(self) -> bool:
@@ -305,10 +255,11 @@ class LivePredictor:
         """
         if not len(frames):
             raise LearningError("frames without contact: found none; allowed: one or more")
-        self._contact = Contact(self._masks.reference_masks(frames))
-        self._shown = [shown_to(each, self._contact.reference) for each in self._networks]
-        for network, shown in zip(self._networks, self._shown, strict=True):
-            network.reset(shown.reference)
+        masks, self._mask_of = _masks(self._preset, frames)
+        self._contact = Contact(masks)
+        self._inputs = [input_of(each, self._contact.reference) for each in self._networks]
+        for network, given in zip(self._networks, self._inputs, strict=True):
+            network.reset(given.reference)
         self._first.clear()
 
     def step(self, frame: Frame) -> LiveForce | None:
@@ -322,14 +273,14 @@ class LivePredictor:
             if len(self._first) >= self._start_frames:
                 self.begin(np.stack(self._first))
             return None
-        mask = self._masks.mask(frame)
+        mask = self._mask_of(frame)
         contact = self._contact.step(mask)
         forces: list[Triple] = []
-        for network, shown in zip(self._networks, self._shown, strict=True):
+        for network, given in zip(self._networks, self._inputs, strict=True):
             if not contact:
                 network.reset()
-                shown.restart()
-            x, y, z = network.step(shown.of(mask)).tolist()
+                given.restart()
+            x, y, z = network.step(given.of(mask)).tolist()
             forces.append((x, y, z))
         motion = self._contact.motion_px
         interval, outside = None, False
@@ -353,7 +304,7 @@ def open_live(
     model: str | os.PathLike[str],
     *,
     before: str | os.PathLike[str] | None = None,
-    runtime: str = RUNTIMES[0],
+    runtime: str = "auto",
     sensor: str | None = None,
     preset_name: str | None = None,
     threads: int = 0,
@@ -363,7 +314,8 @@ def open_live(
     Args:
         model: As for `load_force_model`; intervals in its folder are read.
         before: Another model, whose forces are shown beside.
-        runtime: One of `RUNTIMES`; a model of another package without a folder needs torch.
+        runtime: One of an exported model, `torch`, or `auto`: ONNX Runtime if the model was
+            exported, else torch. A model of another package without a folder needs torch.
         sensor: Name of the sensor, which determines the preset of a model of markers.
         preset_name: Name or YAML file of the preset, instead of `sensor`.
         threads: Number of threads; 0: default of the runtime.
@@ -414,13 +366,8 @@ def _stream(name: str | os.PathLike[str], runtime: str, threads: int) -> ForceSt
     model = model_name(os.fspath(name))
     if runtime == "auto":
         runtime = "onnx" if (Path(model) / "model.onnx").is_file() else "torch"
-    if runtime == "onnx":
-        return open_exported(model, threads=threads)
-    if runtime in ("openvino", "openvino-bf16"):
-        bf16 = runtime.endswith("bf16")
-        return open_exported(model, runtime="openvino", threads=threads, bf16=bf16)
     if runtime != "torch":
-        raise LearningError(f"runtime: found {runtime!r}; allowed: {', '.join(RUNTIMES)}")
+        return open_exported(model, runtime=runtime, threads=threads)
     import torch
 
     from learning.force.export import torch_stream
@@ -431,61 +378,43 @@ def _stream(name: str | os.PathLike[str], runtime: str, threads: int) -> ForceSt
     return torch_stream(load_force_model(model))
 
 
-class _PictureMasks:
-    """Masks of camera pictures."""
+# Masks of a stream, by presets: a function of its first frames, without contact (n, ...), returns
+# their masks and a function that makes the mask of a later frame.
 
-    def __init__(self, chosen: CameraPreset) -> None:
-        self._segmenter = Segmenter(chosen)
-        self._finder: Segmenter | Lattice = self._segmenter
-
-    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return the masks (n, 480, 640) of pictures (n, h, w, 3) without contact."""
-        views = [self._segmenter.view(frame) for frame in frames]
-        self._finder = with_reference(self._segmenter, views[-1])
-        return np.stack([self._segmenter.mask_of_view(view) for view in views])
-
-    def mask(self, frame: Frame) -> NDArray[np.bool_]:
-        """Return the mask (480, 640) of a picture (h, w, 3)."""
-        return self._finder.mask_of_view(self._segmenter.view(frame))
+MaskOf = Callable[[Frame], Mask]
 
 
-class _Shading:
-    """Shading of camera pictures, relative to the mean colours without contact."""
-
-    def __init__(self, chosen: ShadingPreset) -> None:
-        self._preset = chosen
-        self._no_contact: NDArray[np.float32] | None = None
-
-    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return the shading (n, 3, 128, 128) of pictures (n, h, w, 3) without contact."""
-        cells = np.stack([cells_of(frame, self._preset) for frame in frames])
-        self._no_contact = np.asarray(cells.mean(axis=0), np.float32)
-        return shading_of(cells, self._no_contact)
-
-    def mask(self, frame: Frame) -> NDArray[np.uint8]:
-        """Return the shading (3, 128, 128) of a picture (h, w, 3)."""
-        if self._no_contact is None:
-            raise LearningError("reference: missing; allowed: frames without contact first")
-        return shading_of(cells_of(frame, self._preset), self._no_contact)
+def _masks(chosen: Preset, frames: NDArray[Any]) -> tuple[NDArray[Any], MaskOf]:
+    if isinstance(chosen, ShadingPreset):
+        return _shading(chosen, frames)
+    if isinstance(chosen, CameraPreset):
+        return _pictures(chosen, frames)
+    return _taxels(chosen, frames)
 
 
-class _TaxelMasks:
-    """Masks of taxel counts: discs, relative to the mean of the counts without contact."""
+def _pictures(chosen: CameraPreset, frames: NDArray[Any]) -> tuple[NDArray[np.bool_], MaskOf]:
+    """Make masks (480, 640) of camera pictures (h, w, 3)."""
+    segmenter = Segmenter(chosen)
+    views = [segmenter.view(frame) for frame in frames]
+    finder = with_reference(segmenter, views[-1])
+    masks = np.stack([segmenter.mask_of_view(view) for view in views])
+    return masks, lambda frame: finder.mask_of_view(segmenter.view(frame))
 
-    def __init__(self, chosen: Preset) -> None:
-        if not isinstance(chosen, TaxelPreset):
-            raise LearningError("preset: found one of a camera; allowed: one of taxels")
-        self._preset = chosen
-        self._rest = np.zeros(_TAXELS)
 
-    def reference_masks(self, frames: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return the masks (n, 480, 640) of counts (n, 16, 3)."""
-        self._rest = _counts(frames[0], frames).mean(axis=0)
-        return taxel_masks(frames, self._rest, self._preset)
+def _shading(chosen: ShadingPreset, frames: NDArray[Any]) -> tuple[NDArray[np.uint8], MaskOf]:
+    """Make shading (3, 128, 128) of camera pictures, relative to mean colours without contact."""
+    cells = np.stack([cells_of(frame, chosen) for frame in frames])
+    no_contact = np.asarray(cells.mean(axis=0), np.float32)
+    return shading_of(cells, no_contact), lambda frame: shading_of(
+        cells_of(frame, chosen), no_contact
+    )
 
-    def mask(self, frame: Frame) -> NDArray[np.bool_]:
-        """Return the mask (480, 640) of counts (16, 3)."""
-        return taxel_masks(_counts(frame, frame), self._rest, self._preset)
+
+def _taxels(chosen: TaxelPreset, frames: NDArray[Any]) -> tuple[NDArray[np.bool_], MaskOf]:
+    """Draw masks (480, 640) of counts (16, 3), relative to the mean without contact."""
+    rest = _counts(frames[0], frames).mean(axis=0)
+    masks = taxel_masks(frames, rest, chosen)
+    return masks, lambda frame: taxel_masks(_counts(frame, frame), rest, chosen)
 
 
 def _counts(frame: Frame, values: NDArray[Any]) -> NDArray[np.float64]:

@@ -21,8 +21,8 @@ from learning.errors import LearningError
 # Names of the inputs and outputs of a step.
 FRAME, STATE, REFERENCE = "frame", "state", "reference"
 FORCE, AFTER = "force", "state_after"
-# Runtimes for an exported model.
-RUNTIMES = ("onnxruntime", "openvino")
+# Runtimes for an exported model; the last allows bfloat16 inside.
+RUNTIMES = ("onnx", "openvino", "openvino-bf16")
 
 Array = NDArray[Any]
 # Function that runs one step: inputs by name to force (1, 3) N and state (1, c, h, w).
@@ -108,7 +108,6 @@ def open_exported(
     *,
     runtime: str = RUNTIMES[0],
     threads: int = 0,
-    bf16: bool = False,
 ) -> ForceStream:
     """Return a stream that runs an exported model.
 
@@ -116,24 +115,25 @@ def open_exported(
         path: `model.onnx`, or the folder of a model that has one.
         runtime: One of `RUNTIMES`.
         threads: Number of threads; 0: default of the runtime.
-        bf16: True to allow bfloat16 inside; OpenVINO only.
 
     Raises:
         LearningError: The file or runtime does not exist, the model is of another kind, or the
             runtime is not installed.
     """
+    if runtime not in RUNTIMES:
+        listed = ", ".join(RUNTIMES)
+        raise LearningError(
+            f"runtime: found {runtime!r}; allowed: {listed}, and of a live stream auto and torch"
+        )
     file = Path(path)
     file = file / "model.onnx" if file.is_dir() else file
     if not file.is_file():
         raise LearningError(
             f"{file}: no such file; `tactile train force` writes it, --runtime torch needs none"
         )
-    if runtime == "openvino":
-        return _openvino(file, threads, bf16)
-    if runtime != "onnxruntime" or bf16:
-        what = f"{runtime}{' with bf16' if bf16 else ''}"
-        raise LearningError(f"runtime: found {what}; allowed: {', '.join(RUNTIMES)}, bf16 openvino")
-    return _onnxruntime(file, threads)
+    if runtime == RUNTIMES[0]:
+        return _onnxruntime(file, threads)
+    return _openvino(file, threads, bf16=runtime == "openvino-bf16")
 
 
 def _onnxruntime(file: Path, threads: int) -> ForceStream:
@@ -160,7 +160,7 @@ def _onnxruntime(file: Path, threads: int) -> ForceStream:
     return ForceStream(step, inputs)
 
 
-def _openvino(file: Path, threads: int, bf16: bool) -> ForceStream:
+def _openvino(file: Path, threads: int, *, bf16: bool) -> ForceStream:
     try:
         import openvino
     except ImportError:

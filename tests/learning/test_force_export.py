@@ -88,7 +88,7 @@ def test_files_that_are_no_exported_model_are_refused(tmp_path: Path, exported: 
     onnx.save(other, tmp_path / "other.onnx")
     with pytest.raises(LearningError, match="found inputs x; allowed: frame, state, reference"):
         open_exported(tmp_path / "other.onnx")
-    with pytest.raises(LearningError, match="runtime: found tensorrt"):
+    with pytest.raises(LearningError, match="runtime: found 'tensorrt'; allowed: onnx, openvino"):
         open_exported(exported, runtime="tensorrt")
 
 

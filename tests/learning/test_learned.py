@@ -11,8 +11,16 @@ from numpy.typing import NDArray
 from support.made_up_archives import State, mask_of
 
 from learning.errors import LearningError
-from learning.force.intervals import AxisError, Intervals, Scale, read_intervals
-from learning.force.learned import FLAGGED, Learned, fit_learned, shapes_of
+from learning.force.intervals import (
+    FLAGGED,
+    AxisError,
+    Intervals,
+    Learned,
+    Scale,
+    fit_learned,
+    read_intervals,
+    shapes_of,
+)
 
 DEEPEST_MM, SHEAR_MM = 1.5, 0.6
 

@@ -20,13 +20,13 @@ from learning.force.intervals import (
     AxisError,
     Held,
     Intervals,
+    Learned,
     Scale,
     beyond_largest,
     fit_errors,
     measured_scale,
     read_intervals,
 )
-from learning.force.learned import Learned
 from learning.transfer.few_labels import error_curve, gains_of_labels
 from learning.transfer.pairs import join_pair, labels_by_place, split_pair
 from learning.transfer.score import score_of

@@ -20,9 +20,8 @@ from benchmarks.learning.gauge_tables.jobs import Study, further_path, trained
 from learning.compensation.simulated import twin_forces
 from learning.data.presses import load_presses
 from learning.force.calibrate import scale_of_twin
-from learning.force.intervals import Intervals, Scale, fit_errors
+from learning.force.intervals import Intervals, Learned, Scale, fit_errors
 from learning.force.labels import by_twins
-from learning.force.learned import Learned
 from learning.training.run import generator
 from recorder import MarkerArchive
 from recorder.store import replace_file

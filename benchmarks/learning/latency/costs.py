@@ -161,8 +161,10 @@ def _stream(
             torch.compiler.reset()
             one.compile(dynamic=False)
         return stepped_by(one, model)
-    narrow = variant.precision == "bf16"
-    return open_exported(exported, runtime=variant.runtime, threads=threads, bf16=narrow)
+    runtime = "onnx" if variant.runtime == "onnxruntime" else variant.runtime
+    if variant.precision == "bf16":
+        runtime += "-bf16"
+    return open_exported(exported, runtime=runtime, threads=threads)
 
 
 def _bf16(model: ForceModel) -> ForceModel:
