@@ -152,7 +152,7 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
     )
     with ItemProgress("frames", sys.stderr) as progress:
         made = import_published(folder, options.out, choices=choices, progress=progress)
-    for line in told(options.out):
+    for line in summary(options.out):
         print(line)
     for name, sensor in MarkerArchive(options.out).items():
         if "found by the markers" in (position := str(sensor.attrs.get("position"))):

@@ -14,7 +14,7 @@ from recorder.command_line.options import next_command
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.markers import EfficientSam
+    from learning.markers.efficient_sam import EfficientSam
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.markers import archive_sessions
+    from learning.markers.build import archive_sessions
 
     _require_sessions(options.sessions)
     sam = _sam(options)
@@ -92,7 +92,7 @@ def _require_sessions(paths: Sequence[Path]) -> None:
 
 
 def _sam(options: argparse.Namespace) -> EfficientSam | None:
-    from learning.markers import EfficientSam
+    from learning.markers.efficient_sam import EfficientSam
 
     halves = options.sam_encoder, options.sam_decoder
     if halves == (None, None):

@@ -13,8 +13,9 @@ from learning.data.images import shrink
 from learning.errors import LearningError
 from learning.force.live import STILL_FRAMES, Contact, LivePredictor, _preset_for, open_live
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
-from learning.markers import Segmenter, preset, taxel_masks
+from learning.markers import Segmenter, preset
 from learning.markers.displacement import FieldReader
+from learning.markers.frames import taxel_masks
 from learning.markers.segment import FOLDER as PRESETS
 from learning.markers.segment import CameraPreset, ShadingPreset, TaxelPreset, kept_preset
 from learning.markers.shading import cells_of, shading_of

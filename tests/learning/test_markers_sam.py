@@ -11,7 +11,9 @@ import pytest
 from support.learning_sessions import altered, record
 
 from learning.errors import LearningError
-from learning.markers import EfficientSam, Segmenter, archive_sessions, preset
+from learning.markers import Segmenter, preset
+from learning.markers.build import archive_sessions
+from learning.markers.efficient_sam import EfficientSam
 from recorder import MarkerArchive, Session, SessionError
 from tests.support.few import few
 

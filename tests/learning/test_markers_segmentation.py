@@ -21,8 +21,8 @@ from learning.markers import (
     preset,
     preset_of_sensor,
     read_preset,
-    taxel_masks,
 )
+from learning.markers.frames import taxel_masks
 from learning.markers.segment import BlurDifference, ColourBelow, Contrast, Dark, Morphology, Region
 from recorder.markers import draw_discs, find_blobs, marker_centres, place_discs
 

@@ -18,8 +18,10 @@ from support.sessions import reseal
 import sim.indenters
 from learning.errors import LearningError
 from learning.indenters import NAMES
-from learning.markers import Segmenter, archive_sessions, preset, taxel_masks
+from learning.markers import Segmenter, preset
+from learning.markers.build import archive_sessions
 from learning.markers.flags import FLAG, INVALID
+from learning.markers.frames import taxel_masks
 from learning.markers.recording import read_group
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs

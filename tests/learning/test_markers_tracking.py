@@ -9,7 +9,8 @@ import pytest
 from support import marker_truth
 
 from learning.errors import LearningError
-from learning.markers import Segmenter, Tracker, preset
+from learning.markers import Segmenter, preset
+from learning.markers.track import Tracker
 from recorder.markers import marker_centres
 from rig.mock.world.picture import MarkerCamera, Surface
 from tests.support.few import few
