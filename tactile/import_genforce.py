@@ -134,7 +134,7 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
     from learning.data.genforce import import_folder as import_published
     from learning.data.genforce import read_compensation, read_plan
     from learning.data.genforce.importing import SURFACES_MM, Choices
-    from learning.markers.build import told
+    from learning.markers.build import summary
     from recorder import MarkerArchive
 
     surfaces = dict(SURFACES_MM) if options.heights else {}

@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     _require_sessions(options.sessions)
     sam = _sam(options)
     with ItemProgress("frames", sys.stderr) as progress:
-        built = archive_sessions(
+        made, lines = archive_sessions(
             options.sessions,
             options.out,
             preset_name=options.preset,
@@ -68,15 +68,15 @@ def run(options: argparse.Namespace) -> int:
             irregular=options.irregular,
             progress=progress,
         )
-    for line in built.lines:
+    for line in lines:
         print(line)
     if options.sheet is not None:
         from learning.markers.recording import read_group
         from learning.markers.sheet import draw_sheet
 
-        draw_sheet(options.out, read_group(options.sessions, options.sensor), options.sheet)
+        draw_sheet(options.out, read_group(options.sessions, options.sensor)[0], options.sheet)
         print(f"{options.sheet}: written")
-    print(f"{options.out}: {built.made:,} frames made")
+    print(f"{options.out}: {made:,} frames made")
     return 0
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.flags import FLAG, INVALID
 from learning.markers.frames import RecordedSensor, one_thread
-from learning.markers.recording import Group, read_group
+from learning.markers.recording import Recording, read_group
 from learning.markers.segment import names, preset_of_sensor
 from recorder import MarkerArchive
 from recorder.archive import MASKS
@@ -24,17 +23,6 @@ if TYPE_CHECKING:
 
 # Maximum number of frames, and of reasons, that are listed individually.
 NAMED = 5
-
-
-@dataclass(frozen=True, slots=True)
-class Built:
-    """Result of building an archive."""
-
-    path: Path
-    made: int
-    """Number of frames made by this call."""
-    lines: tuple[str, ...]
-    """Summary: frames, flags, omissions."""
 
 
 def archive_sessions(
@@ -48,8 +36,10 @@ def archive_sessions(
     sam: EfficientSam | None = None,
     irregular: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Built:
+) -> tuple[int, tuple[str, ...]]:
     """Make or resume the marker archive of sessions.
+
+    Returns the number of frames made by this call, and lines of summary: frames, flags, omissions.
 
     Args:
         sessions: One for each indenter on each sensor.
@@ -68,22 +58,24 @@ def archive_sessions(
         OSError: The disk is full, or not writable.
     """
     one_thread()
-    group = read_group(sessions, sensor)
+    recordings, indenters = read_group(sessions, sensor)
     sensors = [
         RecordedSensor(
-            one,
-            group.indenters,
-            preset_name or _preset_for(one.name),
+            name,
+            some,
+            indenters,
+            preset_name or _preset_for(name),
             mm_per_px=mm_per_px,
             unseen=unseen,
             sam=sam,
             irregular=irregular,
         )
-        for one in group.sensors
+        for name, some in recordings.items()
     ]
     attrs = {"made_from": "sessions"}
-    made = fill_archive(out, sensors, group.indenters, attrs, progress)
-    return Built(out, made, (*_left_out(group), *told(out)))
+    made = fill_archive(out, sensors, indenters, attrs, progress)
+    omitted = (line for some in recordings.values() for one in some for line in _omitted(one))
+    return made, (*omitted, *summary(out))
 
 
 def _preset_for(sensor: str) -> str:
@@ -95,7 +87,7 @@ def _preset_for(sensor: str) -> str:
     return found
 
 
-def told(path: Path) -> tuple[str, ...]:
+def summary(path: Path) -> tuple[str, ...]:
     """Return lines that summarise an archive: frames, flags and missing frames of each sensor."""
     lines = []
     for name, sensor in MarkerArchive(path).items():
@@ -125,14 +117,7 @@ def _sorted(reasons: Mapping[str, int]) -> list[tuple[str, int]]:
     return sorted(reasons.items(), key=lambda one: -one[1])
 
 
-def _left_out(group: Group) -> tuple[str, ...]:
-    lines = []
-    for sensor in group.sensors:
-        for placed in sensor.placed:
-            reported = placed.recording.omitted
-            lines += [f"{placed.recording.name}: {text}" for text in reported[:NAMED]]
-            if len(reported) > NAMED:
-                lines.append(
-                    f"{placed.recording.name}: and {len(reported) - NAMED} more of the kind"
-                )
-    return tuple(lines)
+def _omitted(recording: Recording) -> Iterator[str]:
+    yield from (f"{recording.name}: {text}" for text in recording.omitted[:NAMED])
+    if (more := len(recording.omitted) - NAMED) > 0:
+        yield f"{recording.name}: and {more} more of the kind"

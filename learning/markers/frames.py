@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.flags import FLAG, INVALID, marker_flags
 from learning.markers.lattice import Lattice, with_reference
-from learning.markers.recording import Recording, SensorGroup
+from learning.markers.recording import Recording
 from learning.markers.regular import spread_of
 from learning.markers.segment import (
     CameraPreset,
@@ -185,7 +185,8 @@ class RecordedSensor:
 
     def __init__(
         self,
-        group: SensorGroup,
+        name: str,
+        recordings: Sequence[Recording],
         indenters: tuple[str, ...],
         preset_name: str,
         *,
@@ -197,7 +198,8 @@ class RecordedSensor:
         """Prepare the segmentation of its frames.
 
         Args:
-            group: Its sessions.
+            name: Name of the sensor.
+            recordings: Its sessions.
             indenters: Names, by code.
             preset_name: Preset of the marker detection, stored in the archive.
             mm_per_px: Size of a pixel [mm]; None: the preset's.
@@ -213,18 +215,15 @@ class RecordedSensor:
             self._frames = _Shading(found)
         else:
             self._frames = _Markers(found, preset_name, sam, irregular)
-        if group.kind != self._frames.device:
-            raise LearningError(
-                f"preset {preset_name}: is for {found.KIND}; {group.name} has {group.kind}"
-            )
+        kind = recordings[0].kind
+        if kind != self._frames.device:
+            raise LearningError(f"preset {preset_name}: is for {found.KIND}; {name} has {kind}")
         scale = mm_per_px if mm_per_px is not None else found.mm_per_px
         if scale is None:
-            raise LearningError(
-                f"{group.name}.mm_per_px: not in preset {preset_name}; allowed: say it"
-            )
-        self._group, self._indenters, self._unseen = group, indenters, unseen
+            raise LearningError(f"{name}.mm_per_px: not in preset {preset_name}; allowed: say it")
+        self._name, self._recordings = name, recordings
+        self._indenters, self._unseen = indenters, unseen
         self._preset, self._preset_name, self._mm_per_px = found, preset_name, scale
-        recordings = [placed.recording for placed in group.placed]
         self._ends = np.cumsum([0, *map(len, recordings)])
         self._first_reference = np.cumsum([0, *(len(one.references) for one in recordings)])
 
@@ -233,22 +232,20 @@ class RecordedSensor:
         """Plan of its part of the archive."""
         attrs: dict[str, Any] = {
             "made_from": "sessions",
-            "sessions": [_identity(placed.recording) for placed in self._group.placed],
+            "sessions": [_identity(recording) for recording in self._recordings],
             "preset": self._preset_name,
             "preset_says": repr(self._preset),
             "wrench_frame": "that of the force/torque sensor, as in the sessions",
         }
-        if not all(placed.recording.is_placed for placed in self._group.placed):
+        if not all(recording.is_placed for recording in self._recordings):
             attrs |= {"depth": UNKNOWN, "position": UNKNOWN}
-        recordings = [placed.recording for placed in self._group.placed]
-        if self._frames.one_reference:
-            recordings = recordings[:1]
+        own = self._recordings[:1] if self._frames.one_reference else self._recordings
         return SensorPlan(
-            name=self._group.name,
+            name=self._name,
             rows=int(self._ends[-1]),
             chunk_rows=CHUNK_ROWS,
             unit_rows=UNIT_ROWS,
-            references=np.concatenate([self._frames.references(one) for one in recordings]),
+            references=np.concatenate([self._frames.references(one) for one in own]),
             mm_per_px=self._mm_per_px,
             marker_count=self._frames.count,
             attrs={**attrs, **self._frames.attrs},
@@ -258,7 +255,7 @@ class RecordedSensor:
     def read(self, rows: slice) -> Frames:
         """Make some of the frames."""
         parts = []
-        for index in range(len(self._group.placed)):
+        for index in range(len(self._recordings)):
             begin, end = int(self._ends[index]), int(self._ends[index + 1])
             first, last = max(rows.start, begin) - begin, min(rows.stop, end) - begin
             if first < last:
@@ -271,16 +268,14 @@ class RecordedSensor:
 
     def _part(self, index: int, rows: slice) -> Frames:
         """Make frames of one recording."""
-        recording = self._group.placed[index].recording
+        recording = self._recordings[index]
         invalid = recording.invalid()[rows]
         there = np.array([not reason for reason in invalid])
         table = self._table(index, rows, there)
         frames = np.zeros((len(there), *self._frames.representation.shape), np.uint8)
         if there.any():
             frames[there] = self._frames.frames(recording, np.flatnonzero(there) + rows.start)
-        flags = marker_flags(
-            self._group.name, frames, table, self.plan.references, self._frames.count
-        )
+        flags = marker_flags(self._name, frames, table, self.plan.references, self._frames.count)
         lines = []
         run, target = recording.column("run")[rows], recording.column("target")[rows]
         for place, reason in enumerate(invalid):
@@ -295,8 +290,7 @@ class RecordedSensor:
         return Frames(frames, table, lines)
 
     def _table(self, index: int, rows: slice, there: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-        placed = self._group.placed[index]
-        recording = placed.recording
+        recording = self._recordings[index]
         target = recording.column("target")[rows].astype(np.int64)
         position = recording.positions()[rows]
         if not np.isfinite(position[there]).all():
@@ -308,14 +302,14 @@ class RecordedSensor:
         wrench[:, ~recording.measured()] = np.nan
         wrench[~np.isfinite(wrench)] = np.nan
         location = np.full(len(target), -1)
-        if placed.first_location is not None:
-            location = placed.first_location + target
+        if recording.first_location is not None:
+            location = recording.first_location + target
         reference = self._first_reference[index] + recording.reference[rows]
         return {
             "indenter": np.full(len(target), self._indenters.index(recording.indenter)),
             "seen": np.full(len(target), recording.indenter not in self._unseen),
             "location": location,
-            "target": placed.first_target + target,
+            "target": recording.first_target + target,
             "phase": recording.column("phase")[rows],
             "depth": np.maximum(recording.surface()[rows] - position[:, 2], 0.0),
             "position": position[:, :2],

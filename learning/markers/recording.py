@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -51,6 +51,10 @@ class Recording:
     """Index into `references` of each row (n,)."""
     omitted: tuple[str, ...]
     """Descriptions of the session's frames that are not in `rows`."""
+    first_target: int = 0
+    """Number of its first target within the indenter, in an archive."""
+    first_location: int | None = None
+    """Location of its first target in an archive; None if its targets have no location."""
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -318,41 +322,10 @@ def _matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 # Grouping of sessions into one archive; incompatible sessions are rejected by name.
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Placed:
-    """A recording, and the numbers of its targets in the archive."""
-
-    recording: Recording
-    first_target: int
-    """Number of its first target within the indenter."""
-    first_location: int | None
-    """Location of its first target; None if its targets have no location."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SensorGroup:
-    """All recordings of one sensor, indenter by indenter."""
-
-    name: str
-    placed: tuple[Placed, ...]
-
-    @property
-    def kind(self) -> str:
-        """`camera` or `taxels`."""
-        return self.placed[0].recording.kind
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Group:
-    """All recordings of an archive."""
-
-    sensors: tuple[SensorGroup, ...]
-    indenters: tuple[str, ...]
-    """Names, by code."""
-
-
-def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
-    """Group sessions into sensors and indenters.
+def read_group(
+    paths: Sequence[Path], sensor: str | None = None
+) -> tuple[dict[str, list[Recording]], tuple[str, ...]]:
+    """Return the recordings of each sensor, indenter by indenter, and the indenters by code.
 
     Targets of two sensors are paired by their numbers, so all sessions with shear must have the
     same plan: the same number of targets, points, depth levels and directions, shear angles within
@@ -374,7 +347,7 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
     by_sensor: dict[str, list[Recording]] = {}
     for one in recordings:
         by_sensor.setdefault(one.sensor, []).append(one)
-    sensors = []
+    sensors = {}
     # Presses without a plan are numbered after all others: no two sensors share one.
     free = len(indenters) * targets
     for name, some in by_sensor.items():
@@ -385,14 +358,18 @@ def read_group(paths: Sequence[Path], sensor: str | None = None) -> Group:
         for one in some:
             if not one.is_imported:
                 first = indenters.index(one.indenter) * targets if one.located else None
-                placed.append(Placed(one, 0 if one.located else targets, first))
+                placed.append(_numbered(one, 0 if one.located else targets, first))
                 continue
             number = begun.get(one.indenter, 0)
-            placed.append(Placed(one, number, free))
+            placed.append(_numbered(one, number, free))
             begun[one.indenter] = number + one.targets
             free += one.targets
-        sensors.append(SensorGroup(name, tuple(placed)))
-    return Group(tuple(sensors), indenters)
+        sensors[name] = placed
+    return sensors, indenters
+
+
+def _numbered(one: Recording, target: int, location: int | None) -> Recording:
+    return replace(one, first_target=target, first_location=location)
 
 
 def _require_different(recordings: Sequence[Recording]) -> None:

@@ -3,116 +3,88 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 
+from learning.contact_sheet import Tile, marker_picture, write_sheet
 from learning.errors import LearningError
 from learning.markers.flags import FLAG
-from learning.markers.recording import Group, Placed, SensorGroup
-from learning.markers.segment import CameraPreset, Segmenter, outlined, preset
+from learning.markers.recording import Recording
+from learning.markers.segment import CameraPreset, Picture, outlined, preset, view_of
 from learning.markers.shading import change_of, picture_of
 from recorder import MarkerArchive
 from recorder.archive import MASKS, ArchivedSensor
 from recorder.markers import SMALLEST_PX, count_markers, unpack
-from recorder.plot import INK, PAPER, SOFT, font
 from recorder.spec import PHASES
 
-# Size of a picture, space around it, height of the captions below and above [px].
-TILE, GAP, CAPTION, HEAD = (320, 240), 10, 40, 34
 # Maximum number of frames of a session next to its reference, and of flagged ones among them.
 SHEET_FRAMES, FLAGGED = 5, 2
-OUTLINE, MARKER, GROUND, ALARM = (255, 150, 30), (240, 240, 236), (22, 26, 34), (220, 60, 50)
-COLOURS = 256
+OUTLINE = (255, 150, 30)
 
 
-def draw_sheet(archive_path: Path, group: Group, out: Path) -> None:
+def draw_sheet(path: Path, sensors: Mapping[str, Sequence[Recording]], out: Path) -> None:
     """Write a PNG with a row for each session: its reference, then evenly spaced frames.
 
     Flagged frames, if any, come last, with a red frame.
 
     Args:
-        archive_path: The archive.
-        group: The sessions that it was made from.
+        path: The archive.
+        sensors: The sessions that it was made from, by sensor.
         out: File to write.
     """
-    archive = MarkerArchive(archive_path)
-    rows = [(sensor, placed) for sensor in group.sensors for placed in sensor.placed]
-    width = GAP + (1 + SHEET_FRAMES) * (TILE[0] + GAP)
-    height = HEAD + TILE[1] + CAPTION + GAP
-    page = Image.new("RGB", (width, GAP + len(rows) * height), PAPER)
-    for place, (sensor, placed) in enumerate(rows):
-        if sensor.name not in archive:
-            raise LearningError(f"{archive_path}: has no sensor {sensor.name}")
-        _draw_row(page, GAP + place * height, archive[sensor.name], sensor, placed)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    page.quantize(COLOURS, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    archive = MarkerArchive(path)
+    rows = []
+    for name, recordings in sensors.items():
+        if name not in archive:
+            raise LearningError(f"{path}: has no sensor {name}")
+        first, archived = 0, archive[name]
+        for recording in recordings:
+            of = range(first, first := first + len(recording))
+            if first > len(archived):
+                raise LearningError(
+                    f"{name}: has {len(archived)} frames, its sessions have {first} or more"
+                )
+            flagged = [row for row in of if FLAG in _provenance(archived, row)]
+            note = f"{recording.name}   {len(of):,} frames, {len(flagged)} flagged"
+            chosen = _chosen(archived, of, flagged)
+            if archived.representation != MASKS:
+                tiles = [_shading(archived, row) for row in chosen]
+            else:
+                tiles = _masks(archived, recording, of.start, chosen, flagged)
+            rows.append((f"{name}, {recording.indenter}", note, tiles))
+    write_sheet(rows, out, 1 + SHEET_FRAMES)
 
 
-def _draw_row(
-    page: Image.Image, top: int, archived: ArchivedSensor, sensor: SensorGroup, placed: Placed
-) -> None:
-    pen = ImageDraw.Draw(page)
-    recording = placed.recording
-    of = _rows_of(archived, sensor, placed)
-    flagged = [row for row in of if FLAG in _said(archived, row)]
-    title = f"{sensor.name}, {recording.indenter}"
-    pen.text((GAP, top + 4), title, INK, font(17))
-    text = f"{recording.name}   {len(of):,} frames, {len(flagged)} flagged"
-    pen.text((GAP + 20 + pen.textlength(title, font(17)), top + 6), text, SOFT, font(14))
-    chosen = _chosen(archived, of, flagged)
-    if archived.representation != MASKS:
-        _draw_shading(page, top, archived, chosen)
-        return
-    first = int(archived.table["reference"][of[0]])
-    view = _view(archived, placed, placed.recording.reference_images()[0])
-    mask = unpack(archived.references[first])
-    tiles = [(_outlined(view, mask), f"reference: {_count(archived, mask)}", "no contact", False)]
+def _masks(
+    archived: ArchivedSensor,
+    recording: Recording,
+    first: int,
+    chosen: Sequence[int],
+    flagged: Sequence[int],
+) -> list[Tile]:
+    """Return the reference and some rows of a recording, with the outlines of their markers."""
+    mask = unpack(archived.references[int(archived.table["reference"][first])])
+    pixels = _outlined(archived, recording, recording.reference_images()[0], mask)
+    tiles = [Tile(pixels, (f"reference: {_count(archived, mask)}", "no contact"))]
+    images = recording.column("image")
     for row in chosen:
         (mask,) = archived.masks([row])
-        picture = _outlined(_view(archived, placed, _image_of(placed, row - of[0])), mask)
-        tiles.append((picture, *_caption(archived, row, mask), row in flagged))
-    for place, (pixels, upper, lower, alarm) in enumerate(tiles):
-        left = GAP + place * (TILE[0] + GAP)
-        tile = Image.fromarray(pixels).resize(TILE, Image.Resampling.LANCZOS)
-        page.paste(tile, (left, top + HEAD))
-        if alarm:
-            box = (left, top + HEAD, left + TILE[0] - 1, top + HEAD + TILE[1] - 1)
-            pen.rectangle(box, outline=ALARM, width=3)
-        pen.text((left, top + HEAD + TILE[1] + 4), upper, ALARM if alarm else INK, font(13))
-        pen.text((left, top + HEAD + TILE[1] + 20), lower, SOFT, font(13))
+        pixels = _outlined(archived, recording, int(images[row - first]), mask)
+        tiles.append(Tile(pixels, _caption(archived, row, mask), row in flagged))
+    return tiles
 
 
-def _draw_shading(page: Image.Image, top: int, archived: ArchivedSensor, chosen: list[int]) -> None:
-    """Draw the shading of some rows, its changes enlarged."""
-    pen = ImageDraw.Draw(page)
-    for place, row in enumerate(chosen):
-        (shading,) = archived.frames([row])
-        left = GAP + place * (TILE[0] + GAP)
-        tile = Image.fromarray(picture_of(shading)).resize(TILE, Image.Resampling.LANCZOS)
-        page.paste(tile, (left, top + HEAD))
-        force = archived.table["wrench"][row, 2]
-        told = f"Fz {force:+.2f} N" if np.isfinite(force) else "no force"
-        upper = f"row {row}, target {archived.table['target'][row]}"
-        lower = f"mean change {change_of(shading):.1f} grey levels, {told}"
-        pen.text((left, top + HEAD + TILE[1] + 4), upper, INK, font(13))
-        pen.text((left, top + HEAD + TILE[1] + 20), lower, SOFT, font(13))
-
-
-def _rows_of(archived: ArchivedSensor, sensor: SensorGroup, placed: Placed) -> range:
-    first = 0
-    for other in sensor.placed:
-        if other is placed:
-            break
-        first += len(other.recording)
-    rows = range(first, first + len(placed.recording))
-    if rows.stop > len(archived):
-        raise LearningError(
-            f"{archived.name}: has {len(archived)} frames, its sessions have {rows.stop} or more"
-        )
-    return rows
+def _shading(archived: ArchivedSensor, row: int) -> Tile:
+    """Return the shading of a row, its changes enlarged."""
+    (shading,) = archived.frames([row])
+    force = archived.table["wrench"][row, 2]
+    measured = f"Fz {force:+.2f} N" if np.isfinite(force) else "no force"
+    upper = f"row {row}, target {archived.table['target'][row]}"
+    lower = f"mean change {change_of(shading):.1f} grey levels, {measured}"
+    return Tile(picture_of(shading), (upper, lower))
 
 
 def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int]:
@@ -132,29 +104,19 @@ def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int
     return [*(deepest[place] for place in evenly), *shown]
 
 
-def _said(archived: ArchivedSensor, row: int) -> dict[str, object]:
+def _provenance(archived: ArchivedSensor, row: int) -> dict[str, object]:
     reported: dict[str, object] = json.loads(archived.sources[int(archived.table["source"][row])])
     return reported
 
 
-def _image_of(placed: Placed, row: int) -> int:
-    return int(placed.recording.column("image")[row])
-
-
-def _view(archived: ArchivedSensor, placed: Placed, image: int) -> NDArray[np.uint8] | None:
-    """Return the picture (480, 640, 3) as input to the detection; None for taxels."""
-    if placed.recording.kind != "camera":
-        return None
-    found = preset(str(archived.attrs["preset"]))
-    if not isinstance(found, CameraPreset):
-        raise LearningError(f"{archived.name}: preset {archived.attrs['preset']} is for taxels")
-    return Segmenter(found).view(placed.recording.picture(image))
-
-
-def _outlined(view: NDArray[np.uint8] | None, mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    if view is None:
-        return np.where(mask[..., None], MARKER, GROUND).astype(np.uint8)
-    return outlined(view, mask, OUTLINE, 2)
+def _outlined(
+    archived: ArchivedSensor, recording: Recording, image: int, mask: NDArray[np.bool_]
+) -> Picture:
+    """Return the picture (480, 640, 3) as the detection gets it; the mask alone for taxels."""
+    settings = preset(str(archived.attrs["preset"]))
+    if not isinstance(settings, CameraPreset):
+        return marker_picture(mask)
+    return outlined(view_of(recording.picture(image), settings.region), mask, OUTLINE, 2)
 
 
 def _count(archived: ArchivedSensor, mask: NDArray[np.bool_]) -> str:

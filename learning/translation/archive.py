@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 
 from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames, archive_fingerprint, fill_archive
+from learning.contact_sheet import Tile, marker_picture, write_sheet
 from learning.errors import LearningError
 from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
@@ -30,7 +30,6 @@ from recorder.archive import (
     location_pairs,
 )
 from recorder.markers import PACKED, pack, unpack
-from recorder.plot import INK, PAPER, SOFT, font
 from recorder.spec import PHASES
 
 if TYPE_CHECKING:
@@ -276,23 +275,10 @@ def _marker_count(sensor: ArchivedSensor) -> MarkerCount | None:
 
 Masks = NDArray[np.bool_]
 
-# Size of a picture, the space around it, the heights of its title and caption [px].
-TILE, GAP, HEAD, CAPTION = (256, 192), 8, 30, 20
 # Presses shown for each pair.
 FRAMES = 3
-# Colours of markers, of background, and of markers in only the translated or only the true frame.
-MARKER, GROUND, ONLY_MADE, ONLY_TRUE = (240, 240, 236), (22, 26, 34), (255, 150, 30), (70, 150, 255)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shown:
-    """One row of the contact sheet."""
-
-    title: str
-    source: Masks
-    made: Masks
-    true: Masks | None
-    """Frame of the real target at the same place, if it was pressed there."""
+# Colours of markers in only the translated or only the true frame.
+ONLY_MADE, ONLY_TRUE = (255, 150, 30), (70, 150, 255)
 
 
 def draw_sheet(archive: MarkerArchive, translated: MarkerArchive, out: Path) -> None:
@@ -304,13 +290,7 @@ def draw_sheet(archive: MarkerArchive, translated: MarkerArchive, out: Path) -> 
         out: Path of the picture.
     """
     rows = [row for sensor in translated.values() for row in _chosen(archive, sensor)]
-    height = HEAD + TILE[1] + CAPTION + GAP
-    size = GAP + 4 * (TILE[0] + GAP), GAP + len(rows) * height
-    page = Image.new("RGB", size, PAPER)
-    for place, row in enumerate(rows):
-        _draw(page, GAP + place * height, row)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    page.quantize(64, dither=Image.Dither.NONE).save(out, "PNG", optimize=True)
+    write_sheet(rows, out, columns=4, size=(256, 192))
 
 
 def dice(one: Masks, other: Masks) -> float:
@@ -319,7 +299,8 @@ def dice(one: Masks, other: Masks) -> float:
     return 2 * int(np.count_nonzero(one & other)) / total if total else 1.0
 
 
-def _chosen(archive: MarkerArchive, made: ArchivedSensor) -> Iterator[Shown]:
+def _chosen(archive: MarkerArchive, made: ArchivedSensor) -> Iterator[tuple[str, str, list[Tile]]]:
+    """Yield title, note and pictures of some of the deepest frames of a pair."""
     names = [made.attrs.get(key) for key in ("source", "target")]
     for name in names:
         if name not in archive:
@@ -334,12 +315,19 @@ def _chosen(archive: MarkerArchive, made: ArchivedSensor) -> Iterator[Shown]:
     of = dict(zip(pairs.source[paired].tolist(), pairs.target[paired].tolist(), strict=True))
     pool = np.array(sorted(of)) if of else deepest
     for row in pool[np.linspace(0, len(pool) - 1, min(FRAMES, len(pool))).astype(int)].tolist():
-        yield Shown(
-            _title(archive, made, row),
-            source.masks([_row_of(source, made, row)])[0],
-            made.masks([row])[0],
-            target.masks([of[row]])[0] if row in of else None,
-        )
+        (before,), (after,) = source.masks([_row_of(source, made, row)]), made.masks([row])
+        tiles = [
+            Tile(marker_picture(before), ("source", "")),
+            Tile(marker_picture(after), ("translated", "")),
+        ]
+        if row in of:
+            (true,) = target.masks([of[row]])
+            agreement = f"Dice {dice(after, true):.3f}: orange too much, blue missing"
+            tiles += [
+                Tile(marker_picture(true), ("target, pressed there", "")),
+                Tile(_difference(after, true), (agreement, "")),
+            ]
+        yield _title(archive, made, row), "", tiles
 
 
 def _row_of(source: ArchivedSensor, made: ArchivedSensor, row: int) -> int:
@@ -362,27 +350,8 @@ def _title(archive: MarkerArchive, made: ArchivedSensor, row: int) -> str:
     return f"{made.name}: {indenter}, target {table['target'][row]}, {phase}, {depth:.2f} mm"
 
 
-def _draw(page: Image.Image, top: int, row: Shown) -> None:
-    pen = ImageDraw.Draw(page)
-    pen.text((GAP, top + 4), row.title, INK, font(16))
-    tiles = [(_plain(row.source), "source"), (_plain(row.made), "translated")]
-    if row.true is not None:
-        tiles.append((_plain(row.true), "target, pressed there"))
-        message = f"Dice {dice(row.made, row.true):.3f}: orange too much, blue missing"
-        tiles.append((_difference(row.made, row.true), message))
-    for place, (pixels, caption) in enumerate(tiles):
-        left = GAP + place * (TILE[0] + GAP)
-        tile = Image.fromarray(pixels).resize(TILE, Image.Resampling.BOX)
-        page.paste(tile, (left, top + HEAD))
-        pen.text((left, top + HEAD + TILE[1] + 3), caption, SOFT, font(13))
-
-
-def _plain(mask: Masks) -> NDArray[np.uint8]:
-    return np.where(mask[..., None], MARKER, GROUND).astype(np.uint8)
-
-
 def _difference(made: Masks, true: Masks) -> NDArray[np.uint8]:
-    picture = _plain(made & true)
+    picture = marker_picture(made & true)
     picture[made & ~true] = ONLY_MADE
     picture[true & ~made] = ONLY_TRUE
     return picture

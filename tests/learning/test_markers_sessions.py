@@ -46,8 +46,8 @@ def taxels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def archive(camera: Path, tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
     out = tmp_path_factory.mktemp("archive") / "a.markers.zarr"
-    built = archive_sessions([camera], out)
-    assert built.made == len(Session(camera).frames["t_ns"]) == 32
+    made, _ = archive_sessions([camera], out)
+    assert made == len(Session(camera).frames["t_ns"]) == 32
     return MarkerArchive(out)
 
 
@@ -178,7 +178,7 @@ def test_killed_and_started_again_it_ends_in_the_same_bytes(
     monkeypatch.setattr("learning.markers.frames.UNIT_ROWS", 8)
     monkeypatch.setattr("learning.markers.frames.CHUNK_ROWS", 4)
     whole, torn = tmp_path / "whole.markers.zarr", tmp_path / "torn.markers.zarr"
-    frames = archive_sessions([taxels], whole).made
+    frames = archive_sessions([taxels], whole)[0]
 
     def kill(done: int, total: int) -> None:
         if done >= 16:
@@ -188,10 +188,10 @@ def test_killed_and_started_again_it_ends_in_the_same_bytes(
         archive_sessions([taxels], torn, progress=kill)
     assert MarkerArchive(torn).status == "writing"
     seen: list[int] = []
-    again = archive_sessions([taxels], torn, progress=lambda done, _: seen.append(done))
-    assert (again.made, seen[0], seen[-1]) == (frames - 16, 16, frames)
+    again, _ = archive_sessions([taxels], torn, progress=lambda done, _: seen.append(done))
+    assert (again, seen[0], seen[-1]) == (frames - 16, 16, frames)
     assert digests(torn) == digests(whole)
-    assert archive_sessions([taxels], torn).made == 0
+    assert archive_sessions([taxels], torn)[0] == 0
 
 
 def test_rows_without_a_sample_near_enough_are_not_there_and_say_why(
@@ -199,7 +199,7 @@ def test_rows_without_a_sample_near_enough_are_not_there_and_say_why(
 ) -> None:
     valid = np.arange(32) % 10 != 3
     path = altered(taxels, tmp_path / "s.zarr", {"frames/valid": valid})
-    built = archive_sessions([path], tmp_path / "a.markers.zarr")
+    _, lines = archive_sessions([path], tmp_path / "a.markers.zarr")
     sensor = MarkerArchive(tmp_path / "a.markers.zarr")["uskin"]
     np.testing.assert_array_equal(sensor.table["valid"], valid)
     assert not sensor.masks(np.flatnonzero(~valid)).any()
@@ -207,7 +207,7 @@ def test_rows_without_a_sample_near_enough_are_not_there_and_say_why(
     assert np.isfinite(sensor.table["wrench"][valid]).all()
     reported = json.loads(sensor.sources[sensor.table["source"][3]])
     assert reported[INVALID] == "a stream has no sample near enough"
-    assert "3 frames are not there: a stream has no sample near enough" in built.lines[-1]
+    assert "3 frames are not there: a stream has no sample near enough" in lines[-1]
     assert check(tmp_path / "a.markers.zarr") == []
 
 
@@ -215,11 +215,11 @@ def test_of_a_target_that_was_pressed_twice_one_press_is_taken(
     taxels: Path, tmp_path: Path
 ) -> None:
     path = altered(taxels, tmp_path / "s.zarr", {"frames/target": np.zeros(32, np.int32)})
-    built = archive_sessions([path], tmp_path / "a.markers.zarr")
+    _, lines = archive_sessions([path], tmp_path / "a.markers.zarr")
     table = MarkerArchive(tmp_path / "a.markers.zarr")["uskin"].table
     np.testing.assert_array_equal(table["t_ns"], Session(path).frames["t_ns"][16:])
-    assert any("target 0 was pressed twice: 16 frames" in line for line in built.lines)
-    assert any("1 targets have no frames" in line for line in built.lines)
+    assert any("target 0 was pressed twice: 16 frames" in line for line in lines)
+    assert any("1 targets have no frames" in line for line in lines)
 
 
 def test_force_and_depth_come_behind_the_targets_without_a_location(
@@ -302,7 +302,7 @@ def test_equal_numbers_of_other_angles_or_layouts_are_not_paired(
     one = with_plan(taxels, tmp_path / "a.zarr", "a")
     other = with_plan(taxels, tmp_path / "b.zarr", "b", **changes)
     if message is None:
-        assert len(read_group([one, other]).sensors) == 2
+        assert len(read_group([one, other])[0]) == 2
         return
     with pytest.raises(LearningError, match=message):
         read_group([one, other])
