@@ -151,12 +151,12 @@ class ReceivingDriver:
         """Connect and receive from now on; see `Driver.open`."""
         self.close()
         self._begin(timeout)
+        self._stopping.clear()
         try:
             self._connect(timeout)
         except BaseException:
             self.close()
             raise
-        self._stopping.clear()
         self._thread = threading.Thread(target=self._run, name=self._where, daemon=True)
         self._thread.start()
 

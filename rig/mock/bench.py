@@ -11,7 +11,6 @@ from __future__ import annotations
 import logging
 import os
 import socket
-import subprocess
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ from rig.core.shared_memory import SharedLatest
 from rig.core.sources import Sources
 from rig.core.stream_settings import StreamSettings
 from rig.devices import registry
-from rig.mock.processes import ProcessGroup, StartedOrClosed
+from rig.mock.processes import ProcessGroup
 
 logger = logging.getLogger(__name__)
 
@@ -63,7 +62,7 @@ class _Device:
     """True for the first of its kind, which plays a real recording if there is one."""
 
 
-class MockBench(StartedOrClosed):
+class MockBench(ProcessGroup):
     """The emulators of one bench, as a context manager.
 
     Args:
@@ -83,16 +82,15 @@ class MockBench(StartedOrClosed):
         truth: Path | None = None,
         devices: Collection[str] = _KINDS,
     ) -> None:
+        super().__init__(folder, SystemClock())
         self.host = free_loopback()
         self.file = file.at(self.host, folder)
         """The bench with the addresses of the emulators."""
         if self.bench.world is None:
             raise ConfigError(f"{file.path}.world: missing; allowed: a world, on a mock bench")
-        self._folder = folder
         self._sources = sources or Sources()
         self._truth = truth
         self._devices = devices
-        self._launched = ProcessGroup(folder, SystemClock())
         self._closed = False
 
     @property
@@ -193,23 +191,14 @@ class MockBench(StartedOrClosed):
         SharedLatest.create(self._folder / WORLD_FILE, WORLD_STATE).close()
         if "solver" in documents:
             SharedLatest.create(self._folder / PRESS_FILE, PRESS_STATE).close()
-        self._launched.start(documents)
-
-    @property
-    def processes(self) -> dict[str, subprocess.Popen[str]]:
-        """The emulators and the World, by name."""
-        return self._launched.processes
-
-    def check(self) -> None:
-        """Raise if an emulator or the World has ended by itself."""
-        self._launched.check()
+        self._launch(documents)
 
     def close(self) -> None:
         """End every emulator; may be called twice."""
-        self._launched.close()
+        super().close()
         if "solver" in self.processes and not self._closed:
             # The number of solutions shows how accurate the World was.
-            logger.info(self._launched.last_word("solver"))
+            logger.info(self.last_word("solver"))
         self._closed = True
 
 

@@ -20,7 +20,7 @@ from rig.devices.force.netft_recorded import force_page
 from rig.devices.force.settings import NetFtConfig
 from rig.devices.taxels.settings import XelaConfig
 from rig.mock.bench import free_loopback
-from rig.mock.processes import ProcessGroup, StartedOrClosed
+from rig.mock.processes import ProcessGroup
 from trajectories import ForceDepth
 
 # Emulator that plays a stream, by kind, in the order in which their drivers are opened.
@@ -33,7 +33,7 @@ PLAYED_BY = {
 }
 
 
-class Players(StartedOrClosed):
+class Players(ProcessGroup):
     """Starts, cues and ends the emulators of a run, as a context manager.
 
     Args:
@@ -57,7 +57,7 @@ class Players(StartedOrClosed):
         *,
         speed: float,
     ) -> None:
-        self._launched = ProcessGroup(folder, clock)
+        super().__init__(folder, clock)
         self._sync = SharedLatest.create(sync_path(folder), SYNC)
         self._positions = {
             name: SharedLatest.create(position_path(folder, name), POSITION) for name in names
@@ -70,7 +70,7 @@ class Players(StartedOrClosed):
         self._emulators = {name: (PLAYED_BY[kinds[name]], hosts[name]) for name in names}
 
     def _start(self) -> None:
-        self._launched.start(
+        self._launch(
             {
                 name: (emulator, {"host": host, "recording": {**self._recording, "stream": name}})
                 for name, (emulator, host) in self._emulators.items()
@@ -92,15 +92,15 @@ class Players(StartedOrClosed):
 
     def check(self) -> None:
         """Raise if an emulator ended or failed."""
-        self._launched.check()
+        super().check()
         for name, record in self._positions.items():
             position = record.read()
             if position is not None and position["state"] == FAILED:
-                raise DeviceLost(f"{name}: its emulator failed: {self._launched.last_word(name)}")
+                raise DeviceLost(f"{name}: its emulator failed: {self.last_word(name)}")
 
     def close(self) -> None:
         """End every emulator; may be called twice."""
-        self._launched.close()
+        super().close()
         for record in (self._sync, *self._positions.values()):
             record.close()
         self._positions = {}

@@ -25,7 +25,9 @@ _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THR
 
 
 class ProcessGroup:
-    """Group of processes, each running `rig.mock.emulate`.
+    """Group of processes, each running `rig.mock.emulate`; a context manager.
+
+    Everything that was started is closed, even if the start fails half-way.
 
     Args:
         folder: Run folder; `<name>.json` holds the settings of each process, `<name>.log` its
@@ -39,7 +41,22 @@ class ProcessGroup:
         self.processes: dict[str, subprocess.Popen[str]] = {}
         """The processes, by name."""
 
-    def start(self, documents: Mapping[str, tuple[str, Mapping[str, Any]]]) -> None:
+    def __enter__(self) -> Self:
+        try:
+            self._start()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _start(self) -> None:
+        """Launch the processes, and start what belongs to them."""
+        raise NotImplementedError
+
+    def _launch(self, documents: Mapping[str, tuple[str, Mapping[str, Any]]]) -> None:
         """Start emulators, and wait until each has printed that it listens.
 
         Args:
@@ -105,25 +122,3 @@ class ProcessGroup:
             for pipe in (process.stdin, process.stdout):
                 if pipe is not None:
                     pipe.close()
-
-
-class StartedOrClosed:
-    """Context manager that closes everything it started, even if the start fails half-way."""
-
-    def _start(self) -> None:
-        raise NotImplementedError
-
-    def close(self) -> None:
-        """End everything that was started; may be called twice."""
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        try:
-            self._start()
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

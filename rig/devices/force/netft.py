@@ -16,7 +16,6 @@ import logging
 import socket
 import struct
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -145,76 +144,9 @@ def fetch(host: str, port: int, path: str, clock: Clock, deadline_ns: int) -> by
             response.close()
 
 
-# Detection of changed settings on a Net F/T box while it streams.
-#
-# An RDT record does not contain its units. Changing them on the box's web page during a stream
-# changes the meaning of every later count, so the page is read again about once a second.
-
-# The box's web server is slow, and shares the processor that produces the records [s].
+# The page is read again this often: the box's web server is slow, and shares the processor that
+# produces the records [s].
 _PERIOD = 1.0
-
-
-class PageWatch:
-    """Thread that reads the page until it is closed or the settings differ.
-
-    Args:
-        opened: The settings the stream was opened with.
-        read: Reads the page; raises DeviceLost if it is unavailable, ConfigError if its units are
-            unknown.
-        changed: Called once with the difference.
-        clock: Clock for the time at which the settings were last seen unchanged.
-    """
-
-    def __init__(
-        self, opened: Page, read: Callable[[], Page], changed: Callable[[str], None], clock: Clock
-    ) -> None:
-        self._opened = opened
-        self._read = read
-        self._changed = changed
-        self._clock = clock
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="netft-page", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop after the current reading; may be called twice."""
-        self._stopping.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        reachable = True
-        seen_ns = self._clock.now_ns()
-        while not self._stopping.wait(_PERIOD):
-            asked_ns = self._clock.now_ns()
-            try:
-                difference = _difference(self._opened, self._read())
-                reachable = True
-            except ConfigError as error:
-                difference = str(error)
-            except DeviceLost as error:
-                # The records show if the box is alive; a busy web server is no reason to stop.
-                if reachable:
-                    logger.warning("settings not read again: %s", error)
-                reachable = False
-                continue
-            if difference:
-                self._changed(
-                    f"its settings were changed while it streamed ({difference}); values after "
-                    f"t_ns = {seen_ns} must not be trusted; restore its settings, then resume"
-                )
-                return
-            seen_ns = asked_ns
-
-
-def _difference(opened: Page, found: Page) -> str:
-    names = ("counts_per_force", "counts_per_torque", "force_unit", "torque_unit", "rate_hz")
-    return ", ".join(
-        f"{name} from {getattr(opened, name)} to {getattr(found, name)}"
-        for name in names
-        if getattr(opened, name) != getattr(found, name)
-    )
-
-
 _POLL = 0.1
 _CAPACITY = 60_000
 # A packet this many places late is not reordered: the box has begun a new stream.
@@ -223,6 +155,15 @@ _RESTART = 1000
 _AHEAD = 10.0
 _IN_A_ROW = f"({CORRUPT_IN_A_ROW} in a row)"
 _PAGE_TIMEOUT = 1.0
+
+
+def _difference(opened: Page, now: Page) -> str:
+    names = ("counts_per_force", "counts_per_torque", "force_unit", "torque_unit", "rate_hz")
+    return ", ".join(
+        f"{name} from {getattr(opened, name)} to {getattr(now, name)}"
+        for name in names
+        if getattr(opened, name) != getattr(now, name)
+    )
 
 
 class NetFtDriver(ReceivingDriver):
@@ -238,13 +179,12 @@ class NetFtDriver(ReceivingDriver):
         self._socket: socket.socket | None = None
         self._stamped: StampedSocket | None = None
         self._page: Page | None = None
-        self._page_watch: PageWatch | None = None
+        self._page_watch: threading.Thread | None = None
         self._scale = np.ones(6)
         self._sequence = -1
 
     def _connect(self, timeout: float) -> None:
         """Read the settings, set the rate, start the stream and wait for its first record."""
-        inbox = self._inbox
         self._sequence = -1
         self._page = self._settled_page(self._deadline_ns)
         self._scale = np.repeat(self._page.scale(), 3)
@@ -264,12 +204,10 @@ class NetFtDriver(ReceivingDriver):
             ) from error
         udp.settimeout(_POLL)
         self._socket, self._stamped = udp, stamped
-        self._page_watch = PageWatch(
-            self._page,
-            lambda: self._read_page(self._clock.now_ns() + round(_PAGE_TIMEOUT * SECOND_NS)),
-            lambda what: inbox.fail(f"{self._where}: {what}"),
-            self._clock,
+        self._page_watch = threading.Thread(
+            target=self._watch_page, args=(self._page,), name="netft-page", daemon=True
         )
+        self._page_watch.start()
 
     def describe(self) -> dict[str, Any]:
         """Return units, counts per unit, rate and product as stated by the box."""
@@ -290,7 +228,7 @@ class NetFtDriver(ReceivingDriver):
 
     def _release(self) -> None:
         if self._page_watch is not None:
-            self._page_watch.close()
+            self._page_watch.join()
             self._page_watch = None
         if self._socket is not None:
             try:
@@ -340,6 +278,36 @@ class NetFtDriver(ReceivingDriver):
                 f"{page.rate_hz} Hz; allowed: rates that the box's Communications page accepts"
             )
         return page
+
+    def _watch_page(self, opened: Page) -> None:
+        """End the stream when the settings of the box differ from those it was opened with.
+
+        A record does not contain its units: changing them on the box's web page during a stream
+        changes the meaning of every later count.
+        """
+        reachable, unchanged_ns = True, self._clock.now_ns()
+        while not self._stopping.wait(_PERIOD):
+            start_ns = self._clock.now_ns()
+            try:
+                page = self._read_page(start_ns + round(_PAGE_TIMEOUT * SECOND_NS))
+                difference = _difference(opened, page)
+                reachable = True
+            except ConfigError as error:
+                difference = str(error)
+            except DeviceLost as error:
+                # The records show if the box is alive; a busy web server is no reason to stop.
+                if reachable:
+                    logger.warning("settings not read again: %s", error)
+                reachable = False
+                continue
+            if difference:
+                self._inbox.fail(
+                    f"{self._where}: its settings were changed while it streamed ({difference}); "
+                    f"values after t_ns = {unchanged_ns} must not be trusted; restore its "
+                    "settings, then resume"
+                )
+                return
+            unchanged_ns = start_ns
 
     def _receive(self) -> None:
         if self._stamped is None:
