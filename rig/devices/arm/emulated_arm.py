@@ -210,24 +210,6 @@ class Robot:
         self.pose = np.array(goal, np.float64)
         yield
 
-    def move_joints(self, goal: Array, acceleration: float, speed: float) -> Movement:
-        """Move all joints to `goal` (6,) [rad], paced by the slowest [rad/s^2, rad/s]."""
-        start = self.joints.copy()
-        way = goal - start
-        for fraction in self._profile(float(np.abs(way).max()), acceleration, speed):
-            self._place(start + way * fraction)
-            yield
-        self._place(goal)
-        yield
-
-    def _place(self, joints: Array) -> None:
-        self.pose = self._joints_pose = self.forward(joints)
-        self._joints = joints
-
-    def forward(self, joints: Array) -> Array:
-        """Return the TCP pose (6,) [m, rad] at joint angles (6,) [rad]."""
-        return compose(flange_pose(joints), self.tcp)
-
     def _profile(self, length: float, acceleration: float, speed: float) -> Iterator[float]:
         """Yield the fraction of `length` travelled after each cycle, at the speed slider."""
         if length < 1e-9:
@@ -257,13 +239,6 @@ class Robot:
             self._drift(speed * (left / full))
             yield
         yield
-
-    def run_at(self, goal: Array, acceleration: float) -> None:
-        """Run one cycle of speedl: towards TCP speed `goal` (6,) [m/s, rad/s] at `acceleration`."""
-        change = goal - self.speed
-        size = self._magnitude(change)
-        fraction = min(1.0, acceleration * CYCLE / size) if size > 0 else 1.0
-        self._drift((self.speed + change * fraction) * self.slider)
 
     def _drift(self, speed: Array) -> None:
         vector = self.pose[3:]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
@@ -20,8 +20,9 @@ logger = logging.getLogger(__name__)
 
 # The program that ur_rtde 1.6.5 uploads, reimplemented: one `next()` is one sync() of its script.
 #
-# The uploaded text is not interpreted. This code reproduces the behaviour visible to a client: a
-# command runs once, register 0 holds 2 (done) until the client writes command 0, then 1 (ready);
+# The uploaded text is not interpreted. This code reproduces the behaviour visible to a client that
+# moves in straight lines, as ours does; other movements are ignored, with a warning. A command runs
+# once, register 0 holds 2 (done) until the client writes command 0, then 1 (ready);
 # real-time commands run every cycle; register 2 is the asynchronous operation word.
 
 READY, DONE = 1, 2
@@ -47,22 +48,14 @@ class Program:
         # 0 until the first asynchronous stop, then always 1: a defect of the script that makes a
         # synchronous stopL run stopj. Reproduced so that nobody relies on synchronous stops.
         self._stop_type = 0
-        self._speed_goal: tuple[Array, float] = (np.zeros(6), 1.0)
         self._main = self._loop()
         self._commands: dict[int, Callable[[], Movement | None]] = {
-            1: self._move,
-            2: self._move,
             3: self._move,
-            4: self._move,
-            10: self._run_at,
-            15: self._stop_running,
-            16: self._stop_running,
             17: self._set_payload,
             25: lambda: controller.write_int(1, 0),
             26: lambda: controller.write_doubles(np.array([CYCLE, 0, 0, 0, 0, 0])),
             28: lambda: controller.write_doubles(self._robot.pose),
             29: lambda: self._robot.set_tcp(self._doubles(0)),
-            30: self._inverse,
             31: lambda: controller.protective_stop("script function protective_stop()"),
             33: self._stop,
             34: self._stop,
@@ -132,25 +125,9 @@ class Program:
         self._signal(-1)
 
     def _move(self) -> Movement | None:
-        read = self._controller.read_double
-        command, values, speed, acceleration = (
-            self._controller.read_int(0),
-            self._doubles(0),
-            read(6),
-            read(7),
-        )
+        speed, acceleration = self._doubles(6, 2).tolist()
         self._end_move()
-        if "speed" in self._threads:
-            raise RuntimeError("another thread is already controlling the robot")
-        movement: Movement
-        if command in (1, 2):
-            joints = values if command == 1 else self._robot.solve(values)
-            if joints is None:
-                raise RuntimeError("no inverse kinematics solution")
-            movement = self._robot.move_joints(joints, acceleration, speed)
-        else:
-            goal = values if command == 3 else self._robot.forward(values)
-            movement = self._robot.move_linear(goal, acceleration, speed)
+        movement = self._robot.move_linear(self._doubles(0), acceleration, speed)
         if self._controller.read_int(1) != 1:
             return movement
         self._threads["move"] = self._signalled(movement)
@@ -175,30 +152,10 @@ class Program:
         reach = 1.0 if self._stop_type == 1 else _STOPJ_REACH
         return self._robot.stop(deceleration * reach)
 
-    def _run_at(self) -> None:
-        self._speed_goal = (self._doubles(0), self._controller.read_double(6))
-        if "speed" not in self._threads:
-            self._threads["speed"] = self._running()
-
-    def _running(self) -> Iterator[None]:
-        # Like the script's `while True: speedl(...)`: it continues when the client is gone.
-        while True:
-            self._robot.run_at(*self._speed_goal)
-            yield
-
-    def _stop_running(self) -> Movement:
-        self._threads.pop("speed", None)
-        return self._robot.stop(self._controller.read_double(0))
-
     def _set_payload(self) -> None:
         x, y, z = self._doubles(1, 3).tolist()
         self._controller.payload = self._controller.read_double(0)
         self._controller.payload_cog = (x, y, z)
-
-    def _inverse(self) -> None:
-        joints = self._robot.solve(self._doubles(0))
-        if joints is not None:
-            self._controller.write_doubles(joints)
 
     def _within_limits(self) -> None:
         self._controller.write_int(1, int(self._robot.solve(self._doubles(0)) is not None))
