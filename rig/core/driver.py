@@ -55,12 +55,7 @@ class Driver(Protocol):
 
 
 class Inbox:
-    """Queue of samples from the receiving thread to the caller of `Driver.read`.
-
-    Args:
-        clock: Timestamps the samples put without a time.
-        capacity: Samples kept for a late consumer; further samples are counted and discarded.
-    """
+    """Queue of samples from the receiving thread to the caller of `Driver.read`."""
 
     def __init__(self, clock: Clock, capacity: int) -> None:
         self._clock = clock

@@ -83,13 +83,7 @@ def inject(host: str, port: int, fault: str, **values: Any) -> dict[str, Any]:
 
 
 class FaultPort(socketserver.ThreadingTCPServer):
-    """Serves the fault port of one emulator in its own threads, until it is closed.
-
-    Args:
-        host: Loopback address.
-        port: TCP port.
-        apply: Handler of a request.
-    """
+    """Serves the fault port of one emulator in its own threads, until it is closed."""
 
     allow_reuse_address = True
     daemon_threads = True
@@ -126,7 +120,7 @@ class _Handler(socketserver.StreamRequestHandler):
 NO_CONTACT_DEPTH = -0.01
 
 
-class SharedWorld:
+class SharedWorld(AwaitedRecord):
     """World published by another process in a `SharedLatest` file.
 
     Args:
@@ -134,23 +128,17 @@ class SharedWorld:
     """
 
     def __init__(self, path: Path | None) -> None:
-        self._record = AwaitedRecord(path, WORLD_STATE)
+        super().__init__(path, WORLD_STATE)
         self._state: np.void = np.zeros(1, WORLD_STATE)[0]
         self._state["depth"] = NO_CONTACT_DEPTH
-        self._count = 0
+        self._newest = 0
 
     def state(self) -> tuple[int, np.void]:
         """Return the number of the newest record (0: no contact so far) and the record."""
-        count = self._record.count
-        if count != self._count:
-            state = self._record.read()
-            if state is not None:
-                self._count, self._state = count, state
-        return self._count, self._state
-
-    def close(self) -> None:
-        """Release the file; may be called twice."""
-        self._record.close()
+        count = self.count
+        if count != self._newest and (state := self.read()) is not None:
+            self._newest, self._state = count, state
+        return self._newest, self._state
 
 
 class DeviceServer(ThreadingHTTPServer):
@@ -256,11 +244,9 @@ class Emulator:
 
 
 class Newest(Generic[M]):
-    """The newest messages, for clients that each take them in order.
+    """The newest `kept` messages, for clients that each take them in order.
 
-    Args:
-        kept: Messages kept for a client that falls behind; it misses those before.
-        ending: Set when the emulator closes.
+    A client that falls behind misses those before.
     """
 
     def __init__(self, kept: int, ending: threading.Event) -> None:
@@ -298,11 +284,7 @@ class Newest(Generic[M]):
 
 
 class Pty:
-    """Pseudo terminal with a link to it, in place of a serial port.
-
-    Args:
-        link: Path of the link.
-    """
+    """Pseudo terminal with a link to it, in place of a serial port."""
 
     def __init__(self, link: Path) -> None:
         if link.exists() and not link.is_symlink():
@@ -331,11 +313,7 @@ class Pty:
 
 
 class PtyEmulator(Emulator):
-    """Base of the emulators on a pty: one thread, `_serve`, receives and sends.
-
-    Args:
-        link: Path of the link to the pty, which a driver opens.
-    """
+    """Base of the emulators on a pty: one thread, `_serve`, receives and sends."""
 
     def __init__(self, link: Path) -> None:
         super().__init__()

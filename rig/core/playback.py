@@ -134,12 +134,7 @@ class PlayableConfig(EmulatorConfig):
 
 
 class Playback:
-    """Rows of a recorded stream in the order and at the pace in which an emulator sends them.
-
-    Args:
-        recording: The stream.
-        clock: Paces the rows.
-    """
+    """Rows of a recorded stream in the order and at the pace in which an emulator sends them."""
 
     def __init__(self, recording: Recording, clock: Clock) -> None:
         from recorder import Session  # not needed to serve the World

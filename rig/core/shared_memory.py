@@ -43,10 +43,6 @@ class SharedLatest:
     Layout: u64 count of records written, then slots of (u64 record number, record). Record k lies
     in slot k % slots. Its number is written after its content: a reader that finds number k before
     and after copying has a complete record k.
-
-    Args:
-        path: The file; created by `create`, opened by `attach`.
-        dtype: Structured dtype of one record.
     """
 
     def __init__(self, path: Path, dtype: np.dtype[Any], *, writable: bool) -> None:

@@ -63,15 +63,7 @@ class _Device:
 
 
 class MockBench(ProcessGroup):
-    """The emulators of one bench, as a context manager.
-
-    Args:
-        file: A mock bench, with `loopback` addresses.
-        folder: Empty run folder for shared records.
-        sources: Real recordings to play.
-        truth: File to log the World's truth to.
-        devices: Kinds of devices to emulate.
-    """
+    """The emulators of one mock bench, with an empty run folder for their shared records."""
 
     def __init__(
         self,

@@ -80,20 +80,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         served = emulate(settings, SystemClock())
     except (OSError, ValueError) as error:
         parser.error(str(error))
-    return serve(served, settings, until_stdin_closes=options.until_stdin_closes)
+    return _serve(served, settings, until_stdin_closes=options.until_stdin_closes)
 
 
-def serve(served: Served, settings: Any, *, until_stdin_closes: bool) -> int:
-    """Run an emulator until the process is stopped.
-
-    Args:
-        served: The emulator.
-        settings: Its settings, for host and fault port.
-        until_stdin_closes: End when the parent process is gone.
-
-    Returns:
-        Exit code: 2 if an address cannot be listened on, else that of the emulator.
-    """
+def _serve(served: Served, settings: Any, *, until_stdin_closes: bool) -> int:
+    """Run an emulator until the process is stopped; return 2 if it cannot listen, else its code."""
     name, emulator = served.name, served.emulator
     enable_realtime(served.priority)
     logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")

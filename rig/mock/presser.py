@@ -38,13 +38,7 @@ _FIRST_TIMEOUT = 10.0
 
 
 class TouchedMock(MockBench):
-    """Context manager for the emulated sensor of a mock bench and its World.
-
-    Args:
-        file: A mock bench, with `loopback` addresses.
-        folder: Empty run folder for shared records.
-        rate_hz: Frames per second; None: the bench file's.
-    """
+    """Context manager for the emulated sensor of a mock bench and its World."""
 
     def __init__(self, file: BenchFile, folder: Path, *, rate_hz: float | None = None) -> None:
         self._truth_path = folder / "truth.log"

@@ -33,11 +33,7 @@ _STOPJ_REACH = 0.5
 
 
 class Program:
-    """One run of the uploaded script, from start to stop.
-
-    Args:
-        controller: The controller it runs on.
-    """
+    """One run of the uploaded script, from start to stop."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller

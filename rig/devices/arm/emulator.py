@@ -72,11 +72,7 @@ _PROGRAM_END = re.compile(r"^end\s*\n", re.MULTILINE)
 
 
 class Client:
-    """One connection.
-
-    Args:
-        peer: The connection.
-    """
+    """One connection."""
 
     def __init__(self, peer: socket.socket) -> None:
         self.peer = peer
@@ -102,12 +98,7 @@ class Client:
 
 
 class DashboardClient(Client):
-    """Connection of the dashboard: each line received is answered by one line.
-
-    Args:
-        peer: The connection.
-        controller: The controller to ask.
-    """
+    """Connection of the dashboard: each line received is answered by one line."""
 
     def __init__(self, peer: socket.socket, controller: Controller) -> None:
         super().__init__(peer)
@@ -124,12 +115,7 @@ class DashboardClient(Client):
 
 
 class ScriptClient(Client):
-    """Connection that receives URScript; an unindented line `end` completes a program.
-
-    Args:
-        peer: The connection.
-        controller: The controller that runs each complete program.
-    """
+    """Connection that receives URScript; an unindented line `end` completes a program."""
 
     def __init__(self, peer: socket.socket, controller: Controller) -> None:
         super().__init__(peer)

@@ -106,12 +106,7 @@ def _connected(config: ArmConfig, clock: Clock) -> tuple[RtdeLink, UrControl]:
 class Motion:
     """One connected arm and the pipe that brings its commands.
 
-    Args:
-        setup: Limits and configuration to enforce.
-        pipe: Commands in, reports out.
-        control: The running control program.
-        link: Our own pose stream: standstill, safety status, and proof that the arm is there.
-        clock: Paces the loop and stamps the replies.
+    `link` is our own pose stream: standstill, safety status, and proof that the arm is there.
     """
 
     def __init__(

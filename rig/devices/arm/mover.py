@@ -34,13 +34,7 @@ _STILL, _STILL_TURN = 1e-3, 1e-2
 
 
 class Watch:
-    """State of arm and sensors as known to the arm's process, updated by `look`.
-
-    Args:
-        setup: Limits, contact frame, and the paths of the shared force and pose.
-        link: Open pose link.
-        clock: Determines the age of records.
-    """
+    """State of arm and sensors as known to the arm's process, updated by `look`."""
 
     def __init__(self, setup: Setup, link: RtdeLink, clock: Clock) -> None:
         self._host = setup.config.host

@@ -228,10 +228,6 @@ class RtdePoseDriver(ReceivingDriver):
     """Pose stream of a recording: an `RtdeLink` read by a dedicated thread.
 
     Its columns are those of `RtdeLink`.
-
-    Args:
-        config: Controller address, and packages per second.
-        clock: Timestamps the arrivals.
     """
 
     MORE: ClassVar[Mapping[str, str]] = {}

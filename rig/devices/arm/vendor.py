@@ -49,11 +49,7 @@ def check_ready(host: str, timeout: float) -> None:
 
 
 class UrControl:
-    """The program of ur_rtde running on the controller, with its watchdog armed.
-
-    Args:
-        config: Address, TCP, payload, watchdog.
-    """
+    """The program of ur_rtde running on the controller, with its watchdog armed."""
 
     def __init__(self, config: ArmConfig) -> None:
         self._host = config.host

@@ -261,24 +261,6 @@ _OPTIONS = {
 }
 
 
-def open_stream(url: str, *, open_timeout: float, read_timeout: float) -> cv2.VideoCapture:
-    """Return a capture of the compressed frames of `url`, which may have failed to open.
-
-    Args:
-        url: http://...
-        open_timeout: Time limit for the first frame [s].
-        read_timeout: Time limit for each later frame, after which `read` returns False [s].
-    """
-    params = [cv2.CAP_PROP_FORMAT, -1, cv2.CAP_PROP_N_THREADS, 1]
-    params += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, max(round(open_timeout * 1e3), 1)]
-    params += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, max(round(read_timeout * 1e3), 1)]
-    options = "|".join(f"{name};{value}" for name, value in _OPTIONS.items())
-    # A camera on the bench is never behind a proxy, even if the environment sets one.
-    host = urlsplit(url).hostname or ""
-    with environment(OPENCV_FFMPEG_CAPTURE_OPTIONS=options, no_proxy=host):
-        return cv2.VideoCapture(url, cv2.CAP_FFMPEG, params)
-
-
 class OpenCvDriver(CameraDriver):
     """Stream of a network camera; see `CameraDriver` for its columns."""
 
@@ -341,12 +323,19 @@ class OpenCvDriver(CameraDriver):
             ) from error
 
     def _captured(self, left: float) -> cv2.VideoCapture:
-        address = self._config.address
-        capture = open_stream(address, open_timeout=left, read_timeout=self._config.silence)
+        """Return a capture of the compressed frames, open within `left` [s]."""
+        params = [cv2.CAP_PROP_FORMAT, -1, cv2.CAP_PROP_N_THREADS, 1]
+        params += [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, max(round(left * 1e3), 1)]
+        params += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, max(round(self._config.silence * 1e3), 1)]
+        options = "|".join(f"{name};{value}" for name, value in _OPTIONS.items())
+        # A camera on the bench is never behind a proxy, even if the environment sets one.
+        host = urlsplit(self._where).hostname or ""
+        with environment(OPENCV_FFMPEG_CAPTURE_OPTIONS=options, no_proxy=host):
+            capture = cv2.VideoCapture(self._where, cv2.CAP_FFMPEG, params)
         if not capture.isOpened():
             capture.release()
             raise DeviceLost(
-                f"{address}: does not open as a camera within {left:.1f} s; check cable and "
+                f"{self._where}: does not open as a camera within {left:.1f} s; check cable and "
                 "address, and that no other program uses it"
             )
         return capture

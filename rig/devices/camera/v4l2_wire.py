@@ -71,11 +71,7 @@ class Frame:
 
 
 class Node:
-    """An open V4L2 capture node.
-
-    Args:
-        path: The device file.
-    """
+    """An open V4L2 capture node."""
 
     def __init__(self, path: str) -> None:
         self._fd = os.open(path, os.O_RDWR | os.O_NONBLOCK)

@@ -157,12 +157,7 @@ def read_calibration(path: Path) -> TransducerCalibration:
 
 
 def parse_calibration(content: bytes, where: str) -> TransducerCalibration:
-    """Parse the content of a `.cal` file.
-
-    Args:
-        content: Content of the file.
-        where: Name of the file, for errors.
-    """
+    """Parse the content of a `.cal` file, which errors call `where`."""
     root = _root(content, where)
     gauges = _attribute(root, "NumGages", f"{where}.FTSensor")
     if gauges.strip() != "6":

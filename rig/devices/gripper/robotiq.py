@@ -51,12 +51,7 @@ _LOOK_NS = 20_000_000
 
 
 class RobotiqDriver:
-    """One gripper, as a context manager.
-
-    Args:
-        config: Port and limits.
-        clock: Clock for time limits.
-    """
+    """One gripper, as a context manager."""
 
     def __init__(self, config: RobotiqConfig, clock: Clock) -> None:
         self._config = config
@@ -324,10 +319,7 @@ def judge(status: GripperStatus, reference: GripperStatus, tolerance: int) -> st
 class GripWatch:
     """Polls one gripper and remembers the first reason why its grip is lost.
 
-    Args:
-        config: The gripper.
-        clock: Paces the polls, and measures silence.
-        on_lost: Called once, from the polling thread.
+    It calls `on_lost` once, from the polling thread.
     """
 
     def __init__(self, config: RobotiqConfig, clock: Clock, on_lost: Callable[[], None]) -> None:

@@ -189,15 +189,7 @@ _GAP = 0.02
 
 
 class RobotiqEmulator(PtyEmulator):
-    """An emulated gripper.
-
-    Args:
-        fingers: Model of its behaviour.
-        link: Path of the link to its pty.
-        clock: Clock for the end of faults.
-        slave: Modbus address.
-        seed: Seed of the fault injector's garbage.
-    """
+    """An emulated gripper, which behaves like `fingers`, on a pty that `link` leads to."""
 
     def __init__(
         self, fingers: Fingers, link: Path, clock: Clock, *, slave: int = 9, seed: int = 0

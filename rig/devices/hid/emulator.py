@@ -78,14 +78,7 @@ KINDS = {
 
 
 class HidEmulator(Emulator):
-    """Emulated HID device.
-
-    Args:
-        kind: `pedal` or `spacemouse`.
-        path: Path of its node; must end with `.hidraw`.
-        clock: Paces repeated reports.
-        seed: Seed of the fault injector's garbage.
-    """
+    """Emulated HID device, a `pedal` or `spacemouse`; the path of its node ends with `.hidraw`."""
 
     def __init__(self, kind: str, path: Path, clock: Clock, *, seed: int = 0) -> None:
         if kind not in KINDS:

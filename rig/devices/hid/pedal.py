@@ -24,11 +24,7 @@ _KEYBOARD = (0x01, 0x06)
 
 
 class PedalDriver(HidDevice):
-    """One pedal.
-
-    Args:
-        config: Device and key.
-    """
+    """One pedal."""
 
     def __init__(self, config: PedalConfig) -> None:
         super().__init__(config.device, "foot pedal", _KEYBOARD)
@@ -93,12 +89,9 @@ class PedalState:
 
 
 class PedalWatch:
-    """Reads one pedal on a background thread and reports every change.
+    """Reads one pedal on a background thread.
 
-    Args:
-        config: The pedal.
-        clock: Clock for the time unplugged.
-        on_change: Called from the watching thread with the state before and after each change.
+    It calls `on_change` from there, with the state before and after each change.
     """
 
     def __init__(

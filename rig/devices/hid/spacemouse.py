@@ -33,12 +33,7 @@ class Cap:
 
 
 class SpaceMouseDriver(HidDevice):
-    """One SpaceMouse.
-
-    Args:
-        config: Device, dead zone and silence.
-        clock: Clock to detect silence.
-    """
+    """One SpaceMouse."""
 
     def __init__(self, config: SpaceMouseConfig, clock: Clock) -> None:
         super().__init__(config.device, "SpaceMouse", _MULTI_AXIS)

@@ -83,13 +83,7 @@ def emit(number: int, seconds: float, counts: Sequence[int], *, layout: str, ups
 
 
 class XelaEmulator(Emulator):
-    """Emulated server: one thread produces scans, one per client sends the newest.
-
-    Args:
-        config: Address, rate, layout.
-        source: The World, a log of raw counts (T, 3 x taxels), or a recording.
-        clock: Paces the scans.
-    """
+    """Emulated server: one thread produces scans, one per client sends the newest."""
 
     def __init__(
         self, config: XelaEmulatorConfig, source: SharedWorld | Log | Playback, clock: Clock

@@ -36,12 +36,7 @@ logger = logging.getLogger(__name__)
 
 
 class Shared:
-    """Records in the run folder to which the solver publishes.
-
-    Args:
-        folder: Run folder with a PRESS_STATE record; the deformation's record is created.
-        live: The sensor.
-    """
+    """Records in the run folder to which the solver publishes."""
 
     def __init__(self, folder: Path, live: LiveSensor) -> None:
         self._live = live
@@ -75,16 +70,7 @@ class Shared:
 
 
 class Solver(Emulator):
-    """Moves a live sensor along the arm's path, in its own thread.
-
-    Args:
-        live: The sensor.
-        frame: Contact frame.
-        arm: ARM_TRUTH record to follow.
-        shared: Destination of the solutions.
-        spec: Rate of solutions, and longest time without one.
-        clock: Paces the solutions.
-    """
+    """Moves a live sensor along the arm's path, in its own thread."""
 
     def __init__(
         self,

@@ -32,11 +32,7 @@ class TruthLog:
 
 
 class Truth:
-    """Reads a truth log.
-
-    Args:
-        path: File written by a `TruthLog`; a truncated last record is left out.
-    """
+    """Reads a truth log; a truncated last record is left out."""
 
     def __init__(self, path: Path) -> None:
         content = path.read_bytes()
