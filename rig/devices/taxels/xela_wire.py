@@ -46,7 +46,7 @@ class Scan(NamedTuple):
 
 
 def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
-    """Return the scan of a sensor, by its key in a message, with so many taxels; None: welcome."""
+    """Return the scan of a `sensor` in a message, of this number of taxels; None: the welcome."""
     if text[:1] in ("4", "0", b"4", b"0"):
         raise ValueError(f"{text[:24]!r}: {_SOCKET_IO}")
     message = json.loads(text)
