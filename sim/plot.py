@@ -9,95 +9,54 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.ndimage import map_coordinates
 
 from recorder.charts import BAND, BLUE, chart
 from sim.result import Result
-from sim.scene import Body
 
 if TYPE_CHECKING:
     from recorder.charts import Axes
-
-# Deformed surface from above, by the current position of its material.
 
 Array = NDArray[np.float64]
 
 # Least number of points along each side to which the surface is refined before it is drawn.
 FINE = 200
-# Iterations that search for the material at a place, and the fraction of the miss corrected in
-# each: they converge unless the surface folds over or is stretched to more than 2.8 times its
-# length.
-ROUNDS, RELAXATION = 40, 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """Height and pressure over the current position of the material."""
+    """Points of a surface where they are in one frame, on a grid of its material (n, m)."""
 
-    half_x: float
-    """Half the width of the visible area [m]."""
-    half_y: float
-    """Half the width along y [m]."""
-    pressure_max: float
-    """Largest pressure of the result, before any refinement [Pa]."""
-    _corner: Array
-    """Least x and y of the undeformed points (2,) [m]."""
-    _spacing: Array
-    """Distance between them along x and y (2,) [m]."""
-    _fields: Array
-    """Sideways shift (2), height and pressure of each point (4, X, Y)."""
-    _body: Body
-    """Body of the surface."""
-
-    def at(self, x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
-        """Return the height above the undeformed apex [m] and pressure [Pa] at x, y (broadcast).
-
-        NaN outside the body.
-        """
-        shape = np.broadcast_shapes(np.shape(x), np.shape(y))
-        place = np.stack([np.broadcast_to(axis, shape).ravel() for axis in (x, y)])
-        origin = place.astype(np.float64)
-        if self._fields[:2].any():
-            for _ in range(ROUNDS):
-                shift = np.stack([self._look(axis, origin) for axis in (0, 1)])
-                origin += RELAXATION * (place - shift - origin)
-        outside = ~self._body.covers(*origin)
-        height, pressure = (np.where(outside, np.nan, self._look(one, origin)) for one in (2, 3))
-        pressure = np.clip(pressure, 0.0, self.pressure_max)
-        return height.reshape(shape), pressure.reshape(shape)
-
-    def _look(self, field: int, origin: Array) -> Array:
-        """Return a field (N,) at undeformed places (2, N), extended beyond its edges."""
-        index = (origin - self._corner[:, None]) / self._spacing[:, None]
-        found: Array = map_coordinates(self._fields[field], index, order=1, mode="nearest")
-        return found
+    x: Array
+    """Position [m]."""
+    y: Array
+    height: Array
+    """Height above the undeformed apex [m]; NaN outside the body."""
+    pressure: Array
+    """Contact pressure [Pa]; NaN outside the body."""
 
 
-def surface_of(result: Result, frame: int) -> Surface:
+def surface_of(result: Result, frame: int, y: Array | None = None) -> Surface:
     """Return the surface of one frame, refined so that a coarse mesh looks smooth.
 
     The linear `layer` tier computes contact at undeformed positions, so its points are drawn there.
+
+    Args:
+        result: Result with the surface.
+        frame: Number of the frame.
+        y: Undeformed y of the points (m,) [m]; None: all of the body.
     """
-    x, y = result.surface_x, result.surface_y
-    body = result.scene.body
-    fine_x, fine_y = _refined(x), _refined(y)
-    moved = _values_between(x, y, result.surface[frame], fine_x, fine_y)
+    body, along = result.scene.body, (result.surface_x, result.surface_y)
+    fine = _refined(along[0]), _refined(along[1]) if y is None else y
+    moved = _values_between(*along, result.surface[frame], *fine)
     traction = np.nan_to_num(result.traction[frame, :, :, 2].astype(np.float64))
-    pressure = np.maximum(-traction, 0.0)
-    rest = body.heights(fine_x, fine_y)
-    shift = moved[..., :2] * (result.tier != "layer")
-    drawn = _values_between(x, y, pressure, fine_x, fine_y)
-    place = np.stack(np.meshgrid(fine_x, fine_y, indexing="ij"), axis=-1) + shift
-    reach = np.abs(place).max(axis=(0, 1))
-    half = np.array([body.size_x, body.size_y]) / 2
+    pressure = _values_between(*along, np.maximum(-traction, 0.0), *fine)
+    moved[..., :2] *= result.tier != "layer"
+    outside = ~body.covers(fine[0][:, None], fine[1])
     return Surface(
-        half_x=max(float(half[0]), float(reach[0])),
-        half_y=max(float(half[1]), float(reach[1])),
-        pressure_max=float(pressure.max()),
-        _corner=np.array([x[0], y[0]]),
-        _spacing=np.array([fine_x[1] - fine_x[0], fine_y[1] - fine_y[0]]),
-        _fields=np.stack([*np.moveaxis(shift, -1, 0), rest + moved[..., 2], drawn]),
-        _body=body,
+        fine[0][:, None] + moved[..., 0],
+        fine[1] + moved[..., 1],
+        np.where(outside, np.nan, body.heights(*fine) + moved[..., 2]),
+        np.where(outside, np.nan, pressure),
     )
 
 
@@ -118,21 +77,8 @@ def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y
     return refined
 
 
-def sampled(surface: Surface, size: int) -> tuple[Array, Array]:
-    """Return height [m] and pressure [Pa] in cells (rows, columns), rows along y.
-
-    The longer side has `size` cells; NaN outside the body.
-    """
-    cell = 2 * max(surface.half_x, surface.half_y) / size
-    columns, rows = round(2 * surface.half_x / cell), round(2 * surface.half_y / cell)
-    x, y = (cell * (np.arange(count) + (1 - count) / 2) for count in (columns, rows))
-    return surface.at(x[None, :], y[:, None])
-
-
 # One page per result: height and pressure of the frame with the largest force, section, and force.
 
-# Cells along the longer side of a map, and points along the section.
-MAP, SECTION = 450, 900
 # Width of the page, longest side of a map, height of the lower row and of all labels [inch].
 WIDTH, MAP_SIDE, LOWER, LABELS = 9.0, 3.4, 1.6, 1.3
 SOFT_BODY, METAL, PLATE = "#cedcde", "#989ea8", "#5c626c"
@@ -144,13 +90,14 @@ def save_picture(result: Result, path: Path) -> None:
     """Write the page of a result, two maps above, section and force below."""
     frame = shown_frame(result)
     surface = surface_of(result, frame)
-    upper = MAP_SIDE * min(1.0, surface.half_y / surface.half_x)
+    half_x, half_y = (float(np.abs(places).max()) for places in (surface.x, surface.y))
+    upper = MAP_SIDE * min(1.0, half_y / half_x)
     with chart(path, WIDTH, upper + LOWER + LABELS) as figure:
         figure.set_layout_engine("compressed")
         figure.suptitle(f"{_title(result)}\n{_frame_text(result, frame)}", x=0.01, ha="left")
         (height, pressure), (section, force) = figure.subplots(2, 2, height_ratios=(upper, LOWER))
         _draw_maps(height, pressure, surface)
-        _draw_section(section, result, frame, surface)
+        _draw_section(section, result, frame)
         _draw_force(force, result)
 
 
@@ -161,33 +108,31 @@ def shown_frame(result: Result) -> int:
 
 def _draw_maps(above: Axes, beside: Axes, surface: Surface) -> None:
     """Draw height and pressure from above; outside the body the ground shows."""
-    height, pressure = sampled(surface, MAP)
-    low, high = 1e3 * np.nanmin(height), 1e3 * np.nanmax(height)
+    low, high = 1e3 * np.nanmin(surface.height), 1e3 * np.nanmax(surface.height)
     # An undeformed surface has one height: give its scale some width [mm].
     low, high = (low, high) if high - low > 1e-3 else (low - 5e-4, high + 5e-4)
-    most = max(surface.pressure_max, 1.0) / 1e3
-    half_x, half_y = 1e3 * surface.half_x, 1e3 * surface.half_y
-    extent = (-half_x, half_x, -half_y, half_y)
+    most = max(np.nanmax(surface.pressure), 1.0) / 1e3
     for axes, title, values, limits, colours in (
-        (above, "height [mm]", 1e3 * height, (low, high), "Blues_r"),
-        (beside, "contact pressure [kPa]", 1e-3 * pressure, (0.0, most), "OrRd"),
+        (above, "height [mm]", 1e3 * surface.height, (low, high), "Blues_r"),
+        (beside, "contact pressure [kPa]", 1e-3 * surface.pressure, (0.0, most), "OrRd"),
     ):
-        drawn = axes.imshow(values, cmap=colours, clim=limits, origin="lower", extent=extent)
-        axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]", facecolor=BAND)
+        faces = (values[1:, 1:] + values[:-1, :-1]) / 2
+        drawn = axes.pcolormesh(1e3 * surface.x, 1e3 * surface.y, faces, cmap=colours, clim=limits)
+        axes.set(title=title, xlabel="x [mm]", ylabel="y [mm]", facecolor=BAND, aspect="equal")
         axes.grid(visible=False)
         axes.figure.colorbar(drawn, ax=axes)
 
 
-def _draw_section(axes: Axes, result: Result, frame: int, surface: Surface) -> None:
+def _draw_section(axes: Axes, result: Result, frame: int) -> None:
     """Draw body and indenter along x through the tip, true to scale."""
     body, tip = result.scene.body, result.scene.motion.tip[frame]
-    x = np.linspace(-surface.half_x, surface.half_x, SECTION)
-    skin, _ = surface.at(x, np.clip(tip[1], -surface.half_y, surface.half_y))
+    skin = surface_of(result, frame, np.clip([tip[1]], -body.size_y / 2, body.size_y / 2))
+    x, z = skin.x[:, 0], skin.height[:, 0]
     lower = tip[2] + result.scene.indenter.heights(x - tip[0], np.zeros_like(x), reach=0.1)
     top, bottom = 1e3 * HEADROOM * body.thickness, -1e3 * body.thickness
-    axes.fill_between(1e3 * x, bottom, 1e3 * skin, color=SOFT_BODY)
+    axes.fill_between(1e3 * x, bottom, 1e3 * z, color=SOFT_BODY)
     axes.fill_between(1e3 * x, np.minimum(1e3 * lower, top), top, color=METAL, linewidth=0)
-    axes.plot(1e3 * x, 1e3 * skin, color=BLUE)
+    axes.plot(1e3 * x, 1e3 * z, color=BLUE)
     axes.axhspan((1 + PLATE_SHARE) * bottom, bottom, color=PLATE)
     axes.set(xlabel="x [mm]", ylabel="z [mm]", aspect="equal", anchor="N")
     axes.set(xlim=(1e3 * x[0], 1e3 * x[-1]), ylim=((1 + PLATE_SHARE) * bottom, top))

@@ -15,9 +15,10 @@ from matplotlib.figure import Figure
 from recorder.charts import chart
 from sim import plot
 from sim.effects import Effects, Friction
+from sim.fem import Fem
 from sim.indenters import flat_punch, sphere
 from sim.layer import Layer
-from sim.plot import abscissa, sampled, save_picture, shown_frame, surface_of
+from sim.plot import abscissa, save_picture, shown_frame, surface_of
 from sim.result import Result
 from sim.scene import Body, Scene, press
 from sim.simulate import simulate
@@ -43,64 +44,53 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     return figures
 
 
-def test_the_surface_is_sampled_where_the_tip_is(pressed: Result) -> None:
+def test_the_surface_is_deepest_where_the_tip_is(pressed: Result) -> None:
     surface = surface_of(pressed, 2)
-    height, pressure = sampled(surface, 200)
-    assert height.shape == (200, 200)
-    cell = 2 * surface.half_x / 200
-    row, column = np.unravel_index(np.nanargmin(height), height.shape)
-    assert (column + 0.5 - 100) * cell == pytest.approx(3e-3, abs=2e-4)
-    assert (row + 0.5 - 100) * cell == pytest.approx(-2e-3, abs=2e-4)
-    assert np.nanmin(height) == pytest.approx(-1e-3, rel=0.01)
-    assert np.nanmax(pressure) == pytest.approx(surface.pressure_max, rel=0.02)
-    assert np.nanmin(pressure) == 0
+    lowest = np.unravel_index(np.argmin(surface.height), surface.height.shape)
+    assert np.broadcast_to(surface.x, surface.height.shape)[lowest] == pytest.approx(3e-3, abs=2e-4)
+    assert np.broadcast_to(surface.y, surface.height.shape)[lowest] == pytest.approx(
+        -2e-3, abs=2e-4
+    )
+    assert surface.height.min() == pytest.approx(-1e-3, rel=0.01)
+    assert surface.pressure.max() == pytest.approx(pressed_most(pressed), rel=0.02)
+    assert surface.pressure.min() == 0
 
 
 def test_refining_never_draws_beyond_the_values_there_are(pressed: Result) -> None:
-    height, _ = sampled(surface_of(pressed, 2), 300)
+    height = surface_of(pressed, 2).height
     rise = pressed.surface[2, :, :, 2]
-    assert np.nanmax(height) <= rise.max() + 1e-9
-    assert np.nanmin(height) >= rise.min() - 1e-9
+    assert height.max() <= rise.max() + 1e-9
+    assert height.min() >= rise.min() - 1e-9
 
 
 def test_large_strain_is_drawn_where_the_material_went(pressed: Result) -> None:
     aside = pressed.surface.copy()
     aside[..., 0] += 2e-3
-    moved = replace(pressed, tier="fem", surface=aside)
-    middle = -2e-3
-    before, _ = surface_of(replace(pressed, tier="fem"), 2).at(3e-3, middle)
-    after, _ = surface_of(moved, 2).at(5e-3, middle)
-    assert after == pytest.approx(before, abs=2e-6)
+    before = surface_of(replace(pressed, tier="fem"), 2)
+    moved = surface_of(replace(pressed, tier="fem", surface=aside), 2)
+    np.testing.assert_allclose(moved.x, before.x + 2e-3, atol=1e-9)
+    np.testing.assert_array_equal(moved.height, before.height)
     # In the linear tier, undeformed and deformed positions are the same.
-    linear, _ = surface_of(replace(moved, tier="layer"), 2).at(3e-3, middle)
-    assert linear == pytest.approx(-1e-3, rel=0.01)
+    linear = surface_of(replace(pressed, surface=aside), 2)
+    np.testing.assert_array_equal(np.ptp(linear.x, axis=1), 0)
+    assert linear.x.max() <= 10e-3
 
 
-def test_every_place_shows_the_point_that_moved_there(pressed: Result) -> None:
-    # Locally stretched to 1.8 and compressed to 0.2 times its length.
-    x, y = np.meshgrid(pressed.surface_x, pressed.surface_y, indexing="ij")
-    wave = 2e-3
-    surface = np.zeros_like(pressed.surface)
-    surface[2, :, :, 0] = 0.8 * wave * np.sin(x / wave) * np.exp(-((x / 6e-3) ** 8))
-    surface[2, :, :, 2] = 0.1 * x + 0.05 * y
-    seen = surface_of(replace(pressed, tier="fem", surface=surface), 2)
-    rows, columns = slice(30, 98, 7), slice(20, 108, 3)
-    place = (x + surface[2, :, :, 0])[columns, rows]
-    height, _ = seen.at(place, y[columns, rows])
-    np.testing.assert_allclose(height, surface[2, columns, rows, 2], atol=3e-6)
-
-
-def test_beside_the_body_there_is_nothing(pressed: Result) -> None:
-    height, pressure = surface_of(pressed, 2).at(10.5e-3, 0.0)
-    assert np.isnan(height)
-    assert np.isnan(pressure)
+def test_beside_a_round_body_there_is_nothing() -> None:
+    body = Body(footprint="ellipse")
+    surface = surface_of(simulate(Scene(sphere(4e-3), press([0.2e-3]), body), Fem(fineness=0.3)), 1)
+    assert np.isnan(surface.height[0, 0])
+    assert np.isnan(surface.pressure[-1, 0])
+    assert np.isfinite(surface.height[len(surface.height) // 2, 0])
 
 
 def test_a_dome_is_drawn_with_its_own_height() -> None:
     body = Body(dome_radius=60e-3)
     result = simulate(Scene(sphere(4e-3), press([0.2e-3]), body), Layer())
-    height, _ = surface_of(result, 0).at(8e-3, -6e-3)
-    assert height == pytest.approx(body.height(8e-3, -6e-3), abs=1e-5)
+    surface = surface_of(result, 0, np.array([-6e-3]))
+    at = int(np.argmin(np.abs(surface.x - 8e-3)))
+    x = float(surface.x[at, 0])
+    assert surface.height[at, 0] == pytest.approx(body.height(x, -6e-3), abs=1e-5)
 
 
 def test_the_maps_show_the_frame_with_the_largest_force() -> None:
@@ -126,14 +116,13 @@ def test_maps_and_section_show_the_press_where_it_is(
     save_picture(pressed, tmp_path / "press.png")
     assert (tmp_path / "press.png").stat().st_size > 10_000
     height, pressure, section, force, *_bars = drawn[0].axes
-    (map_drawn,) = height.images
+    (map_drawn,) = height.collections
     values = np.asarray(map_drawn.get_array())
-    assert map_drawn.get_extent() == pytest.approx((-10, 10, -10, 10))
-    assert map_drawn.origin == "lower"
-    row, column = np.unravel_index(np.argmin(values), values.shape)
-    assert 20 * (column + 0.5) / values.shape[1] - 10 == pytest.approx(3, abs=0.2)
-    assert 20 * (row + 0.5) / values.shape[0] - 10 == pytest.approx(-2, abs=0.2)
-    assert pressure.images[0].get_clim() == pytest.approx((0, 1e-3 * pressed_most(pressed)))
+    corners = np.asarray(map_drawn.get_coordinates())
+    lowest = np.unravel_index(np.argmin(values), values.shape)
+    assert corners[lowest] == pytest.approx([3, -2], abs=0.2)
+    assert corners[[0, -1], [0, -1]] == pytest.approx(np.array([[-10, -10], [10, 10]]), abs=0.2)
+    assert pressure.collections[0].get_clim() == pytest.approx((0, 1e-3 * pressed_most(pressed)))
     x, z = section.lines[0].get_data()
     assert np.min(z) == pytest.approx(-1, abs=0.02)
     assert x[np.argmin(z)] == pytest.approx(3, abs=0.3)
@@ -169,5 +158,5 @@ def test_a_surface_that_nothing_touches_is_drawn_too(drawn: list[Figure], tmp_pa
     scene = Scene(sphere(4e-3), press([-0.5e-3]))
     save_picture(simulate(scene, Layer()), tmp_path / "x.png")
     height, pressure, *_ = drawn[0].axes
-    assert height.images[0].get_clim() == pytest.approx((-5e-4, 5e-4))
-    assert pressure.images[0].get_clim() == (0, 1e-3)
+    assert height.collections[0].get_clim() == pytest.approx((-5e-4, 5e-4))
+    assert pressure.collections[0].get_clim() == (0, 1e-3)
