@@ -44,53 +44,6 @@ class DraggedClearance(Clearance):
         return super().at(tip - np.array([*drag, 0.0]))
 
 
-class DraggedPress(LayerPress):
-    """Press of tier `layer` whose gap follows the sideways displacement of the contact.
-
-    With small strains, the gap is measured above undeformed material. An indenter that drags its
-    contact along then leaves the pixels it sticks to, row by row, and its force jumps at each row.
-    Here the gap is measured above material displaced by the mean of the last contact, so that a
-    sticking indenter keeps pressing the same pixels.
-    """
-
-    def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
-        super().__init__(scene, grid, tolerance)
-        self._dragged = DraggedClearance(scene.indenter, grid, scene.motion)
-        self._clearance = self._dragged
-        self._way: Array = np.zeros(2)
-
-    @property
-    def shear(self) -> Array:
-        """Mean sideways displacement of the contact (2,) [m]; 0 without contact."""
-        touched = self.traction[2] != 0
-        if not touched.any():
-            return np.zeros(2)
-        moved: Array = self.displacement[:2, touched].mean(axis=1)
-        return moved
-
-    def move(self, tip: Array, duration: float) -> None:
-        """Move the tip straight to `tip` (3,) [m] in `duration` [s], as `LayerPress.move`."""
-        start, before, dragged = self.tip[:2], self.shear, self._dragged
-        way = tip[:2] - start
-        length = float(np.linalg.norm(way))
-        dragged.start = start
-        if length > 0:
-            # Contacts stick after a turn, and go on as they did along a straight way.
-            straight = float(way @ self._way) > STRAIGHT * length * float(np.linalg.norm(self._way))
-            dragged.follows = dragged.follows if straight else 1.0
-            self._way = way
-        if not self.traction[2].any():
-            dragged.follows = 0.0
-        super().move(tip, duration)
-        limit = self.grid.body.thickness
-        dragged.drag, dragged.start = np.clip(self.shear, -limit, limit), tip[:2]
-        if length > 0:
-            follows = float((self.shear - before) @ way) / length**2
-            dragged.follows = float(np.clip(follows, 0.0, 1.0))
-
-
-# A layer under an indenter whose tip follows commanded poses.
-
 # Pixels along the longer side: fewer than in `simulate`, for half of its time.
 GRID = 96
 # Residual of the contact: changes forces by about 1e-3, five times as much as in `simulate`.
@@ -101,8 +54,13 @@ DEEPER = 2.0
 RECOVERED = 0.1e-6
 
 
-class LivePress:
+class LivePress(LayerPress):
     """Press of tier `layer`, pose by pose; poses out of reach are moved to the nearest valid ones.
+
+    With small strains, the gap is measured above undeformed material. An indenter that drags its
+    contact along then leaves the pixels it sticks to, row by row, and its force jumps at each row.
+    Here the gap is measured above material displaced by the mean of the last contact, so that a
+    sticking indenter keeps pressing the same pixels.
 
     Args:
         sensor: Sensor to press.
@@ -130,65 +88,44 @@ class LivePress:
         self.scene = Scene(still.indenter, self._anywhere(), body=body, effects=still.effects)
         """Sensor and indenter, with a motion that spans all poses."""
         check_known(self.scene, tolerance)
-        self._press = DraggedPress(self.scene, Grid(body, grid), tolerance)
+        super().__init__(self.scene, Grid(body, grid), tolerance)
+        self._dragged = DraggedClearance(self.scene.indenter, self.grid, self.scene.motion)
+        self._clearance = self._dragged
+        self._way: Array = np.zeros(2)
         self._rests = True
-
-    @property
-    def grid(self) -> Grid:
-        """Pixels of the top."""
-        return self._press.grid
 
     @property
     def field(self) -> SurfaceField:
         """Displacement of the top, for the sensor's readout."""
         x, y = (np.asarray(axis, np.float64) for axis in (self.grid.x, self.grid.y))
-        return SurfaceField(x, y, self.displacement[None])
-
-    @property
-    def tip(self) -> Array:
-        """Position of the tip (3,) [m], within the reachable poses."""
-        return self._press.tip
+        moved = np.ascontiguousarray(np.moveaxis(self.displacement, 0, -1), np.float32)
+        return SurfaceField(x, y, moved[None])
 
     @property
     def touching(self) -> bool:
         """True if the indenter is in contact."""
-        return bool(self._press.traction[2].any())
-
-    @property
-    def wrench(self) -> Array:
-        """Force and torque about the tip of the indenter on the body (6,) [N, N m]."""
-        return self._press.wrench
-
-    @property
-    def force(self) -> Array:
-        """Force of the indenter on the body (3,) [N]."""
-        return self._press.force
+        return bool(self.traction[2].any())
 
     @property
     def relaxed_force(self) -> Array:
         """Force that would remain if the body relaxed at its present displacement (3,) [N]."""
-        relaxed: Array = self._press.history.elastic.sum(axis=(1, 2)) * self.grid.area
+        relaxed: Array = self.history.elastic.sum(axis=(1, 2)) * self.grid.area
         return relaxed
 
     @property
     def shear(self) -> Array:
         """Mean sideways displacement of the contact (2,) [m]; 0 without contact."""
-        return self._press.shear
-
-    @property
-    def displacement(self) -> NDArray[np.float32]:
-        """Displacement of the top (X, Y, 3) [m]."""
-        moved: NDArray[np.float32] = np.ascontiguousarray(
-            np.moveaxis(self._press.displacement, 0, -1), np.float32
-        )
+        touched = self.traction[2] != 0
+        if not touched.any():
+            return np.zeros(2)
+        moved: Array = self.displacement[:2, touched].mean(axis=1)
         return moved
 
     def relaxing(self, within: float) -> Array:
         """Return the force's mean rate (3,) [N/s] over the next `within` [s] at a fixed tip."""
-        history = self._press.history
-        after = history.after(within)
-        traction = after.factor * history.elastic + after.held
-        change: Array = (traction - self._press.traction).sum(axis=(1, 2))
+        after = self.history.after(within)
+        traction = after.factor * self.history.elastic + after.held
+        change: Array = (traction - self.traction).sum(axis=(1, 2))
         return change * (self.grid.area / within)
 
     def move(self, tip: Array, duration: float) -> None:
@@ -205,18 +142,37 @@ class LivePress:
             raise SceneError(f"duration: {duration!r} s; allowed: 0 or more")
         tip = self._nearest(tip)
         if self._rests and tip[2] >= 0:
-            self._press.tip = tip
+            self.tip = tip
             return
-        self._press.move(tip, duration)
+        self._drag(tip, duration)
         self._rests = not self.touching and self._recovered()
+
+    def _drag(self, tip: Array, duration: float) -> None:
+        """Move the tip, and the material that the gap is measured above along with it."""
+        start, before, dragged = self.tip[:2], self.shear, self._dragged
+        way = tip[:2] - start
+        length = float(np.linalg.norm(way))
+        dragged.start = start
+        if length > 0:
+            # Contacts stick after a turn, and go on as they did along a straight way.
+            straight = float(way @ self._way) > STRAIGHT * length * float(np.linalg.norm(self._way))
+            dragged.follows = dragged.follows if straight else 1.0
+            self._way = way
+        if not self.touching:
+            dragged.follows = 0.0
+        super().move(tip, duration)
+        dragged.drag = np.clip(self.shear, -self._thickness, self._thickness)
+        dragged.start = tip[:2]
+        if length > 0:
+            follows = float((self.shear - before) @ way) / length**2
+            dragged.follows = float(np.clip(follows, 0.0, 1.0))
 
     def _recovered(self) -> bool:
         """Return True if the dent has recovered, and reset the remaining displacement."""
-        press = self._press
-        if np.abs(press.displacement).max() > RECOVERED:
+        if np.abs(self.displacement).max() > RECOVERED:
             return False
-        press.history = History(self.scene.effects.viscosity, self.grid.shape)
-        press.displacement = np.zeros_like(press.displacement)
+        self.history = History(self.scene.effects.viscosity, self.grid.shape)
+        self.displacement = np.zeros_like(self.displacement)
         return True
 
     def _nearest(self, tip: Array) -> Array:

@@ -253,7 +253,7 @@ def test_a_turn_solves_for_the_newest_pose_and_passes_over_the_others(tmp_path: 
     assert last["values"][2] == pytest.approx(bench.live.press.wrench[2])
     surface = bench.surfaces.read()
     assert surface is not None
-    np.testing.assert_array_equal(surface["surface"], bench.live.press.displacement)
+    np.testing.assert_array_equal(surface["surface"], bench.live.press.field.displacement[0])
     assert not surface["surface_before"].any()
 
 

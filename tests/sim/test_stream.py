@@ -42,7 +42,7 @@ def test_told_the_poses_of_a_motion_it_finds_the_forces_of_the_simulation() -> N
         each.move(np.array(tip), time - before)
         before = time
         np.testing.assert_allclose(each.wrench[:3], expected.force[frame], atol=2e-3)
-        np.testing.assert_allclose(each.displacement, expected.surface[frame], atol=2e-7)
+        np.testing.assert_allclose(each.field.displacement[0], expected.surface[frame], atol=2e-7)
 
 
 def test_sheared_it_drags_as_the_simulation_does() -> None:

@@ -123,7 +123,7 @@ def simulated(found: Recorded, wanted: NDArray[np.int64], layer: Layer = Layer()
             wrench[row] = each
             wrench[row, 3:] += np.cross(lever, each[:3])
         for place in keep.get(row, ()):
-            surface[place] = live.displacement
+            surface[place] = live.field.displacement[0]
     return Offline(wrench, replace(live.field, displacement=surface))
 
 

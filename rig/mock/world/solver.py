@@ -54,7 +54,7 @@ class Shared:
         surface["t_ns"] = press["t_ns"] = t_ns
         surface["tip_before"], surface["surface_before"] = surface["tip"], surface["surface"]
         surface["tip"] = press["tip"] = answer.tip
-        surface["surface"] = self._live.press.displacement
+        surface["surface"] = self._live.press.field.displacement[0]
         press["shear"] = self._live.press.shear
         press["touching"] = answer.touching
         for name in ("values", "slope", "rate"):
