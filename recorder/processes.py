@@ -58,6 +58,7 @@ class Workers:
             patient: If true, calls that have begun always run to their end.
             fewer: Suggested remedy if a worker was killed for lack of memory.
         """
+        self.processes = processes
         self._context, self._patient, self._fewer = _Spawning(), patient, fewer
         self._threads = str(max(1, cores() // processes))
         self._executor = ProcessPoolExecutor(processes, self._context, _begin, (begin, arguments))

@@ -9,7 +9,6 @@ from sim.mpm import Mpm
 from sim.result import Quality, Result
 from sim.scene import Body, Motion, Scene, from_target, press
 from sim.simulate import Plan, plan, plan_effects, simulate, simulate_many
-from sim.tiers import Solvers
 
 __all__ = [
     "Body",
@@ -28,7 +27,6 @@ __all__ = [
     "Scene",
     "SceneError",
     "SimulationDiverged",
-    "Solvers",
     "Viscosity",
     "from_target",
     "plan",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, as_completed
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING
 
 from recorder.progress import part_of
 from sim.error_estimate import with_estimate
@@ -19,6 +19,7 @@ from sim.result import Outcome, Result
 from sim.scene import Scene
 
 if TYPE_CHECKING:
+    from recorder.processes import Workers
     from sim.fem.mesh import Mesh
 
 # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
@@ -45,24 +46,30 @@ def simulate_many(
     tier: Tier = Fem(),
     *,
     device: str = "cpu",
-    processes: int | Solvers = 1,
+    processes: int | Workers = 1,
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
     """Simulate scenes in a batch; return a result for each, or the reason for none.
 
     `fem` and `mpm`, and `layer` on a GPU, solve sufficiently similar scenes in one launch.
+    Processes on a CPU solve one scene after the other; beside a GPU each solves a part of the
+    scenes as one batch, so that the host's work for them, which takes more time than the GPU's, is
+    spread over cores. Their kernels run at once if NVIDIA's Multi-Process Service is running
+    (`nvidia-cuda-mps-control -d`), otherwise in turns.
 
     Args:
         scenes: Scenes to simulate.
         tier: As in `simulate`.
         device: As in `simulate`.
         processes: Number of worker processes, started for this call, among which the scenes are
-            divided; or `Solvers` that are running. A script that requests several must do so under
+            divided; or `recorder.processes.Workers` that are running, for several calls. They are
+            new interpreters that import the calling script, whose own work must therefore be under
             `if __name__ == "__main__":`.
         progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        SceneError: As in `simulate`; processes below 1, or of another device.
+        SceneError: As in `simulate`; processes below 1; or meshes have to agree with those of other
+            processes.
         WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
     outcomes = _by_tier(scenes, tier, device, processes, progress)
@@ -73,19 +80,18 @@ def _by_tier(
     scenes: Sequence[Scene],
     tier: Tier,
     device: str,
-    processes: int | Solvers,
+    processes: int | Workers,
     progress: Callable[[float], None] | None,
 ) -> list[Outcome]:
     check_kind("tier", tier, Tier, "a Layer, a Fem or an Mpm")
     for scene in scenes:
         check_kind("scene", scene, Scene, "a Scene")
-    if not isinstance(processes, Solvers):
-        check_processes(processes)
+    pool = _pool(processes, len(scenes))
     if not scenes:
         return []
-    if isinstance(processes, Solvers) or (processes > 1 and len(scenes) > 1):
-        with running(processes, device, len(scenes)) as solvers:
-            return solvers.simulate(scenes, [tier], progress)[0]
+    if pool is not None:
+        with pool as workers:
+            return gathered(workers, submitted(workers, scenes, tier, device), progress)
     if isinstance(tier, Layer):
         if device != "cpu":
             from sim.layer.batch import simulate_layers
@@ -116,122 +122,80 @@ def _by_tier(
 FEWER = "fewer processes or a coarser mesh"
 
 
-class Solvers:
-    """Context manager for processes that solve scenes, for several calls of `simulate_many`.
+def _pool(processes: int | Workers, most: int) -> AbstractContextManager[Workers] | None:
+    """Return the processes for `most` scenes; None: this one."""
+    if type(processes) is int and processes == 1:
+        return None  # without an import of hundreds of modules
+    from recorder.processes import Workers
 
-        with Solvers(8, device="cuda:0") as solvers:
-            outcomes = simulate_many(scenes, Fem(), device="cuda:0", processes=solvers)
+    if isinstance(processes, Workers):
+        return contextlib.nullcontext(processes)
+    check_processes(processes)
+    return Workers(min(processes, most), fewer=FEWER) if most > 1 else None
 
-    On a CPU a process solves one scene after the other. Beside a GPU each solves a part of the
-    scenes as one batch: so the host's work for them, which takes more time than the GPU's, is
-    spread over cores. Their kernels run at once if NVIDIA's Multi-Process Service is running
-    (`nvidia-cuda-mps-control -d`), otherwise in turns.
 
-    Processes start with the first scenes, as new interpreters that import the calling script, whose
-    own work must therefore be under `if __name__ == "__main__":`. Two that compile the same kernels
-    at once both do the work: Warp builds in a folder of each process and moves it into its cache
-    atomically.
+# Calls that solve, and the scenes of each.
+Calls = dict[Future[list[Outcome]], range]
+
+
+def submitted(workers: Workers, scenes: Sequence[Scene], tier: Tier, device: str) -> Calls:
+    """Begin to solve scenes, as in `simulate_many`, and return the calls."""
+    tier = _alike(scenes, tier, workers.processes, device)
+    return {
+        workers.submit(_solve, [scenes[one] for one in part], tier, device): part
+        for part in _parts(len(scenes), tier, workers.processes, device)
+    }
+
+
+def gathered(
+    workers: Workers, calls: Calls, progress: Callable[[float], None] | None = None
+) -> list[Outcome]:
+    """Return the outcomes of calls, in the order of the scenes; arguments as in `simulate_many`."""
+    count, done = sum(map(len, calls.values())), 0
+    found: dict[int, Outcome] = {}
+    workers.done = f"0 of {count} scenes"
+    for task in as_completed(calls):
+        found |= zip(calls[task], task.result(), strict=True)
+        done += len(calls[task])
+        workers.done = f"{done} of {count} scenes"
+        if progress is not None:
+            progress(done / count)
+    return [found[one] for one in range(count)]
+
+
+def _alike(scenes: Sequence[Scene], tier: Tier, processes: int, device: str) -> Tier:
+    """Return the tier by which all parts have the topology of the whole, if it asks for one.
+
+    Meshes that follow the contact agree within a part only.
     """
-
-    def __init__(self, processes: int, *, device: str = "cpu") -> None:
-        """Prepare the processes.
-
-        Args:
-            processes: Largest number of processes.
-            device: Device of all of them, `cpu` or `cuda:0` and the like.
-        """
-        from recorder.processes import Workers  # hundreds of modules, not needed by one process
-
-        check_processes(processes)
-        self.processes = processes
-        self.device = device
-        self._workers = Workers(processes, fewer=FEWER)
-
-    def __enter__(self) -> Self:
-        self._workers.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._workers.__exit__(kind, error, trace)
-
-    def simulate(
-        self,
-        scenes: Sequence[Scene],
-        tiers: Sequence[Tier],
-        progress: Callable[[float], None] | None = None,
-    ) -> list[list[Outcome]]:
-        """Return the outcomes of all scenes by each tier, in order; the tiers are solved at once.
-
-        Args:
-            scenes: Scenes to simulate.
-            tiers: As in `simulate_many`.
-            progress: Called with the fraction of the scenes that are done.
-
-        Raises:
-            SceneError: As in `simulate_many`, the other scenes are abandoned; or meshes have to
-                agree with those of other processes.
-            WorkerLost: A worker was killed, by a lack of memory for example, or could not start.
-        """
-        count, many = len(scenes), len(scenes) * len(tiers)
-        tiers = [self._alike(scenes, tier) for tier in tiers]
-        done, self._workers.done = 0, f"0 of {many} scenes"
-        tasks = {
-            self._workers.submit(_solve, [scenes[i] for i in part], tier, self.device): (
-                number,
-                part,
-            )
-            for number, tier in enumerate(tiers)
-            for part in self._parts(count, tier)
-        }
-        found: list[list[Any]] = [[None] * count for _ in tiers]
-        for task in as_completed(tasks):
-            number, part = tasks[task]
-            _raise_error_of(task)
-            for index, outcome in zip(part, task.result(), strict=True):
-                found[number][index] = outcome
-            done += len(part)
-            self._workers.done = f"{done} of {many} scenes"
-            if progress is not None:
-                progress(done / many)
-        return found
-
-    def _alike(self, scenes: Sequence[Scene], tier: Tier) -> Tier:
-        """Return the tier by which all parts have the topology of the whole, if it asks for one.
-
-        Meshes that follow the contact agree within a part only.
-        """
-        if not (isinstance(tier, Fem) and tier.one_topology):
-            return tier
-        if not tier.follows:
-            from sim.fem.mesh import agreed
-
-            return agreed(scenes, tier)
-        if self.device == "cpu":
-            raise SceneError(
-                f"fem.one_topology: True with {self.processes} processes, which solve scenes one "
-                "by one on meshes that follow the contact; allowed: False, or a spacing"
-            )
+    if not (isinstance(tier, Fem) and tier.one_topology):
         return tier
+    if not tier.follows:
+        from sim.fem.mesh import agreed
 
-    def _parts(self, count: int, tier: Tier) -> list[range]:
-        """Return the scenes of each task: single ones on a CPU, where any process takes the next.
+        return agreed(scenes, tier)
+    if device == "cpu":
+        raise SceneError(
+            f"fem.one_topology: True with {processes} processes, which solve scenes one by one on "
+            "meshes that follow the contact; allowed: False, or a spacing"
+        )
+    return tier
 
-        Beside a GPU each process has a batch. Neighbours in the list are often alike: they take
-        equally long, so they are dealt out in turns if all meshes have one topology; else they
-        stay with each other, because they often have the same one, and are solved in one launch.
-        """
-        if self.device == "cpu":
-            return [range(one, one + 1) for one in range(count)]
-        parts = min(self.processes, count)
-        if isinstance(tier, Fem) and not tier.one_topology:
-            edges = [count * part // parts for part in range(parts + 1)]
-            return [range(first, last) for first, last in itertools.pairwise(edges)]
-        return [range(part, count, parts) for part in range(parts)]
+
+def _parts(count: int, tier: Tier, processes: int, device: str) -> list[range]:
+    """Return the scenes of each call: single ones on a CPU, where any process takes the next.
+
+    Beside a GPU each process has a batch. Neighbours in the list are often alike: they take
+    equally long, so they are dealt out in turns if all meshes have one topology; else they
+    stay with each other, because they often have the same one, and are solved in one launch.
+    """
+    if device == "cpu":
+        return [range(one, one + 1) for one in range(count)]
+    parts = min(processes, count)
+    if isinstance(tier, Fem) and not tier.one_topology:
+        edges = [count * part // parts for part in range(parts + 1)]
+        return [range(first, last) for first, last in itertools.pairwise(edges)]
+    return [range(part, count, parts) for part in range(parts)]
 
 
 def check_processes(processes: int) -> None:
@@ -240,37 +204,12 @@ def check_processes(processes: int) -> None:
         raise SceneError(f"processes: {processes!r}; allowed: whole numbers from 1 up")
 
 
-@contextlib.contextmanager
-def running(processes: int | Solvers, device: str, most: int) -> Iterator[Solvers]:
-    """Yield running `Solvers` as they are, or new ones for the duration of the block.
-
-    Args:
-        processes: As in `simulate_many`.
-        device: Device that they must have.
-        most: Number of processes beyond which there is nothing to do.
-    """
-    if isinstance(processes, Solvers):
-        if processes.device != device:
-            raise SceneError(f"device: {device!r}; allowed with these: {processes.device!r}")
-        yield processes
-        return
-    check_processes(processes)
-    with Solvers(min(processes, most), device=device) as solvers:
-        yield solvers
-
-
 def _solve(scenes: Sequence[Scene], tier: Tier, device: str) -> list[Outcome]:
     if device != "cpu" or not isinstance(tier, Layer):
         from sim.device import ready_device
 
         ready_device(device)  # Warp starts without a banner
     return simulate_many(scenes, tier, device=device)
-
-
-def _raise_error_of(task: Future[list[Outcome]]) -> None:
-    error = task.exception()
-    if error is not None:
-        raise error
 
 
 # CPU time of a press by `layer`, and of each of its frames [s].

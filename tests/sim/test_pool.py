@@ -12,11 +12,12 @@ import time
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from recorder.processes import WorkerLost
+from recorder.processes import WorkerLost, Workers
 from sim import (
     Body,
     Layer,
@@ -24,13 +25,13 @@ from sim import (
     Scene,
     SceneError,
     SimulationDiverged,
-    Solvers,
     press,
     simulate_many,
 )
 from sim.fem.mesh import agreed
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
+from sim.tiers import gathered, submitted
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 NUMERICS = Fem(spacing=4e-3 / 3, precision="float64", newton_max=8, halvings=0)
@@ -120,15 +121,13 @@ def test_a_number_of_processes_is_whole_and_positive(processes: int) -> None:
         simulate_many(SCENES, NUMERICS, processes=processes)
 
 
-def test_running_processes_solve_several_calls_of_their_own_device_only() -> None:
-    with Solvers(2) as solvers:
+def test_running_processes_solve_several_calls() -> None:
+    with Workers(2) as solvers:
         first = simulate_many(SCENES, NUMERICS, processes=solvers)
         pids = workers()
         second = simulate_many(SCENES[:1], replace(NUMERICS, tolerance=1e-3), processes=solvers)
         assert workers() == pids != []
         assert simulate_many([], NUMERICS, processes=solvers) == []
-        with pytest.raises(SceneError, match=r"device: 'cuda:0'; allowed with these: 'cpu'"):
-            simulate_many(SCENES, NUMERICS, device="cuda:0", processes=solvers)
     assert not workers()
     for one, other in zip(first, simulate_many(SCENES, NUMERICS), strict=True):
         assert isinstance(one, Result)
@@ -152,11 +151,14 @@ def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(
     told: list[float] = []
     scenes = [Scene(sphere(3e-3), press([depth * 1e-4]), BODY) for depth in (1, 2, 3, 4, 5)]
     fine, coarse = (Fem(spacing=height, one_topology=True) for height in (8e-4, 1e-3))
-    with Solvers(2, device="cuda:0") as solvers:
-        monkeypatch.setattr(solvers._workers, "submit", submit)
-        found = solvers.simulate(scenes, [fine, coarse], told.append)
+    with Workers(2) as solvers:
+        monkeypatch.setattr(solvers, "submit", submit)
+        found: list[Any] = [
+            gathered(solvers, submitted(solvers, scenes, tier, "cuda:0"), told.append)
+            for tier in (fine, coarse)
+        ]
         # Meshes of their own: neighbours stay with each other.
-        solvers.simulate(scenes, [Fem()])
+        submitted(solvers, scenes, Fem(), "cuda:0")
     assert found == [[f"0.000{d} {h}" for d in (1, 2, 3, 4, 5)] for h in ("0.0008", "0.001")]
     assert told[-1] == 1.0
     rounded = [[round(depth * 1e4) for depth in depths] for depths, *_ in given]

@@ -12,12 +12,12 @@ import numpy as np
 
 from benchmarks.sim.accuracy.errors import compare, frames, load, save
 from benchmarks.sim.launches import in_launches
+from recorder.processes import Workers
 from sim.errors import SimulationDiverged
 from sim.metrics import Outcome, outcome_of
 from sim.result import Result
 from sim.scene import Motion, Scene
 from sim.simulate import simulate_many
-from sim.tiers import Solvers
 
 if TYPE_CHECKING:
     from benchmarks.sim.accuracy.cases import Case
@@ -63,7 +63,7 @@ def solve_references(
     scenes: Sequence[Scene],
     fineness: float,
     device: str,
-    processes: int | Solvers = 1,
+    processes: int | Workers = 1,
 ) -> list[Outcome | SimulationDiverged]:
     """Solve scenes that share a body; the outcomes have the frames of each scene.
 
@@ -116,7 +116,7 @@ def references(
         say: Called with progress messages.
         processes: Number of processes beside a GPU, each with a part of the scenes.
     """
-    with Solvers(processes, device=device) as started:
+    with Workers(processes) as started:
         solvers = started if processes > 1 else 1
         fine, coarse = (
             _outcomes(case, size, device, cache, say, solvers)
@@ -140,7 +140,7 @@ def _outcomes(
     device: str,
     cache: Path,
     say: Callable[[str], None],
-    processes: int | Solvers,
+    processes: int | Workers,
 ) -> dict[str, Outcome]:
     """Return the outcomes of a case on one mesh, by the number of the scene; they are cached."""
     path = cache / f"{case.name}-{fineness:.4g}-{FORMAT}.npz"

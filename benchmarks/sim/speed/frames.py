@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.sim.speed.campaign import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.sim.speed.machine import machine_name
 from recorder.command_line.options import add_device
-from recorder.processes import cores
+from recorder.processes import Workers, cores
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import Fem
 from sim.indenters import sphere
@@ -28,7 +28,7 @@ from sim.layer import Layer
 from sim.metrics import force_scale
 from sim.result import Outcome
 from sim.scene import Body, Scene, press
-from sim.tiers import Solvers, simulate_many
+from sim.tiers import simulate_many
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
@@ -82,7 +82,7 @@ def scenes(count: int) -> list[Scene]:
 
 
 def solved(
-    way: Way, some: Sequence[Scene], device: str, solvers: Solvers | None = None
+    way: Way, some: Sequence[Scene], device: str, solvers: Workers | None = None
 ) -> tuple[float, list[Outcome]]:
     """Return the time to solve the presses [s], and their outcomes; without `solvers`, here."""
     tier = way.tier
@@ -201,7 +201,7 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
     say("|---" * HEAD.count(" |") + "|")
     rows: list[Row] = []
     left_out: list[str] = []
-    with Solvers(processes, device=options.device) as started:
+    with Workers(processes) as started:
         solvers = started if processes > 1 else None
         for way in ways():
             if options.only not in way.name:
@@ -239,7 +239,7 @@ def forecast(last: Row | None, count: int, processes: int) -> float:
 
 
 def measured(
-    way: Way, count: int, device: str, solvers: Solvers | None, truths: Sequence[Outcome]
+    way: Way, count: int, device: str, solvers: Workers | None, truths: Sequence[Outcome]
 ) -> Row:
     """Solve `count` presses, and return their row."""
     seconds, outcomes = solved(way, scenes(count), device, solvers)

@@ -17,16 +17,17 @@ from benchmarks.sim.speed.forces import SHALLOW_MM, errors, extrapolated, forces
 from benchmarks.sim.speed.machine import machine_name
 from benchmarks.sim.speed.work import paper_work, smoke_work
 from recorder.command_line.options import add_device, numbers, positive, whole
+from recorder.processes import Workers
 from sim.cli.options import metres
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem.numerics import FOR_EDGES, Fem
-from sim.tiers import Solvers
+from sim.tiers import gathered, submitted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
-        "Times the paper's 162 presses with `Solvers`, and reports the errors of their forces. "
+        "Times the paper's 162 presses in several processes, and reports their forces' errors. "
         "Beside a GPU NVIDIA's Multi-Process Service should run: nvidia-cuda-mps-control -d."
     )
     add_device(parser)
@@ -86,10 +87,11 @@ def run(options: argparse.Namespace, say: Callable[[str], None] = print) -> int:
         for size in sizes
     ]
     say(f"{machine_name(options.device)}, {options.processes} processes, {len(scenes)} presses")
-    with Solvers(options.processes, device=options.device) as solvers:
+    with Workers(options.processes) as workers:
         for turn in range(options.repeat + 1):
             began = time.perf_counter()
-            found = solvers.simulate(scenes, tiers)
+            calls = [submitted(workers, scenes, tier, options.device) for tier in tiers]
+            found = [gathered(workers, each) for each in calls]
             seconds = time.perf_counter() - began
             say(f"{'with their start' if not turn else 'then'}: {seconds:.3g} s")
     failed = [sum(isinstance(one, SimulationDiverged) for one in outcomes) for outcomes in found]
