@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -106,6 +106,29 @@ class Workers:
             f"a worker process ended with exit code {max(codes)}, {self.done} done; a script that "
             'starts processes must do so under if __name__ == "__main__":'
         )
+
+
+def several(
+    processes: int,
+    begin: Callable[..., object] | None = None,
+    *arguments: Any,
+    fewer: str = "fewer processes",
+) -> contextlib.AbstractContextManager[Workers | None]:
+    """Return workers, or None in their place if one process is enough: this one."""
+    if processes > 1:
+        return Workers(processes, begin, *arguments, fewer=fewer)
+    return contextlib.nullcontext()
+
+
+def results(
+    workers: Workers | None, call: Callable[..., Answer], due: Iterable[tuple[Any, ...]]
+) -> Iterator[Answer]:
+    """Yield `call(*arguments)` for each of `due`, in order, by workers or by this process."""
+    if workers is None:
+        yield from (call(*arguments) for arguments in due)
+        return
+    for task in [workers.submit(call, *arguments) for arguments in due]:
+        yield task.result()
 
 
 class _Spawning(SpawnContext):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from recorder.archive import ArchiveWriter
 from recorder.markers import PACKED, Lattice, pack
-from recorder.processes import Workers
+from recorder.processes import Workers, results
 from recorder.progress import part_of, span_of
 from sim.dataset.plan import (
     UNSEEN,
@@ -32,11 +32,8 @@ from sim.dataset.plan import (
     scenes,
     solve,
 )
-from sim.errors import SceneError
-from sim.markers import Camera
 from sim.sensors import (
     CameraReadout,
-    CameraSignal,
     SimulatedSensor,
     SurfaceField,
     TaxelReadout,
@@ -47,10 +44,6 @@ from sim.sensors import (
 
 Array = NDArray[np.float64]
 Packed = NDArray[np.uint8]
-Fields = NDArray[np.float16]
-
-# Distance between taxels in the image of discs [columns] (`recorder.markers.draw_discs`).
-TAXEL_PITCH_PX = 128
 
 
 class Reader:
@@ -66,59 +59,28 @@ class Reader:
             indenters: Number of indenters in its session, by code.
         """
         self.sensor = sensor
-        self._readout = readout(sensor, seed=seed, device=device)
+        self.readout = readout(sensor, seed=seed, device=device)
         # A lab picks a good reference, so it has no segmentation errors and no noise.
         careful = replace(sensor, variation=replace(sensor.variation, segmentation=None))
-        taxels = isinstance(self._readout, TaxelReadout)
+        taxels = isinstance(self.readout, TaxelReadout)
         self._still = readout(careful, seed=None if taxels else seed, device=device)
         self._creep = creep(sensor, seed, indenters)
-
-    @property
-    def mm_per_px(self) -> float:
-        """Size of a pixel on the undeformed top [mm], along columns."""
-        signal = self.sensor.signal
-        if isinstance(signal, CameraSignal):
-            return signal.camera().mm_per_px
-        return signal.pitch * 1e3 / TAXEL_PITCH_PX
-
-    @property
-    def camera(self) -> Camera:
-        """The camera as mounted."""
-        if isinstance(self._readout, CameraReadout):
-            return self._readout.camera
-        raise SceneError(f"{self.sensor.name}.signal: taxels; allowed: a camera")
-
-    @property
-    def keeps_fields(self) -> bool:
-        """True if the sensor has displacement fields to store; only cameras do."""
-        return isinstance(self._readout, CameraReadout)
 
     def references(self) -> Packed:
         """Return packed masks (P, K, 38400) of the sensor without contact, one per creep offset."""
         still = SurfaceField.undeformed(self.sensor.body)
-        masks = [self._still.masks(crept(still, offset))[0] for offset in self._creep]
+        masks = [self._still.masks(still.crept(offset))[0] for offset in self._creep]
         return np.stack([pack(each) for each in masks], axis=1)
 
     def packed(self, top: SurfaceField, recording: Recording) -> Packed:
         """Return packed masks (P, F, 38400) of the frames of a recording."""
-        top = crept(top, self._creep[self.reference(recording)])
-        first = recording.number * len(recording)
-        if isinstance(self._readout, CameraReadout):
-            return np.moveaxis(self._readout.packed(top, first), 1, 0)
-        return np.moveaxis(pack(self._readout.masks(top, first)), 1, 0)
+        top = top.crept(self._creep[self.reference(recording)])
+        packed = self.readout.packed(top, recording.number * len(recording))
+        return np.moveaxis(packed, 1, 0)
 
     def reference(self, recording: Recording) -> int:
         """Return the index of the reference of a recording."""
         return recording.session_point if len(self._creep) > 1 else 0
-
-    def displacement(self, top: SurfaceField) -> Fields | None:
-        """Return fields (F, rows, columns, 2) [px] from the recording's reference; None for taxels.
-
-        The reference already includes creep from before the press, so the fields do not.
-        """
-        if isinstance(self._readout, CameraReadout):
-            return self._readout.displacement(top)
-        return None
 
 
 @functools.lru_cache(maxsize=32)
@@ -137,17 +99,6 @@ def creep(sensor: SimulatedSensor, seed: int, indenters: int) -> Array:
         return np.zeros((1, 2))
     points = indenters * len(sensor.trajectory.points)
     return sensor.variation.drift.drawn(points, seed, sensor.name)
-
-
-def crept(top: SurfaceField, offset: Array) -> SurfaceField:
-    """Return the field of a skin that crept by `offset` [m] before the indenter pressed.
-
-    The indenter does not move with it: u(X) becomes offset + u(X + offset).
-    """
-    if not offset.any():
-        return top
-    shift = np.array([*offset, 0.0], np.float32)
-    return SurfaceField(top.x - offset[0], top.y - offset[1], top.displacement + shift)
 
 
 # Pixels at which displacement is stored.
@@ -230,7 +181,11 @@ def _write(
     for place, number in enumerate(unit.files):
         some = recordings[place * family.unit_presses : (place + 1) * family.unit_presses]
         parts = []
-        for part in _rows_of_all(plan, sensor, some, device, workers):
+        due = [
+            (plan, sensor, device, press, recording, _state(each, recording), each.how)
+            for press, each, recording in some
+        ]
+        for part in results(workers, _rows, due):
             parts.append(part)
             progress((place * family.unit_presses + len(parts)) / len(recordings))
         for index, name in enumerate(names(sensor)):
@@ -248,25 +203,6 @@ def _write(
                 displacement=np.concatenate(fields) if fields and index == 0 else None,
             )
     return images
-
-
-def _rows_of_all(
-    plan: DatasetPlan,
-    sensor: SimulatedSensor,
-    recordings: Sequence[tuple[PlannedPress, Solved, Recording]],
-    device: str,
-    workers: Workers | None,
-) -> Iterator[Rows]:
-    """Yield the rows of recordings in their order."""
-    due = [
-        (plan, sensor, device, press, recording, _state(solved, recording), solved.how)
-        for press, solved, recording in recordings
-    ]
-    if workers is None:
-        yield from (_rows(*each) for each in due)
-        return
-    for waiting in [workers.submit(_rows, *each) for each in due]:
-        yield waiting.result()
 
 
 def _state(solved: Solved, recording: Recording) -> tuple[SurfaceField, Array] | None:
@@ -293,12 +229,15 @@ def _rows(
     tip = np.array(press.motion.tip)[frames]
     wrench = np.full((count, 6), np.nan)
     packed = np.zeros((len(names(sensor)), count, PACKED), np.uint8)
-    fields = np.full((count, *LATTICE.shape), np.nan, np.float16) if seen.keeps_fields else None
+    fields = None
+    if isinstance(seen.readout, CameraReadout):
+        fields = np.full((count, *LATTICE.shape), np.nan, np.float16)
     if state is not None:
         top, forces = state
         wrench = forces * force_scale(plan, sensor)
         packed = seen.packed(top, recording)
-        fields = seen.displacement(top)
+        # From the recording's reference, which already includes creep from before the press.
+        fields = seen.readout.displacement(top)
     table = {
         "indenter": np.full(count, code(press.indenter)),
         "seen": np.full(count, press.indenter not in UNSEEN),

@@ -16,7 +16,7 @@ from scipy.special import gammainc
 from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCount, SensorPlan
 from recorder.command_line.options import next_command
 from recorder.markers import count_markers, unpack
-from recorder.processes import Workers, environment
+from recorder.processes import Workers, environment, several
 from sim.dataset.generate import LATTICE, Packed, Reader, make_unit, reader
 from sim.dataset.plan import (
     DatasetPlan,
@@ -33,7 +33,7 @@ from sim.device import ready_device
 from sim.errors import SceneError
 from sim.markers import named as pattern_named
 from sim.result import to_json
-from sim.sensors import CameraSignal, SimulatedSensor
+from sim.sensors import CameraReadout, CameraSignal, SimulatedSensor
 from sim.tiers import FEWER
 
 # Archives: created from a plan, or reopened with the plan stored in them.
@@ -139,30 +139,29 @@ def _sensor_plans(plan: DatasetPlan, family: Family, device: str) -> Iterator[Se
     rows = family.recordings * family.rows_each
     for each in family.sensors:
         seen = reader(each, plan.seed, device, len(indenter_names(plan)))
-        references = seen.references()
+        references, imaged = seen.references(), isinstance(seen.readout, CameraReadout)
         owner = names(each)[0]
         for index, name in enumerate(names(each)):
-            own = seen.keeps_fields and index == 0
+            own = imaged and index == 0
             yield SensorPlan(
                 name=name,
                 rows=rows,
                 chunk_rows=family.rows_each,
                 unit_rows=family.rows_each * family.unit_presses,
                 references=references[index],
-                mm_per_px=seen.mm_per_px,
+                mm_per_px=seen.readout.mm_per_px,
                 lattice=LATTICE if own else None,
-                displacement_of=owner if seen.keeps_fields and not own else None,
+                displacement_of=owner if imaged and not own else None,
                 marker_count=_marker_count(each, references[index]),
                 attrs=_sensor_attrs(each, seen, index),
             )
 
 
 def _sensor_attrs(each: SimulatedSensor, seen: Reader, index: int) -> dict[str, Any]:
-    signal = each.signal
     attrs: dict[str, Any] = {"sensor": each.name, "description": each.description}
-    if isinstance(signal, CameraSignal):
-        attrs["pattern"] = signal.patterns[index]
-        attrs["camera"] = to_json(seen.camera)
+    if isinstance(seen.readout, CameraReadout):
+        attrs["pattern"] = seen.readout.patterns[index]
+        attrs["camera"] = to_json(seen.readout.camera)
     if each.trajectory is not None:
         attrs["targets"] = len(each.trajectory)
     return attrs
@@ -251,10 +250,9 @@ def make_here(
     Raises:
         SceneError, OSError, WorkerLost: As `make_unit`.
     """
-    several = Workers(processes, ready_device, device, fewer=FEWER) if processes > 1 else None
-    with several or contextlib.nullcontext():
+    with several(processes, ready_device, device, fewer=FEWER) as workers:
         for unit in units:
-            yield unit, make_unit(opened.path, opened.plan, unit, device, inside, several)
+            yield unit, make_unit(opened.path, opened.plan, unit, device, inside, workers)
 
 
 def make_in_processes(

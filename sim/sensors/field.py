@@ -94,10 +94,15 @@ class SurfaceField:
             axes.append(np.linspace(axis[0], axis[-1], count))
         return self.resampled(*axes)
 
-    def shifted(self, x: float, y: float) -> SurfaceField:
-        """Return the field with an additional displacement (x, y) [m] of the whole top."""
-        shift = np.array([x, y, 0.0], np.float32)
-        return replace(self, displacement=self.displacement + shift)
+    def crept(self, offset: Array) -> SurfaceField:
+        """Return the field of a skin that crept by `offset` (2,) [m] before the indenter pressed.
+
+        The indenter does not move with it: u(X) becomes offset + u(X + offset).
+        """
+        if not offset.any():
+            return self
+        shift = np.array([*offset, 0.0], np.float32)
+        return SurfaceField(self.x - offset[0], self.y - offset[1], self.displacement + shift)
 
     def turned(self, angle: float) -> SurfaceField:
         """Return the field in a frame rotated by `angle` about z [rad], on an even grid.

@@ -17,6 +17,8 @@ from sim.sensors.variation import Placement, Segmenter, generator
 
 Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
+# Distance between taxels in the image of discs [columns] (`recorder.markers.draw_discs`).
+TAXEL_PITCH_PX = 128
 # Least coverage at which a pixel counts as marker, of 255.
 COVERED = 128
 
@@ -25,7 +27,6 @@ def readout(
     sensor: SimulatedSensor,
     *,
     seed: int | None = None,
-    session: tuple[str | int, ...] = (),
     device: str = "cpu",
 ) -> CameraReadout | TaxelReadout:
     """Return the readout of a sensor.
@@ -33,12 +34,11 @@ def readout(
     Args:
         sensor: The sensor.
         seed: Seed of its noise and of the variations in its `variation`; None disables both.
-        session: Names that distinguish its frames from other sessions, such as the indenter.
         device: Device that renders the images, `cpu` or `cuda:0` and the like.
     """
     if isinstance(sensor.signal, TaxelSignal):
-        return TaxelReadout(sensor, sensor.signal, seed, session)
-    return CameraReadout(sensor, sensor.signal, seed, session, device)
+        return TaxelReadout(sensor, sensor.signal, seed)
+    return CameraReadout(sensor, sensor.signal, seed, device)
 
 
 class TaxelReadout:
@@ -46,16 +46,12 @@ class TaxelReadout:
 
     patterns = ("taxels",)
 
-    def __init__(
-        self,
-        sensor: SimulatedSensor,
-        signal: TaxelSignal,
-        seed: int | None,
-        session: tuple[str | int, ...],
-    ) -> None:
+    def __init__(self, sensor: SimulatedSensor, signal: TaxelSignal, seed: int | None) -> None:
         self._pad = TaxelPad(sensor.body, signal)
+        self.mm_per_px = signal.pitch * 1e3 / TAXEL_PITCH_PX
+        """Size of a pixel [mm], along columns."""
         self._placement = _placement(sensor, seed)
-        self._seed, self._names = seed, (sensor.name, *session)
+        self._seed, self._name = seed, sensor.name
 
     def counts(self, top: SurfaceField, first: int = 0) -> Counts:
         """Return counts (F, 16, 3) minus those of the pad without contact."""
@@ -69,12 +65,19 @@ class TaxelReadout:
         """Return images of discs (F, 1, 480, 640)."""
         return draw_discs(self.counts(top, first))[:, None]
 
+    def packed(self, top: SurfaceField, first: int = 0) -> NDArray[np.uint8]:
+        """Return the same images as packed bits (F, 1, 38400)."""
+        return pack(self.masks(top, first))
+
+    def displacement(self, top: SurfaceField) -> None:
+        """Return None: discs are no points of the skin."""
+
     def _noise(self, frames: int, first: int) -> Array | None:
         if self._seed is None:
             return None
         return np.stack(
             [
-                generator(self._seed, "taxels", *self._names, first + frame).normal(size=(16, 3))
+                generator(self._seed, "taxels", self._name, first + frame).normal(size=(16, 3))
                 for frame in range(frames)
             ]
         )
@@ -84,15 +87,13 @@ class CameraReadout:
     """Readout of a camera below the gel: marker masks and their displacement."""
 
     def __init__(
-        self,
-        sensor: SimulatedSensor,
-        signal: CameraSignal,
-        seed: int | None,
-        session: tuple[str | int, ...],
-        device: str,
+        self, sensor: SimulatedSensor, signal: CameraSignal, seed: int | None, device: str
     ) -> None:
         self._signal, self._placement = signal, _placement(sensor, seed)
         self.camera = _framed(sensor, signal, seed)
+        """The camera as mounted."""
+        self.mm_per_px = signal.camera().mm_per_px
+        """Size of a pixel on the undeformed top [mm]."""
         self._patterns = signal.drawn()
         self.patterns = signal.patterns
         self._renderer = Renderer(sensor.body, self.camera, device=device)
@@ -101,7 +102,7 @@ class CameraReadout:
         self._segmenters = (
             []
             if errors is None or seed is None
-            else [Segmenter(errors, seed, sensor.name, name, *session) for name in self.patterns]
+            else [Segmenter(errors, seed, sensor.name, name) for name in self.patterns]
         )
 
     def seen(self, top: SurfaceField) -> SurfaceField:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.processes import Workers
+from recorder.processes import several
 from recorder.progress import part_of, span_of
 from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
-from sim.indenters import Indenter
 from sim.result import ContactTier
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import Posterior, interval_of, is_log
@@ -143,7 +141,6 @@ def fitted(
     design: SimulatedSensor,
     *,
     grid: int = 96,
-    indenters: Mapping[str, Indenter] | None = None,
     tier: ContactTier = "layer",
     device: str = "cpu",
     processes: int = 1,
@@ -155,7 +152,6 @@ def fitted(
         tracks: Tracks of one sensor, by one or more indenters.
         design: Row from which the fit begins; its body gives the prior's centre.
         grid: Pixels along the body's longer side.
-        indenters: Indenters by name, in place of those of `sim.indenters`.
         tier: `layer` takes strains as small; `fem` corrects its forces, in minutes.
         device: Device of tier `fem`.
         processes: Number of processes that solve; the result is the same.
@@ -179,9 +175,9 @@ def fitted(
                 f"{track.name}: the tip never stands still in contact; allowed: presses with holds "
                 "(hold_ms in the bench file)"
             )
-    with Workers(processes) if processes > 1 else nullcontext() as workers:
+    with several(processes) as workers:
         model, rougher = (
-            Model(design, tracks, grid=pixels, indenters=indenters, workers=workers)
+            Model(design, tracks, grid=pixels, workers=workers)
             for pixels in (grid, round(COARSER * grid))
         )
         correct = functools.partial(_correct, model, rougher, device) if tier == "fem" else None

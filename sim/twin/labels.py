@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.archive import ArchivedSensor, press_rows
-from recorder.processes import Workers
+from recorder.processes import results, several
 from recorder.progress import span_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
@@ -194,14 +193,9 @@ def simulated_forces(
     if device != "cpu" and tier_of(twin) == "fem":
         true = [*by_fem_at_once(twin, presses, device, span_of(progress, 0.0, BY_FEM))]
         progress = span_of(progress, BY_FEM, 1 - BY_FEM)
-    workers = Workers(processes) if processes > 1 else None
     due = [(sensors, press, grid, known) for press, known in zip(presses, true, strict=True)]
-    with workers or nullcontext():
-        if workers is None:
-            solved = (_tried(*each) for each in due)
-        else:
-            futures = [workers.submit(_tried, *each) for each in due]
-            solved = (each.result() for each in futures)
+    with several(processes) as workers:
+        solved = results(workers, _tried, due)
         for done, (press, each) in enumerate(zip(presses, solved, strict=True), 1):
             progress(done / len(presses))
             if isinstance(each, str):

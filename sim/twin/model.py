@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.processes import Workers
+from recorder.processes import Workers, results
 from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem import FOR_EDGES, Fem
 from sim.fem.numerics import further_settings
@@ -201,7 +201,6 @@ class Model:
         design: Sensor whose quantities are unknown; it must have friction and viscosity.
         tracks: The tracks.
         grid: Pixels along the body's longer side.
-        indenters: Indenters by name, in place of those of `sim.indenters`.
         workers: Processes that solve, each a track; None: this one.
     """
 
@@ -211,13 +210,11 @@ class Model:
         tracks: Sequence[Track],
         *,
         grid: int = 96,
-        indenters: Mapping[str, Indenter] | None = None,
         workers: Workers | None = None,
     ) -> None:
         self._design = replace(design, trajectory=None, force_depth=None)
         self._tracks = tracks
         self._grid = grid
-        self._indenters = indenters or {track.indenter: named(track.indenter) for track in tracks}
         self._workers = workers
         self._solved: dict[Key, list[Solved]] = {}
         self._corrections: list[Correction] = []
@@ -234,12 +231,8 @@ class Model:
         Raises:
             SimulationDiverged: A track has no solution.
         """
-        candidates = [self._candidate(values, track) for track in self._tracks]
-        if self._workers is None:
-            forces = [one.by_fem(finer, device) for one in candidates]
-        else:
-            waiting = [self._workers.submit(one.by_fem, finer, device) for one in candidates]
-            forces = [one.result() for one in waiting]
+        due = [(self._candidate(values, track), finer, device) for track in self._tracks]
+        forces = list(results(self._workers, Candidate.by_fem, due))
         self._corrections = []
         self._corrections = [
             Correction.of(force, layer.force, values["modulus"])
@@ -343,21 +336,14 @@ class Model:
 
     def prepare(self, candidates: Sequence[Mapping[str, float]]) -> None:
         """Solve candidates that are not solved yet, all tracks of all of them side by side."""
-        keys = {_key(values): values for values in candidates}
-        new = {
-            key: [self._candidate(values, track) for track in self._tracks]
-            for key, values in keys.items()
-            if key not in self._solved
-        }
-        if self._workers is None:
-            self._solved |= {key: [one.solved() for one in each] for key, each in new.items()}
-            return
-        submit = self._workers.submit
-        waiting = {key: [submit(one.solved) for one in each] for key, each in new.items()}
-        self._solved |= {key: [one.result() for one in each] for key, each in waiting.items()}
+        new = {_key(values): values for values in candidates if _key(values) not in self._solved}
+        due = [(self._candidate(each, track),) for each in new.values() for track in self._tracks]
+        solved, count = list(results(self._workers, Candidate.solved, due)), len(self._tracks)
+        for number, key in enumerate(new):
+            self._solved[key] = solved[count * number : count * (number + 1)]
 
     def _candidate(self, values: Mapping[str, float], track: Track) -> Candidate:
-        indenter = self._indenters[track.indenter]
+        indenter = named(track.indenter)
         return Candidate(self._sensor(values), indenter, track, values, self._grid)
 
     def surfaces(

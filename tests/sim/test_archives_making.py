@@ -26,7 +26,7 @@ from recorder.archive import ArchivedSensor, location_pairs
 from sim import Fem, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate
 from sim.dataset import DatasetPlan, Solving, begin, families, found, gel
 from sim.dataset import plan as solving
-from sim.dataset.generate import crept, reader
+from sim.dataset.generate import reader
 from sim.dataset.summary import summary
 from sim.errors import PassesThrough
 from sim.indenters import named
@@ -177,7 +177,7 @@ def test_a_skin_that_crept_lies_elsewhere_under_an_indenter_that_stays() -> None
     bell = np.exp(-(x[:, None] ** 2 + x**2) / (3e-3) ** 2)
     dent = np.stack([0 * bell, 0 * bell, -1e-3 * bell], axis=-1)[None].astype(np.float32)
     offset = np.array([0.25e-3, -0.5e-3])
-    top = crept(SurfaceField(x, x, dent), offset)
+    top = SurfaceField(x, x, dent).crept(offset)
     places = np.array([[1e-3, 0.5e-3], [-2e-3, 1e-3]])
     found_ = top.at(places)[0]
     here = np.exp(-((places + offset) ** 2).sum(axis=1) / (3e-3) ** 2)

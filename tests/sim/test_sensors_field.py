@@ -71,7 +71,7 @@ def test_a_turn_of_nothing_is_the_field_itself() -> None:
 
 def test_a_shift_moves_the_whole_top() -> None:
     field = field_of(bump)
-    change = field.shifted(3e-6, -2e-6).displacement - field.displacement
+    change = field.crept(np.array([3e-6, -2e-6])).displacement - field.displacement
     np.testing.assert_allclose(change, np.broadcast_to([3e-6, -2e-6, 0], change.shape), atol=1e-9)
 
 

@@ -128,7 +128,7 @@ def test_shear_moves_discs_the_way_the_skin_goes(sheared: tuple[Result, Result])
 
 
 def test_noise_has_the_stated_deviation_and_is_the_same_for_a_frame_each_time() -> None:
-    reader = readout(sensor("uskin"), seed=7, session=("prism",))
+    reader = readout(sensor("uskin"), seed=7)
     still = SurfaceField.undeformed(BODY)
     many = replace(still, displacement=np.repeat(still.displacement, 400, axis=0))
     counts = reader.counts(many)  # type: ignore[union-attr]

@@ -111,7 +111,7 @@ def _pressed(each: SimulatedSensor, name: str) -> Result:
 def _tiles(each: SimulatedSensor, result: Result) -> list[Tile]:
     top = SurfaceField.of(result)
     still = SurfaceField.undeformed(each.body)
-    reader = readout(each, seed=SEED, session=("prism",))
+    reader = readout(each, seed=SEED)
     masks, undeformed = reader.masks(top)[-1], reader.masks(still)[0]
     depth = -result.scene.motion.tip[-1][2] * 1e3
     text = f"{each.body.modulus / 1e3:g} kPa, {depth:g} mm deep, {-result.force[-1, 2]:.2f} N"
