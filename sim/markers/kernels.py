@@ -4,7 +4,6 @@
 
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -245,20 +244,33 @@ BITS = 8
 FLAT = 1e-12
 
 
-@wp.func
-def distance_at(
-    values: wp.array3d[float], pattern: int, corner: wp.vec2, density: float, place: wp.vec2
-):
-    """Return the signed distance to a marker's edge [m] at a material point; inf at NaN.
+@wp.struct
+class Distances:
+    """`sim.markers.Textures`: distances to markers [m], the first value's place, values per m."""
 
-    `density` is the number of values per metre.
-    """
+    values: wp.array3d[float]
+    corner: wp.vec2
+    density: float
+
+
+def distances_of(textures: Textures) -> Distances:
+    """Return the struct of textures."""
+    distances = Distances()
+    distances.values, distances.density = textures.values, 1.0 / textures.step
+    distances.corner = wp.vec2(*textures.corner)
+    return distances
+
+
+@wp.func
+def distance_at(textures: Distances, pattern: int, place: wp.vec2):
+    """Return the signed distance to a marker's edge [m] at a material point; inf at NaN."""
     if wp.isnan(place[0]):
         return wp.inf
+    values = textures.values
     last_row = values.shape[1] - 1
     last_column = values.shape[2] - 1
-    x = wp.clamp((place[0] - corner[0]) * density, 0.0, float(last_column))
-    y = wp.clamp((place[1] - corner[1]) * density, 0.0, float(last_row))
+    x = wp.clamp((place[0] - textures.corner[0]) * textures.density, 0.0, float(last_column))
+    y = wp.clamp((place[1] - textures.corner[1]) * textures.density, 0.0, float(last_row))
     column = wp.min(int(x), last_column - 1)
     row = wp.min(int(y), last_row - 1)
     right = x - float(column)
@@ -275,17 +287,15 @@ def covered(
     row: int,
     column: int,
     samples: int,
-    values: wp.array3d[float],
+    textures: Distances,
     pattern: int,
-    corner: wp.vec2,
-    density: float,
 ):
     """Return the number of a pixel's samples that a marker covers."""
     count = wp.int32(0)
     for r in range(samples):
         for c in range(samples):
             place = material[frame, row * samples + r, column * samples + c]
-            if distance_at(values, pattern, corner, density, place) <= 0.0:
+            if distance_at(textures, pattern, place) <= 0.0:
                 count += 1
     return count
 
@@ -296,10 +306,8 @@ def _mask_kernel(several: bool):
     def pack(
         # Settings:
         samples: int,
-        corner: wp.vec2,
-        density: float,
         # In:
-        values: wp.array3d[float],
+        textures: Distances,
         material: wp.array3d[wp.vec2],
         # Out: eight pixels per byte, the first in the highest bit
         packed_out: wp.array3d[wp.uint8],
@@ -310,19 +318,17 @@ def _mask_kernel(several: bool):
         bits = wp.int32(0)
         if wp.static(not several):
             middle = material[frame, row, first + BITS // 2]
-            far = distance_at(values, pattern, corner, density, middle)
+            far = distance_at(textures, pattern, middle)
             for k in range(BITS):
                 place = material[frame, row, first + k]
                 here = far
                 # The bilinear distance changes by at most sqrt 2 times the way.
                 if not 2.0 * wp.length_sq(place - middle) < far * far:
-                    here = distance_at(values, pattern, corner, density, place)
+                    here = distance_at(textures, pattern, place)
                 bits = 2 * bits + wp.where(here <= 0.0, 1, 0)
         else:
             for k in range(BITS):
-                count = covered(
-                    material, frame, row, first + k, samples, values, pattern, corner, density
-                )
+                count = covered(material, frame, row, first + k, samples, textures, pattern)
                 bits = 2 * bits + wp.where(2 * count >= samples * samples, 1, 0)
         packed_out[frame, pattern, byte] = wp.uint8(bits)
 
@@ -336,7 +342,7 @@ def packed_masks(material, samples: int, textures: Textures) -> wp.array:
     wp.launch(
         _mask_kernel(samples > 1),
         dim=shape,
-        inputs=[samples, wp.vec2(*textures.corner), 1.0 / textures.step, textures.values, material],
+        inputs=[samples, distances_of(textures), material],
         outputs=[packed],
         device=material.device,
     )
@@ -349,10 +355,8 @@ def distance_beside(
     frame: int,
     row: int,
     column: int,
-    values: wp.array3d[float],
+    textures: Distances,
     pattern: int,
-    corner: wp.vec2,
-    density: float,
     instead: float,
 ):
     """Return the distance at a pixel, or `instead` outside the image or the gel."""
@@ -361,7 +365,7 @@ def distance_beside(
     place = material[frame, row, column]
     if wp.isnan(place[0]):
         return instead
-    return distance_at(values, pattern, corner, density, place)
+    return distance_at(textures, pattern, place)
 
 
 @functools.cache
@@ -370,10 +374,8 @@ def _coverage_kernel(several: bool):
     def cover(
         # Settings:
         samples: int,
-        corner: wp.vec2,
-        density: float,
         # In:
-        values: wp.array3d[float],
+        textures: Distances,
         material: wp.array3d[wp.vec2],
         # Out: 255 for a fully covered pixel
         coverage_out: wp.array4d[wp.uint8],
@@ -381,23 +383,15 @@ def _coverage_kernel(several: bool):
         frame, pattern, row, column = wp.tid()
         fraction = wp.float32(0.0)
         if wp.static(several):
-            count = covered(material, frame, row, column, samples, values, pattern, corner, density)
+            count = covered(material, frame, row, column, samples, textures, pattern)
             fraction = float(count) / float(samples * samples)
         else:
-            here = distance_at(values, pattern, corner, density, material[frame, row, column])
+            here = distance_at(textures, pattern, material[frame, row, column])
             if wp.isfinite(here):
-                left = distance_beside(
-                    material, frame, row, column - 1, values, pattern, corner, density, here
-                )
-                right = distance_beside(
-                    material, frame, row, column + 1, values, pattern, corner, density, here
-                )
-                above = distance_beside(
-                    material, frame, row - 1, column, values, pattern, corner, density, here
-                )
-                below = distance_beside(
-                    material, frame, row + 1, column, values, pattern, corner, density, here
-                )
+                left = distance_beside(material, frame, row, column - 1, textures, pattern, here)
+                right = distance_beside(material, frame, row, column + 1, textures, pattern, here)
+                above = distance_beside(material, frame, row - 1, column, textures, pattern, here)
+                below = distance_beside(material, frame, row + 1, column, textures, pattern, here)
                 change = wp.length(wp.vec2(right - left, below - above)) * 0.5
                 fraction = wp.where(here <= 0.0, 1.0, 0.0)
                 if change > FLAT:
@@ -414,7 +408,7 @@ def coverages(material, samples: int, textures: Textures) -> wp.array:
     wp.launch(
         _coverage_kernel(samples > 1),
         dim=shape,
-        inputs=[samples, wp.vec2(*textures.corner), 1.0 / textures.step, textures.values, material],
+        inputs=[samples, distances_of(textures), material],
         outputs=[coverage],
         device=material.device,
     )
@@ -439,22 +433,34 @@ class DeviceTop:
         return cls(*(wp.array(value.astype(np.float32), device=device) for value in values))
 
 
+@wp.struct
+class PlaneTaps:
+    """`sim.markers.top.Taps` of places along x and along y."""
+
+    first_x: wp.array[int]
+    weight_x: wp.array[wp.vec4]
+    first_y: wp.array[int]
+    weight_y: wp.array[wp.vec4]
+
+
+def plane_taps(along_x: Taps, along_y: Taps, device) -> PlaneTaps:
+    """Return the taps on the device."""
+    taps = PlaneTaps()
+    for axis, values in (("x", along_x), ("y", along_y)):
+        setattr(taps, f"first_{axis}", wp.array(values.first, dtype=wp.int32, device=device))
+        setattr(taps, f"weight_{axis}", wp.array(values.weight, dtype=wp.vec4, device=device))
+    return taps
+
+
 @wp.func
-def moved_by(
-    surface: wp.array3d[wp.vec3],
-    frame: int,
-    first_x: int,
-    first_y: int,
-    weight_x: wp.vec4,
-    weight_y: wp.vec4,
-):
-    """Return the displacement at a place from the four by four values around it."""
+def moved_by(surface: wp.array3d[wp.vec3], frame: int, taps: PlaneTaps, i: int, j: int):
+    """Return the displacement at the i-th and j-th place from the four by four values around it."""
     total = wp.vec3()
     for a in range(wp.static(TAPS)):
         along = wp.vec3()
         for b in range(wp.static(TAPS)):
-            along += surface[frame, first_x + a, first_y + b] * weight_y[b]
-        total += along * weight_x[a]
+            along += surface[frame, taps.first_x[i] + a, taps.first_y[j] + b] * taps.weight_y[j][b]
+        total += along * taps.weight_x[i][a]
     return total
 
 
@@ -468,30 +474,17 @@ def _kernel():
         x: wp.array[float],
         y: wp.array[float],
         height: wp.array2d[float],
-        # Taps along x and y:
-        first_x: wp.array[int],
-        weight_x: wp.array[wp.vec4],
-        first_y: wp.array[int],
-        weight_y: wp.array[wp.vec4],
+        taps: PlaneTaps,
         # In: displacement
         surface: wp.array3d[wp.vec3],
         # Out: column, row, nearness
         vertex_out: wp.array3d[wp.vec3],
     ):
         frame, i, j = wp.tid()
-        moved = moved_by(surface, frame, first_x[i], first_y[j], weight_x[i], weight_y[j])
+        moved = moved_by(surface, frame, taps, i, j)
         vertex_out[frame, i, j] = seen(lens, wp.vec3(x[i], y[j], height[i, j]) + moved)
 
     return vertices
-
-
-def tap_arrays(axes: Sequence[Taps], device) -> list[wp.array]:
-    """Return first indices and weights of each axis in turn, on the device."""
-    return [
-        wp.array(values, dtype=kind, device=device)
-        for taps in axes
-        for values, kind in ((taps.first, wp.int32), (taps.weight, wp.vec4))
-    ]
 
 
 def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface) -> wp.array:
@@ -499,11 +492,10 @@ def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface
     device = surface.device
     shape = (surface.shape[0], len(top.x), len(top.y))
     out = wp.empty(shape, dtype=wp.vec3, device=device)
-    taps = tap_arrays((taps_x, taps_y), device)
     wp.launch(
         _kernel(),
         dim=shape,
-        inputs=[lens, top.x, top.y, top.height, *taps, surface],
+        inputs=[lens, top.x, top.y, top.height, plane_taps(taps_x, taps_y, device), surface],
         outputs=[out],
         device=device,
     )
@@ -536,17 +528,14 @@ def _displacement_kernel():
         lens: Lens,
         # Places:
         place: wp.array[wp.vec3],
-        first_x: wp.array[int],
-        weight_x: wp.array[wp.vec4],
-        first_y: wp.array[int],
-        weight_y: wp.array[wp.vec4],
+        taps: PlaneTaps,
         # In:
         surface: wp.array3d[wp.vec3],
         # Out: displacement of each place in columns and rows
         displacement_out: wp.array2d[wp.vec2],
     ):
         frame, k = wp.tid()
-        moved = moved_by(surface, frame, first_x[k], first_y[k], weight_x[k], weight_y[k])
+        moved = moved_by(surface, frame, taps, k, k)
         before = seen(lens, place[k])
         after = seen(lens, place[k] + moved)
         displacement_out[frame, k] = wp.vec2(after[0] - before[0], after[1] - before[1])
@@ -562,7 +551,7 @@ def displacements(lens: Lens, places: np.ndarray, taps_x: Taps, taps_y: Taps, su
     wp.launch(
         _displacement_kernel(),
         dim=out.shape,
-        inputs=[lens, on_device, *tap_arrays((taps_x, taps_y), device), surface],
+        inputs=[lens, on_device, plane_taps(taps_x, taps_y, device), surface],
         outputs=[out],
         device=device,
     )
