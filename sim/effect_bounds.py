@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from sim.effects import Effects, Inertia
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
 from sim.fem.newton import path_of
-from sim.fem.numerics import Fem
-from sim.layer.numerics import Layer
+from sim.layer import Layer
 from sim.metrics import Outcome, force_scale, marker_pixels, outcome_of, seen
 from sim.scene import Body, Scene
 from sim.tiers import simulate_one

@@ -19,7 +19,7 @@ import numpy as np
 from recorder.progress import part_of
 from sim.effect_bounds import Change, bounds_of, no_change
 from sim.errors import SceneError, check_kind
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.metrics import (
     Kind,
     Tolerance,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from sim.errors import SceneError, check_kind
-from sim.fem.numerics import Fem
-from sim.layer.numerics import Layer
+from sim.fem import Fem
+from sim.layer import Layer
 from sim.metrics import tolerance_of
 from sim.result import ContactTier, Result
 from sim.scene import Scene

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from recorder.progress import part_of
 from sim.error_estimate import with_estimate
 from sim.errors import SceneError, SimulationDiverged, check_kind
-from sim.fem.numerics import Fem
-from sim.layer.numerics import Layer
-from sim.mpm.numerics import Mpm
+from sim.fem import Fem
+from sim.layer import Layer
+from sim.mpm import Mpm
 from sim.result import Outcome, Result
 from sim.scene import Scene
 

@@ -37,7 +37,7 @@ from sim.error_estimate import (
     with_estimate,
 )
 from sim.errors import SceneError, SimulationDiverged
-from sim.layer.numerics import Layer
+from sim.layer import Layer
 from sim.metrics import (
     Tolerance,
     force_scale,
@@ -52,7 +52,7 @@ from sim.symmetry import vanishing_share, with_symmetry
 from sim.tiers import simulate_one
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
     from sim.fem.solver import Required
 
 Array = NDArray[np.float64]
@@ -182,7 +182,7 @@ def first_mesh(scene: Scene, wanted: Tolerance, device: str) -> Fem:
 
 def _states(scene: Scene, fraction: float) -> Fem:
     """Return numerics with the tolerance of states for an allowed relative error of the force."""
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
 
     plain = Fem()
     tolerance = float(np.clip(STATES * fraction, plain.tolerance, STATES_MOST))

@@ -24,9 +24,9 @@ from recorder.command_line.options import add_seed
 from recorder.progress import duration
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
+from sim.fem import Fem
 from sim.fem.mesh import meshes_of
 from sim.fem.newton import path_of
-from sim.fem.numerics import Fem
 from sim.fem.sizing import stages_of
 from sim.metrics import Kind, outcome_of, tolerance_of, with_unit
 from sim.needed import FINENESS, EffectsPlan, plan_many

@@ -27,7 +27,7 @@ from recorder.command_line.options import add_device, add_seed
 from recorder.progress import duration
 from recorder.store import replace_file
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.metrics import force_scale, tolerance_of
 from sim.result import Result
 from sim.scene import Scene

@@ -10,8 +10,7 @@ from typing import Any, Literal, get_args
 
 from sim.effects import Friction
 from sim.errors import PassesThrough, SceneError, SimulationDiverged, check_range
-from sim.fem import FOR_EDGES, Fem, Grading
-from sim.fem.numerics import further_settings
+from sim.fem import FOR_EDGES, Fem, Grading, further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
@@ -80,7 +79,7 @@ class Solving:
     cells: int = 5
     """Elements over the thickness, without a spacing: 0.8 mm in the paper's gel."""
     for_edges: bool = True
-    """True if elements are narrower around the indenter (`sim.fem.numerics.FOR_EDGES`)."""
+    """True if elements are narrower around the indenter (`sim.fem.FOR_EDGES`)."""
     one_topology: bool = False
     """True if all meshes of one call have the same topology, for one launch on a GPU."""
     tolerance: str | None = None

@@ -9,39 +9,53 @@ arithmetic does not depend on the units or stiffness of a scene.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fem.contact import POINTS, STICK, contact_kernels, face_rule
-from sim.fem.crossing import MAY_CROSS, Crossing
-from sim.fem.element import GAUSS_POINTS, Branches, element_kernels
-from sim.fem.graphs import Graphs
-from sim.fem.lanes import AT_ONCE, forces_kernel
-from sim.fem.matrix import HALF_POISSON, BlockMatrix
-from sim.fem.mesh import Mesh
-from sim.fem.multigrid import Multigrid
-from sim.fem.numerics import Fem
-from sim.fem.overlap import COLUMNS, overlap_kernel
-from sim.fem.reading import COLUMNS as READ_COLUMNS
-from sim.fem.reading import READ, TOP, reading_kernels
-from sim.fem.vectors import (
-    LANES,
-    RUN,
-    SUMS,
+from sim.fem import Fem
+from sim.fem.arrays import (
+    Graphs,
+    array_of,
     axpy,
     blend,
+    contact_struct,
     copy_active,
     extrapolate,
     fill,
+    material_struct,
+    mesh_on,
+)
+from sim.fem.balance import (
+    LANES,
+    READ,
+    READ_COLUMNS,
+    RUN,
+    SUMS,
+    TOP,
+    TOTALS,
     push_kernel,
+    reading_kernels,
     reduce_kernel,
     residual_kernel,
     work_kernel,
 )
-from sim.fem.volume import VolumePressure, split_factor
+from sim.fem.contact import (
+    MAY_CROSS,
+    OVERLAPS,
+    POINTS,
+    STICK,
+    Crossing,
+    contact_kernels,
+    face_rule,
+    overlap_kernel,
+)
+from sim.fem.element import Branches, VolumePressure, element_kernels, split_factor
+from sim.fem.lanes import AT_ONCE, forces_kernel
+from sim.fem.matrix import HALF_POISSON, BlockMatrix
+from sim.fem.mesh import Mesh
+from sim.fem.multigrid import Multigrid
 from sim.indenters.device import PartTable
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
@@ -64,47 +78,6 @@ FEW = 16
 # Masks of environments that are kept on the device.
 MASKS = 8
 
-# Sums over a state, for each environment of a batch.
-
-
-@dataclass(frozen=True, slots=True)
-class Sums:
-    """Columns that `residual_kernel` writes, by name; forces in E T^2."""
-
-    totals: Array
-    """All columns (B, `SUMS`)."""
-
-    @property
-    def square(self) -> Array:
-        """Square of the out-of-balance forces (B,)."""
-        return self.totals[:, 0]
-
-    @property
-    def applied(self) -> Array:
-        """Square of the nodal forces of contact and weight (B,)."""
-        return self.totals[:, 1]
-
-    @property
-    def slope(self) -> Array:
-        """-(out-of-balance force) . direction (B,)."""
-        return self.totals[:, 2]
-
-    @property
-    def det(self) -> Array:
-        """Smallest determinant of the deformation gradient (B,)."""
-        return self.totals[:, 3]
-
-    @property
-    def contact(self) -> Array:
-        """Force of the indenter on the body (B, 3)."""
-        return self.totals[:, 4:7]
-
-    @property
-    def base(self) -> Array:
-        """Force of the base on the body (B, 3)."""
-        return self.totals[:, 7:10]
-
-
 # State of a batch: positions, and the history of the effects that are on.
 #
 # An effect that is off has arrays of length zero: no memory, no work.
@@ -117,9 +90,11 @@ class SolverState:
         real, device, mesh = assembly.real, assembly.device, assembly.mesh
         vec3, mat33 = vector_of(real), matrix_of(real)
         count, nodes, elements = len(scenes), len(mesh.nodes), len(mesh.elements)
-        points = (count, len(mesh.faces), assembly.points)
+        faces = count, len(mesh.faces)
+        points = (*faces, assembly.points)
         on = set(assembly.effects)
         none2, none3 = (0, 0), (0, 0, 0)
+        rubbing = points if "friction" in on else none3
         self._real, self._device, self._effects = real, device, on
 
         def zeros(shape, dtype):
@@ -128,59 +103,58 @@ class SolverState:
         self._masks: dict[bytes, wp.array] = {}
         self.everyone = wp.ones(count, dtype=wp.int32, device=device)
         """Mask with every environment."""
-        self.tip = zeros(count, vec3)
-        """Tip of the indenter (B,)."""
-        self.tip_old = zeros(count, vec3)
-        """Tip at the last accepted step (B,)."""
         self.tip_before = np.zeros((count, 3))
         """Tip at the last accepted step (B, 3), on the host."""
         self._tip_after = np.zeros((count, 3))
         self._tip_now = np.zeros((count, 3))
         self.u = zeros((count, nodes), vec3)
         """Displacement of the nodes (B, N)."""
-        self.u_old = zeros((count, nodes), vec3)
-        """Displacement at the last accepted step."""
         self._u_before = zeros((count, nodes), vec3)
-        self.pressure = zeros(points, real)
-        """Contact pressure (B, S, P)."""
-        self.multiplier = zeros(points, real)
-        """Multiplier: the part of the pressure that needs no penetration (B, S, P)."""
-        self._multiplier_old = zeros(points, real)
-        self.normal = zeros(points, vec3)
-        """Unit normal out of the indenter where there is contact (B, S, P)."""
-
-        rubbing = points if "friction" in on else none3
-        self.push = zeros(points, vec3)
-        """Pressure as a vector at the last accepted step (B, S, P); updated by `Assembly.work`."""
-
-        self.traction = zeros(rubbing, vec3)
-        """Shear traction on the body (B, S, P); of length zero without friction."""
-        self.traction_old = zeros(rubbing, vec3)
-        """Shear traction at the last accepted step."""
-        self.limit = zeros(rubbing, real)
-        """Pressure that limits friction (B, S, P)."""
-        self._limit_relaxed = zeros(rubbing, real)
+        contact = self.contact = contact_struct(real)()
+        """Contact on the device."""
+        contact.penalty, contact.stick = real(assembly.numerics.penalty), real(STICK)
         frictions = [scene.effects.friction for scene in scenes]
-        self._coefficient = self._array(
-            [getattr(friction, "coefficient", 0.0) for friction in frictions], real
-        )
+        self.coefficients = [getattr(friction, "coefficient", 0.0) for friction in frictions]
+        """Coefficients of friction (B,)."""
+        contact.coefficient = self._array(self.coefficients, real)
+        for shape, dtype, names in (
+            (count, wp.int32, ("convex",)),
+            (count, vec3, ("tip", "tip_old")),
+            ((count, nodes), vec3, ("u_old",)),
+            (points, real, ("multiplier", "pressure")),
+            (points, vec3, ("normal", "push")),
+            (points, mat33, ("matrix",)),
+            (rubbing, real, ("limit",)),
+            (rubbing, vec3, ("traction", "traction_old")),
+            (faces, wp.int32, ("touched",)),
+            (faces, real, ("energy",)),
+            ((*faces, 4), vec3, ("force",)),
+        ):
+            for name in names:
+                setattr(contact, name, zeros(shape, dtype))
+        self._multiplier_old = zeros(points, real)
+        self._limit_relaxed = zeros(rubbing, real)
 
         self._branches = Branches(real, scenes, elements, device) if "viscosity" in on else None
         self.volume = None
         """Split pressure of nearly incompressible bodies, if any."""
-        bulk = self._branches.bulk_history if self._branches else None
+        prony = self._branches.arrays if self._branches else None
+        bulk = prony.bulk_history if prony else zeros(none2, real)
         if assembly.split:
             poisson = np.array([scene.body.poisson for scene in scenes])
-            self.volume = VolumePressure(real, poisson, elements, device, bulk)
+            self.volume = VolumePressure(real, poisson, elements, device, bulk if prony else None)
             bulk = self.volume.kept
         self._bulk_growth = np.ones(count)
-        self.viscous = (
-            wp.ones(count, dtype=real, device=device),
-            self._array(self.volume.fraction if self.volume else np.ones(count), real),
-            self._branches.history if self._branches else zeros(none3, mat33),
-            zeros(none2, real) if bulk is None else bulk,
-        )
-        """Factors on stress and pressure (B,), and their histories: inputs of element kernels."""
+        bodies = [scene.body for scene in scenes]
+        material = self.material = material_struct(real)()
+        """Material on the device."""
+        material.shear = self._array([body.shear_modulus / body.modulus for body in bodies], real)
+        material.bulk = self._array([body.bulk_modulus / body.modulus for body in bodies], real)
+        material.factor = wp.ones(count, dtype=real, device=device)
+        fraction = self.volume.fraction if self.volume else np.ones(count)
+        material.bulk_factor = self._array(fraction, real)
+        material.history = prony.history if prony else zeros(none3, mat33)
+        material.bulk_history = bulk
 
         moving = (count, nodes) if "inertia" in on else none2
         self.rates = np.zeros(count)
@@ -190,7 +164,6 @@ class SolverState:
         self._duration_old = np.ones(count)
         self.inertia_rate = zeros(count if "inertia" in on else 0, real)
         """Mass of a unit volume over step squared (B,)."""
-        bodies = [scene.body for scene in scenes]
         self._mass = np.array(
             [
                 getattr(scene.effects.inertia, "scale", 0.0)
@@ -200,34 +173,22 @@ class SolverState:
                 for scene, body in zip(scenes, bodies, strict=True)
             ]
         )
-        whole = (
-            [
-                np.array(scene.effects.gravity.acceleration)
-                * (body.density * body.thickness / body.modulus)
-                for scene, body in zip(scenes, bodies, strict=True)
-            ]
-            if "gravity" in on
-            else np.zeros((0, 3))
-        )
-        self._weight = np.array(whole)
-        self.weight = self._array(whole, vec3)
+        self._weight = np.zeros((0, 3))
+        if "gravity" in on:
+            self._weight = np.array(
+                [
+                    np.array(scene.effects.gravity.acceleration)
+                    * (body.density * body.thickness / body.modulus)
+                    for scene, body in zip(scenes, bodies, strict=True)
+                ]
+            )
+        self.weight = self._array(self._weight, vec3)
         """Weight of a unit volume (B,); of length zero without gravity."""
-
-    def friction(self, stick) -> tuple:
-        """Return the friction arguments of the contact kernel."""
-        return (
-            self._coefficient,
-            stick,
-            self.tip_old,
-            self.u_old,
-            self.traction_old,
-            self.limit,
-        )
 
     def start(self, tip: np.ndarray) -> None:
         """Put the tips at their positions before the first step (B, 3)."""
         self.tip_before[:] = self._tip_after[:] = tip
-        self._put(self.tip_old, tip)
+        self._put(self.contact.tip_old, tip)
         self.set_tip(np.ones(len(tip), bool))
 
     def history(self, chosen: Sequence[int]) -> dict[str, np.ndarray]:
@@ -245,8 +206,8 @@ class SolverState:
         for name, (array, axis) in self._history().items():
             found = history[name][: len(array)] if axis else history[name]  # of fewer branches
             array.assign(found.astype(numpy_of(self._real)))
-        copy_active(self.everyone, self.u_old, self.u)
-        copy_active(self.everyone, self._multiplier_old, self.multiplier)
+        copy_active(self.everyone, self.contact.u_old, self.u)
+        copy_active(self.everyone, self._multiplier_old, self.contact.multiplier)
         if self.volume is not None:
             self.volume.roll_back(self.everyone)
         self._duration_old[:] = history["duration"]
@@ -255,11 +216,11 @@ class SolverState:
     def _history(self) -> dict:
         """Return the arrays of the last accepted state, and their axis of environments."""
         named = {
-            "u": self.u_old,
+            "u": self.contact.u_old,
             "u_before": self._u_before,
             "multiplier": self._multiplier_old,
-            "push": self.push,
-            "traction": self.traction_old,
+            "push": self.contact.push,
+            "traction": self.contact.traction_old,
         }
         if self._branches is not None:
             named |= self._branches.state
@@ -285,7 +246,7 @@ class SolverState:
         self._tip_after[chosen] = tip[chosen]
         active = self.mask(chosen)
         fraction = self._array(guess, self._real)
-        extrapolate(active, fraction, self.u_old, self._u_before, self.u)
+        extrapolate(active, fraction, self.contact.u_old, self._u_before, self.u)
         self._remember(active, duration)
         self._foresee(active, duration)
 
@@ -293,7 +254,7 @@ class SolverState:
         """Set the material's history, `duration` (B,) [s] after the last step."""
         if self._branches is not None:
             stress, self._bulk_growth = self._branches.begin(active, duration)
-            self._put(self.viscous[0], stress)
+            self._put(self.material.factor, stress)
         self.follow_volume(active)
 
     def follow_volume(self, active) -> None:
@@ -303,7 +264,7 @@ class SolverState:
             factor = factor * self.volume.fraction
             self.volume.compose(active)
         if self.volume is not None or self._branches is not None:
-            self._put(self.viscous[1], factor)
+            self._put(self.material.bulk_factor, factor)
 
     def _foresee(self, active, duration: np.ndarray) -> None:
         """Predict the motion of mass without forces in the step of `duration` (B,) [s]."""
@@ -312,7 +273,7 @@ class SolverState:
             self.rates = self._mass / step**2
             self._put(self.inertia_rate, self.rates)
             fraction = self._array(step / self._duration_old, self._real)
-            extrapolate(active, fraction, self.u_old, self._u_before, self.predicted)
+            extrapolate(active, fraction, self.contact.u_old, self._u_before, self.predicted)
 
     def put_within(self, chosen: np.ndarray, fraction: float, duration: np.ndarray, way) -> None:
         """Set history and predicted motion of the chosen (B,) for a fraction of their step.
@@ -336,14 +297,14 @@ class SolverState:
     def put_tip_away(self, chosen: np.ndarray) -> None:
         """Move the tips of the chosen environments (B,) to where they touch nothing."""
         self._tip_now[chosen] = AWAY
-        self._put(self.tip, self._tip_now)
+        self._put(self.contact.tip, self._tip_now)
 
     def set_tip(self, chosen: np.ndarray, *, before: bool = False) -> None:
         """Put the tips of the chosen environments (B,) at the end of their step, or its start."""
         if not chosen.any():
             return
         self._tip_now[chosen] = (self.tip_before if before else self._tip_after)[chosen]
-        self._put(self.tip, self._tip_now)
+        self._put(self.contact.tip, self._tip_now)
 
     @property
     def step(self) -> np.ndarray:
@@ -352,43 +313,43 @@ class SolverState:
 
     def travel(self, chosen: np.ndarray):
         """Return `step` on the device (B,); 0 for environments that are not chosen."""
-        return self._array(np.where(chosen[:, None], self.step, 0.0), self.tip.dtype)
+        return self._array(np.where(chosen[:, None], self.step, 0.0), self.contact.tip.dtype)
 
     def update_multiplier(self, active) -> None:
         """Set the multiplier to the current pressure."""
-        copy_active(active, self.pressure, self.multiplier)
+        copy_active(active, self.contact.pressure, self.contact.multiplier)
 
     def rollback_step(self, active) -> None:
         """Roll back the changes of the step; `begin_step` resets the rest."""
-        copy_active(active, self._multiplier_old, self.multiplier)
+        copy_active(active, self._multiplier_old, self.contact.multiplier)
         if self.volume is not None:
             self.volume.roll_back(active)
 
     def settle_limit(self, active) -> None:
         """Set the limit of friction to the pressure of the last evaluated state."""
-        copy_active(active, self.pressure, self.limit)
+        copy_active(active, self.contact.pressure, self.contact.limit)
 
     def relax_limit(self, active, fraction: float) -> None:
         """Move the limit of friction by `fraction` of the way from its last relaxed value."""
-        blend(active, fraction, self.pressure, self._limit_relaxed)
-        copy_active(active, self._limit_relaxed, self.limit)
+        blend(active, fraction, self.contact.pressure, self._limit_relaxed)
+        copy_active(active, self._limit_relaxed, self.contact.limit)
 
-    def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh, material) -> None:
+    def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step."""
         active = self.mask(chosen)
         if self._branches is not None:
-            self._branches.keep(mesh, material, active, self.u)
+            self._branches.keep(mesh, self.material, active, self.u)
         self._duration_old[chosen] = np.maximum(duration, 1e-12)[chosen]
-        copy_active(active, self.u_old, self._u_before)
-        copy_active(active, self.u, self.u_old)
-        copy_active(active, self.pressure, self.multiplier)
-        copy_active(active, self.pressure, self._multiplier_old)
+        copy_active(active, self.contact.u_old, self._u_before)
+        copy_active(active, self.u, self.contact.u_old)
+        copy_active(active, self.contact.pressure, self.contact.multiplier)
+        copy_active(active, self.contact.pressure, self._multiplier_old)
         if self.volume is not None:
             self.volume.accept(active)
         if "friction" in self._effects:
-            copy_active(active, self.traction, self.traction_old)
+            copy_active(active, self.contact.traction, self.contact.traction_old)
         self.tip_before[chosen] = self._tip_after[chosen]
-        self._put(self.tip_old, self.tip_before)
+        self._put(self.contact.tip_old, self.tip_before)
 
     def mask(self, chosen: np.ndarray):
         """Return the chosen environments (B,) as a mask for the kernels, which do not change it.
@@ -408,19 +369,7 @@ class SolverState:
         array.assign(np.ascontiguousarray(values, dtype=numpy_of(self._real)))
 
     def _array(self, values, dtype):
-        scalar = numpy_of(self._real)
-        return wp.array(
-            np.ascontiguousarray(np.asarray(values, dtype=scalar)), dtype=dtype, device=self._device
-        )
-
-
-def _inverses(meshes: Sequence[Mesh]) -> list[np.ndarray]:
-    """Return inverse Jacobians of each mesh (E, 8, 3, 3); (E, 1, 3, 3) if all elements are boxes.
-
-    Those of boxes are equal at all Gauss points, and their mesh repeats them without a copy.
-    """
-    boxes = all(mesh.inverse.strides[1] == 0 for mesh in meshes)
-    return [mesh.inverse[:, :1] if boxes else mesh.inverse for mesh in meshes]
+        return array_of(values, dtype, self._real, self._device)
 
 
 def is_split(scenes: Sequence[Scene]) -> bool:
@@ -454,13 +403,11 @@ class Assembly:
         """Least force by which residuals are divided (B,) [E T^2]."""
         self.effects = scenes[0].effects.key
         self.environments = len(scenes)
-        vec3, mat33 = vector_of(real), matrix_of(real)
-        shape, rule = face_rule(POINTS)
-        self.points = len(rule)
-
-        poisson = np.array([scene.body.poisson for scene in scenes])
+        vec3 = vector_of(real)
+        rule = face_rule(POINTS)
+        self.points = len(rule[1])
         self.split = is_split(scenes)
-        """True if the pressure of the elements is split (`sim.fem.volume`)."""
+        """True if the pressure of the elements is split (`sim.fem.element.VolumePressure`)."""
         on_gpu = wp.get_device(device).is_cuda
         kernel = element_kernels if on_gpu else forces_kernel
         self._element = kernel(real, "viscosity" in self.effects, self.split)
@@ -471,34 +418,21 @@ class Assembly:
         self._residual = residual_kernel(real, *on[1:], lanes=self._lanes)
         self._reduce = reduce_kernel(lanes=self._lanes)
 
-        self._elements = self._array(mesh.elements, wp.int32)
-        self._variant = self._array([places[id(each)] for each in meshes], wp.int32)
-        self._inverse = self._array(_inverses(variants), mat33)
-        self._weight = self._array([each.weight for each in variants], real)
-        self._faces = self._array(mesh.faces, wp.int32)
-        self._face_area = self._array([each.face_area for each in variants], real)
-        self.shape = self._array(shape, real)
-        self.rule = self._array(rule, real)
-        self._nodes = self._array([each.nodes for each in variants], vec3)
-        self._node_elements = self._array(mesh.node_elements, wp.int32)
-        self._node_faces = self._array(mesh.node_faces, wp.int32)
-        self._free = self._array(mesh.free, wp.int32)
-        self._node_mass = self._array([each.node_volume for each in variants], real)
-
-        bodies = [scene.body for scene in scenes]
-        self._shear = self._array([body.shear_modulus / body.modulus for body in bodies], real)
-        self._bulk = self._array([body.bulk_modulus / body.modulus for body in bodies], real)
-        unit = bodies[0].thickness
+        variant = [places[id(each)] for each in meshes]
+        self._mesh = mesh_on(device, variants, variant, rule, real)
+        self._precise = self._mesh
+        if real != wp.float64:
+            self._precise = mesh_on(device, variants, variant, rule, wp.float64, elements=False)
         table = PartTable.pack(
-            [scene.indenter for scene in scenes], unit=unit, real=real, device=device
+            [scene.indenter for scene in scenes],
+            unit=scenes[0].body.thickness,
+            real=real,
+            device=device,
         )
         self._table = table.struct
         self._contact = contact_kernels(real, "friction" in self.effects, table.traits)
         self._overlap = overlap_kernel(real, table.traits)
         self._work = work_kernel(real, "friction" in self.effects)
-        self._penalty = real(numerics.penalty)
-        self._stick = real(STICK)
-        self._convex = wp.zeros(len(scenes), dtype=wp.int32, device=device)
 
         environments, count = self.environments, len(mesh.nodes)
         elements, faces = len(mesh.elements), len(mesh.faces)
@@ -509,26 +443,22 @@ class Assembly:
         self.element_energy = wp.zeros((environments, elements), dtype=real, device=device)
         # Elements outside a round body keep this value.
         self._element_det = wp.ones((environments, elements), dtype=real, device=device)
-        self.face_force = wp.zeros((environments, faces, 4), dtype=vec3, device=device)
-        self.face_energy = wp.zeros((environments, faces), dtype=real, device=device)
-        """Energy of the contact springs of each face (B, S) [E T^3]."""
         self._face_work = wp.zeros((environments, faces), dtype=real, device=device)
-        self.touched = wp.zeros((environments, faces), dtype=wp.int32, device=device)
-        self._matrix = wp.zeros((environments, faces, self.points), dtype=mat33, device=device)
         self._sums = wp.zeros((environments, self._runs, SUMS), dtype=wp.float64, device=device)
         self._totals = wp.zeros((environments, SUMS), dtype=wp.float64, device=device)
-        self.face_overlap = wp.zeros((environments, faces, COLUMNS), dtype=real, device=device)
-        """Overlap of each face, as written by `overlap` (B, S, `COLUMNS`) [T]."""
-        self._most_overlap = wp.zeros((environments, COLUMNS), dtype=real, device=device)
+        self.face_overlap = wp.zeros((environments, faces, OVERLAPS), dtype=real, device=device)
+        """Overlap of each face, as written by `overlap` (B, S, `OVERLAPS`) [T]."""
+        self._most_overlap = wp.zeros((environments, OVERLAPS), dtype=real, device=device)
         self.crossing: Crossing | None = None
         """Test of folded skins on the device; None: each of them gets a look on the host."""
         if on_gpu:
             self.crossing = Crossing(real, environments, mesh.faces, device)
         self._field = wp.zeros((environments, count), dtype=vec3, device=device)
-        self.sums = Sums(np.zeros((environments, SUMS)))
-        """Sums over the last evaluated state."""
+        self.sums = np.zeros(environments, TOTALS)
+        """Sums over the last evaluated state (B,)."""
         self.residual = wp.zeros((environments, count), dtype=vec3, device=device)
         """Out-of-balance force of the last evaluated state (B, N) [E T^2]."""
+        most = max(scene.body.poisson for scene in scenes)
         self.block_matrix = BlockMatrix(
             mesh,
             real,
@@ -537,138 +467,81 @@ class Assembly:
             viscous="viscosity" in self.effects,
             split=self.split,
             # Short steps make inertia stiff without a bound, and the range of float16 is bounded.
-            half=False if "inertia" in self.effects or poisson.max() > HALF_POISSON else None,
+            half=None if most <= HALF_POISSON and "inertia" not in self.effects else False,
         )
         """Tangent of the last linearised state."""
-        self.preconditioner = Multigrid(
-            variants, [places[id(each)] for each in meshes], real, device
-        )
+        self.preconditioner = Multigrid(variants, variant, real, device)
         """Preconditioner of the tangent."""
         self.state = SolverState(self, scenes)
         """State of the batch."""
         self._read, self._read_top = reading_kernels(real, *on, lanes=self._lanes)
         self._read_inputs = [
-            self._faces,
-            self._array([each.face_area for each in variants], wp.float64),
-            self._array(shape, wp.float64),
-            self._array(rule, wp.float64),
-            self._array([each.nodes for each in variants], wp.vec3d),
-            self._array([each.node_volume for each in variants], wp.float64),
-            self._variant,
+            self._precise,
+            self.state.contact,
             numerics.penalty,
             STICK * numerics.penalty,
-            self._array(
-                [getattr(scene.effects.friction, "coefficient", 0.0) for scene in scenes],
-                wp.float64,
-            ),
+            self._array(self.state.coefficients, wp.float64),
         ]
         self._rows = wp.zeros(
             (environments, READ_COLUMNS + TOP * mesh.top.size), dtype=wp.float64, device=device
         )
 
-    def evaluate(self, active, u, direction) -> Sums:
-        """Compute forces at `u` and return their sums; the slope is along `direction` (B, N)."""
-        key = "elements", active.ptr, u.ptr, direction.ptr
-        if not self._graphs.launched(key):
-            with self._graphs.recorded(key):
+    def evaluate(self, active, u, direction) -> np.ndarray:
+        """Compute forces at `u`; return `TOTALS` (B,), the slope along `direction` (B, N)."""
+        with self._graphs.recorded(("elements", active.ptr, u.ptr, direction.ptr)) as done:
+            if not done:
                 self._launch_elements(active, u)
                 self._launch_contact(active, u, direction)
         return self._sum()
 
-    def evaluate_contact(self, active, u, direction) -> Sums:
+    def evaluate_contact(self, active, u, direction) -> np.ndarray:
         """Evaluate again after only the friction limit has changed."""
-        key = "contact", active.ptr, u.ptr, direction.ptr
-        if not self._graphs.launched(key):
-            with self._graphs.recorded(key):
+        with self._graphs.recorded(("contact", active.ptr, u.ptr, direction.ptr)) as done:
+            if not done:
                 self._launch_contact(active, u, direction)
         return self._sum()
 
-    def _sum(self) -> Sums:
-        self.sums = Sums(self._totals.numpy().copy())
+    def _sum(self) -> np.ndarray:
+        self.sums = self._totals.numpy().copy().view(TOTALS)[:, 0]
         return self.sums
 
+    def _launch(self, kernel, dim, inputs, outputs=(), **options) -> None:
+        wp.launch(kernel, dim, inputs, outputs, device=self.device, **options)
+
     def _launch_elements(self, active, u) -> None:
-        wp.launch(
+        self._launch(
             self._element,
-            dim=(self.environments, self._element_threads),
-            inputs=[
-                *self._element_inputs(),
-                active,
-                u,
-            ],
-            outputs=[self._element_force, self.element_energy, self._element_det],
-            device=self.device,
+            (self.environments, self._element_threads),
+            [self._mesh, self.state.material, active, u],
+            [self._element_force, self.element_energy, self._element_det],
         )
 
     def _launch_contact(self, active, u, direction) -> None:
         state = self.state
-        wp.launch(
-            self._contact[0],
-            dim=(self.environments, len(self.mesh.faces)),
-            inputs=[
-                self._faces,
-                self._face_area,
-                self.shape,
-                self.rule,
-                self._nodes,
-                self._variant,
-                self._table,
-                state.tip,
-                self._penalty,
-                state.multiplier,
-                self._convex,
-                *state.friction(self._stick),
-                active,
-                u,
-            ],
-            outputs=[
-                self.face_force,
-                self.touched,
-                state.pressure,
-                state.normal,
-                state.traction,
-                self._matrix,
-                self.face_energy,
-            ],
-            device=self.device,
-        )
-        wp.launch(
+        by_face = self.environments, len(self.mesh.faces)
+        self._launch(self._contact[0], by_face, [self._mesh, self._table, state.contact, active, u])
+        self._launch(
             self._residual,
-            dim=(self.environments, self._runs * self._lanes),
-            inputs=[
-                self._node_elements,
-                self._node_faces,
-                self._free,
-                self._node_mass,
-                self._variant,
-                state.inertia_rate,
-                state.predicted,
-                state.weight,
-                active,
-                self._element_force,
-                self._element_det,
-                self.touched,
-                self.face_force,
-                u,
-                direction,
+            (self.environments, self._runs * self._lanes),
+            [
+                *(self._mesh, state.contact, state.inertia_rate, state.predicted, state.weight),
+                *(active, self._element_force, self._element_det, u, direction),
             ],
-            outputs=[self.residual, self._sums],
-            device=self.device,
+            [self.residual, self._sums],
             block_dim=LANES,
         )
-        wp.launch(
+        self._launch(
             self._reduce,
-            dim=(self.environments, SUMS, self._lanes),
-            inputs=[active, self._sums],
-            outputs=[self._totals],
-            device=self.device,
+            (self.environments, SUMS, self._lanes),
+            [active, self._sums],
+            [self._totals],
             block_dim=LANES,
         )
 
     def overlap(self, active, *, samples: int, states: int = 1) -> Array:
-        """Return the overlap of skin with indenter and base plane (B, `COLUMNS`).
+        """Return the overlap of skin with indenter and base plane (B, `OVERLAPS`).
 
-        See `sim.fem.overlap`; the last column is 1 if the skin may overlap itself.
+        See `overlap_kernel`; the last column is 1 if the skin may overlap itself.
 
         Args:
             active: Mask of environments.
@@ -678,8 +551,7 @@ class Assembly:
         self.measure_overlap(active, samples=samples, states=states)
         if self.crossing is None:
             return self._most_overlap.numpy().astype(float)
-        mesh = self._elements, self._faces, self._nodes, self._variant
-        self.crossing.mark(mesh, active, self.state.u, self.face_overlap, self._most_overlap)
+        self.crossing.mark(self._mesh, active, self.state.u, self.face_overlap, self._most_overlap)
         found = self._most_overlap.numpy().astype(float)
         found[:, 3] = found[:, 3] == MAY_CROSS
         return found
@@ -688,25 +560,11 @@ class Assembly:
         """Measure what `overlap` returns, for `read`."""
         state = self.state
         self._most_overlap.zero_()
-        wp.launch(
+        self._launch(
             self._overlap,
-            dim=(self.environments, len(self.mesh.faces)),
-            inputs=[
-                self._faces,
-                self._face_area,
-                self._nodes,
-                self._variant,
-                self._table,
-                state.tip,
-                state.tip_old,
-                samples,
-                states,
-                active,
-                state.u,
-                state.u_old,
-            ],
-            outputs=[self.face_overlap, self._most_overlap],
-            device=self.device,
+            (self.environments, len(self.mesh.faces)),
+            [self._mesh, self._table, state.contact, samples, states, active, state.u],
+            [self.face_overlap, self._most_overlap],
         )
 
     def read(self, environments: Sequence[int], tip: Array) -> tuple[NDArray, Array]:
@@ -724,44 +582,24 @@ class Assembly:
         """
         state, count, top = self.state, len(environments), self.mesh.top
         which = self._array(list(environments), wp.int32)
-        wp.launch(
+        self._launch(
             self._read,
-            dim=(count, self._lanes),
-            inputs=[
+            (count, self._lanes),
+            [
                 *self._read_inputs,
-                state.multiplier,
                 self._array(state.rates, wp.float64),
-                state.predicted,
-                state.weight,
-                which,
-                self._array(tip, wp.vec3d),
-                state.u,
-                self.touched,
-                state.pressure,
-                state.normal,
-                state.traction,
-                self.element_energy,
-                self.face_overlap,
-                self._most_overlap,
+                *(state.predicted, state.weight, which, self._array(tip, wp.vec3d), state.u),
+                *(self.element_energy, self.face_overlap, self._most_overlap),
             ],
-            outputs=[self._rows],
-            device=self.device,
+            [self._rows],
             block_dim=LANES,
         )
-        wp.launch(
+        columns, levels = self.mesh.cells[0] * self.mesh.cells[1], self.mesh.cells[2] + 1
+        self._launch(
             self._read_top,
-            dim=(count, top.size),
-            inputs=[
-                self.mesh.cells[2] + 1,
-                self.mesh.cells[0] * self.mesh.cells[1],
-                self._node_faces,
-                which,
-                state.u,
-                self.touched,
-                self.face_force,
-            ],
-            outputs=[self._rows],
-            device=self.device,
+            (count, top.size),
+            [levels, columns, self._precise, state.contact, which, state.u],
+            [self._rows],
         )
         rows = self._rows[:count].numpy().copy()
         read = rows[:, :READ_COLUMNS].copy().view(READ)[:, 0]
@@ -778,26 +616,11 @@ class Assembly:
         By the trapezoid rule. Call it once per step of the chosen environments (B,).
         """
         state = self.state
-        wp.launch(
+        self._launch(
             self._work,
-            dim=self._face_work.shape,
-            inputs=[
-                self._faces,
-                self._face_area,
-                self.shape,
-                self.rule,
-                self._variant,
-                state.mask(chosen),
-                state.u,
-                state.u_old,
-                state.travel(chosen),
-                state.pressure,
-                state.normal,
-                state.traction,
-                state.traction_old,
-            ],
-            outputs=[state.push, self._face_work],
-            device=self.device,
+            self._face_work.shape,
+            [self._mesh, state.contact, state.mask(chosen), state.u, state.travel(chosen)],
+            [self._face_work],
         )
         return self._face_work.numpy().sum(axis=1, dtype=float)
 
@@ -809,28 +632,12 @@ class Assembly:
         """
         fill(active, travel, self._field)
         self._shove(active, self._field)
-        wp.launch(
-            push_kernel(self.real),
-            dim=(self.environments, len(self.mesh.nodes)),
-            inputs=[
-                self._node_faces,
-                self._free,
-                active,
-                self.touched,
-                self.face_force,
-            ],
-            outputs=[self.residual],
-            device=self.device,
-        )
+        inputs = [self._mesh, self.state.contact, active]
+        self._launch(push_kernel(self.real), self.residual.shape, inputs, [self.residual])
 
     def _shove(self, active, v) -> None:
-        wp.launch(
-            self._contact[1],
-            dim=(self.environments, len(self.mesh.faces)),
-            inputs=[self._faces, self.shape, active, self.touched, self._matrix, v],
-            outputs=[self.face_force],
-            device=self.device,
-        )
+        inputs = [self._mesh, self.state.contact, active, v]
+        self._launch(self._contact[1], (self.environments, len(self.mesh.faces)), inputs)
 
     def make_convex(self, convex: np.ndarray) -> None:
         """Drop terms that may be negative from coming tangents, for environments `convex` (B,).
@@ -839,7 +646,7 @@ class Assembly:
         pressure adds to the stiffness of elements beyond a bound (`element.tangent_functions`).
         Forces do not change.
         """
-        self._convex.assign(convex.astype(np.int32))
+        self.state.contact.convex.assign(convex.astype(np.int32))
 
     def linearise(self, active, u, damping: np.ndarray) -> None:
         """Fill `block_matrix` and `preconditioner` with the tangent of the evaluated state, `u`.
@@ -851,51 +658,21 @@ class Assembly:
             self._shift.assign(shift)
             self._shift_now = shift
 
-        key = "tangent", active.ptr, u.ptr
-        if not self._graphs.launched(key):
-            with self._graphs.recorded(key):
-                self.block_matrix.assemble(
-                    active,
-                    u,
-                    (self._inverse, self._weight, self._node_mass, self._variant),
-                    (self._shear, self._bulk, *self.state.viscous),
-                    (self.shape, self.touched, self._matrix),
-                    self._shift,
-                    self._convex,
-                )
+        structs = self._mesh, self.state.material, self.state.contact
+        with self._graphs.recorded(("tangent", active.ptr, u.ptr)) as done:
+            if not done:
+                self.block_matrix.assemble(active, u, *structs, self._shift)
         self.preconditioner.factor(active, self.block_matrix.matrix)
 
-    def settle_volume(self, active, direction) -> Sums:
+    def settle_volume(self, active, direction) -> np.ndarray:
         """Let the split pressure follow the current state, and evaluate again; see `evaluate`."""
         state = self.state
-        mesh = (self._elements, self._inverse, self._weight, self._variant)
-        state.volume.settle(mesh, self._bulk, state.viscous[1], active, state.u)
+        state.volume.settle(self._mesh, state.material, active, state.u)
         return self.evaluate(active, state.u, direction)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step."""
-        self.state.accept(
-            chosen,
-            duration,
-            (self._elements, self._inverse, self._weight, self._variant),
-            (self._shear, self._bulk),
-        )
-
-    def _element_inputs(self) -> tuple:
-        """Return mesh and material: the first arguments of both element kernels."""
-        geometry = (self._inverse, self._weight, self._variant)
-        return (
-            self._elements,
-            *geometry,
-            GAUSS_POINTS,
-            self._shear,
-            self._bulk,
-            *self.state.viscous,
-        )
+        self.state.accept(chosen, duration, self._mesh)
 
     def _array(self, values, dtype):
-        double = dict.fromkeys((wp.float64, wp.vec3d), np.float64)
-        scalar = {wp.int32: np.int32, **double}.get(dtype, numpy_of(self.real))
-        return wp.array(
-            np.ascontiguousarray(np.asarray(values, dtype=scalar)), dtype=dtype, device=self.device
-        )
+        return array_of(values, dtype, self.real, self.device)

@@ -16,8 +16,8 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from sim.fem.graphs import Graphs
-from sim.fem.vectors import LANES
+from sim.fem.arrays import Graphs
+from sim.fem.balance import LANES
 from sim.scalars import vector_of
 
 # Iterations between checks for running environments: free on the CPU, a stop on a GPU, where one
@@ -70,30 +70,41 @@ def _cg_kernels(real, lanes: int):
         product_out[env, n] = vec3()
         r_out[env, n] = residual[env, n]
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def begin(
-        # In:
-        sums: wp.array3d(dtype=wp.float64),
-        accuracy: wp.array(dtype=wp.float64),
-        # In and out:
-        which: wp.array(dtype=wp.int32),
-        scalars_out: wp.array2d(dtype=wp.float64),
-    ):
-        row, lane = wp.tid()
-        env = which[row]
-        if env < 0:
-            return
-        rz = total(sums, env, lane, 0)
-        rr = total(sums, env, lane, 1)
-        if lane == 0:
-            scalars_out[env, 0] = rz
-            scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
-            if rr == wp.float64(0.0):
-                which[row] = -1
-            elif not (rz > wp.float64(0.0)):
-                # Nor is the preconditioner positive definite, if it is made from such a tangent.
-                scalars_out[env, 1] = wp.float64(CONCAVE)
-                which[row] = -1
+    def comparison(first: bool):
+        """Return the kernel that ends solves by their residual, at the start or later."""
+
+        @wp.kernel(enable_backward=False, module="unique")
+        def compare(
+            # In:
+            sums: wp.array3d(dtype=wp.float64),
+            accuracy: wp.array(dtype=wp.float64),
+            # In and out:
+            which: wp.array(dtype=wp.int32),
+            scalars_out: wp.array2d(dtype=wp.float64),
+        ):
+            row, lane = wp.tid()
+            env = which[row]
+            if env < 0:
+                return
+            rz = total(sums, env, lane, 0)
+            rr = total(sums, env, lane, 1)
+            if lane == 0:
+                ended = rr == wp.float64(0.0)
+                if wp.static(first):
+                    scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
+                else:
+                    scalars_out[env, 3] = rz / scalars_out[env, 0]
+                    ended = not (rr > scalars_out[env, 1])
+                scalars_out[env, 0] = rz
+                if ended:
+                    which[row] = -1
+                elif not (rz > wp.float64(0.0)):
+                    # Nor is the preconditioner positive definite, if it is made from such a
+                    # tangent.
+                    scalars_out[env, 1] = wp.float64(CONCAVE)
+                    which[row] = -1
+
+        return compare
 
     @wp.kernel(enable_backward=False, module="unique")
     def step_length(
@@ -122,29 +133,6 @@ def _cg_kernels(real, lanes: int):
             scalars_out[env, 5] = scalars_out[env, 5] + wp.float64(1.0)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def change(
-        # In:
-        sums: wp.array3d(dtype=wp.float64),
-        # In and out:
-        which: wp.array(dtype=wp.int32),
-        scalars_out: wp.array2d(dtype=wp.float64),
-    ):
-        row, lane = wp.tid()
-        env = which[row]
-        if env < 0:
-            return
-        rz = total(sums, env, lane, 0)
-        rr = total(sums, env, lane, 1)
-        if lane == 0:
-            scalars_out[env, 3] = rz / scalars_out[env, 0]
-            scalars_out[env, 0] = rz
-            if not (rr > scalars_out[env, 1]):
-                which[row] = -1
-            elif not (rz > wp.float64(0.0)):
-                scalars_out[env, 1] = wp.float64(CONCAVE)
-                which[row] = -1
-
-    @wp.kernel(enable_backward=False, module="unique")
     def turn(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -159,7 +147,7 @@ def _cg_kernels(real, lanes: int):
             return
         p_out[env, n] = z[env, n] + p_out[env, n] * real(scalars[env, 3])
 
-    return start, begin, step_length, change, turn
+    return start, comparison(first=True), step_length, comparison(first=False), turn
 
 
 class ConjugateGradient:
@@ -238,17 +226,16 @@ class ConjugateGradient:
         self._accuracy.assign(accuracy)
         grids = self._preconditioner.choose(running)
         begins = "begin", residual.ptr, len(self._which), grids
-        if not self._graphs.launched(begins):
-            with self._graphs.recorded(begins):
+        with self._graphs.recorded(begins) as done_by_graph:
+            if not done_by_graph:
                 self._begin(residual)
         kind, done = "cuda" if self._device.is_cuda else "cpu", 0
         while len(running) and done < most:
             look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
             goes_on = "go on", len(self._which), grids
-            if not self._graphs.launched(goes_on):
-                with self._graphs.recorded(goes_on):
-                    for _time in range(look):
-                        self._once()
+            with self._graphs.recorded(goes_on) as done_by_graph:
+                if not done_by_graph:
+                    self._iterate(look)
             if meanwhile is not None and self._launched is not None:
                 wp.record_event(self._launched)
                 meanwhile(lambda: not self._launched.is_complete)
@@ -293,13 +280,14 @@ class ConjugateGradient:
         self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
         self._launch(turn, [self._scalars, self._z], [self._p])
 
-    def _once(self) -> None:
+    def _iterate(self, times: int) -> None:
         _start, _begin, step_length, change, turn = _cg_kernels(self._real, self._lanes)
-        self._matrix.product(self._which, self._p, self._product, self._along)
-        self._total(step_length, [self._along], [self._which, self._scalars])
-        self._advance()
-        self._total(change, [self._sums], [self._which, self._scalars])
-        self._launch(turn, [self._scalars, self._z], [self._p])
+        for _time in range(times):
+            self._matrix.product(self._which, self._p, self._product, self._along)
+            self._total(step_length, [self._along], [self._which, self._scalars])
+            self._advance()
+            self._total(change, [self._sums, self._accuracy], [self._which, self._scalars])
+            self._launch(turn, [self._scalars, self._z], [self._p])
 
     def _advance(self) -> None:
         self._preconditioner.advance(

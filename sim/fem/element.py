@@ -17,7 +17,9 @@ import functools
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
+from sim.fem.arrays import array_of, copy_active, material_struct, mesh_struct
 from sim.scalars import det_less_one_function, matrix_of, numpy_of, vector_of
 
 GAUSS_POINTS = 8
@@ -37,21 +39,47 @@ def column_function(real):
 
 
 @functools.cache
-def nodal_function(real, kind):
-    """Return `nodal(m1, ..., m7)` -> 8 corner vectors or matrices: `modes_of` transposed."""
+def mode_functions(real, kind):
+    """Return the struct of 7 modes, vectors or matrices, and the functions `gathered`, `corners`.
+
+    `gathered(modes, x, y, z, sx, sy, sz)` adds derivatives along the reference directions, at the
+    Gauss point whose coordinates have these signs. `corners` is `modes_function`'s transpose.
+    """
     eighth = real(0.125)
     g = real(0.5773502691896258)
     gg = real(1.0 / 3.0)
 
+    class Modes:
+        x: kind
+        y: kind
+        z: kind
+        xy: kind
+        yz: kind
+        xz: kind
+        xyz: kind
+
+    modes_type = wp.struct(Modes)
+
     @wp.func
-    def nodal(m1: kind, m2: kind, m3: kind, m4: kind, m5: kind, m6: kind, m7: kind):
-        a1 = m1 * eighth
-        a2 = m2 * eighth
-        a3 = m3 * eighth
-        a4 = m4 * (eighth * g)
-        a5 = m5 * (eighth * g)
-        a6 = m6 * (eighth * g)
-        a7 = m7 * (eighth * gg)
+    def gathered(m: modes_type, x: kind, y: kind, z: kind, sx: real, sy: real, sz: real):
+        m.x += x
+        m.y += y
+        m.z += z
+        m.xy += x * sy + y * sx
+        m.yz += y * sz + z * sy
+        m.xz += x * sz + z * sx
+        m.xyz += x * (sy * sz) + y * (sx * sz) + z * (sx * sy)
+        return m
+
+    @wp.func
+    def corners(m: modes_type):
+        a1 = m.x * eighth
+        a2 = m.y * eighth
+        a3 = m.z * eighth
+        a4 = m.xy * (eighth * g)
+        a5 = m.yz * (eighth * g)
+        a6 = m.xz * (eighth * g)
+        a7 = m.xyz * (eighth * gg)
         # Each corner (i, j, k) sums all modes, each with the product of its signs.
         l0 = -a1 - a2 + a4
         h0 = -a3 + a5 + a6 - a7
@@ -63,16 +91,17 @@ def nodal_function(real, kind):
         h3 = -a3 - a5 - a6 - a7
         return l0 + h0, l0 - h0, l1 + h1, l1 - h1, l2 + h2, l2 - h2, l3 + h3, l3 - h3
 
-    return nodal
+    return modes_type, gathered, corners
 
 
 @functools.cache
-def mode_functions(real):
-    """Return `modes_of(elements, u, env, e)` -> 7 vectors, and `scatter(...)`, its transpose."""
+def modes_function(real):
+    """Return `modes_of(elements, u, env, e)`: the modes of an element's displacement."""
     vec3 = vector_of(real)
     eighth = real(0.125)
     g = real(0.5773502691896258)
     gg = real(1.0 / 3.0)
+    modes_type = mode_functions(real, vec3)[0]
 
     @wp.func
     def modes_of(elements: wp.array2d(dtype=wp.int32), u: wp.array2d(dtype=vec3), env: int, e: int):
@@ -92,61 +121,35 @@ def mode_functions(real):
         d23 = v3 - v2
         d45 = v5 - v4
         d67 = v7 - v6
-        m1 = ((s45 + s67) - (s01 + s23)) * eighth
-        m2 = ((s23 - s01) + (s67 - s45)) * eighth
-        m3 = ((d01 + d23) + (d45 + d67)) * eighth
-        m4 = ((s67 - s45) - (s23 - s01)) * (eighth * g)
-        m5 = ((d23 - d01) + (d67 - d45)) * (eighth * g)
-        m6 = ((d45 + d67) - (d01 + d23)) * (eighth * g)
-        m7 = ((d67 - d45) - (d23 - d01)) * (eighth * gg)
-        return m1, m2, m3, m4, m5, m6, m7
+        m = modes_type()
+        m.x = ((s45 + s67) - (s01 + s23)) * eighth
+        m.y = ((s23 - s01) + (s67 - s45)) * eighth
+        m.z = ((d01 + d23) + (d45 + d67)) * eighth
+        m.xy = ((s67 - s45) - (s23 - s01)) * (eighth * g)
+        m.yz = ((d23 - d01) + (d67 - d45)) * (eighth * g)
+        m.xz = ((d45 + d67) - (d01 + d23)) * (eighth * g)
+        m.xyz = ((d67 - d45) - (d23 - d01)) * (eighth * gg)
+        return m
 
-    nodal = nodal_function(real, vec3)
-
-    @wp.func
-    def scatter(
-        force: wp.array3d(dtype=vec3),
-        env: int,
-        e: int,
-        m1: vec3,
-        m2: vec3,
-        m3: vec3,
-        m4: vec3,
-        m5: vec3,
-        m6: vec3,
-        m7: vec3,
-    ):
-        v0, v1, v2, v3, v4, v5, v6, v7 = nodal(m1, m2, m3, m4, m5, m6, m7)
-        force[env, e, 0] = v0
-        force[env, e, 1] = v1
-        force[env, e, 2] = v2
-        force[env, e, 3] = v3
-        force[env, e, 4] = v4
-        force[env, e, 5] = v5
-        force[env, e, 6] = v6
-        force[env, e, 7] = v7
-
-    return modes_of, scatter
+    return modes_of
 
 
 @functools.cache
 def kinematics(real):
     """Return the shared `strain`, `cofactor`, `deformed`, `mean_change` and `pressure_of`."""
-    vec3 = vector_of(real)
+    modes_type = mode_functions(real, vector_of(real))[0]
     mat33 = matrix_of(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
 
     @wp.func
-    def strain(
-        m1: vec3, m2: vec3, m3: vec3, m4: vec3, m5: vec3, m6: vec3, m7: vec3, q: int, inv: mat33
-    ):
+    def strain(m: modes_type, q: int, inv: mat33):
         """Return the displacement gradient at Gauss point q, and the signs of its coordinates."""
         sx = real(2 * (q >> 2) - 1)
         sy = real(2 * ((q >> 1) & 1) - 1)
         sz = real(2 * (q & 1) - 1)
-        gx = m1 + m4 * sy + m6 * sz + m7 * (sy * sz)
-        gy = m2 + m4 * sx + m5 * sz + m7 * (sx * sz)
-        gz = m3 + m5 * sy + m6 * sx + m7 * (sx * sy)
+        gx = m.x + m.xy * sy + m.xz * sz + m.xyz * (sy * sz)
+        gy = m.y + m.xy * sx + m.yz * sz + m.xyz * (sx * sz)
+        gz = m.z + m.yz * sy + m.xz * sx + m.xyz * (sx * sy)
         return wp.matrix_from_cols(gx, gy, gz) * inv, sx, sy, sz
 
     @wp.func
@@ -166,30 +169,17 @@ def kinematics(real):
         return f, cofactor(f), less, one + less, wp.ddot(f, f)
 
     @wp.func
-    def mean_change(
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        m: int,
-        e: int,
-        points: int,
-        u1: vec3,
-        u2: vec3,
-        u3: vec3,
-        u4: vec3,
-        u5: vec3,
-        u6: vec3,
-        u7: vec3,
-    ):
+    def mean_change(mesh: mesh_struct(real), m: int, e: int, u: modes_type):
         """Return an element's rest volume, mean volume change, and least J at its Gauss points."""
-        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        last = mesh.inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
         volume = real(0.0)
         change = real(0.0)
         lowest = real(1.0e30)
-        for q in range(points):
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
+        for q in range(mesh.weight.shape[2]):
+            h, _sx, _sy, _sz = strain(u, q, mesh.inverse[m, e, wp.min(q, last)])
             less = det_less_one(h)
-            volume += weight[m, e, q]
-            change += weight[m, e, q] * less
+            volume += mesh.weight[m, e, q]
+            change += mesh.weight[m, e, q] * less
             lowest = wp.min(lowest, one + less)
         return volume, change / volume, lowest
 
@@ -205,12 +195,12 @@ def kinematics(real):
 def element_kernels(real, viscous: bool, split: bool = False):
     """Return the kernel of the forces for one precision and combination of effects.
 
-    `viscous` compiles the Prony history in, `split` that of the pressure alone (`sim.fem.volume`);
+    `viscous` compiles the Prony history in, `split` that of the pressure alone (`VolumePressure`);
     without them none of that code is compiled.
     """
     vec3 = vector_of(real)
-    mat33 = matrix_of(real)
-    modes_of, scatter = mode_functions(real)
+    modes_type, gathered, corners = mode_functions(real, vec3)
+    modes_of, column = modes_function(real), column_function(real)
     strain, cofactor, deformed, mean_change, pressure_of = kinematics(real)
     half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
     third = real(1.0 / 3.0)
@@ -219,20 +209,8 @@ def element_kernels(real, viscous: bool, split: bool = False):
 
     @wp.kernel(enable_backward=False, module="unique")
     def residual(
-        # Mesh:
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        points: int,
-        # Material, by environment:
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
-        # In:
+        mesh: mesh_struct(real),
+        material: material_struct(real),
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
         # Out:
@@ -241,60 +219,54 @@ def element_kernels(real, viscous: bool, split: bool = False):
         det_out: wp.array2d(dtype=real),
     ):
         env, e = wp.tid()
-        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        last = mesh.inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
         if active[env] == 0:
             return
-        m = variant[env]
-        if weight[m, e, 0] == real(0.0):  # outside a round body
+        m = mesh.variant[env]
+        if mesh.weight[m, e, 0] == real(0.0):  # outside a round body
             return
-        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        volume, theta, lowest = mean_change(
-            inverse, weight, m, e, points, u1, u2, u3, u4, u5, u6, u7
-        )
+        moved = modes_of(mesh.elements, u, env, e)
+        volume, theta, lowest = mean_change(mesh, m, e, moved)
         det_out[env, e] = lowest
-        pressure = pressure_of(bulk[env], theta)
+        shear = material.shear[env]
+        bulk = material.bulk[env]
+        pressure = pressure_of(bulk, theta)
         energy = (
             volume
             * half
-            * bulk[env]
+            * bulk
             * (half * theta * (two + theta) - wp.log(wp.max(one + theta, real(1.0e-30))))
         )
         if wp.static(viscous or split):
-            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
-        f1 = vec3()
-        f2 = vec3()
-        f3 = vec3()
-        f4 = vec3()
-        f5 = vec3()
-        f6 = vec3()
-        f7 = vec3()
-        for q in range(points):
-            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
+            pressure = material.bulk_factor[env] * pressure + material.bulk_history[env, e]
+        total = modes_type()
+        for q in range(mesh.weight.shape[2]):
+            inv = mesh.inverse[m, e, wp.min(q, last)]
+            h, sx, sy, sz = strain(moved, q, inv)
             f, c, less, j, square = deformed(h)
-            w = weight[m, e, q]
-            g = shear[env] * wp.pow(wp.max(j, real(1.0e-30)), power)
-            energy += w * half * (g * square - three * shear[env])
+            w = mesh.weight[m, e, q]
+            g = shear * wp.pow(wp.max(j, real(1.0e-30)), power)
+            energy += w * half * (g * square - three * shear)
             # F - cof(F) tr(F^T F) / 3J in terms of h = F - 1: no cancellation at small strain
             trace = wp.trace(h)
             excess = (two * trace + wp.ddot(h, h) - three * less) * (third / j)
             stress = h + wp.transpose(h) - cofactor(h) - c * excess
             stress = (stress - wp.identity(n=3, dtype=real) * trace) * g
             if wp.static(viscous):
-                stress = stress * factor[env] + f * history[env, e, q]
+                stress = stress * material.factor[env] + f * material.history[env, e, q]
             stress = (stress + c * pressure) * w
-            t = stress * wp.transpose(inverse[m, e, wp.min(q, last)])
-            tx = wp.vector(t[0, 0], t[1, 0], t[2, 0])
-            ty = wp.vector(t[0, 1], t[1, 1], t[2, 1])
-            tz = wp.vector(t[0, 2], t[1, 2], t[2, 2])
-            f1 += tx
-            f2 += ty
-            f3 += tz
-            f4 += tx * sy + ty * sx
-            f5 += ty * sz + tz * sy
-            f6 += tx * sz + tz * sx
-            f7 += tx * (sy * sz) + ty * (sx * sz) + tz * (sx * sy)
+            t = stress * wp.transpose(inv)
+            total = gathered(total, column(t, 0), column(t, 1), column(t, 2), sx, sy, sz)
         energy_out[env, e] = energy
-        scatter(force_out, env, e, f1, f2, f3, f4, f5, f6, f7)
+        v0, v1, v2, v3, v4, v5, v6, v7 = corners(total)
+        force_out[env, e, 0] = v0
+        force_out[env, e, 1] = v1
+        force_out[env, e, 2] = v2
+        force_out[env, e, 3] = v3
+        force_out[env, e, 4] = v4
+        force_out[env, e, 5] = v5
+        force_out[env, e, 6] = v6
+        force_out[env, e, 7] = v7
 
     return residual
 
@@ -315,8 +287,8 @@ def tangent_functions(real, viscous: bool, split: bool = False):
 
     `viscous` and `split` as in `element_kernels`.
     """
-    vec3 = vector_of(real)
     mat33 = matrix_of(real)
+    modes_type = mode_functions(real, vector_of(real))[0]
     _strain, cofactor, deformed, mean_change, pressure_of = kinematics(real)
     half, one, two = real(0.5), real(1.0), real(2.0)
     # Divided here: inside a kernel the quotient would be float32 for any `real`.
@@ -324,32 +296,16 @@ def tangent_functions(real, viscous: bool, split: bool = False):
 
     @wp.func
     def of_mean(
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        kind: int,
-        bulk: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        bulk_history: wp.array2d(dtype=real),
-        env: int,
-        e: int,
-        corners: int,
-        u1: vec3,
-        u2: vec3,
-        u3: vec3,
-        u4: vec3,
-        u5: vec3,
-        u6: vec3,
-        u7: vec3,
+        mesh: mesh_struct(real), material: material_struct(real), env: int, e: int, u: modes_type
     ):
         """Return an element's pressure, and its derivative by mean volume change, per volume."""
-        volume, theta, _lowest = mean_change(
-            inverse, weight, kind, e, corners, u1, u2, u3, u4, u5, u6, u7
-        )
-        pressure = pressure_of(bulk[env], theta)
-        stiffness = half * bulk[env] * (one + one / ((one + theta) * (one + theta)))
+        volume, theta, _lowest = mean_change(mesh, mesh.variant[env], e, u)
+        bulk = material.bulk[env]
+        pressure = pressure_of(bulk, theta)
+        stiffness = half * bulk * (one + one / ((one + theta) * (one + theta)))
         if wp.static(viscous or split):
-            pressure = bulk_factor[env] * pressure + bulk_history[env, e]
-            stiffness = bulk_factor[env] * stiffness
+            pressure = material.bulk_factor[env] * pressure + material.bulk_history[env, e]
+            stiffness = material.bulk_factor[env] * stiffness
         return pressure, stiffness / volume
 
     @wp.func
@@ -358,9 +314,7 @@ def tangent_functions(real, viscous: bool, split: bool = False):
         inv: mat33,
         w: real,
         pressure: real,
-        shear: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
+        material: material_struct(real),
         convex: int,
         env: int,
         e: int,
@@ -372,9 +326,9 @@ def tangent_functions(real, viscous: bool, split: bool = False):
         metric_rs, less the cross product with the column that belongs to both.
         """
         f, c, _less, j, square = deformed(h)
-        g = shear[env] * wp.pow(j, power)
+        g = material.shear[env] * wp.pow(j, power)
         if wp.static(viscous):
-            g = g * factor[env]
+            g = g * material.factor[env]
         over = g * third / j
         mixed = w * over * five_thirds * square / j
         across = wp.transpose(inv)
@@ -383,7 +337,7 @@ def tangent_functions(real, viscous: bool, split: bool = False):
         er = cr * (mixed * half) - (f * across) * (w * two * over)
         metric = (inv * across) * (w * g)
         if wp.static(viscous):
-            metric += (inv * history[env, e, q] * across) * w
+            metric += (inv * material.history[env, e, q] * across) * w
         # F (G_1 x G_2), F (G_2 x G_0), F (G_0 x G_1), times their factor
         turning = pressure - over * square
         if convex == 1:
@@ -410,9 +364,9 @@ def tangent_functions(real, viscous: bool, split: bool = False):
 #
 #     (A . metric B) 1 + e_A c_B^T + c_A e_B^T - skew(turn (A x B))
 #
-# It is linear in B, so it is computed for three directions. Modes sum those over the Gauss points
-# as they do forces, and `nodal_function` turns modes into blocks as it does into forces. It takes
-# about 65,000 operations an element; node by node it would be 90,000.
+# It is linear in B, so it is computed for three directions. Modes sum those over the Gauss points,
+# and become blocks, as they do forces. It takes about 65,000 operations an element; node by node it
+# would be 90,000.
 
 
 @functools.cache
@@ -420,9 +374,9 @@ def element_rows_kernel(real, viscous: bool, split: bool = False):
     """Return the kernel that adds tangents by rows; no two elements of a launch share a node."""
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    modes_of, _scatter = mode_functions(real)
-    column = column_function(real)
-    blocks_of = nodal_function(real, mat33)
+    modes_of, column = modes_function(real), column_function(real)
+    modes_type, gathered, _corners = mode_functions(real, vec3)
+    blocks_type, gathered_blocks, blocks_of = mode_functions(real, mat33)
     strain = kinematics(real)[0]
     of_mean, at_point = tangent_functions(real, viscous, split)
     half = real(0.5)
@@ -453,8 +407,7 @@ def element_rows_kernel(real, viscous: bool, split: bool = False):
 
     @wp.func
     def add(
-        elements: wp.array2d(dtype=wp.int32),
-        free: wp.array(dtype=wp.int32),
+        mesh: mesh_struct(real),
         env: int,
         e: int,
         a: int,
@@ -462,30 +415,18 @@ def element_rows_kernel(real, viscous: bool, split: bool = False):
         found: mat33,
         matrix_out: wp.array3d(dtype=mat33),
     ):
-        if free[elements[e, b]] == 1:
-            n = elements[e, a]
+        if mesh.free[mesh.elements[e, b]] == 1:
+            n = mesh.elements[e, a]
             slot = 13 - spread(a) + spread(b)
             matrix_out[env, n, slot] = matrix_out[env, n, slot] + found
 
     @wp.kernel(enable_backward=False, module="unique")
     def element_rows(
-        # Mesh, by variant; order of the elements, first one of the launch, nodes that move
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
+        mesh: mesh_struct(real),
+        material: material_struct(real),
+        # Order of the elements, and the first one of the launch
         order: wp.array(dtype=wp.int32),
         first: int,
-        free: wp.array(dtype=wp.int32),
-        corners: int,
-        # Material, by environment:
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
-        # In:
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
         convex: wp.array(dtype=wp.int32),
@@ -493,59 +434,28 @@ def element_rows_kernel(real, viscous: bool, split: bool = False):
         matrix_out: wp.array3d(dtype=mat33),
     ):
         env, a, position = wp.tid()
-        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        last = mesh.inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
         if active[env] == 0:
             return
         e = order[first + position]
-        if free[elements[e, a]] == 0:
+        if mesh.free[mesh.elements[e, a]] == 0:
             return
-        kind = variant[env]
-        if weight[kind, e, 0] == real(0.0):  # outside a round body
+        kind = mesh.variant[env]
+        if mesh.weight[kind, e, 0] == real(0.0):  # outside a round body
             return
-        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        pressure, stiffness = of_mean(
-            inverse,
-            weight,
-            kind,
-            bulk,
-            bulk_factor,
-            bulk_history,
-            env,
-            e,
-            corners,
-            u1,
-            u2,
-            u3,
-            u4,
-            u5,
-            u6,
-            u7,
-        )
+        moved = modes_of(mesh.elements, u, env, e)
+        pressure, stiffness = of_mean(mesh, material, env, e, moved)
 
         # Blocks of the row and gradients of the volume, by modes of the other node, summed over
-        # Gauss points as the forces are. Separate names, because registers cannot be indexed.
-        k1 = mat33()
-        k2 = mat33()
-        k3 = mat33()
-        k4 = mat33()
-        k5 = mat33()
-        k6 = mat33()
-        k7 = mat33()
-        m1 = vec3()
-        m2 = vec3()
-        m3 = vec3()
-        m4 = vec3()
-        m5 = vec3()
-        m6 = vec3()
-        m7 = vec3()
+        # Gauss points as the forces are. No arrays, because registers cannot be indexed.
+        k = blocks_type()
+        m = modes_type()
         mean = vec3()
-        for q in range(corners):
-            inv = inverse[kind, e, wp.min(q, last)]
-            w = weight[kind, e, q]
-            h, sx, sy, sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inv)
-            cr, er, metric, turn = at_point(
-                h, inv, w, pressure, shear, factor, history, convex[env], env, e, q
-            )
+        for q in range(mesh.weight.shape[2]):
+            inv = mesh.inverse[kind, e, wp.min(q, last)]
+            w = mesh.weight[kind, e, q]
+            h, sx, sy, sz = strain(moved, q, inv)
+            cr, er, metric, turn = at_point(h, inv, w, pressure, material, convex[env], env, e, q)
             sa = slope(q, a)
             ma = wp.transpose(metric) * sa
             ca = cr * sa
@@ -559,43 +469,28 @@ def element_rows_kernel(real, viscous: bool, split: bool = False):
             bx = along(ma[0], ea, cx, ca, column(er, 0), py * sa[2] - pz * sa[1])
             by = along(ma[1], ea, cy, ca, column(er, 1), pz * sa[0] - px * sa[2])
             bz = along(ma[2], ea, cz, ca, column(er, 2), px * sa[1] - py * sa[0])
-            k1 += bx
-            k2 += by
-            k3 += bz
-            k4 += bx * sy + by * sx
-            k5 += by * sz + bz * sy
-            k6 += bx * sz + bz * sx
-            k7 += bx * (sy * sz) + by * (sx * sz) + bz * (sx * sy)
+            k = gathered_blocks(k, bx, by, bz, sx, sy, sz)
             mean += ca * w
-            cx = cx * w
-            cy = cy * w
-            cz = cz * w
-            m1 += cx
-            m2 += cy
-            m3 += cz
-            m4 += cx * sy + cy * sx
-            m5 += cy * sz + cz * sy
-            m6 += cx * sz + cz * sx
-            m7 += cx * (sy * sz) + cy * (sx * sz) + cz * (sx * sy)
+            m = gathered(m, cx * w, cy * w, cz * w, sx, sy, sz)
 
         # The product with the mean of all volume changes is linear in the modes as well.
         mean = mean * stiffness
-        k1 += wp.outer(mean, m1)
-        k2 += wp.outer(mean, m2)
-        k3 += wp.outer(mean, m3)
-        k4 += wp.outer(mean, m4)
-        k5 += wp.outer(mean, m5)
-        k6 += wp.outer(mean, m6)
-        k7 += wp.outer(mean, m7)
-        b0, b1, b2, b3, b4, b5, b6, b7 = blocks_of(k1, k2, k3, k4, k5, k6, k7)
-        add(elements, free, env, e, a, 0, b0, matrix_out)
-        add(elements, free, env, e, a, 1, b1, matrix_out)
-        add(elements, free, env, e, a, 2, b2, matrix_out)
-        add(elements, free, env, e, a, 3, b3, matrix_out)
-        add(elements, free, env, e, a, 4, b4, matrix_out)
-        add(elements, free, env, e, a, 5, b5, matrix_out)
-        add(elements, free, env, e, a, 6, b6, matrix_out)
-        add(elements, free, env, e, a, 7, b7, matrix_out)
+        k.x += wp.outer(mean, m.x)
+        k.y += wp.outer(mean, m.y)
+        k.z += wp.outer(mean, m.z)
+        k.xy += wp.outer(mean, m.xy)
+        k.yz += wp.outer(mean, m.yz)
+        k.xz += wp.outer(mean, m.xz)
+        k.xyz += wp.outer(mean, m.xyz)
+        b0, b1, b2, b3, b4, b5, b6, b7 = blocks_of(k)
+        add(mesh, env, e, a, 0, b0, matrix_out)
+        add(mesh, env, e, a, 1, b1, matrix_out)
+        add(mesh, env, e, a, 2, b2, matrix_out)
+        add(mesh, env, e, a, 3, b3, matrix_out)
+        add(mesh, env, e, a, 4, b4, matrix_out)
+        add(mesh, env, e, a, 5, b5, matrix_out)
+        add(mesh, env, e, a, 6, b6, matrix_out)
+        add(mesh, env, e, a, 7, b7, matrix_out)
 
     return element_rows
 
@@ -610,100 +505,92 @@ def element_rows_kernel(real, viscous: bool, split: bool = False):
 
 
 @functools.cache
+def branches_struct(real):
+    """Return the struct of Prony branches: rates (B, branches), and stresses and pressures."""
+    mat33 = matrix_of(real)
+
+    class Prony:
+        decay: wp.array2d(dtype=real)
+        gain: wp.array2d(dtype=real)
+        bulk_gain: wp.array2d(dtype=real)
+        branch: wp.array4d(dtype=mat33)  # (branches, B, E, 8)
+        rest: wp.array3d(dtype=mat33)
+        bulk_branch: wp.array3d(dtype=real)  # (branches, B, E)
+        bulk_rest: wp.array2d(dtype=real)
+        history: wp.array3d(dtype=mat33)  # what does not change within the step
+        bulk_history: wp.array2d(dtype=real)
+
+    return wp.struct(Prony)
+
+
+@functools.cache
 def _kernels(real):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    modes_of, _scatter = mode_functions(real)
+    modes_of = modes_function(real)
     strain, _cofactor, deformed, mean_change, pressure_of = kinematics(real)
     third = real(1.0 / 3.0)
     power = real(-2.0 / 3.0)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def recall(
-        # In: branch stresses (branch, env, element, point) and gains (env, branch)
-        decay: wp.array2d(dtype=real),
-        gain: wp.array2d(dtype=real),
-        bulk_gain: wp.array2d(dtype=real),
-        points: int,
-        branch: wp.array4d(dtype=mat33),
-        rest: wp.array3d(dtype=mat33),
-        bulk_branch: wp.array3d(dtype=real),
-        bulk_rest: wp.array2d(dtype=real),
-        active: wp.array(dtype=wp.int32),
-        # Out:
-        history_out: wp.array3d(dtype=mat33),
-        bulk_history_out: wp.array2d(dtype=real),
-    ):
+    def recall(prony: branches_struct(real), active: wp.array(dtype=wp.int32)):
         env, e = wp.tid()
         if active[env] == 0:
             return
-        for q in range(points):
+        for q in range(prony.rest.shape[2]):
             history = mat33()
-            for i in range(decay.shape[1]):
-                history += branch[i, env, e, q] * decay[env, i] - rest[env, e, q] * gain[env, i]
-            history_out[env, e, q] = history
+            for i in range(prony.decay.shape[1]):
+                history += (
+                    prony.branch[i, env, e, q] * prony.decay[env, i]
+                    - prony.rest[env, e, q] * prony.gain[env, i]
+                )
+            prony.history[env, e, q] = history
         bulk_history = real(0.0)
-        for i in range(decay.shape[1]):
+        for i in range(prony.decay.shape[1]):
             bulk_history += (
-                bulk_branch[i, env, e] * decay[env, i] - bulk_rest[env, e] * bulk_gain[env, i]
+                prony.bulk_branch[i, env, e] * prony.decay[env, i]
+                - prony.bulk_rest[env, e] * prony.bulk_gain[env, i]
             )
-        bulk_history_out[env, e] = bulk_history
+        prony.bulk_history[env, e] = bulk_history
 
     @wp.kernel(enable_backward=False, module="unique")
     def keep(
-        # Mesh:
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        points: int,
-        # Material, by environment:
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        decay: wp.array2d(dtype=real),
-        gain: wp.array2d(dtype=real),
-        bulk_gain: wp.array2d(dtype=real),
-        # In:
+        mesh: mesh_struct(real),
+        material: material_struct(real),
+        prony: branches_struct(real),
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
-        # In and out:
-        branch_out: wp.array4d(dtype=mat33),
-        rest_out: wp.array3d(dtype=mat33),
-        bulk_branch_out: wp.array3d(dtype=real),
-        bulk_rest_out: wp.array2d(dtype=real),
     ):
         env, e = wp.tid()
-        last = inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
+        last = mesh.inverse.shape[2] - 1  # boxes have one Jacobian for all Gauss points
         if active[env] == 0:
             return
-        m = variant[env]
-        if weight[m, e, 0] == real(0.0):  # outside a round body
+        m = mesh.variant[env]
+        if mesh.weight[m, e, 0] == real(0.0):  # outside a round body
             return
-        u1, u2, u3, u4, u5, u6, u7 = modes_of(elements, u, env, e)
-        for q in range(points):
-            h, _sx, _sy, _sz = strain(u1, u2, u3, u4, u5, u6, u7, q, inverse[m, e, wp.min(q, last)])
+        moved = modes_of(mesh.elements, u, env, e)
+        for q in range(mesh.weight.shape[2]):
+            h, _sx, _sy, _sz = strain(moved, q, mesh.inverse[m, e, wp.min(q, last)])
             _f, c, _less, j, square = deformed(h)
-            g = shear[env] * wp.pow(j, power)
+            g = material.shear[env] * wp.pow(j, power)
             # S = F^-1 P with F^-1 = cof(F)^T / J
             stress = (
                 wp.identity(n=3, dtype=real) - (wp.transpose(c) * c) * (square * third / (j * j))
             ) * g
-            for i in range(decay.shape[1]):
-                branch_out[i, env, e, q] = (
-                    branch_out[i, env, e, q] * decay[env, i]
-                    + (stress - rest_out[env, e, q]) * gain[env, i]
+            for i in range(prony.decay.shape[1]):
+                prony.branch[i, env, e, q] = (
+                    prony.branch[i, env, e, q] * prony.decay[env, i]
+                    + (stress - prony.rest[env, e, q]) * prony.gain[env, i]
                 )
-            rest_out[env, e, q] = stress
-        _volume, theta, _lowest = mean_change(
-            inverse, weight, m, e, points, u1, u2, u3, u4, u5, u6, u7
-        )
-        pressure = pressure_of(bulk[env], theta)
-        for i in range(decay.shape[1]):
-            bulk_branch_out[i, env, e] = (
-                bulk_branch_out[i, env, e] * decay[env, i]
-                + (pressure - bulk_rest_out[env, e]) * bulk_gain[env, i]
+            prony.rest[env, e, q] = stress
+        _volume, theta, _lowest = mean_change(mesh, m, e, moved)
+        pressure = pressure_of(material.bulk[env], theta)
+        for i in range(prony.decay.shape[1]):
+            prony.bulk_branch[i, env, e] = (
+                prony.bulk_branch[i, env, e] * prony.decay[env, i]
+                + (pressure - prony.bulk_rest[env, e]) * prony.bulk_gain[env, i]
             )
-        bulk_rest_out[env, e] = pressure
+        prony.bulk_rest[env, e] = pressure
 
     return recall, keep
 
@@ -726,25 +613,21 @@ class Branches:
         self._real, self._device = real, device
         self._shape = (count, elements)
         points = (count, elements, GAUSS_POINTS)
-        self._branch = wp.zeros((most, *points), dtype=mat33, device=device)
-        self._rest = wp.zeros(points, dtype=mat33, device=device)
-        self._bulk_branch = wp.zeros((most, count, elements), dtype=real, device=device)
-        self._bulk_rest = wp.zeros((count, elements), dtype=real, device=device)
-        self.history = wp.zeros(points, dtype=mat33, device=device)
-        """Stress that does not change within the step (B, E, 8) [E]."""
-        self.bulk_history = wp.zeros((count, elements), dtype=real, device=device)
-        """Pressure that does not change within the step (B, E) [E]."""
-        self._decay = self._gain = self._bulk_gain = None
+        arrays = self.arrays = branches_struct(real)()
+        """Arrays of the kernels. `history` (B, E, 8) and `bulk_history` (B, E), stress and pressure
+        [E], do not change within the step."""
+        arrays.branch = wp.zeros((most, *points), dtype=mat33, device=device)
+        arrays.rest = wp.zeros(points, dtype=mat33, device=device)
+        arrays.bulk_branch = wp.zeros((most, count, elements), dtype=real, device=device)
+        arrays.bulk_rest = wp.zeros((count, elements), dtype=real, device=device)
+        arrays.history = wp.zeros(points, dtype=mat33, device=device)
+        arrays.bulk_history = wp.zeros((count, elements), dtype=real, device=device)
 
     @property
     def state(self) -> dict[str, wp.array]:
         """Stress at the end of the last step; the names of those by branch (N, B, ...) say so."""
-        return {
-            "branch": self._branch,
-            "rest": self._rest,
-            "bulk_branch": self._bulk_branch,
-            "bulk_rest": self._bulk_rest,
-        }
+        names = "branch", "rest", "bulk_branch", "bulk_rest"
+        return {name: getattr(self.arrays, name) for name in names}
 
     def begin(self, active, duration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Fill `history` of `active` environments for a step of `duration` (B,) [s].
@@ -755,52 +638,172 @@ class Branches:
         """
         fraction = np.maximum(duration, 1e-12)[:, None] / self._times
         gain = self._ratios * -np.expm1(-fraction) / fraction
-        self._decay, self._gain = self._array(np.exp(-fraction)), self._array(gain)
-        self._bulk_gain = self._array(gain * self._bulk)
-        wp.launch(
-            _kernels(self._real)[0],
-            dim=self._shape,
-            inputs=[
-                self._decay,
-                self._gain,
-                self._bulk_gain,
-                GAUSS_POINTS,
-                self._branch,
-                self._rest,
-                self._bulk_branch,
-                self._bulk_rest,
-                active,
-            ],
-            outputs=[self.history, self.bulk_history],
-            device=self._device,
-        )
+        for name, rates in (
+            ("decay", np.exp(-fraction)),
+            ("gain", gain),
+            ("bulk_gain", gain * self._bulk),
+        ):
+            setattr(self.arrays, name, array_of(rates, self._real, self._real, self._device))
+        self._launch(0, [self.arrays, active])
         return 1 + gain.sum(1), 1 + (gain * self._bulk).sum(1)
 
     def keep(self, mesh, material, active, u) -> None:
-        """Store the state `u` of `active` environments as the end of the step.
+        """Store the state `u` of `active` environments as the end of the step."""
+        self._launch(1, [mesh, material, self.arrays, active, u])
 
-        `mesh` is (elements, inverse, weight, variant), `material` (shear, bulk).
-        """
+    def _launch(self, kernel: int, inputs) -> None:
+        wp.launch(_kernels(self._real)[kernel], self._shape, inputs, device=self._device)
+
+
+# Nearly incompressible bodies: the pressure of each element follows its volume step by step.
+#
+# Close to a Poisson's ratio of 0.5 a body resists changes of volume hundreds of times as much as
+# shear. Its tangent is then so hard to solve that each of Newton's iterations takes 60 to 140
+# cycles of the preconditioner, where 10 to 20 are enough at 0.49.
+#
+# So the pressure is split, as that of contact is (`sim.fem.contact`): a fraction follows the volume
+# within a solve, with the stiffness of a Poisson's ratio of 0.47, and the rest is what the whole
+# was before. Once a state is balanced, the rest is set to its fraction of the new pressure, and the
+# state solved again, until that no longer disturbs the balance (augmented Lagrangian method; Simo &
+# Taylor, Comput. Methods Appl. Mech. Eng. 85, 1991). The solution is that of the whole stiffness.
+# Pressures that alternate from element to element hardly move anything and settle slowly; so the
+# fraction that follows grows after every few settlings, up to the whole.
+#
+# An element's pressure depends on its volume through the material's law p(theta), and with
+# viscosity on its history: law = growth p(theta) + history. The kernels compute factor law + rest;
+# with rest = (1 - factor) pressure the fixed point is the law.
+
+# Poisson's ratio above which the pressure is split, and that of the stiffness within a solve.
+SPLIT_ABOVE, SPLIT_LIKE = 0.495, 0.47
+# Settlings of one solve after which the fraction that follows the volume grows by the second.
+SETTLINGS, STIFFER = 6, 4.0
+
+
+def split_factor(poisson: float) -> float:
+    """Return the fraction of the pressure that follows the volume within a solve; 1: all of it."""
+    if poisson <= SPLIT_ABOVE:
+        return 1.0
+    return (1 - 2 * poisson) / (1 - 2 * SPLIT_LIKE)
+
+
+@functools.cache
+def _volume_kernels(real):
+    modes_of = modes_function(real)
+    _strain, _cofactor, _deformed, mean_change, pressure_of = kinematics(real)
+    one = real(1.0)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def settle(
+        mesh: mesh_struct(real),
+        # `bulk_history` becomes that of the new pressure
+        material: material_struct(real),
+        factor: wp.array(dtype=real),
+        history: wp.array2d(dtype=real),
+        active: wp.array(dtype=wp.int32),
+        u: wp.array2d(dtype=vector_of(real)),
+        # Out:
+        pressure_out: wp.array2d(dtype=real),
+    ):
+        env, e = wp.tid()
+        if active[env] == 0:
+            return
+        m = mesh.variant[env]
+        if mesh.weight[m, e, 0] == real(0.0):  # outside a round body
+            return
+        moved = modes_of(mesh.elements, u, env, e)
+        _volume, theta, _lowest = mean_change(mesh, m, e, moved)
+        pressure = material.bulk_factor[env] * pressure_of(material.bulk[env], theta)
+        pressure += material.bulk_history[env, e]
+        pressure_out[env, e] = pressure
+        material.bulk_history[env, e] = (
+            factor[env] * history[env, e] + (one - factor[env]) * pressure
+        )
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def compose(
+        # In:
+        factor: wp.array(dtype=real),
+        history: wp.array2d(dtype=real),
+        pressure: wp.array2d(dtype=real),
+        active: wp.array(dtype=wp.int32),
+        # Out:
+        kept_out: wp.array2d(dtype=real),
+    ):
+        env, e = wp.tid()
+        if active[env] == 1:
+            rest = (one - factor[env]) * pressure[env, e]
+            kept_out[env, e] = factor[env] * history[env, e] + rest
+
+    return settle, compose
+
+
+class VolumePressure:
+    """Pressure of the elements of B environments at the last settled state, and its fraction kept.
+
+    Args:
+        real: Warp's scalar type.
+        poisson: Poisson's ratios (B,).
+        elements: Number of elements, E.
+        device: Device of the arrays.
+        history: Pressure by viscosity that does not change within a step (B, E) [E]; None: none.
+    """
+
+    def __init__(
+        self, real, poisson: NDArray[np.float64], elements: int, device: str, history=None
+    ) -> None:
+        self._least = np.array([split_factor(one) for one in poisson])
+        self.fraction = self._least.copy()
+        """Fraction of the pressure that follows the volume (B,)."""
+        self._factor = wp.array(self.fraction.astype(numpy_of(real)), dtype=real, device=device)
+        self.pressure = wp.zeros((len(poisson), elements), dtype=real, device=device)
+        """Pressure at the last settled state (B, E) [E]."""
+        self.kept = wp.zeros_like(self.pressure)
+        """Part of the pressure that does not follow the volume: an input of element kernels."""
+        self._history = wp.zeros_like(self.pressure) if history is None else history
+        self.pressure_old = wp.zeros_like(self.pressure)
+        """The same at the last accepted step."""
+        self._whole = wp.zeros_like(self.pressure)
+        self._real, self._device = real, device
+
+    def stiffen(self, chosen: NDArray[np.bool_], factor: float) -> None:
+        """Multiply the fraction that follows by `factor`, up to 1; with 0 return to the least."""
+        self.fraction[chosen] = np.clip(factor * self.fraction, self._least, 1.0)[chosen]
+        self._factor.assign(self.fraction.astype(numpy_of(self._real)))
+
+    def compose(self, active) -> None:
+        """Update `kept` where the pressure, the fraction or the history has changed."""
         wp.launch(
-            _kernels(self._real)[1],
-            dim=self._shape,
-            inputs=[
-                *mesh,
-                GAUSS_POINTS,
-                *material,
-                self._decay,
-                self._gain,
-                self._bulk_gain,
-                active,
-                u,
-            ],
-            outputs=[self._branch, self._rest, self._bulk_branch, self._bulk_rest],
+            _volume_kernels(self._real)[1],
+            dim=self.kept.shape,
+            inputs=[self._factor, self._history, self.pressure, active],
+            outputs=[self.kept],
             device=self._device,
         )
 
-    def _array(self, values):
-        return wp.array(
-            np.ascontiguousarray(values, dtype=numpy_of(self._real)),
-            dtype=self._real,
+    def settle(self, mesh, material, active, u) -> None:
+        """Set the pressure to that at `u`, and with it `kept`, the history of the material."""
+        wp.launch(
+            _volume_kernels(self._real)[0],
+            dim=self.kept.shape,
+            inputs=[mesh, material, self._factor, self._history, active, u],
+            outputs=[self.pressure],
             device=self._device,
         )
+
+    def accept(self, active) -> None:
+        """Make the current pressure that of the last accepted step."""
+        copy_active(active, self.pressure, self.pressure_old)
+
+    def roll_back(self, active) -> None:
+        """Return to the pressure of the last accepted step."""
+        copy_active(active, self.pressure_old, self.pressure)
+
+    def put_within(self, active, fraction: float) -> None:
+        """Set the pressure a fraction of the way through the step: one half, then the whole."""
+        if fraction < 1.0:
+            copy_active(active, self.pressure, self._whole)
+            mean = fraction * self.pressure.numpy() + (1 - fraction) * self.pressure_old.numpy()
+            within = wp.array(mean.astype(numpy_of(self._real)), device=self._device)
+            copy_active(active, within, self.pressure)
+        else:
+            copy_active(active, self._whole, self.pressure)

@@ -11,8 +11,8 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
 from sim.contact_size import touched_by, width_of
+from sim.fem.balance import READ
 from sim.fem.mesh import Mesh
-from sim.fem.reading import READ
 from sim.fem.sizing import resolved
 from sim.result import Quality, Result
 from sim.scene import Scene

@@ -16,6 +16,7 @@ from string import Template
 
 import warp as wp
 
+from sim.fem.arrays import material_struct, mesh_struct
 from sim.scalars import matrix_of, native_of, vector_of
 
 # Elements that a thread computes at once.
@@ -74,8 +75,8 @@ _DEFORMED = """
 
     // Lanes past the last element repeat it; elements outside a round body have no weight. Their
     // numbers are of no use, and not written.
-    const int count = elements.shape[0], kind = variant.data[env];
-    const int jacobians = inverse.shape[2];  // boxes have one for all Gauss points
+    const int count = mesh.elements.shape[0], kind = mesh.variant.data[env];
+    const int jacobians = mesh.inverse.shape[2];  // boxes have one for all Gauss points
     int element[8];
     bool used[8], any = false;
     number corners[8][3][8], inverses[8][3][3][8], weights[8][8];
@@ -83,21 +84,21 @@ _DEFORMED = """
         const int e = wp::min(8 * group + lane, count - 1);
         element[lane] = e;
         for (int a = 0; a < 8; ++a) {
-            const auto moved = wp::address(u, env, *wp::address(elements, e, a));
+            const auto moved = wp::address(u, env, *wp::address(mesh.elements, e, a));
             for (int i = 0; i < 3; ++i)
                 corners[a][i][lane] = (*moved)[i];
-            weights[a][lane] = *wp::address(weight, kind, e, a);
+            weights[a][lane] = *wp::address(mesh.weight, kind, e, a);
         }
         for (int q = 0; q < jacobians; ++q)
             for (int i = 0; i < 3; ++i)
                 for (int j = 0; j < 3; ++j)
-                    inverses[q][i][j][lane] = wp::address(inverse, kind, e, q)->data[i][j];
+                    inverses[q][i][j][lane] = wp::address(mesh.inverse, kind, e, q)->data[i][j];
         used[lane] = 8 * group + lane < count && weights[0][lane] != 0;
         any = any || used[lane];
     }
     if (!any)
         return;
-    const number stiff = bulk.data[env];
+    const number stiff = material.bulk.data[env];
     const auto inverse_of = [&](int q, int r, int j) -> wide {
         return *(const eight*)inverses[wp::min(q, jacobians - 1)][r][j];
     };
@@ -152,16 +153,16 @@ _POINT = """
             }
         cofactor(f, c);
         const wide j = 1 + less[q], root = inverse_root(__builtin_elementwise_max(j, tiny));
-        wide g = shear.data[env] * root * root;
+        wide g = material.shear.data[env] * root * root;
 """
 
 # Pressure with a history, of viscous and of split bodies.
 _PRESSURE = """
     wide held;
     for (int lane = 0; lane < 8; ++lane)
-        held[lane] = *wp::address(bulk_history, env, element[lane]);
-    pressure = bulk_factor.data[env] * pressure + held;
-    stiffness *= bulk_factor.data[env];
+        held[lane] = *wp::address(material.bulk_history, env, element[lane]);
+    pressure = material.bulk_factor.data[env] * pressure + held;
+    stiffness *= material.bulk_factor.data[env];
 """
 
 # Stress history of a Gauss point.
@@ -169,8 +170,10 @@ _PAST = """
         wide past[3][3];
         for (int lane = 0; lane < 8; ++lane)
             for (int i = 0; i < 3; ++i)
-                for (int k = 0; k < 3; ++k)
-                    past[i][k][lane] = wp::address(history, env, element[lane], q)->data[i][k];
+                for (int k = 0; k < 3; ++k) {
+                    const auto stress = wp::address(material.history, env, element[lane], q);
+                    past[i][k][lane] = stress->data[i][k];
+                }
 """
 
 _FORCES = """
@@ -185,7 +188,7 @@ $point
             for (int k = 0; k < 3; ++k)
                 squared += d[i][k] * d[i][k];
         cofactor(d, minor);
-        energy += w[q] * half * (g * square - 3 * shear.data[env]);
+        energy += w[q] * half * (g * square - 3 * material.shear.data[env]);
         // F - cof(F) tr(F^T F) / 3J in terms of h = F - 1: no cancellation at small strain
         const wide trace = d[0][0] + d[1][1] + d[2][2];
         const wide excess = (2 * trace + squared - 3 * less[q]) * (third / j);
@@ -229,7 +232,7 @@ $stress
 _VISCOUS_STRESS = """
         for (int i = 0; i < 3; ++i)
             for (int k = 0; k < 3; ++k) {
-                stress[i][k] *= factor.data[env];
+                stress[i][k] *= material.factor.data[env];
                 for (int l = 0; l < 3; ++l)
                     stress[i][k] += f[i][l] * past[l][k];
             }
@@ -369,13 +372,13 @@ $metric
     for (int lane = 0; lane < 8; ++lane) {
         if (!used[lane])
             continue;
-        const int* nodes = wp::address(elements, element[lane], 0);
+        const int* nodes = wp::address(mesh.elements, element[lane], 0);
         for (int a = 0; a < 8; ++a) {
-            if (!free.data[nodes[a]])
+            if (!mesh.free.data[nodes[a]])
                 continue;
             number* row = (number*)wp::address(matrix_out, env, nodes[a], 13 - offset(a));
             for (int b = 0; b < 8; ++b)
-                if (free.data[nodes[b]]) {
+                if (mesh.free.data[nodes[b]]) {
                     const number* block = &apart[lane][(8 * a + b) * 9];
                     number* sum = row + 9 * offset(b);
                     *(eight*)sum += *(const eight*)block;
@@ -399,7 +402,6 @@ def forces_kernel(real, viscous: bool, split: bool = False):
     The dimensions of a launch are the environments and the groups of elements.
     """
     vec3 = vector_of(real)
-    mat33 = matrix_of(real)
     parts = {"point": _POINT, "pressure": "", "stress": ""}
     if wp.static(viscous or split):
         parts["pressure"] = _PRESSURE
@@ -410,16 +412,8 @@ def forces_kernel(real, viscous: bool, split: bool = False):
         Template(_DEFORMED + _FORCES).substitute(parts, number=native_of(real), **_ROOT[real])
     )
     def forces(
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
+        mesh: mesh_struct(real),
+        material: material_struct(real),
         u: wp.array2d(dtype=vec3),
         env: int,
         group: int,
@@ -430,18 +424,8 @@ def forces_kernel(real, viscous: bool, split: bool = False):
 
     @wp.kernel(enable_backward=False, module="unique")
     def residual(
-        # As in `element.element_kernels`
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        points: int,
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
+        mesh: mesh_struct(real),
+        material: material_struct(real),
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
         force_out: wp.array3d(dtype=vec3),
@@ -450,24 +434,7 @@ def forces_kernel(real, viscous: bool, split: bool = False):
     ):
         env, group = wp.tid()
         if active[env] == 1:
-            forces(
-                elements,
-                inverse,
-                weight,
-                variant,
-                shear,
-                bulk,
-                factor,
-                bulk_factor,
-                history,
-                bulk_history,
-                u,
-                env,
-                group,
-                force_out,
-                energy_out,
-                det_out,
-            )
+            forces(mesh, material, u, env, group, force_out, energy_out, det_out)
 
     return residual
 
@@ -485,24 +452,15 @@ def blocks_kernel(real, viscous: bool, split: bool = False):
     if wp.static(viscous or split):
         parts["pressure"] = _PRESSURE
     if wp.static(viscous):
-        parts["factor"] = _PAST + "        g *= factor.data[env];\n"
+        parts["factor"] = _PAST + "        g *= material.factor.data[env];\n"
         parts["metric"] = _VISCOUS_METRIC
 
     @wp.func_native(
         Template(_DEFORMED + _TANGENT).substitute(parts, number=native_of(real), **_ROOT[real])
     )
     def tangents(
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        free: wp.array(dtype=wp.int32),
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
+        mesh: mesh_struct(real),
+        material: material_struct(real),
         u: wp.array2d(dtype=vec3),
         convex: wp.array(dtype=wp.int32),
         env: int,
@@ -512,45 +470,15 @@ def blocks_kernel(real, viscous: bool, split: bool = False):
 
     @wp.kernel(enable_backward=False, module="unique")
     def element_blocks(
-        # Mesh, by variant, and nodes that move
-        elements: wp.array2d(dtype=wp.int32),
-        inverse: wp.array3d(dtype=mat33),
-        weight: wp.array3d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        free: wp.array(dtype=wp.int32),
-        # Material, by environment
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        factor: wp.array(dtype=real),
-        bulk_factor: wp.array(dtype=real),
-        history: wp.array3d(dtype=mat33),
-        bulk_history: wp.array2d(dtype=real),
-        # In:
+        mesh: mesh_struct(real),
+        material: material_struct(real),
         active: wp.array(dtype=wp.int32),
         u: wp.array2d(dtype=vec3),
         convex: wp.array(dtype=wp.int32),
-        # In and out:
         matrix_out: wp.array3d(dtype=mat33),
     ):
         env, group = wp.tid()
         if active[env] == 1:
-            tangents(
-                elements,
-                inverse,
-                weight,
-                variant,
-                free,
-                shear,
-                bulk,
-                factor,
-                bulk_factor,
-                history,
-                bulk_history,
-                u,
-                convex,
-                env,
-                group,
-                matrix_out,
-            )
+            tangents(mesh, material, u, convex, env, group, matrix_out)
 
     return element_blocks

@@ -21,13 +21,13 @@ motions, and Newton's method takes three times the iterations or does not end
 import functools
 from itertools import pairwise
 
-import numpy as np
 import warp as wp
 
+from sim.fem.arrays import array_of, contact_struct, mesh_struct
+from sim.fem.balance import RUN
 from sim.fem.element import element_rows_kernel
 from sim.fem.lanes import AT_ONCE, blocks_kernel
 from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots, slot_offsets
-from sim.fem.vectors import RUN
 from sim.scalars import matrix_of, native_of, vector_of
 
 # Product of a row of the stencil with a vector, in a CPU's wide registers.
@@ -160,15 +160,17 @@ APIECE = 64
 
 
 @functools.cache
-def _kernels(real, stored, wide: bool):
+def _kernels(real, stored, wide: bool, on_gpu: bool):
     """Return the kernels for one precision; `stored` is the scalar type of the matrix they read.
 
-    `wide` kernels read a whole row of contiguous blocks, as on a CPU.
+    `wide` kernels read a whole row of contiguous blocks, as on a CPU. A block of threads with one
+    node each adds up its sums if `on_gpu`, else a thread those of a run of nodes.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
     kept33 = matrix_of(stored)
     zero = _zero_function(real)
+    own, lanes = (1, BLOCK) if on_gpu else (RUN, 1)
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(
@@ -188,17 +190,9 @@ def _kernels(real, stored, wide: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def finish(
-        # Mesh:
-        faces: wp.array2d(dtype=wp.int32),
-        node_faces: wp.array2d(dtype=wp.int32),
+        mesh: mesh_struct(real),
+        contact: contact_struct(real),
         slots: wp.array3d(dtype=wp.int32),
-        free: wp.array(dtype=wp.int32),
-        node_mass: wp.array2d(dtype=real),
-        variant: wp.array(dtype=wp.int32),
-        # Contact: shape functions, touched faces, stiffness of their points
-        shape: wp.array2d(dtype=real),
-        touched: wp.array2d(dtype=wp.int32),
-        contact: wp.array3d(dtype=mat33),
         # Stiffness of a unit volume against any motion, by environment
         shift: wp.array(dtype=real),
         # In:
@@ -207,21 +201,22 @@ def _kernels(real, stored, wide: bool):
         matrix_out: wp.array3d(dtype=mat33),
     ):
         env, n = wp.tid()
-        if active[env] == 0 or free[n] == 0:
+        if active[env] == 0 or mesh.free[n] == 0:
             return
-        own = wp.identity(n=3, dtype=real) * (shift[env] * node_mass[variant[env], n])
+        own = wp.identity(n=3, dtype=real) * (shift[env] * mesh.mass[mesh.variant[env], n])
         matrix_out[env, n, CENTRE] = matrix_out[env, n, CENTRE] + own
-        for k in range(node_faces.shape[1]):
-            place = node_faces[n, k]
+        for k in range(mesh.node_faces.shape[1]):
+            place = mesh.node_faces[n, k]
             if place >= 0:
                 s = place // 4
                 a = place % 4
-                if touched[env, s] > 0:
+                if contact.touched[env, s] > 0:
                     for b in range(slots.shape[2]):
-                        if free[faces[s, b]] == 1:
+                        if mesh.free[mesh.faces[s, b]] == 1:
                             block = mat33()
-                            for p in range(shape.shape[0]):
-                                block += contact[env, s, p] * (shape[p, a] * shape[p, b])
+                            for p in range(mesh.shape.shape[0]):
+                                both = mesh.shape[p, a] * mesh.shape[p, b]
+                                block += contact.matrix[env, s, p] * both
                             slot = slots[s, a, b]
                             matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
 
@@ -249,47 +244,25 @@ def _kernels(real, stored, wide: bool):
         which: wp.array(dtype=wp.int32),
         matrix: wp.array3d(dtype=kept33),
         v: wp.array2d(dtype=vec3),
-        # Out: matrix times v, and v . (matrix v) of each run of nodes
+        # Out: matrix times v, and v . (matrix v) of each run of nodes, or block of threads
         product_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
-        row, run = wp.tid()
+        row, item = wp.tid()
         env = which[row]
         if env < 0:
             return
         curvature = wp.float64(0.0)
-        for n in range(run * RUN, wp.min((run + 1) * RUN, v.shape[1])):
+        for n in range(item * own, wp.min((item + 1) * own, v.shape[1])):
             total = line(offsets, matrix, v, env, n)
             product_out[env, n] = total
             curvature += wp.float64(wp.dot(total, v[env, n]))
-        sums_out[env, run, 0] = curvature
+        if wp.static(on_gpu):
+            curvature = wp.tile_sum(wp.tile(curvature))[0]
+        if item % lanes == 0:
+            sums_out[env, item // lanes, 0] = curvature
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def block_product(
-        # Mesh:
-        offsets: wp.array(dtype=wp.int32),
-        # In:
-        which: wp.array(dtype=wp.int32),
-        matrix: wp.array3d(dtype=kept33),
-        v: wp.array2d(dtype=vec3),
-        # Out: matrix times v, and v . (matrix v) of each block of threads, one node per thread
-        product_out: wp.array2d(dtype=vec3),
-        sums_out: wp.array3d(dtype=wp.float64),
-    ):
-        row, n = wp.tid()
-        env = which[row]
-        if env < 0:
-            return
-        curvature = wp.float64(0.0)
-        if n < v.shape[1]:
-            total = line(offsets, matrix, v, env, n)
-            product_out[env, n] = total
-            curvature = wp.float64(wp.dot(total, v[env, n]))
-        whole = wp.tile_sum(wp.tile(curvature))
-        if n % BLOCK == 0:
-            sums_out[env, n // BLOCK, 0] = whole[0]
-
-    return clear, finish, rounded, product, block_product
+    return clear, finish, rounded, product
 
 
 def zero_blocks(environments: int, nodes: int, block, device: str, *, parallel: bool) -> wp.array:
@@ -330,7 +303,7 @@ class BlockMatrix:
             environments: Number of environments, B.
             device: Device of the matrix.
             viscous: True if stresses have a history.
-            split: True if pressures have one (`sim.fem.volume`).
+            split: True if pressures have one (`sim.fem.element.VolumePressure`).
             parallel: Assemble by colour with one row of an element per thread, and store the matrix
                 with node numbers running fastest; by default only on a GPU.
             half: Let products read a copy of the matrix in float16, 486 bytes more; unsuitable
@@ -347,8 +320,8 @@ class BlockMatrix:
         if half is None:
             half = self._on_gpu and real == wp.float32 and count <= HALF_NODES
         kept = wp.float16 if half else real
-        kernels = _kernels(real, kept, not self._parallel and not half)
-        self._clear, self._finish, self._round, self._product, self._block_product = kernels
+        kernels = _kernels(real, kept, not self._parallel and not half, self._on_gpu)
+        self._clear, self._finish, self._round, self._product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """Number of partial sums that `product` writes for each sum."""
         if self._parallel:
@@ -363,109 +336,53 @@ class BlockMatrix:
         self._written = _numbers(self.matrix, real)
         self._rounded = _numbers(self._read, kept) if half else None
         self._threads = -(-self._written.shape[1] // APIECE) if self._on_gpu else 1
-        self._elements = self._integers(mesh.elements)
-        self._faces = self._integers(mesh.faces)
-        self._node_faces = self._integers(mesh.node_faces)
+        self._elements = len(mesh.elements)
         self._slots = self._integers(face_slots(mesh))
         self._offsets = self._integers(slot_offsets(mesh.cells))
-        self._free = self._integers(mesh.free)
 
-    def assemble(self, active, u, geometry, material, contact, shift, convex) -> None:
-        """Fill `matrix` of active environments with the tangent at `u`.
+    def assemble(self, active, u, mesh, material, contact, shift) -> None:
+        """Fill `matrix` of active environments with the tangent at `u` (B, N).
 
-        Args:
-            active: Mask of environments, int32 (B,).
-            u: Displacement (B, N).
-            geometry: For M meshes: inverse Jacobians (M, E, 8), or (M, E, 1) for boxes, weights
-                (M, E, 8) and node volumes (M, N); and the mesh of each environment, int32 (B,).
-            material: Shear and bulk modulus (B,), factor, bulk factor, history and bulk history,
-                in the form that the element kernels take.
-            contact: Shape functions (P, 4), number of touching points per face (B, S) and the
-                stiffness of each point (B, S, P), as written by the contact kernel.
-            shift: Stiffness of a unit volume against any motion (B,).
-            convex: Environments whose elements must have no negative stiffness, int32 (B,).
+        Mesh, material and contact are structs of `sim.fem.arrays`; `shift` (B,) is the stiffness of
+        a unit volume against any motion.
         """
-        inverse, weight, node_mass, variant = geometry
         by_node = self._environments, self._nodes
         by_number = self._environments, self._threads
-        wp.launch(
-            self._clear,
-            dim=by_number,
-            inputs=[active, self._threads],
-            outputs=[self._written],
-            device=self._device,
-        )
-        mesh = self._elements, inverse, weight, variant
+        self._launch(self._clear, by_number, [active, self._threads], [self._written])
         if self._parallel:
             for first, past in pairwise(self._begins):
-                wp.launch(
+                self._launch(
                     self._elements_kernel,
-                    dim=(self._environments, len(CORNERS), past - first),
-                    inputs=[
-                        *mesh,
-                        self._order,
-                        first,
-                        self._free,
-                        len(CORNERS),
-                        *material,
-                        active,
-                        u,
-                        convex,
-                    ],
-                    outputs=[self.matrix],
-                    device=self._device,
+                    (self._environments, len(CORNERS), past - first),
+                    [mesh, material, self._order, first, active, u, contact.convex],
+                    [self.matrix],
                     block_dim=ROWS_BLOCK,
                 )
         else:
-            wp.launch(
-                self._elements_kernel,
-                dim=(self._environments, -(-len(self._elements) // AT_ONCE)),
-                inputs=[*mesh, self._free, *material, active, u, convex],
-                outputs=[self.matrix],
-                device=self._device,
-            )
-        wp.launch(
-            self._finish,
-            dim=by_node,
-            inputs=[
-                self._faces,
-                self._node_faces,
-                self._slots,
-                self._free,
-                node_mass,
-                variant,
-                *contact,
-                shift,
-                active,
-            ],
-            outputs=[self.matrix],
-            device=self._device,
-        )
+            groups = self._environments, -(-self._elements // AT_ONCE)
+            inputs = [mesh, material, active, u, contact.convex]
+            self._launch(self._elements_kernel, groups, inputs, [self.matrix])
+        inputs = [mesh, contact, self._slots, shift, active]
+        self._launch(self._finish, by_node, inputs, [self.matrix])
         if self._rounded is not None:
-            wp.launch(
-                self._round,
-                dim=by_number,
-                inputs=[active, self._threads, self._written],
-                outputs=[self._rounded],
-                device=self._device,
-            )
+            inputs = [active, self._threads, self._written]
+            self._launch(self._round, by_number, inputs, [self._rounded])
+
+    def _launch(self, kernel, dim, inputs, outputs, **options) -> None:
+        wp.launch(kernel, dim, inputs, outputs, device=self._device, **options)
 
     def product(self, which, v, product, sums) -> None:
         """Write matrix times `v` and its partial sums, for `ConjugateGradient.solve`.
 
         Only for the environments with indices in `which`, int32 (R,); -1: none.
         """
-        on_gpu = self._on_gpu
-        wp.launch(
-            self._block_product if on_gpu else self._product,
-            dim=(len(which), self.parts * (BLOCK if on_gpu else 1)),
-            inputs=[self._offsets, which, self._read, v],
-            outputs=[product, sums],
-            device=self._device,
+        self._launch(
+            self._product,
+            (len(which), self.parts * (BLOCK if self._on_gpu else 1)),
+            [self._offsets, which, self._read, v],
+            [product, sums],
             block_dim=BLOCK,
         )
 
     def _integers(self, values) -> wp.array:
-        return wp.array(
-            np.ascontiguousarray(values, dtype=np.int32), dtype=wp.int32, device=self._device
-        )
+        return array_of(values, wp.int32, wp.float32, self._device)

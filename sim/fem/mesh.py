@@ -11,12 +11,13 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.fem.numerics import CELLS_MAX, Fem, Grading
+from sim.fem import CELLS_MAX, Fem, Grading
 from sim.fem.sizing import (
     DEEPEST,
     GROWTH,
@@ -242,9 +243,9 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
     nodes = place.reshape(-1, 3)
     grid = _topology(cells)
     if height.any():
-        inverse, weight = _geometry(nodes[grid.elements])
-        volume = _node_volumes(grid.elements, weight, len(nodes))
-        area = _face_areas(nodes[grid.faces])
+        inverse, weight = _geometry(nodes[grid["elements"]])
+        volume = _node_volumes(grid["elements"], weight, len(nodes))
+        area = _face_areas(nodes[grid["faces"]])
     else:
         sides = np.diff(x), np.diff(y), np.diff(fraction)
         inverse, weight = _box_geometry(*sides)
@@ -255,7 +256,7 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
         inside = body.fractions(x * unit, y * unit)
         inside[inside < SHARE_LEAST] = 0.0
         weight = weight * np.repeat(inside.ravel(), cells[2])[:, None]
-        volume = _node_volumes(grid.elements, weight, len(nodes))
+        volume = _node_volumes(grid["elements"], weight, len(nodes))
         # The sides of the grid lie outside the body.
         area = np.concatenate([area[: inside.size] * inside.ravel(), 0 * area[inside.size :]])
     return Mesh(
@@ -264,32 +265,18 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
         y=y,
         fineness=fineness,
         nodes=nodes,
-        elements=grid.elements,
         inverse=inverse,
         weight=weight,
-        faces=grid.faces,
         face_area=area,
-        node_elements=grid.node_elements,
-        node_faces=grid.node_faces,
-        free=grid.free,
         node_volume=volume,
         fraction=inside,
+        **grid,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Topology:
-    """Parts of `Mesh` that meshes with the same cell counts share."""
-
-    elements: NDArray[np.int32]
-    faces: NDArray[np.int32]
-    node_elements: NDArray[np.int32]
-    node_faces: NDArray[np.int32]
-    free: NDArray[np.bool_]
-
-
 @functools.lru_cache(maxsize=16)
-def _topology(cells: tuple[int, int, int]) -> _Topology:
+def _topology(cells: tuple[int, int, int]) -> dict[str, NDArray[Any]]:
+    """Return the parts of `Mesh` that meshes with the same cell counts share, by name."""
     nx, ny, nz = cells
     count = (nx + 1) * (ny + 1) * (nz + 1)
     grid = np.arange(count, dtype=np.int32).reshape(nx + 1, ny + 1, nz + 1)
@@ -299,7 +286,13 @@ def _topology(cells: tuple[int, int, int]) -> _Topology:
     faces = _faces(grid)
     free = np.ones(count, dtype=bool)
     free[grid[:, :, 0].ravel()] = False
-    return _Topology(elements, faces, _around(elements, count, 8), _around(faces, count, 4), free)
+    return {
+        "elements": elements,
+        "faces": faces,
+        "node_elements": _around(elements, count, 8),
+        "node_faces": _around(faces, count, 4),
+        "free": free,
+    }
 
 
 def _geometry(corners: Array) -> tuple[Array, Array]:

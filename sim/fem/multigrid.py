@@ -1,24 +1,14 @@
 # mypy: ignore-errors
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
-"""Multigrid preconditioner: columns on the mesh, corrected on ever coarser grids in plan.
+"""Preconditioner: vertical columns solved exactly, corrected on ever coarser grids in plan.
 
-Columns (`fem.columns`) leave the couplings between them to the conjugate gradients. These couplings
-are strong where elements are narrower than high, as under a small contact on a thick body, and in
-nearly incompressible bodies, where pressure on a column is passed to its neighbours. There columns
-alone take hundreds of iterations. With coarser grids they take 5 to 30, for a Poisson's ratio of
-0.4999 up to 100, each about six times as long.
+The nodes of a column form a block-tridiagonal system, factored as L D L^T with one 3x3 pivot per
+node (Golub & Van Loan, Matrix Computations, 4th ed., section 4.5.1). The blocks are those of the
+current state: with those of the undeformed body, columns need more iterations than single nodes.
 
-One application is a symmetric V-cycle (Briggs, Henson & McCormick, A Multigrid Tutorial, 2nd ed.,
-2000). On each grid the columns are solved once before and once after the correction by the next
-coarser one. Coarser grids keep all nodes of a column, and leave out lines of nodes along x and y
-where these are closest together: so each grid is more even than the one before, and the strong
-couplings of a graded mesh are those that it coarsens. The tangent on a coarser grid is that of the
-finer one for displacements interpolated from it (Galerkin's). It is made again when solves slow
-down. From a spacing of a thickness on, columns alone do well.
-
-A fraction of the columns' solutions is added up. An element joins four columns, so if no element
-has negative stiffness, the tangent is at most four times its part within columns; with a fraction
-below one half the cycle is therefore positive definite.
+Where the tangent is not convex, a pivot may have eigenvalues that are zero or negative. Those are
+raised to their absolute values or more; L D L^T with positive pivots is positive definite for any
+L.
 """
 
 import functools
@@ -29,10 +19,325 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fem.columns import ColumnPreconditioner, Factors, column_functions
+from sim.fem.arrays import array_of
 from sim.fem.matrix import row_function, zero_blocks
-from sim.fem.mesh import SLOTS, Mesh, slot_offsets
-from sim.scalars import matrix_of, numpy_of, vector_of
+from sim.fem.mesh import CENTRE, SLOTS, Mesh, slot_offsets
+from sim.scalars import matrix_of, vector_of
+
+# Columns per block of GPU threads, which adds up their sums.
+BLOCK = 64
+# Least eigenvalue of a pivot over the mean diagonal of its block. The ratio of shear to bulk
+# modulus at nu = 0.4999 makes it 1e-4; below 1e-6 float32 has no digits left.
+PIVOT_LEAST = 1e-5
+
+
+@functools.cache
+def factors_struct(real):
+    """Return the struct of a grid's factors (B, columns, Z)."""
+    mat33 = matrix_of(real)
+
+    class DeviceFactors:
+        pivot: wp.array3d(dtype=mat33)  # inverse pivots
+        upper: wp.array3d(dtype=mat33)  # each times the coupling to the node above
+
+    return wp.struct(DeviceFactors)
+
+
+@functools.cache
+def _factor_kernel(real):
+    mat33 = matrix_of(real)
+    half, third, least = real(0.5), real(1.0 / 3.0), real(PIVOT_LEAST)
+
+    @wp.func
+    def positive(a: mat33):
+        """True if a symmetric matrix is positive definite, by its leading minors."""
+        return (
+            a[0, 0] > real(0.0)
+            and a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0] > real(0.0)
+            and wp.determinant(a) > real(0.0)
+        )
+
+    @wp.func
+    def clamped_eigenvalues(a: mat33, floor: real):
+        """Return the symmetric matrix with eigenvalues raised to max(absolute value, `floor`)."""
+        vectors, values = wp.eig3(a)
+        for i in range(3):
+            values[i] = wp.max(wp.abs(values[i]), floor)
+        return vectors * wp.diag(values) * wp.transpose(vectors)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def factor(
+        # Mesh:
+        free: wp.array(dtype=wp.int32),
+        # In:
+        active: wp.array(dtype=wp.int32),
+        matrix: wp.array3d(dtype=mat33),
+        # Out:
+        factors: factors_struct(real),
+    ):
+        env, column = wp.tid()
+        if active[env] == 0:
+            return
+        below = mat33()
+        levels = factors.pivot.shape[2]
+        for k in range(levels):
+            n = column * levels + k
+            inverse = mat33()
+            upper = mat33()
+            block = matrix[env, n, CENTRE]
+            size = wp.abs(block[0, 0]) + wp.abs(block[1, 1]) + wp.abs(block[2, 2])
+            # Nodes outside a round body have no stiffness and do not move.
+            if free[n] == 1 and size > real(0.0):
+                floor = least * third * size
+                pivot = block - below
+                pivot = (pivot + wp.transpose(pivot)) * half
+                if not positive(pivot - wp.identity(n=3, dtype=real) * floor):
+                    pivot = clamped_eigenvalues(pivot, floor)
+                inverse = wp.inverse(pivot)
+                coupling = matrix[env, n, CENTRE + 1]
+                upper = inverse * coupling
+                below = wp.transpose(coupling) * upper
+            factors.pivot[env, column, k] = inverse
+            factors.upper[env, column, k] = upper
+
+    return factor
+
+
+@functools.cache
+def column_functions(real):
+    """Return `eliminated` and `substituted`, which solve a column forwards and backwards."""
+    vec3 = vector_of(real)
+    factors_type = factors_struct(real)
+
+    @wp.func
+    def eliminated(
+        factors: factors_type,
+        env: int,
+        column: int,
+        k: int,
+        n: int,
+        y: vec3,
+        y_out: wp.array2d(dtype=vec3),
+    ):
+        """Store `y`, the solution by L at the column's node k; return its part to subtract next."""
+        y_out[env, n] = y
+        return wp.transpose(factors.upper[env, column, k]) * y
+
+    @wp.func
+    def substituted(
+        factors: factors_type,
+        y: wp.array2d(dtype=vec3),
+        env: int,
+        column: int,
+        k: int,
+        n: int,
+        z: vec3,
+    ):
+        """Return the solution at the column's node k, from L's in `y` and `z`, that above it."""
+        return factors.pivot[env, column, k] * y[env, n] - factors.upper[env, column, k] * z
+
+    return eliminated, substituted
+
+
+@functools.cache
+def _column_kernels(real, on_gpu: bool):
+    """Return the kernels (step, sweep); on a CPU the second takes the step as well."""
+    vec3 = vector_of(real)
+    factors_type = factors_struct(real)
+    eliminated, substituted = column_functions(real)
+    lanes = BLOCK if on_gpu else 1
+
+    @wp.func
+    def stepped(
+        env: int,
+        n: int,
+        scalars: wp.array2d(dtype=wp.float64),
+        p: wp.array2d(dtype=vec3),
+        product: wp.array2d(dtype=vec3),
+        solution_out: wp.array2d(dtype=vec3),
+        r_out: wp.array2d(dtype=vec3),
+    ):
+        length = real(scalars[env, 2])
+        solution_out[env, n] = solution_out[env, n] + p[env, n] * length
+        r_out[env, n] = r_out[env, n] - product[env, n] * length
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def step(
+        # In: step length (B, 2); search direction and the tangent times it
+        which: wp.array(dtype=wp.int32),
+        scalars: wp.array2d(dtype=wp.float64),
+        p: wp.array2d(dtype=vec3),
+        product: wp.array2d(dtype=vec3),
+        # In and out:
+        solution_out: wp.array2d(dtype=vec3),
+        r_out: wp.array2d(dtype=vec3),
+    ):
+        """Step each node's solution and residual before `sweep`, with coalesced memory access."""
+        row, n = wp.tid()
+        env = which[row]
+        if env >= 0:
+            stepped(env, n, scalars, p, product, solution_out, r_out)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def sweep(
+        factors: factors_type,
+        # As in `step`
+        which: wp.array(dtype=wp.int32),
+        scalars: wp.array2d(dtype=wp.float64),
+        p: wp.array2d(dtype=vec3),
+        product: wp.array2d(dtype=vec3),
+        solution_out: wp.array2d(dtype=vec3),
+        r_out: wp.array2d(dtype=vec3),
+        # Out: preconditioned residual, and partial sums of r.z and r.r
+        z_out: wp.array2d(dtype=vec3),
+        sums_out: wp.array3d(dtype=wp.float64),
+    ):
+        row, column = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        rz = wp.float64(0.0)
+        rr = wp.float64(0.0)
+        if column < factors.pivot.shape[1]:
+            levels = factors.pivot.shape[2]
+            coupled = vec3()
+            for k in range(levels):
+                n = column * levels + k
+                if wp.static(not on_gpu):
+                    stepped(env, n, scalars, p, product, solution_out, r_out)
+                coupled = eliminated(factors, env, column, k, n, r_out[env, n] - coupled, z_out)
+            z = vec3()
+            for j in range(levels):
+                k = levels - 1 - j
+                n = column * levels + k
+                z = substituted(factors, z_out, env, column, k, n, z)
+                z_out[env, n] = z
+                rz += wp.float64(wp.dot(r_out[env, n], z))
+                rr += wp.float64(wp.dot(r_out[env, n], r_out[env, n]))
+        if wp.static(on_gpu):
+            rz = wp.tile_sum(wp.tile(rz))[0]
+            rr = wp.tile_sum(wp.tile(rr))[0]
+        if column % lanes == 0:
+            sums_out[env, column // lanes, 0] = rz
+            sums_out[env, column // lanes, 1] = rr
+
+    return step, sweep
+
+
+class Factors:
+    """Factors of the columns of B environments on one grid.
+
+    Args:
+        free: True for nodes that move (N,).
+        levels: Number of nodes of a column, Z.
+        real: Warp's scalar type.
+        environments: Number of environments, B.
+        device: Device of the factors.
+        parallel: Store the factors with column numbers running fastest.
+    """
+
+    def __init__(
+        self, free, levels: int, real, environments: int, device: str, *, parallel: bool
+    ) -> None:
+        self._environments, self._device, self._real = environments, device, real
+        self.columns = len(free) // levels
+        """Number of columns."""
+        shape = (levels, self.columns) if parallel else (self.columns, levels)
+        stored = wp.zeros((2, environments, *shape), matrix_of(real), device=device)
+        stored = stored.transpose((0, 1, 3, 2)) if parallel else stored
+        self.arrays = factors_struct(real)()
+        """The factors on the device."""
+        self.arrays.pivot, self.arrays.upper = stored[0], stored[1]
+        self._free = wp.array(free.astype(np.int32), dtype=wp.int32, device=device)
+
+    def make(self, active, matrix) -> None:
+        """Factor the columns of active environments, from the blocks (B, N, 27) of the tangent."""
+        wp.launch(
+            _factor_kernel(self._real),
+            dim=(self._environments, self.columns),
+            inputs=[self._free, active, matrix],
+            outputs=[self.arrays],
+            device=self._device,
+        )
+
+
+class ColumnPreconditioner:
+    """Preconditioner of vertical columns for B environments on one grid; it owns its factors."""
+
+    def __init__(
+        self, mesh: Mesh, real, environments: int, device: str, *, parallel: bool | None = None
+    ) -> None:
+        """Allocate the factors: 72 bytes per node and environment in float32.
+
+        Args:
+            mesh: Grid with its fixed nodes.
+            real: Warp's scalar type.
+            environments: Number of environments, B.
+            device: Device of the factors.
+            parallel: Store the factors with column numbers running fastest; by default only on a
+                GPU.
+        """
+        self._device = device
+        on_gpu = self._on_gpu = wp.get_device(device).is_cuda
+        self._step, self._sweep = _column_kernels(real, on_gpu)
+        parallel = on_gpu if parallel is None else parallel
+        levels = mesh.cells[2] + 1
+        self.factors = Factors(mesh.free, levels, real, environments, device, parallel=parallel)
+        """Factors of the columns."""
+        columns = self.factors.columns
+        self.parts = -(-columns // BLOCK) if on_gpu else columns
+        """Number of partial sums that `advance` writes for each sum."""
+
+    def factor(self, active, matrix) -> None:
+        """Factor the columns of active environments, from the blocks (B, N, 27) of the tangent."""
+        self.factors.make(active, matrix)
+
+    def advance(self, which, scalars, along, vectors, sums) -> None:
+        """Take a step of conjugate gradients, and precondition the new residual.
+
+        Args:
+            which: Indices of environments, int32 (R,); -1: none.
+            scalars: Length of the step in column 2 (B, 3 or more), float64.
+            along: Search direction and the tangent times it, two (B, N).
+            vectors: Solution and residual, which the step changes, and output of the preconditioned
+                residual, three (B, N).
+            sums: Output of the partial sums of r.z and r.r (B, `parts`, 2), float64.
+        """
+        solution, r, z = vectors
+        inputs = [which, scalars, *along]
+        if self._on_gpu:
+            wp.launch(
+                self._step, (len(which), r.shape[1]), inputs, [solution, r], device=self._device
+            )
+        wp.launch(
+            self._sweep,
+            dim=(len(which), self.parts * (BLOCK if self._on_gpu else 1)),
+            inputs=[self.factors.arrays, *inputs],
+            outputs=[solution, r, z, sums],
+            device=self._device,
+            block_dim=BLOCK,
+        )
+
+
+# Multigrid: columns on the mesh, corrected on ever coarser grids in plan.
+#
+# Columns leave the couplings between them to the conjugate gradients. These couplings are strong
+# where elements are narrower than high, as under a small contact on a thick body, and in nearly
+# incompressible bodies, where pressure on a column is passed to its neighbours. There columns alone
+# take hundreds of iterations. With coarser grids they take 5 to 30, for a Poisson's ratio of 0.4999
+# up to 100, each about six times as long.
+#
+# One application is a symmetric V-cycle (Briggs, Henson & McCormick, A Multigrid Tutorial, 2nd ed.,
+# 2000). On each grid the columns are solved once before and once after the correction by the next
+# coarser one. Coarser grids keep all nodes of a column, and leave out lines of nodes along x and y
+# where these are closest together: so each grid is more even than the one before, and the strong
+# couplings of a graded mesh are those that it coarsens. The tangent on a coarser grid is that of
+# the finer one for displacements interpolated from it (Galerkin's). It is made again when solves
+# slow down. From a spacing of a thickness on, columns alone do well.
+#
+# A fraction of the columns' solutions is added up. An element joins four columns, so if no element
+# has negative stiffness, the tangent is at most four times its part within columns; with a fraction
+# below one half the cycle is therefore positive definite.
 
 # Iterations of one solve with columns alone from which an environment gets coarser grids. On a GPU,
 # where a cycle is many small kernels, it takes longer beside an iteration of columns alone.
@@ -92,9 +397,33 @@ def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
 
 
 @functools.cache
+def _interpolation_structs(real):
+    """Return the structs of the linear interpolation from a grid to the next finer one: axis, both.
+
+    For M meshes.
+    """
+
+    class Axis:
+        below: wp.array2d(dtype=wp.int32)  # coarse line of nodes below (or at) each (M, fine)
+        part: wp.array2d(dtype=real)  # weight of the line after it (M, fine)
+        reach: wp.array3d(dtype=wp.int32)  # range of fine lines by coarse line (M, coarse, 2)
+
+    axis = wp.struct(Axis)
+
+    class Interpolation:
+        variant: wp.array(dtype=wp.int32)  # mesh of each environment (B,)
+        levels: int  # nodes of a column
+        x: axis
+        y: axis
+
+    return axis, wp.struct(Interpolation)
+
+
+@functools.cache
 def _kernels(real, parallel: bool):
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
+    axis_type, weights_type = _interpolation_structs(real)
     eliminated, substituted = column_functions(real)
     line = row_function(real, real, not parallel)
     omega = real(SMOOTHING)
@@ -131,8 +460,7 @@ def _kernels(real, parallel: bool):
         # In: environments; factors; right-hand side; 1 to add to z
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
-        pivot: wp.array3d(dtype=mat33),
-        upper: wp.array3d(dtype=mat33),
+        factors: factors_struct(real),
         rhs: wp.array2d(dtype=vec3),
         add: int,
         # In: residual whose partial sums of r.z are written, and the first of them; below 0: none
@@ -150,22 +478,22 @@ def _kernels(real, parallel: bool):
         env = hard_environment(which, hard, row)
         if env < 0:
             return
-        levels = pivot.shape[2]
+        levels = factors.pivot.shape[2]
         coupled = vec3()
         for k in range(levels):
             n = column * levels + k
-            coupled = eliminated(upper, env, column, k, n, rhs[env, n] - coupled, y_out)
+            coupled = eliminated(factors, env, column, k, n, rhs[env, n] - coupled, y_out)
         rz = wp.float64(0.0)
         z = vec3()
         for j in range(levels):
             k = levels - 1 - j
             n = column * levels + k
-            z = substituted(pivot, upper, y_out, env, column, k, n, z)
+            z = substituted(factors, y_out, env, column, k, n, z)
             total = z * omega
             if add == 1:
                 total += z_out[env, n]
             # Nodes outside a round body, which coarser grids may reach, do not move.
-            if pivot[env, column, k][0, 0] == real(0.0):
+            if factors.pivot[env, column, k][0, 0] == real(0.0):
                 total = vec3()
             z_out[env, n] = total
             if first >= 0:
@@ -192,35 +520,20 @@ def _kernels(real, parallel: bool):
         rest_out[env, n] = rhs[env, n] - line(offsets, matrix, z, env, n)
 
     @wp.func
-    def weight(
-        below: wp.array2d(dtype=wp.int32),
-        part: wp.array2d(dtype=real),
-        mesh: int,
-        fine: int,
-        coarse: int,
-    ):
+    def weight(axis: axis_type, mesh: int, fine: int, coarse: int):
         """Return the weight of a coarse line of nodes at a fine one (linear interpolation)."""
         found = real(0.0)
-        if below[mesh, fine] == coarse:
-            found = real(1.0) - part[mesh, fine]
-        elif below[mesh, fine] + 1 == coarse:
-            found = part[mesh, fine]
+        if axis.below[mesh, fine] == coarse:
+            found = real(1.0) - axis.part[mesh, fine]
+        elif axis.below[mesh, fine] + 1 == coarse:
+            found = axis.part[mesh, fine]
         return found
 
     @wp.kernel(enable_backward=False, module="unique")
     def restrict(
-        # Environments:
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
-        # Interpolation between the two grids
-        variant: wp.array(dtype=wp.int32),
-        below_x: wp.array2d(dtype=wp.int32),
-        part_x: wp.array2d(dtype=real),
-        reach_x: wp.array3d(dtype=wp.int32),
-        below_y: wp.array2d(dtype=wp.int32),
-        part_y: wp.array2d(dtype=real),
-        reach_y: wp.array3d(dtype=wp.int32),
-        levels: int,
+        weights: weights_type,
         # In:
         fine: wp.array2d(dtype=vec3),
         # Out:
@@ -231,32 +544,25 @@ def _kernels(real, parallel: bool):
         env = hard_environment(which, hard, row)
         if env < 0:
             return
-        mesh = variant[env]
-        wide = reach_y.shape[1]
+        mesh = weights.variant[env]
+        levels = weights.levels
+        wide = weights.y.reach.shape[1]
         i = n // (wide * levels)
         j = (n // levels) % wide
         k = n % levels
         total = vec3()
-        for a in range(reach_x[mesh, i, 0], reach_x[mesh, i, 1]):
-            along_x = weight(below_x, part_x, mesh, a, i)
-            for b in range(reach_y[mesh, j, 0], reach_y[mesh, j, 1]):
-                along = along_x * weight(below_y, part_y, mesh, b, j)
-                total += fine[env, (a * below_y.shape[1] + b) * levels + k] * along
+        for a in range(weights.x.reach[mesh, i, 0], weights.x.reach[mesh, i, 1]):
+            along_x = weight(weights.x, mesh, a, i)
+            for b in range(weights.y.reach[mesh, j, 0], weights.y.reach[mesh, j, 1]):
+                along = along_x * weight(weights.y, mesh, b, j)
+                total += fine[env, (a * weights.y.below.shape[1] + b) * levels + k] * along
         coarse_out[env, n] = total
 
     @wp.kernel(enable_backward=False, module="unique")
     def prolong(
-        # Environments:
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
-        # Interpolation between the two grids
-        variant: wp.array(dtype=wp.int32),
-        below_x: wp.array2d(dtype=wp.int32),
-        part_x: wp.array2d(dtype=real),
-        below_y: wp.array2d(dtype=wp.int32),
-        part_y: wp.array2d(dtype=real),
-        coarse_y: int,
-        levels: int,
+        weights: weights_type,
         # In:
         coarse: wp.array2d(dtype=vec3),
         # In and out:
@@ -267,14 +573,16 @@ def _kernels(real, parallel: bool):
         env = hard_environment(which, hard, row)
         if env < 0:
             return
-        mesh = variant[env]
-        wide = below_y.shape[1]
+        mesh = weights.variant[env]
+        levels = weights.levels
+        wide = weights.y.below.shape[1]
         a = n // (wide * levels)
         b = (n // levels) % wide
         k = n % levels
-        x = part_x[mesh, a]
-        y = part_y[mesh, b]
-        first = (below_x[mesh, a] * coarse_y + below_y[mesh, b]) * levels + k
+        coarse_y = weights.y.reach.shape[1]
+        x = weights.x.part[mesh, a]
+        y = weights.y.part[mesh, b]
+        first = (weights.x.below[mesh, a] * coarse_y + weights.y.below[mesh, b]) * levels + k
         near = coarse[env, first] * (real(1.0) - y) + coarse[env, first + levels] * y
         first += coarse_y * levels
         far = coarse[env, first] * (real(1.0) - y) + coarse[env, first + levels] * y
@@ -282,15 +590,7 @@ def _kernels(real, parallel: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def coarsen(
-        # Interpolation between the two grids
-        variant: wp.array(dtype=wp.int32),
-        below_x: wp.array2d(dtype=wp.int32),
-        part_x: wp.array2d(dtype=real),
-        reach_x: wp.array3d(dtype=wp.int32),
-        below_y: wp.array2d(dtype=wp.int32),
-        part_y: wp.array2d(dtype=real),
-        reach_y: wp.array3d(dtype=wp.int32),
-        levels: int,
+        weights: weights_type,
         # In:
         active: wp.array(dtype=wp.int32),
         fine: wp.array3d(dtype=mat33),
@@ -307,32 +607,33 @@ def _kernels(real, parallel: bool):
             env, n, slot = wp.tid()
         if active[env] == 0:
             return
-        mesh = variant[env]
-        wide = reach_y.shape[1]
-        fine_x = below_x.shape[1]
-        fine_y = below_y.shape[1]
+        mesh = weights.variant[env]
+        levels = weights.levels
+        wide = weights.y.reach.shape[1]
+        fine_x = weights.x.below.shape[1]
+        fine_y = weights.y.below.shape[1]
         i = n // (wide * levels)
         j = (n // levels) % wide
         k = n % levels
         i2 = i + slot // 9 - 1
         j2 = j + (slot // 3) % 3 - 1
         total = mat33()
-        if i2 >= 0 and i2 < reach_x.shape[1] and j2 >= 0 and j2 < wide:
-            for a in range(reach_x[mesh, i, 0], reach_x[mesh, i, 1]):
-                x = weight(below_x, part_x, mesh, a, i)
+        if i2 >= 0 and i2 < weights.x.reach.shape[1] and j2 >= 0 and j2 < wide:
+            for a in range(weights.x.reach[mesh, i, 0], weights.x.reach[mesh, i, 1]):
+                x = weight(weights.x, mesh, a, i)
                 for da in range(3):
                     a2 = a + da - 1
                     along_x = real(0.0)
                     if a2 >= 0 and a2 < fine_x:
-                        along_x = x * weight(below_x, part_x, mesh, a2, i2)
+                        along_x = x * weight(weights.x, mesh, a2, i2)
                     if along_x != real(0.0):
-                        for b in range(reach_y[mesh, j, 0], reach_y[mesh, j, 1]):
-                            y = along_x * weight(below_y, part_y, mesh, b, j)
+                        for b in range(weights.y.reach[mesh, j, 0], weights.y.reach[mesh, j, 1]):
+                            y = along_x * weight(weights.y, mesh, b, j)
                             for db in range(3):
                                 b2 = b + db - 1
                                 along = real(0.0)
                                 if b2 >= 0 and b2 < fine_y:
-                                    along = y * weight(below_y, part_y, mesh, b2, j2)
+                                    along = y * weight(weights.y, mesh, b2, j2)
                                 if along != real(0.0):
                                     m = (a * fine_y + b) * levels + k
                                     total += fine[env, m, 9 * da + 3 * db + slot % 3] * along
@@ -356,21 +657,12 @@ class _Grid:
     """Right-hand side and solution; the finest grid's are those of the conjugate gradients."""
     rest: wp.array
     """Residual of `z`."""
-    weights: tuple | None
-    """Interpolation to the next finer grid, along x and then y: see `_weights`."""
-
-    @property
-    def levels(self) -> int:
-        """Number of nodes of a column."""
-        return self.counts[2]
+    weights: object | None
+    """Interpolation to the next finer grid."""
 
 
 def _weights(fine: Array, kept: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Return the linear interpolation along one axis to the points of M meshes (M, X).
-
-    It is the index of the coarse point below (or at) each, the weight of the next one, (M, X); and
-    the range of fine points which each coarse point reaches, (M, coarse X, 2).
-    """
+    """Return `below`, `part` and `reach` of an interpolation to the points of M meshes (M, X)."""
     below, part, reach = [], [], []
     for x, chosen in zip(fine, kept, strict=True):
         coarse = x[chosen]
@@ -456,7 +748,13 @@ class Multigrid:
         self._grids = [self._grid((len(x[0]), len(y[0]), levels))]
         for many, wide in grid_counts(x[0], y[0]):
             kept_x, kept_y = thinned(x, many), thinned(y, wide)
-            weights = *_weights(x, kept_x), *_weights(y, kept_y)
+            axis, both = _interpolation_structs(self._real)
+            weights = both()
+            weights.variant, weights.levels = self._variant, levels
+            for name, of in (("x", _weights(x, kept_x)), ("y", _weights(y, kept_y))):
+                along = axis()
+                along.below, along.part, along.reach = map(self._array, of)
+                setattr(weights, name, along)
             self._grids.append(self._grid((many, wide, levels), weights))
             x, y = (np.take_along_axis(*one, axis=1) for one in ((x, kept_x), (y, kept_y)))
 
@@ -475,8 +773,7 @@ class Multigrid:
         free = np.ones(nodes, bool)
         factors = Factors(free, counts[2], real, environments, device, parallel=self._parallel)
         matrix = zero_blocks(environments, nodes, matrix_of(real), device, parallel=self._parallel)
-        stored = tuple(self._array(one) for one in weights)
-        return _Grid(counts, offsets, factors, matrix, vector(), vector(), vector(), stored)
+        return _Grid(counts, offsets, factors, matrix, vector(), vector(), vector(), weights)
 
     def factor(self, active, matrix) -> None:
         """Factor the columns, and make and factor the coarser grids of hard environments.
@@ -503,7 +800,7 @@ class Multigrid:
             wp.launch(
                 coarsen,
                 dim=(self._environments, *room),
-                inputs=[self._variant, *coarse.weights, coarse.levels, chosen, fine.matrix],
+                inputs=[coarse.weights, chosen, fine.matrix],
                 outputs=[coarse.matrix],
                 device=self._device,
             )
@@ -522,14 +819,12 @@ class Multigrid:
         for fine, coarse in pairwise(grids):
             rest = [fine.offsets, fine.matrix, fine.rhs, fine.z]
             self._launch(residual, fine.rest.shape[1], which, rest, [fine.rest])
-            weights = [self._variant, *coarse.weights, coarse.levels, fine.rest]
-            self._launch(restrict, coarse.rest.shape[1], which, weights, [coarse.rhs])
+            inputs = [coarse.weights, fine.rest]
+            self._launch(restrict, coarse.rest.shape[1], which, inputs, [coarse.rhs])
             self._smooth(which, coarse, coarse.rhs, sums)
         for coarse, fine in pairwise(reversed(grids)):
-            below_x, part_x, _reach, below_y, part_y, reach_y = coarse.weights
-            weights = [self._variant, below_x, part_x, below_y, part_y, reach_y.shape[1]]
-            weights += [coarse.levels, coarse.z]
-            self._launch(prolong, fine.rest.shape[1], which, weights, [fine.z])
+            inputs = [coarse.weights, coarse.z]
+            self._launch(prolong, fine.rest.shape[1], which, inputs, [fine.z])
             rest = [fine.offsets, fine.matrix, fine.rhs, fine.z]
             self._launch(residual, fine.rest.shape[1], which, rest, [fine.rest])
             self._smooth(which, fine, fine.rest, sums)
@@ -541,7 +836,7 @@ class Multigrid:
             self._kernels[1],
             grid.factors.columns,
             which,
-            [grid.factors.pivot, grid.factors.upper, rhs, int(rhs is grid.rest), grid.rhs, first],
+            [grid.factors.arrays, rhs, int(rhs is grid.rest), grid.rhs, first],
             [grid.rest, grid.z, sums],
         )
 
@@ -555,6 +850,5 @@ class Multigrid:
         )
 
     def _array(self, values) -> wp.array:
-        if np.issubdtype(np.asarray(values).dtype, np.integer):
-            return wp.array(np.asarray(values, np.int32), dtype=wp.int32, device=self._device)
-        return wp.array(values.astype(numpy_of(self._real)), dtype=self._real, device=self._device)
+        whole = np.issubdtype(np.asarray(values).dtype, np.integer)
+        return array_of(values, wp.int32 if whole else self._real, self._real, self._device)

@@ -16,11 +16,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from sim.fem.assembly import Assembly, Sums
+from sim.fem import Fem
+from sim.fem.arrays import axpy, copy_active
+from sim.fem.assembly import Assembly
 from sim.fem.cg import ConjugateGradient
-from sim.fem.numerics import Fem
-from sim.fem.vectors import axpy, copy_active
-from sim.fem.volume import SETTLINGS, STIFFER
+from sim.fem.element import SETTLINGS, STIFFER
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
@@ -221,7 +221,7 @@ class Newton:
         spent |= self.iterations - np.maximum(self._best_at, self._far_at) >= PATIENCE
         stuck = ~walked & (damping >= DAMPING_MOST)
         self.failed |= running & ~self.converged & (spent | stuck)
-        self.crushed = self.failed & (assembly.sums.det <= DET_FLOOR)
+        self.crushed = self.failed & (assembly.sums["det"] <= DET_FLOOR)
 
     def _switch(self, chosen: np.ndarray) -> bool:
         """Switch tangents of the chosen (B,) between convex and exact; return True if any."""
@@ -245,7 +245,7 @@ class Newton:
             moved = balanced.copy()
             balanced = self._balance(balanced)[1]
             self._renew(moved & ~balanced)
-        good = assembly.sums.det > DET_FLOOR
+        good = assembly.sums["det"] > DET_FLOOR
         self.converged |= balanced & good
         self.failed |= (chosen & ~is_valid) | (balanced & ~good)
 
@@ -268,9 +268,9 @@ class Newton:
         """Set the residual of the chosen (B,); return which are valid, and which balanced too."""
         assembly = self._assembly
         sums = assembly.sums
-        force = np.maximum(np.sqrt(sums.applied), assembly.min_force_scale)
-        self.residual[chosen] = (np.sqrt(sums.square) / force)[chosen]
-        is_valid = np.isfinite(self.residual) & (sums.det > DET_TRIAL)
+        force = np.maximum(np.sqrt(sums["applied"]), assembly.min_force_scale)
+        self.residual[chosen] = (np.sqrt(sums["square"]) / force)[chosen]
+        is_valid = np.isfinite(self.residual) & (sums["det"] > DET_TRIAL)
         return is_valid, chosen & is_valid & (self.residual <= self._tolerance)
 
     def _search(self, active, running, predicting, slope) -> tuple[np.ndarray, np.ndarray]:
@@ -288,11 +288,10 @@ class Newton:
             self._walk(trying, length)
             sums = assembly.evaluate(trying, state.u, direction)
             with np.errstate(invalid="ignore", divide="ignore"):
-                is_valid = (
-                    np.isfinite(sums.square) & np.isfinite(sums.slope) & (sums.det > DET_TRIAL)
-                )
+                finite = np.isfinite(sums["square"]) & np.isfinite(sums["slope"])
+                is_valid = finite & (sums["det"] > DET_TRIAL)
                 good = is_valid & self._eased(sums, slope)
-                shrink = np.where(is_valid, slope / (slope - sums.slope), 0.5)
+                shrink = np.where(is_valid, slope / (slope - sums["slope"]), 0.5)
             good = np.where(predicting, is_valid | (length == 0), good)
             open_ &= ~good
             if not open_.any():
@@ -306,9 +305,9 @@ class Newton:
             assembly.evaluate(stuck, state.u, direction)
         return running & ~open_, length
 
-    def _eased(self, sums: Sums, slope: np.ndarray) -> np.ndarray:
+    def _eased(self, sums: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """True if a step reduces the slope to at most half of its start value (B,)."""
-        return sums.slope <= 0.5 * np.abs(slope)
+        return sums["slope"] <= 0.5 * np.abs(slope)
 
     def _walk(self, trying, length: np.ndarray) -> None:
         assembly = self._assembly
@@ -340,11 +339,11 @@ class Newton:
         if self._friction or not long.any():
             return work
         active, way = self._mask(long), self._cg.solution
-        axpy(active, self._lengths(np.full(len(long), -1.0)), state.u, state.u_old, way)
-        axpy(active, self._lengths(np.full(len(long), 0.5)), state.u_old, way, self._start)
+        axpy(active, self._lengths(np.full(len(long), -1.0)), state.u, state.contact.u_old, way)
+        axpy(active, self._lengths(np.full(len(long), 0.5)), state.contact.u_old, way, self._start)
         state.put_within(long, 0.5, duration, way)
         state.put_tip_away(long)
-        middle = assembly.evaluate(active, self._start, way).slope
+        middle = assembly.evaluate(active, self._start, way)["slope"]
         state.put_within(long, 1.0, duration, way)
         state.set_tip(long)
         assembly.evaluate(active, state.u, way)

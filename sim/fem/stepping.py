@@ -20,6 +20,7 @@ from recorder.processes import cores
 from sim.contact_size import width_of
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
+from sim.fem.contact import OVERLAPS
 from sim.fem.frames import Collector, Spent
 from sim.fem.newton import (
     DET_FLOOR,
@@ -30,7 +31,6 @@ from sim.fem.newton import (
     Path,
     path_of,
 )
-from sim.fem.overlap import COLUMNS
 from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import Sizes, finer_at
 from sim.fem.verdict import (
@@ -224,7 +224,7 @@ class Batch:
             return
         assembly, newton = self._assembly, self._newton
         again, good, bad = np.zeros((3, len(done)), bool)
-        force = np.linalg.norm(assembly.sums.contact, axis=1)
+        force = np.linalg.norm(assembly.sums["contact"], axis=1)
         at_goal = done & newton.converged & (self._share >= 1.0)
         self._largest[at_goal] = np.maximum(self._largest, force)[at_goal]
         for i in np.flatnonzero(done).tolist():
@@ -276,7 +276,7 @@ class Batch:
         """
         assembly, folds, passed = self._assembly, {}, {}
         if not good.any():
-            return np.zeros((len(good), COLUMNS)), folds, passed
+            return np.zeros((len(good), OVERLAPS)), folds, passed
         way = assembly.overlap(assembly.state.mask(good), samples=PATH_SAMPLES, states=PATH_STATES)
         folded = np.flatnonzero(good & (way[:, 3] > 0)).tolist()
         leapt = self._leapt(good, way[:, 0])
@@ -374,7 +374,7 @@ class Batch:
             self._deepest[i] = way[i, 0]
             frame = path.segment
             floor = NEARLY_CRUSHED * DET_FLOOR
-            if path.accept(self._share[i], nearly_crushed=bool(assembly.sums.det[i] < floor)):
+            if path.accept(self._share[i], nearly_crushed=bool(assembly.sums["det"][i] < floor)):
                 kept[i] = frame
         if kept:
             self._keep(kept, folds)
@@ -396,7 +396,13 @@ class Batch:
         for row, (i, frame) in enumerate(kept.items()):
             deep, node = folds.get(i, (0.0, -1))
             told = (
-                *(depth[i], residual[i], sums.base[i], sums.det[i], assembly.min_force_scale[i]),
+                *(
+                    depth[i],
+                    residual[i],
+                    sums["base"][i],
+                    sums["det"][i],
+                    assembly.min_force_scale[i],
+                ),
                 *(deep, node, self._spent[i]),
             )
             self._collectors[i].keep(frame, read[row], surface[row], traction[row], told)
@@ -405,7 +411,7 @@ class Batch:
         rounds = [i for i in kept if self._collectors[i].round is not None]
         if rounds:
             columns = assembly.rows(assembly.state.u, rounds).astype(float)
-            faces = assembly.rows(assembly.touched, rounds)
+            faces = assembly.rows(assembly.state.contact.touched, rounds)
             for i, u, touched in zip(rounds, columns, faces, strict=True):
                 self._collectors[i].keep_round(kept[i], u, touched, self._tip[i])
 
@@ -426,7 +432,7 @@ class Batch:
                 dump,
                 scene=json.dumps(repr(scene)),
                 tip=state.tip_before[env] * scene.body.thickness,
-                u=state.u_old.numpy()[env] * scene.body.thickness,
+                u=state.contact.u_old.numpy()[env] * scene.body.thickness,
                 nodes=self._meshes[env].nodes * scene.body.thickness,
             )
         except OSError:

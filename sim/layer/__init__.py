@@ -1,10 +1,21 @@
 """The `layer` tier: a linear elastic layer bonded to a rigid base, solved by convolution.
 
-The settings are in this package; the solver is in `sim.layer.solver`.
+Here are the settings, numerical choices and not physical properties; the solver is in
+`sim.layer.solver`.
 """
 
 from __future__ import annotations
 
-from sim.layer.numerics import Layer
+from dataclasses import dataclass
 
-__all__ = ["Layer"]
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Pixels and tolerance of the `layer` tier; checked when a scene is solved."""
+
+    grid: int = 128
+    """Pixels along the body's longer side, 16 to 512. On a body of 20 mm, forces of spheres are
+    within 0.1 % with 128."""
+    tolerance: float = 2e-3
+    """Target residual of the contact, 1e-10 to 0.1 (`Contact.residual`); changes forces by about a
+    twentieth of it."""

@@ -16,10 +16,20 @@ from numpy.typing import NDArray
 from recorder.processes import cores
 from sim.device import check_device
 from sim.errors import SimulationDiverged
+from sim.layer import Layer
 from sim.layer.batch_clearance import BatchClearance
-from sim.layer.batch_contact import contact_kernel
-from sim.layer.batch_state import COLUMNS, FINER, READ, frame_kernels, state_kernels
-from sim.layer.numerics import Layer
+from sim.layer.batch_kernels import (
+    COLUMNS,
+    FINER,
+    READ,
+    contact_kernel,
+    fields_struct,
+    frame_kernels,
+    layer_struct,
+    scratch_struct,
+    state_kernels,
+    step_struct,
+)
 from sim.layer.solver import (
     BULGE,
     HALVINGS,
@@ -199,11 +209,13 @@ class LayerBatch:
         self._clearance = BatchClearance(scenes, grid, real, device)
         kernel = convolutions(grid, np.dtype(self._precision)).kernel
         nx, ny = grid.shape
-        self._table = self._array(kernel[:, :nx, :ny].astype(self._number), real)
-        self._local = vec3(*(min(kernel[0, 0, 0], kernel[1, 0, 0]),) * 2, kernel[2, 0, 0])
         friction_of = [one.effects.friction for one in scenes]
         coefficients = [each.coefficient if each else 0.0 for each in friction_of]
-        self._coefficient = self._array(coefficients, real)
+        layer = self._layer = layer_struct(real)()
+        layer.ny = ny
+        layer.table = self._array(kernel[:, :nx, :ny].astype(self._number), real)
+        layer.local = vec3(*(min(kernel[0, 0, 0], kernel[1, 0, 0]),) * 2, kernel[2, 0, 0])
+        layer.coefficient = self._array(coefficients, real)
         self._contact = contact_kernel(real, friction, self._lanes)
         (
             self._mark,
@@ -223,28 +235,27 @@ class LayerBatch:
         def by_pixel(kind: Any) -> Any:
             return zeros(kind, count, pixels)
 
+        def fields() -> Any:
+            state = fields_struct(real)()
+            state.traction, state.elastic = by_pixel(vec3), by_pixel(vec3)
+            state.moved = by_pixel(wp.vec3)
+            state.gap, state.extra = by_pixel(real), by_pixel(real)
+            return state
+
         rubbing = (count, pixels) if friction else (1, 1)
-        self._traction, self._elastic = by_pixel(vec3), by_pixel(vec3)
         self._branches = zeros(vec3, len(self._ratios), count, pixels)
         self._nothing = zeros(vec3, 0, count, pixels)
-        self._moved, self._still = by_pixel(wp.vec3), by_pixel(wp.vec3)
-        self._gap, self._extra = by_pixel(real), by_pixel(real)
-        self._next = {
-            "traction": by_pixel(vec3),
-            "elastic": by_pixel(vec3),
-            "moved": by_pixel(wp.vec3),
-            "gap": by_pixel(real),
-            "extra": by_pixel(real),
-        }
-        self._touching, self._listed = by_pixel(wp.int32), by_pixel(wp.int32)
-        self._tallied, self._count = zeros(wp.int32, count, nx), zeros(wp.int32, count)
+        self._still = by_pixel(wp.vec3)
+        self._now, self._next = fields(), fields()
+        self._touching, layer.listed = by_pixel(wp.int32), by_pixel(wp.int32)
+        self._tallied, layer.count = zeros(wp.int32, count, nx), zeros(wp.int32, count)
         self._held, self._guess, self._found = by_pixel(vec3), by_pixel(vec3), by_pixel(vec3)
-        self._scratch = [
-            *(by_pixel(real) for _ in range(4)),
-            *(zeros(vec2, *rubbing) for _ in range(6)),
-            by_pixel(vec3),
-        ]
-        self._load = self._scratch[-1]
+        scratch = self._scratch = scratch_struct(real)()
+        for name in ("pressure", "gap", "move", "answer"):
+            setattr(scratch, name, by_pixel(real))
+        for name in ("shear", "slip", "move2", "answer2", "before", "rested"):
+            setattr(scratch, name, zeros(vec2, *rubbing))
+        scratch.load = by_pixel(vec3)
         self._residual, self._iterations = zeros(real, count), zeros(wp.int32, count)
 
         lengths = [len(scene.motion) for scene in scenes]
@@ -276,7 +287,7 @@ class LayerBatch:
         self._work, self._most = np.zeros(count), np.zeros(count)
         self._first = np.full((count, 2), np.nan)
         everything = np.arange(count)
-        self._clear_at(everything, self.tip, self._gap, self._extra, self._still)
+        self._clear_at(everything, self.tip, self._now, self._still)
         self._read = self._measured(everything)
         self._last_residual = np.zeros(count)
         self._seconds = {"build": time.perf_counter() - began}
@@ -297,14 +308,14 @@ class LayerBatch:
             block_dim=LANES,
         )
 
-    def _clear_at(self, rows: Whole, tips: Array, gap: Any, extra: Any, top: Any) -> Any:
+    def _clear_at(self, rows: Whole, tips: Array, fields: Any, top: Any) -> Any:
         """Write the gaps with the tips there; return the least above a displaced `top` (B,) [m]."""
         least = wp.full(
             len(self._scenes), self._real(np.inf), dtype=self._real, device=self._device
         )
         which = self._array(rows.astype(np.int32), wp.int32)
         tip = self._array(tips.astype(self._number), self._vec3)
-        self._clearance.at(which, tip, top, gap, extra, least)
+        self._clearance.at(which, tip, top, fields, least)
         return least
 
     def _measured(self, rows: Whole, load: Any = None, moved: Any = None) -> Any:
@@ -312,13 +323,14 @@ class LayerBatch:
         out = wp.empty((len(rows), COLUMNS), dtype=wp.float64, device=self._device)
         which = self._array(rows.astype(np.int32), wp.int32)
         tip = self._array(self.tip[rows], wp.vec3d)
-        fixed = [*self._clearance.places, self._local, self._coefficient, which, tip]
-        fields = [self._traction, self._elastic, self._moved]
+        samples, fields = self._clearance.samples, self._now
         if load is not None:
-            fields = [load, load, moved]
-        self._lane_launch(
-            self._measure, len(rows), [*fixed, *fields, self._gap, self._extra], [out]
-        )
+            fields = fields_struct(self._real)()
+            fields.traction, fields.elastic, fields.moved = load, load, moved
+            fields.gap, fields.extra = self._now.gap, self._now.extra
+        places = [samples.x, samples.y, samples.surface]
+        inputs = [*places, self._layer, which, tip, fields]
+        self._lane_launch(self._measure, len(rows), inputs, [out])
         return _host(out).copy().view(READ)[:, 0]
 
     def advance(self) -> Iterator[int]:
@@ -399,8 +411,7 @@ class LayerBatch:
         longest = np.maximum(TRAVEL * radius, TRAVEL_LEAST * min(self.grid.pixel))
         free = np.flatnonzero(radius == 0)
         if len(free):
-            gap, extra = self._next["gap"], self._next["extra"]
-            least = self._clear_at(rows[free], target[free], gap, extra, self._moved)
+            least = self._clear_at(rows[free], target[free], self._next, self._now.moved)
             there = _host(least)[rows[free]]
             here = np.maximum(0.0, read["least"][free])
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -412,36 +423,29 @@ class LayerBatch:
     def _step(self, rows: Whole, tips: Array, durations: Array) -> NDArray[np.bool_]:
         """Attempt a step of presses (N,); return which converged. The others are unchanged."""
         ahead = self._next
-        count, pixels = len(rows), self._gap.shape[1]
+        count, pixels = len(rows), self._still.shape[1]
         with np.errstate(divide="ignore", invalid="ignore"):
             spans = durations[:, None] / self._times
             taken = np.where(spans > 0, -np.expm1(-spans) / spans, 1.0)
         kept, gained = np.exp(-spans), self._ratios * taken
         factor = 1 + gained.sum(axis=1)
-        least = self._clear_at(rows, tips, ahead["gap"], ahead["extra"], self._still)
-        arrays = self._rates(rows, factor, kept, gained)
-        which = arrays["which"]
+        least = self._clear_at(rows, tips, ahead, self._still)
+        step = self._rates(rows, factor, kept, gained)
         travel = self._array((tips - self.tip[rows]).astype(self._number), self._vec3)
         allowed = OVERLAP * np.abs(tips[:, 2])
-        everything = (count, pixels)
-        self._launch(
-            self._mark,
-            everything,
-            [BULGE, which, ahead["gap"], least, self._elastic],
-            [self._touching],
-        )
+        inputs = [BULGE, step, ahead, self._now, least]
+        self._launch(self._mark, (count, pixels), inputs, [self._touching])
         good = np.zeros(count, bool)
         residual, iterations = np.zeros(count), np.zeros(count, np.int64)
         pending = np.arange(count)
         for _ in range(EXTENDED):
             some = rows[pending]
             if len(pending) < count:
-                arrays = self._rates(some, factor[pending], kept[pending], gained[pending])
-                which = arrays["which"]
+                step = self._rates(some, factor[pending], kept[pending], gained[pending])
                 travel = self._array(
                     (tips[pending] - self.tip[some]).astype(self._number), self._vec3
                 )
-            missed = self._solve(arrays, travel, allowed[pending])
+            missed = self._solve(step, len(pending), travel, allowed[pending])
             residual[pending] = _host(self._residual)[some]
             iterations[pending] += _host(self._iterations)[some]
             converged = residual[pending] <= self._tolerance
@@ -452,25 +456,9 @@ class LayerBatch:
         taken_rows = rows[good]
         if len(taken_rows):
             before = self._read["force"][taken_rows] * self.grid.area
-            arrays = self._rates(taken_rows, factor[good], kept[good], gained[good])
-            self._launch(
-                self._take,
-                (len(taken_rows), pixels),
-                [
-                    arrays["which"],
-                    arrays["kept"],
-                    arrays["gained"],
-                    *(ahead[name] for name in ("traction", "elastic", "moved", "gap", "extra")),
-                ],
-                [
-                    self._branches,
-                    self._traction,
-                    self._elastic,
-                    self._moved,
-                    self._gap,
-                    self._extra,
-                ],
-            )
+            step = self._rates(taken_rows, factor[good], kept[good], gained[good])
+            shape = len(taken_rows), pixels
+            self._launch(self._take, shape, [step, ahead], [self._branches, self._now])
             shift = tips[good] - self.tip[taken_rows]
             self.tip[taken_rows] = tips[good]
             self._read[taken_rows] = self._measured(taken_rows)
@@ -485,67 +473,44 @@ class LayerBatch:
             )
         return good
 
-    def _rates(self, rows: Whole, factor: Array, kept: Array, gained: Array) -> dict[str, Any]:
-        """Return arrays of the device: presses, and how their layers relax in a step."""
-        return {
-            "which": self._array(rows.astype(np.int32), wp.int32),
-            "factor": self._array(factor.astype(self._number), self._real),
-            "kept": self._array(kept.astype(self._number), self._real),
-            "gained": self._array(gained.astype(self._number), self._real),
-        }
+    def _rates(self, rows: Whole, factor: Array, kept: Array, gained: Array) -> Any:
+        """Return the struct of a step: presses, and how their layers relax in it."""
+        step = step_struct(self._real)()
+        step.which = self._array(rows.astype(np.int32), wp.int32)
+        for name, values in (("factor", factor), ("kept", kept), ("gained", gained)):
+            setattr(step, name, self._array(values.astype(self._number), self._real))
+        return step
 
-    def _solve(self, arrays: dict[str, Any], travel: Any, allowed: Array) -> NDArray[np.bool_]:
+    def _solve(self, step: Any, count: int, travel: Any, allowed: Array) -> NDArray[np.bool_]:
         """Solve presses on the pixels that may touch; return whether others overlap, too (N,)."""
-        which, factor, ahead = arrays["which"], arrays["factor"], self._next
-        count, pixels = which.shape[0], self._gap.shape[1]
-        nx, ny = self.grid.shape
-        self._launch(self._tally, (count, nx), [ny, which, self._touching], [self._tallied])
-        self._launch(
-            self._enlist,
-            (count, nx),
-            [ny, which, self._touching, self._tallied],
-            [self._listed, self._count],
-        )
-        lists = [self._count, self._listed]
-        self._launch(
-            self._recall,
-            (count, pixels),
-            [
-                ny, which, *lists, self._elastic, self._branches,
-                factor, arrays["kept"], arrays["gained"],
-            ],
-            [self._held, self._guess, ahead["traction"], ahead["elastic"]],
-        )  # fmt: skip
+        layer, ahead = self._layer, self._next
+        by_row, by_pixel = (count, self.grid.shape[0]), (count, self._still.shape[1])
+        inputs = [step, self._touching]
+        self._launch(self._tally, by_row, [layer, *inputs], [self._tallied])
+        self._launch(self._enlist, by_row, [layer, *inputs, self._tallied], [])
+        inputs = [layer, step, self._now.elastic, self._branches]
+        self._launch(self._recall, by_pixel, inputs, [self._held, self._guess, ahead])
+        inputs = [layer, self._tolerance, step, ahead, travel, self._held, self._guess]
         self._lane_launch(
             self._contact,
             count,
-            [
-                ny, self._table, self._local, self._tolerance, self._coefficient, which, *lists,
-                ahead["gap"], ahead["extra"], factor, travel, self._held, self._guess,
-                *self._scratch,
-            ],
+            [*inputs, self._scratch],
             [self._found, self._residual, self._iterations],
-        )  # fmt: skip
-        self._launch(
-            self._spread,
-            (count, pixels),
-            [ny, which, *lists, factor, self._held, self._found],
-            [ahead["traction"], ahead["elastic"], self._load],
         )
-        return self._displaced(which, allowed, ahead["moved"])
+        inputs = [layer, step, self._held, self._found]
+        self._launch(self._spread, by_pixel, inputs, [ahead, self._scratch.load])
+        return self._displaced(step, count, allowed)
 
-    def _displaced(self, which: Any, allowed: Array, out: Any) -> NDArray[np.bool_]:
+    def _displaced(self, step: Any, count: int, allowed: Array) -> NDArray[np.bool_]:
         """Write the displacement by the listed loads; return whether other pixels overlap (N,)."""
-        missed = wp.zeros(which.shape[0], dtype=wp.int32, device=self._device)
+        missed = wp.zeros(count, dtype=wp.int32, device=self._device)
+        room = self._array(allowed.astype(self._number), self._real)
         self._launch(
             self._displace,
-            (which.shape[0], self._gap.shape[1]),
-            [
-                self.grid.shape[1], self._table, which, self._count, self._listed, self._load,
-                self._next["gap"], self._array(allowed.astype(self._number), self._real),
-            ],
-            [self._touching, missed, out],
-        )  # fmt: skip
+            (count, self._still.shape[1]),
+            [self._layer, step, self._scratch.load, room],
+            [self._next, self._touching, missed],
+        )
         return np.asarray(_host(missed) > 0)
 
     def _count_spent(self, rows: Whole, iterations: Whole) -> None:
@@ -558,8 +523,8 @@ class LayerBatch:
         which = self._array(rows.astype(np.int32), wp.int32)
         self._launch(
             self._keep,
-            (len(rows), self._gap.shape[1]),
-            [which, self._array(frame.astype(np.int32), wp.int32), self._moved, self._traction],
+            (len(rows), self._still.shape[1]),
+            [which, self._array(frame.astype(np.int32), wp.int32), self._now],
             [self._surfaces, self._tractions],
         )
         read, area = self._read[rows], self.grid.area
@@ -594,7 +559,7 @@ class LayerBatch:
             (len(rows), *widest),
             [
                 self.grid.shape[1], *self.grid.pixel, which,
-                self._array(boxes.astype(np.int32), wp.vec4i), self._traction,
+                self._array(boxes.astype(np.int32), wp.vec4i), self._now.traction,
             ],
             [width],
         )  # fmt: skip
@@ -603,7 +568,7 @@ class LayerBatch:
     def _lost(self, rows: Whole, which: Any, read: Any) -> Array:
         """Return the energy that is gone, over the most work done so far, of presses (N,)."""
         energy = read["energy"].copy()
-        count, pixels = len(rows), self._gap.shape[1]
+        count, pixels = len(rows), self._still.shape[1]
         ones = self._rates(rows, np.ones(count), np.zeros((count, 0)), np.zeros((count, 0)))
         ahead = self._next
         for index in np.flatnonzero(self._ratios > 0):
@@ -611,14 +576,11 @@ class LayerBatch:
             self._launch(
                 self._recall,
                 (count, pixels),
-                [
-                    self.grid.shape[1], which, self._count, self._listed, branch, self._nothing,
-                    ones["factor"], ones["kept"], ones["gained"],
-                ],
-                [self._held, self._load, ahead["traction"], ahead["elastic"]],
-            )  # fmt: skip
-            self._displaced(which, np.full(count, np.inf), ahead["moved"])
-            energy += self._measured(rows, branch, ahead["moved"])["energy"] / self._ratios[index]
+                [self._layer, ones, branch, self._nothing],
+                [self._held, self._scratch.load, ahead],
+            )
+            self._displaced(ones, count, np.full(count, np.inf))
+            energy += self._measured(rows, branch, ahead.moved)["energy"] / self._ratios[index]
         energy *= 0.5 * self.grid.area
         new = np.isnan(self._first[rows, 0])
         self._first[rows[new]] = np.stack([energy[new], self._work[rows[new]]], axis=1)
@@ -630,7 +592,7 @@ class LayerBatch:
     def _diverged(self, row: int) -> SimulationDiverged:
         traction, moved = (
             np.moveaxis(_host(field[row]).reshape(*self.grid.shape, 3), -1, 0)
-            for field in (self._traction, self._moved)
+            for field in (self._now.traction, self._now.moved)
         )
         return diverged_at(self._scenes[row], self.tip[row], traction, moved, self._tried[row])
 

@@ -15,6 +15,7 @@ import warp as wp
 
 from sim.indenters.device import PartTable, distance_function, table_struct
 from sim.indenters.indenter import STRIDE, TOUCHING
+from sim.layer.batch_kernels import fields_struct
 from sim.layer.contact import (
     COVERED_LEAST,
     COVERED_MOST,
@@ -37,11 +38,38 @@ CROSSINGS = 60
 
 
 @functools.cache
+def clearance_struct(real):
+    """Return the struct of pixels, and of the samples of each kind of indenter."""
+    triple = wp.types.vector(3, real)
+
+    class Samples:
+        # Pixels: centres (nx,), (ny,), undeformed heights (P,), 1 on the body (P,), and widths
+        x: wp.array(dtype=real)
+        y: wp.array(dtype=real)
+        surface: wp.array(dtype=real)
+        on_body: wp.array(dtype=wp.int32)
+        pixel: triple
+        # Per environment: kind of its indenter, and height above which nothing touches
+        kind: wp.array(dtype=wp.int32)
+        cap: wp.array(dtype=real)
+        # Per kind: height to look up to; begin of its samples, rows and columns; its left edges
+        reach: wp.array(dtype=real)
+        layout: wp.array2d(dtype=wp.int32)
+        edge: wp.array2d(dtype=real)
+        # Distances of samples; and their heights, inf where there is nothing, or a wall
+        step: triple
+        height: wp.array(dtype=real)
+        covered: wp.array(dtype=real)
+
+    return wp.struct(Samples)
+
+
+@functools.cache
 def clearance_kernels(real, traits):
     """Return the kernels (sample, cover, clear) for one precision and kind of indenters."""
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
-    triple = wp.types.vector(3, real)
+    triple, samples_type = wp.types.vector(3, real), clearance_struct(real)
     zero, one, half = real(0.0), real(1.0), real(0.5)
     stride, thin, mm = real(STRIDE), real(THIN), real(MM)
     touching = real(TOUCHING / MM if real == wp.float64 else 1e-6)
@@ -81,22 +109,16 @@ def clearance_kernels(real, traits):
 
     @wp.kernel(enable_backward=False, module="unique")
     def sample(
-        # Indenters, and their samples: begin, rows, columns and left edges; distances of samples
         table: table_type,
-        reach: wp.array(dtype=real),
-        layout: wp.array2d(dtype=wp.int32),
-        edge: wp.array2d(dtype=real),
-        step: triple,
-        # Out: heights [m], inf where there is nothing
-        height_out: wp.array(dtype=real),
+        samples: samples_type,
     ):
         kind, i, j = wp.tid()
-        count = layout[kind, 2]
-        if i < layout[kind, 1] and j < count:
-            x = (edge[kind, 0] + (real(i) + half) * step[0]) / mm
-            y = (edge[kind, 1] + (real(j) + half) * step[1]) / mm
-            height = mm * height_above(table, kind, x, y, reach[kind])
-            height_out[layout[kind, 0] + i * count + j] = height
+        count = samples.layout[kind, 2]
+        if i < samples.layout[kind, 1] and j < count:
+            x = (samples.edge[kind, 0] + (real(i) + half) * samples.step[0]) / mm
+            y = (samples.edge[kind, 1] + (real(j) + half) * samples.step[1]) / mm
+            height = mm * height_above(table, kind, x, y, samples.reach[kind])
+            samples.height[samples.layout[kind, 0] + i * count + j] = height
 
     @wp.kernel(enable_backward=False, module="unique")
     def cover(
@@ -104,24 +126,22 @@ def clearance_kernels(real, traits):
         wide_x: int,
         wide_y: int,
         wall: real,
-        layout: wp.array2d(dtype=wp.int32),
-        height: wp.array(dtype=real),
-        # Out: the height, inf where the skin does not follow
-        covered_out: wp.array(dtype=real),
+        samples: samples_type,
     ):
         kind, i, j = wp.tid()
+        layout = samples.layout
         begin, rows, count = layout[kind, 0], layout[kind, 1], layout[kind, 2]
         if i >= rows or j >= count:
             return
-        mine = height[begin + i * count + j]
+        mine = samples.height[begin + i * count + j]
         lowest = mine
         for a in range(wp.max(i - wide_x, 0), wp.min(i + wide_x + 1, rows)):
             for b in range(wp.max(j - wide_y, 0), wp.min(j + wide_y + 1, count)):
-                lowest = wp.min(lowest, height[begin + a * count + b])
+                lowest = wp.min(lowest, samples.height[begin + a * count + b])
         if mine - lowest < wall:
-            covered_out[begin + i * count + j] = mine
+            samples.covered[begin + i * count + j] = mine
         else:
-            covered_out[begin + i * count + j] = nothing
+            samples.covered[begin + i * count + j] = nothing
 
     @wp.func
     def within(low: real, high: real, cell: int):
@@ -129,35 +149,22 @@ def clearance_kernels(real, traits):
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(
-        # Pixels: centres, undeformed heights, and whether they are on the body
-        x: wp.array(dtype=real),
-        y: wp.array(dtype=real),
-        surface: wp.array(dtype=real),
-        on_body: wp.array(dtype=wp.int32),
-        pixel: triple,
-        # Indenters, and their samples: begin, rows, columns, left edges, and samples of a pixel
+        samples: samples_type,
         table: table_type,
-        kind_of: wp.array(dtype=wp.int32),
-        reach: wp.array(dtype=real),
-        layout: wp.array2d(dtype=wp.int32),
-        edge: wp.array2d(dtype=real),
-        step: triple,
-        covered: wp.array(dtype=real),
-        cap: wp.array(dtype=real),
-        # In:
+        # In: top above which the least gap is looked for
         which: wp.array(dtype=wp.int32),
         tip: wp.array(dtype=triple),
-        # Out: gap [m], how much more pixels yield, and the least gap above `moved`
         moved: wp.array2d(dtype=wp.vec3),
-        gap_out: wp.array2d(dtype=real),
-        extra_out: wp.array2d(dtype=real),
+        # Out: gap [m], how much more pixels yield, and the least gap
+        fields: fields_struct(real),
         least_out: wp.array(dtype=real),
     ):
         row, p = wp.tid()
         env = which[row]
-        ny = y.shape[0]
-        at = triple(x[p // ny], y[p % ny], zero) - tip[row]
-        kind = kind_of[env]
+        ny = samples.y.shape[0]
+        at = triple(samples.x[p // ny], samples.y[p % ny], zero) - tip[row]
+        kind = samples.kind[env]
+        layout, pixel, edge, step = samples.layout, samples.pixel, samples.edge, samples.step
         part = one
         mean = zero
         if layout[kind, 1] > 0:
@@ -170,7 +177,7 @@ def clearance_kernels(real, traits):
             for i in range(wp.max(int(wp.floor(west)), 0), wp.min(int(wp.ceil(east)), rows)):
                 across = within(west, east, i)
                 for j in range(wp.max(int(wp.floor(south)), 0), wp.min(int(wp.ceil(north)), count)):
-                    height = covered[begin + i * count + j]
+                    height = samples.covered[begin + i * count + j]
                     if height < nothing:
                         weight = across * within(south, north, j)
                         part += weight
@@ -178,19 +185,19 @@ def clearance_kernels(real, traits):
             if part > zero:
                 mean = mean / part
             part = part * step[0] * step[1] / (pixel[0] * pixel[1])
-        found = cap[env]
+        found = samples.cap[env]
         extra = zero
-        if on_body[p] > 0:
+        if samples.on_body[p] > 0:
             if part >= real(COVERED_LEAST):
                 if part < real(COVERED_MOST):
-                    found = wp.min(mean, cap[env])
+                    found = wp.min(mean, samples.cap[env])
                     extra = real(YIELDING) * (one / part - one)
                 else:
-                    above = height_above(table, kind, at[0] / mm, at[1] / mm, reach[kind])
-                    found = wp.min(mm * above, cap[env])
-            found = found + tip[row][2] - surface[p]
-        gap_out[env, p] = found
-        extra_out[env, p] = extra
+                    above = height_above(table, kind, at[0] / mm, at[1] / mm, samples.reach[kind])
+                    found = wp.min(mm * above, samples.cap[env])
+            found = found + tip[row][2] - samples.surface[p]
+        fields.gap[env, p] = found
+        fields.extra[env, p] = extra
         wp.atomic_min(least_out, env, found - real(moved[env, p][2]))
 
     return sample, cover, clear
@@ -236,59 +243,37 @@ class BatchClearance:
         self._table = packed.struct
         sample, cover, self._clear = clearance_kernels(real, packed.traits)
         triple = wp.types.vector(3, real)
-        reaches = array([reach / MM for _, reach in kinds])
-        layouts = array(np.array(layout, np.int32), wp.int32)
-        lefts, steps = array(np.array(edges, number)), triple(*step, 0.0)
-        heights = wp.empty(max(total, 1), dtype=real, device=device)
-        covered = wp.empty_like(heights)
-        everything = (len(kinds), *np.array(layout)[:, 1:].max(axis=0).tolist())
-        wp.launch(
-            sample,
-            dim=everything,
-            inputs=[self._table, reaches, layouts, lefts, steps],
-            outputs=[heights],
-            device=device,
-        )
-        near = [many // 2 for many in count]
-        wp.launch(
-            cover,
-            dim=everything,
-            inputs=[*near, WALL / 2 * max(grid.pixel), layouts, heights],
-            outputs=[covered],
-            device=device,
-        )
         on_body = body.covers(grid.x[:, None], grid.y)
-        self.places = [
-            array(grid.x.astype(number)),
-            array(grid.y.astype(number)),
-            array(surface.ravel().astype(number)),
-        ]
-        """Pixels on the device: x (nx,), y (ny,), height of the undeformed top (P,) [m]."""
-        self._pixels = [
-            *self.places,
-            array(np.broadcast_to(on_body, grid.shape).ravel().astype(np.int32), wp.int32),
-            triple(*grid.pixel, 0.0),
-        ]
-        self._indenters = [
-            array([number_of[key] for key in keys], wp.int32),
-            reaches,
-            layouts,
-            lefts,
-            steps,
-            covered,
-            array(np.array(caps, number)),
-        ]
+        samples = self.samples = clearance_struct(real)()
+        """Pixels and samples on the device."""
+        samples.x, samples.y = array(grid.x.astype(number)), array(grid.y.astype(number))
+        samples.surface = array(surface.ravel().astype(number))
+        on_body = np.broadcast_to(on_body, grid.shape).ravel()
+        samples.on_body = array(on_body.astype(np.int32), wp.int32)
+        samples.pixel, samples.step = triple(*grid.pixel, 0.0), triple(*step, 0.0)
+        samples.kind = array([number_of[key] for key in keys], wp.int32)
+        samples.cap = array(np.array(caps, number))
+        samples.reach = array([reach / MM for _, reach in kinds])
+        samples.layout = array(np.array(layout, np.int32), wp.int32)
+        samples.edge = array(np.array(edges, number))
+        samples.height = wp.empty(max(total, 1), dtype=real, device=device)
+        samples.covered = wp.empty_like(samples.height)
+        everything = (len(kinds), *np.array(layout)[:, 1:].max(axis=0).tolist())
+        wp.launch(sample, everything, [self._table, samples], device=device)
+        near = [many // 2 for many in count]
+        wall = WALL / 2 * max(grid.pixel)
+        wp.launch(cover, everything, [*near, wall, samples], device=device)
 
-    def at(self, which, tip, moved, gap_out, extra_out, least_out) -> None:
-        """Write gaps (B, P) [m] and yielding for presses `which` (N,) with tips at (N,) [m].
+    def at(self, which, tip, moved, fields, least_out) -> None:
+        """Write gaps [m] and yielding (B, P) of presses `which` (N,) with tips at (N,) [m].
 
         `least_out` (B,) becomes the smaller of itself and the least gap above the top displaced by
         `moved` (B, P).
         """
         wp.launch(
             self._clear,
-            dim=(which.shape[0], gap_out.shape[1]),
-            inputs=[*self._pixels, self._table, *self._indenters, which, tip, moved],
-            outputs=[gap_out, extra_out, least_out],
-            device=gap_out.device,
+            dim=(which.shape[0], moved.shape[1]),
+            inputs=[self.samples, self._table, which, tip, moved],
+            outputs=[fields, least_out],
+            device=moved.device,
         )

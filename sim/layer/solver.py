@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sim.contact_size import width_of
 from sim.effects import Viscosity
 from sim.errors import SceneError, SimulationDiverged
+from sim.layer import Layer
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
-from sim.layer.numerics import Layer
 from sim.layer.spectral import Grid, convolutions
 from sim.result import Quality, Result, no_quality
 from sim.scene import Scene

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.mpm.numerics import (
+from sim.mpm import (
     AUTHORS_DENSITY,
     AUTHORS_LAYERS,
     AUTHORS_STEP,

@@ -12,8 +12,8 @@ import warp as wp
 
 from sim.device import check_device
 from sim.errors import SceneError, SimulationDiverged
+from sim.mpm import Mpm
 from sim.mpm.lattice import QUASI_STATIC, Pace, build_lattice, pace_of, same_body
-from sim.mpm.numerics import Mpm
 from sim.mpm.state import (
     COLLAPSED,
     LEFT_GRID,
@@ -245,7 +245,7 @@ def _walk(state, frames, paces, scenes, progress) -> dict[int, SimulationDiverge
             for env, one in enumerate(frames):
                 one.read(now, readings[:, env])
             now += steps
-            for env in np.flatnonzero(state.status.numpy()):
+            for env in np.flatnonzero(state.batch.status.numpy()):
                 if env not in failed:
                     failed[int(env)] = _diverged(state, int(env), paces[env], scenes[env])
             if progress is not None:
@@ -272,9 +272,9 @@ REASONS = {
 
 
 def _diverged(state, env: int, pace: Pace, scene: Scene) -> SimulationDiverged:
-    step = int(state.step.numpy()[env])
-    tip = state.tip.numpy()[env] * state.lattice.cell * 1e3
-    reason = REASONS[int(state.status.numpy()[env])]
+    step = int(state.batch.step.numpy()[env])
+    tip = state.batch.tip.numpy()[env] * state.lattice.cell * 1e3
+    reason = REASONS[int(state.batch.status.numpy()[env])]
     return SimulationDiverged(
         f"{reason} in step {step} of {pace.steps}, with the tip at ({tip[0]:.4g}, {tip[1]:.4g}, "
         f"{tip[2]:.4g}) mm; Courant number {pace.courant:.3g}, tip at {pace.speed_ratio:.3g} of "

@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 
 from sim.indenters.device import PLAIN, PartTable, Traits, distance_function, table_struct
+from sim.mpm import DET_FLOOR, REACH, Mpm
 from sim.mpm.lattice import BASE_NODE, Lattice, Pace
-from sim.mpm.numerics import DET_FLOOR, REACH, Mpm
 from sim.scalars import PRECISIONS, det_less_one_function, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
@@ -70,6 +70,43 @@ def spline_functions(real):
     return first_node, weights, arms
 
 
+@functools.cache
+def batch_struct(real):
+    """Return the struct of a batch: P particles, N nodes and a schedule in B environments."""
+    vec3, mat33 = vector_of(real), matrix_of(real)
+
+    class Batch:
+        nodes: wp.vec3i  # number of nodes along each axis, and that of the body's corner
+        corner: wp.vec3i
+        origin: vec3  # of the contact frame
+        reach: real  # distance from the indenter up to which nodes count as inside
+        det_floor: real
+        held: int  # fixed particles, which are the first
+        rest: wp.array(dtype=vec3)  # particles (P,), in all environments
+        volume: wp.array(dtype=real)
+        to_surface: wp.array(dtype=vec3)  # offsets from particles of the highest layer to the top
+        shear: wp.array(dtype=real)  # moduli (B,)
+        bulk: wp.array(dtype=real)
+        coefficient: wp.array(dtype=real)  # of friction (B,)
+        corners: wp.array2d(dtype=vec3)  # of the tip's way, and the steps that end there
+        at: wp.array2d(dtype=wp.int32)
+        active: wp.array(dtype=wp.int32)  # 1 if a step is taken (B,)
+        status: wp.array(dtype=wp.int32)  # reason for which an environment has ended, or 0 (B,)
+        step: wp.array(dtype=wp.int32)  # steps taken (B,)
+        tip: wp.array(dtype=vec3)  # and its displacement in a step (B,)
+        tip_velocity: wp.array(dtype=vec3)
+        shift: wp.array2d(dtype=vec3)  # displacement of the particles, and its gradient (B, P)
+        gradient: wp.array2d(dtype=mat33)
+        velocity: wp.array2d(dtype=vec3)  # of the nodes (B, N)
+        sums: wp.array3d(dtype=wp.int64)  # mass and momentum at the nodes (B, N, 4)
+        history: wp.array3d(dtype=wp.int64)  # impulses of the last steps (B, `ROUND`, `READINGS`)
+        surface: wp.array2d(dtype=vec3)  # displacement of the top
+        means: wp.array2d(dtype=wp.int64)  # stored and kinetic energy over the body (B, 2)
+        det: wp.array(dtype=real)  # smallest determinant (B,)
+
+    return wp.struct(Batch)
+
+
 # Impulses of a step: force of the indenter, its torque about the tip, force of the base.
 READINGS = 9
 # Fixed-point units per 1 of these sums: one unit is 1e-12, the range is +-8 million.
@@ -84,8 +121,12 @@ IMPULSE_UNIT = 2.0**40
 
 
 @functools.cache
-def node_kernel(real, sticky: bool, friction: bool, bonded: bool, traits: Traits = PLAIN):
-    """Return the kernel of a node's time step for one precision, contact law, base and traits."""
+def node_kernel(real, published: bool, friction: bool, traits: Traits = PLAIN):
+    """Return the kernel of a node's time step for one precision, contact law and traits.
+
+    By the `published` settings contact is sticky, and the base is held by fixed particles.
+    """
+    bonded = not published
     vec3 = vector_of(real)
     table_type = table_struct(real, traits)
     distance = distance_function(real, traits)
@@ -94,29 +135,12 @@ def node_kernel(real, sticky: bool, friction: bool, bonded: bool, traits: Traits
     base = BASE_NODE
 
     @wp.kernel(enable_backward=False, module="unique")
-    def step_nodes(
-        # Settings:
-        nodes: wp.vec3i,
-        corner: wp.vec3i,
-        origin: vec3,
-        reach: real,
-        # Indenter:
-        table: table_type,
-        coefficient: wp.array(dtype=real),
-        tip: wp.array(dtype=vec3),
-        tip_velocity: wp.array(dtype=vec3),
-        # Environments:
-        active: wp.array(dtype=wp.int32),
-        step: wp.array(dtype=wp.int32),
-        # In, and cleared for the next step:
-        sums: wp.array3d(dtype=wp.int64),
-        # Out:
-        velocity_out: wp.array2d(dtype=vec3),
-        history_out: wp.array3d(dtype=wp.int64),
-    ):
+    def step_nodes(batch: batch_struct(real), table: table_type):
         env, n = wp.tid()
-        if active[env] == 0:
+        if batch.active[env] == 0:
             return
+        nodes = batch.nodes
+        sums = batch.sums
         k = n % nodes[2]
         if wp.static(bonded) and k == base - 1:
             return
@@ -143,22 +167,22 @@ def node_kernel(real, sticky: bool, friction: bool, bonded: bool, traits: Traits
             momentum -= vec3(qx, qy, qz)
             before += vec3(qx, qy, qz)
         v = vec3()
-        slot = step[env] % history_out.shape[1]
+        slot = batch.step[env] % batch.history.shape[1]
         if mass + below > zero:
             v = momentum / (mass + below)
             pushed = vec3()
             if wp.static(bonded) and k <= base:
                 v = vec3()
             else:
-                i = n // (nodes[1] * nodes[2]) - corner[0]
-                j = (n // nodes[2]) % nodes[1] - corner[1]
-                place = vec3(real(i), real(j), real(k - corner[2]))
-                lever = place - origin - tip[env]
+                i = n // (nodes[1] * nodes[2]) - batch.corner[0]
+                j = (n // nodes[2]) % nodes[1] - batch.corner[1]
+                place = vec3(real(i), real(j), real(k - batch.corner[2]))
+                lever = place - batch.origin - batch.tip[env]
                 answer = distance(table, env, lever)
-                if answer[3] < reach:
-                    relative = v - tip_velocity[env]
+                if answer[3] < batch.reach:
+                    relative = v - batch.tip_velocity[env]
                     change = vec3()
-                    if wp.static(sticky):
+                    if wp.static(published):
                         change = -relative
                     else:
                         normal = vec3(answer[0], answer[1], answer[2])
@@ -168,7 +192,7 @@ def node_kernel(real, sticky: bool, friction: bool, bonded: bool, traits: Traits
                             if wp.static(friction):
                                 slip = relative - normal * approach
                                 size = wp.length(slip)
-                                most = -coefficient[env] * approach
+                                most = -batch.coefficient[env] * approach
                                 if size <= most:
                                     change -= slip
                                 else:
@@ -177,17 +201,19 @@ def node_kernel(real, sticky: bool, friction: bool, bonded: bool, traits: Traits
                     pushed = change * (mass + below)
                     turned = wp.cross(lever, pushed)
                     for c in range(3):
-                        wp.atomic_add(history_out, env, slot, c, wp.int64(pushed[c] * impulse_unit))
                         wp.atomic_add(
-                            history_out, env, slot, 3 + c, wp.int64(turned[c] * impulse_unit)
+                            batch.history, env, slot, c, wp.int64(pushed[c] * impulse_unit)
+                        )
+                        wp.atomic_add(
+                            batch.history, env, slot, 3 + c, wp.int64(turned[c] * impulse_unit)
                         )
             if wp.static(bonded) and k <= base + 1:
                 held = v * (mass - below) - before - pushed
                 for c in range(3):
-                    wp.atomic_add(history_out, env, slot, 6 + c, wp.int64(held[c] * impulse_unit))
-        velocity_out[env, n] = v
+                    wp.atomic_add(batch.history, env, slot, 6 + c, wp.int64(held[c] * impulse_unit))
+        batch.velocity[env, n] = v
         if wp.static(bonded) and k == base + 1:
-            velocity_out[env, n - 2] = -v
+            batch.velocity[env, n - 2] = -v
 
     return step_nodes
 
@@ -241,30 +267,19 @@ def tip_kernel(real):
     vec3 = vector_of(real)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def begin_step(
-        # Schedule: corners [cells], and the numbers of the steps that end there
-        corners: wp.array2d(dtype=vec3),
-        at: wp.array2d(dtype=wp.int32),
-        # In:
-        status: wp.array(dtype=wp.int32),
-        # In and out: steps taken
-        step: wp.array(dtype=wp.int32),
-        # Out:
-        active_out: wp.array(dtype=wp.int32),
-        tip_out: wp.array(dtype=vec3),
-        velocity_out: wp.array(dtype=vec3),
-    ):
+    def begin_step(batch: batch_struct(real)):
         env = wp.tid()
+        at, corners = batch.at, batch.corners
         last = at.shape[1] - 1
-        now = step[env] + 1
-        if status[env] != 0 or now > at[env, last]:
-            active_out[env] = 0
+        now = batch.step[env] + 1
+        if batch.status[env] != 0 or now > at[env, last]:
+            batch.active[env] = 0
             return
-        active_out[env] = 1
-        step[env] = now
+        batch.active[env] = 1
+        batch.step[env] = now
         if now <= at[env, 0]:
-            tip_out[env] = corners[env, 0]
-            velocity_out[env] = vec3()
+            batch.tip[env] = corners[env, 0]
+            batch.tip_velocity[env] = vec3()
             return
         segment = wp.int32(0)
         while segment < last - 1 and now > at[env, segment + 1]:
@@ -272,8 +287,8 @@ def tip_kernel(real):
         travel = corners[env, segment + 1] - corners[env, segment]
         steps = real(at[env, segment + 1] - at[env, segment])
         left = real(at[env, segment + 1] - now)
-        tip_out[env] = corners[env, segment + 1] - travel * (left / steps)
-        velocity_out[env] = travel / steps
+        batch.tip[env] = corners[env, segment + 1] - travel * (left / steps)
+        batch.tip_velocity[env] = travel / steps
 
     return begin_step
 
@@ -300,35 +315,15 @@ def particle_kernel(real):
     one, moment, unit = real(1.0), real(MOMENT), real(FIXED_POINT)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def move(
-        # Settings:
-        nodes: wp.vec3i,
-        corner: wp.vec3i,
-        held: int,
-        det_floor: real,
-        # Particles, shared by all environments:
-        rest: wp.array(dtype=vec3),
-        volume: wp.array(dtype=real),
-        # Environments:
-        active: wp.array(dtype=wp.int32),
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        # In:
-        velocity: wp.array2d(dtype=vec3),
-        # In and out: displacement, and its gradient
-        shift: wp.array2d(dtype=vec3),
-        gradient: wp.array2d(dtype=mat33),
-        # Out: mass and momentum at nodes, and the reason for which an environment ended
-        sums_out: wp.array3d(dtype=wp.int64),
-        status_out: wp.array(dtype=wp.int32),
-    ):
+    def move(batch: batch_struct(real)):
         env, p = wp.tid()
-        if active[env] == 0:
+        if batch.active[env] == 0:
             return
-        u = shift[env, p]
-        x = rest[p] + u
+        nodes = batch.nodes
+        u = batch.shift[env, p]
+        x = batch.rest[p] + u
         first, offset = first_node(x)
-        first += corner
+        first += batch.corner
         w = weights(offset)
         arm = arms(offset)
         v = vec3()
@@ -337,37 +332,37 @@ def particle_kernel(real):
             for j in range(3):
                 row = ((first[0] + i) * nodes[1] + first[1] + j) * nodes[2] + first[2]
                 for k in range(3):
-                    fraction = velocity[env, row + k] * (w[0, i] * w[1, j] * w[2, k])
+                    fraction = batch.velocity[env, row + k] * (w[0, i] * w[1, j] * w[2, k])
                     v += fraction
                     affine += wp.outer(fraction, vec3(arm[0, i], arm[1, j], arm[2, k]))
         affine = affine * moment
-        if p < held:
+        if p < batch.held:
             v = vec3()
         u += v
-        h = gradient[env, p]
+        h = batch.gradient[env, p]
         h += affine + affine * h
-        shift[env, p] = u
-        gradient[env, p] = h
+        batch.shift[env, p] = u
+        batch.gradient[env, p] = h
 
         # Written so that a NaN fails every check.
         if not (wp.length_sq(v) < real(SPEED_LIMIT * SPEED_LIMIT)):
-            wp.atomic_max(status_out, env, TOO_FAST)
+            wp.atomic_max(batch.status, env, TOO_FAST)
             return
-        if not (one + dilatation(h) > det_floor):
-            wp.atomic_max(status_out, env, COLLAPSED)
+        if not (one + dilatation(h) > batch.det_floor):
+            wp.atomic_max(batch.status, env, COLLAPSED)
             return
-        x = rest[p] + u
+        x = batch.rest[p] + u
         first, offset = first_node(x)
-        first += corner
+        first += batch.corner
         for axis in range(3):
             if first[axis] < 0 or first[axis] + 2 >= nodes[axis]:
-                wp.atomic_max(status_out, env, LEFT_GRID)
+                wp.atomic_max(batch.status, env, LEFT_GRID)
                 return
 
         w = weights(offset)
         arm = arms(offset)
-        mass = volume[p]
-        push = affine * mass - kirchhoff(h, shear[env], bulk[env]) * (moment * mass)
+        mass = batch.volume[p]
+        push = affine * mass - kirchhoff(h, batch.shear[env], batch.bulk[env]) * (moment * mass)
         momentum = v * mass
         for i in range(3):
             for j in range(3):
@@ -375,10 +370,10 @@ def particle_kernel(real):
                 for k in range(3):
                     weight = w[0, i] * w[1, j] * w[2, k] * unit
                     given = (momentum + push * vec3(arm[0, i], arm[1, j], arm[2, k])) * weight
-                    wp.atomic_add(sums_out, env, row + k, 0, wp.int64(mass * weight))
-                    wp.atomic_add(sums_out, env, row + k, 1, wp.int64(given[0]))
-                    wp.atomic_add(sums_out, env, row + k, 2, wp.int64(given[1]))
-                    wp.atomic_add(sums_out, env, row + k, 3, wp.int64(given[2]))
+                    wp.atomic_add(batch.sums, env, row + k, 0, wp.int64(mass * weight))
+                    wp.atomic_add(batch.sums, env, row + k, 1, wp.int64(given[0]))
+                    wp.atomic_add(batch.sums, env, row + k, 2, wp.int64(given[1]))
+                    wp.atomic_add(batch.sums, env, row + k, 3, wp.int64(given[2]))
 
     return move
 
@@ -389,66 +384,39 @@ def particle_kernel(real):
 @functools.cache
 def reading_kernels(real):
     """Return the kernels of the surface's displacement and of sums over the body."""
-    vec3, mat33 = vector_of(real), matrix_of(real)
+    vec3 = vector_of(real)
     first_node, weights, _arms = spline_functions(real)
     dilatation, _kirchhoff, energy = law_functions(real)
     one, half, unit = real(1.0), real(0.5), real(FIXED_POINT)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def surface(
-        # Particles: the first of the highest layer, and offsets from that layer to the surface
-        first: int,
-        to_surface: wp.array(dtype=vec3),
-        # In:
-        shift: wp.array2d(dtype=vec3),
-        gradient: wp.array2d(dtype=mat33),
-        # Out: displacement of the surface
-        surface_out: wp.array2d(dtype=vec3),
-    ):
+    def surface(batch: batch_struct(real)):
         env, n = wp.tid()
-        bent = gradient[env, first + n] * to_surface[n]
-        surface_out[env, n] = shift[env, first + n] + bent
+        p = batch.rest.shape[0] - batch.to_surface.shape[0] + n
+        bent = batch.gradient[env, p] * batch.to_surface[n]
+        batch.surface[env, n] = batch.shift[env, p] + bent
 
     @wp.kernel(enable_backward=False, module="unique")
-    def body(
-        # Settings:
-        nodes: wp.vec3i,
-        corner: wp.vec3i,
-        # Particles:
-        rest: wp.array(dtype=vec3),
-        volume: wp.array(dtype=real),
-        whole: real,
-        # Environments:
-        status: wp.array(dtype=wp.int32),
-        shear: wp.array(dtype=real),
-        bulk: wp.array(dtype=real),
-        # In:
-        velocity: wp.array2d(dtype=vec3),
-        shift: wp.array2d(dtype=vec3),
-        gradient: wp.array2d(dtype=mat33),
-        # Out: means over the body of stored and kinetic energy,
-        # and the smallest determinant
-        sums_out: wp.array2d(dtype=wp.int64),
-        det_out: wp.array(dtype=real),
-    ):
+    def body(batch: batch_struct(real), whole: real):
         env, p = wp.tid()
-        if status[env] != 0:
+        if batch.status[env] != 0:
             return
-        h = gradient[env, p]
-        first, offset = first_node(rest[p] + shift[env, p])
-        first += corner
+        nodes = batch.nodes
+        h = batch.gradient[env, p]
+        first, offset = first_node(batch.rest[p] + batch.shift[env, p])
+        first += batch.corner
         w = weights(offset)
         v = vec3()
         for i in range(3):
             for j in range(3):
                 row = ((first[0] + i) * nodes[1] + first[1] + j) * nodes[2] + first[2]
                 for k in range(3):
-                    v += velocity[env, row + k] * (w[0, i] * w[1, j] * w[2, k])
-        fraction = volume[p] / whole * unit
-        stored = energy(h, shear[env], bulk[env]) * fraction
-        wp.atomic_add(sums_out, env, 0, wp.int64(stored))
-        wp.atomic_add(sums_out, env, 1, wp.int64(half * wp.length_sq(v) * fraction))
-        wp.atomic_min(det_out, env, one + dilatation(h))
+                    v += batch.velocity[env, row + k] * (w[0, i] * w[1, j] * w[2, k])
+        fraction = batch.volume[p] / whole * unit
+        stored = energy(h, batch.shear[env], batch.bulk[env]) * fraction
+        wp.atomic_add(batch.means, env, 0, wp.int64(stored))
+        wp.atomic_add(batch.means, env, 1, wp.int64(half * wp.length_sq(v) * fraction))
+        wp.atomic_min(batch.det, env, one + dilatation(h))
 
     return surface, body
 
@@ -513,54 +481,52 @@ class ParticleState:
             for scene, pace in zip(scenes, paces, strict=True)
         ]
         count, particles, nodes = len(scenes), len(lattice.rest), lattice.node_count
-        self._count, self._particles = count, particles
-        self.rest = self.array(lattice.rest, vec3)
-        self.volume = self.array(lattice.volume, real)
-        self._to_surface = self.array(lattice.to_surface, vec3)
+        batch = self.batch = batch_struct(real)()
+        """Everything on the device."""
+        batch.nodes, batch.corner = wp.vec3i(*lattice.nodes), wp.vec3i(*lattice.corner)
+        batch.origin, batch.held = vec3(*lattice.origin), lattice.held
+        batch.reach = real(REACH if numerics.published is None else 0.0)
+        batch.det_floor = real(DET_FLOOR)
+        batch.rest = self.array(lattice.rest, vec3)
+        batch.volume = self.array(lattice.volume, real)
+        batch.to_surface = self.array(lattice.to_surface, vec3)
         self._fill_environments(scenes, numerics)
         self._fill_schedules(paces)
-
-        def zeros(shape, dtype):
-            return wp.zeros(shape, dtype=dtype, device=self.device)
-
-        self.shift = zeros((count, particles), vec3)
-        self.gradient = zeros((count, particles), matrix_of(real))
-        self.velocity = zeros((count, nodes), vec3)
-        self.sums = zeros((count, nodes, 4), wp.int64)
-        self.history = zeros((count, ROUND, READINGS), wp.int64)
-        self._surface = zeros((count, len(lattice.to_surface)), vec3)
-        self._means = zeros((count, 2), wp.int64)
-        self._det = zeros(count, real)
-        self.active = wp.full(count, 1, dtype=wp.int32, device=self.device)
-        self.status, self.step = zeros(count, wp.int32), zeros(count, wp.int32)
-        self.tip, self.tip_velocity = zeros(count, vec3), zeros(count, vec3)
-        self.nodes, self._corner = wp.vec3i(*lattice.nodes), wp.vec3i(*lattice.corner)
-        self._held, self._det_floor = lattice.held, real(DET_FLOOR)
-        self._origin, self._reach = (
-            vec3(*lattice.origin),
-            real(REACH if numerics.published is None else 0.0),
-        )
+        for shape, dtype, names in (
+            (count, wp.int32, ("status", "step")),
+            (count, vec3, ("tip", "tip_velocity")),
+            ((count, particles), vec3, ("shift",)),
+            ((count, particles), matrix_of(real), ("gradient",)),
+            ((count, nodes), vec3, ("velocity",)),
+            ((count, nodes, 4), wp.int64, ("sums",)),
+            ((count, ROUND, READINGS), wp.int64, ("history",)),
+            ((count, len(lattice.to_surface)), vec3, ("surface",)),
+            ((count, 2), wp.int64, ("means",)),
+            (count, real, ("det",)),
+        ):
+            for name in names:
+                setattr(batch, name, wp.zeros(shape, dtype=dtype, device=self.device))
+        batch.active = wp.full(count, 1, dtype=wp.int32, device=self.device)
         self._graph = None
         # Initial sums of the grid: a time step of particles at rest changes nothing else.
         self.move_particles()
 
     def _fill_environments(self, scenes, numerics) -> None:
         """Set the parameters of each environment: material and contact."""
-        real, units = self.real, self.units
+        real, units, batch = self.real, self.units, self.batch
         stress = np.array([unit.stress for unit in units])
-        self.shear = self.array([one.body.shear_modulus for one in scenes] / stress, real)
-        self.bulk = self.array([one.body.bulk_modulus for one in scenes] / stress, real)
+        batch.shear = self.array([one.body.shear_modulus for one in scenes] / stress, real)
+        batch.bulk = self.array([one.body.bulk_modulus for one in scenes] / stress, real)
         indenters = [one.indenter for one in scenes]
         cell = self.lattice.cell
         self._table = PartTable.pack(indenters, cell, real, self.device, far=FAR * cell)
         friction = [one.effects.friction for one in scenes]
         given = [0.0 if one is None else one.coefficient for one in friction]
-        self._coefficient = self.array(given, real)
+        batch.coefficient = self.array(given, real)
         self._node_kernel = node_kernel(
             real,
             numerics.published is not None,
             friction[0] is not None,
-            numerics.published is None,
             self._table.traits,
         )
 
@@ -571,8 +537,8 @@ class ParticleState:
             [np.pad(pace.corners, ((0, longest - len(pace.at)), (0, 0)), "edge") for pace in paces]
         )
         at = np.stack([np.pad(pace.at, (0, longest - len(pace.at)), "edge") for pace in paces])
-        self._corners = self.array(corners / self.lattice.cell, self.vec3)
-        self._at = self.array(at, wp.int32)
+        self.batch.corners = self.array(corners / self.lattice.cell, self.vec3)
+        self.batch.at = self.array(at, wp.int32)
 
     def array(self, values, dtype) -> wp.array:
         """Return values as an array on the device."""
@@ -582,23 +548,23 @@ class ParticleState:
     @property
     def bytes(self) -> int:
         """Memory of all arrays [bytes]."""
-        arrays = [value for value in vars(self).values() if isinstance(value, wp.array)]
-        return sum(array.capacity for array in arrays)
+        values = [getattr(self.batch, name) for name in batch_struct(self.real).vars]
+        return sum(value.capacity for value in values if isinstance(value, wp.array))
 
     def advance(self, steps: int) -> np.ndarray:
         """Take up to `ROUND` steps; return their readings (steps, environments, 9) [cells, steps].
 
         Readings of environments that have ended are 0.
         """
-        self.history.zero_()
-        before = int(self.step.numpy().max())
+        self.batch.history.zero_()
+        before = int(self.batch.step.numpy().max())
         if steps == ROUND and self.device.is_cuda:
             self._replay()
         else:
             for _ in range(steps):
                 self._one_step()
         slots = (before + 1 + np.arange(steps)) % ROUND
-        return np.moveaxis(self.history.numpy()[:, slots], 0, 1) / IMPULSE_UNIT
+        return np.moveaxis(self.batch.history.numpy()[:, slots], 0, 1) / IMPULSE_UNIT
 
     def _replay(self) -> None:
         """Run `ROUND` steps as one graph; the first time run them directly and record the graph."""
@@ -619,74 +585,36 @@ class ParticleState:
         self.step_nodes()
         self.move_particles()
 
+    def _launch(self, kernel, each: tuple[int, ...], *inputs) -> None:
+        dim = (len(self.units), *each)
+        wp.launch(kernel, dim, [self.batch, *inputs], device=self.device)
+
     def begin_step(self) -> None:
         """Advance the tips and determine which environments take a step."""
-        wp.launch(
-            tip_kernel(self.real),
-            self._count,
-            [self._corners, self._at, self.status, self.step],
-            [self.active, self.tip, self.tip_velocity],
-            device=self.device,
-        )
+        self._launch(tip_kernel(self.real), ())
 
     def step_nodes(self) -> None:
         """Compute velocities of the nodes from mass and momentum of the particles."""
-        wp.launch(
-            self._node_kernel,
-            (self._count, self.lattice.node_count),
-            [
-                self.nodes, self._corner, self._origin, self._reach,
-                self._table.struct, self._coefficient, self.tip, self.tip_velocity,
-                self.active, self.step, self.sums,
-            ],
-            [self.velocity, self.history],
-            device=self.device,
-        )  # fmt: skip
+        self._launch(self._node_kernel, (self.lattice.node_count,), self._table.struct)
 
     def move_particles(self) -> None:
         """Displace and deform the particles, and transfer their mass and momentum to the nodes."""
-        wp.launch(
-            particle_kernel(self.real),
-            (self._count, self._particles),
-            [
-                self.nodes, self._corner, self._held, self._det_floor, self.rest, self.volume,
-                self.active, self.shear, self.bulk, self.velocity, self.shift, self.gradient,
-            ],
-            [self.sums, self.status],
-            device=self.device,
-        )  # fmt: skip
+        self._launch(particle_kernel(self.real), (len(self.lattice.rest),))
 
     def surface(self) -> np.ndarray:
         """Return displacements of the top of all environments (environments, X, Y, 3) [cells]."""
-        kernel, _ = reading_kernels(self.real)
-        size = len(self.lattice.to_surface)
-        wp.launch(
-            kernel,
-            (self._count, size),
-            [self._particles - size, self._to_surface, self.shift, self.gradient],
-            [self._surface],
-            device=self.device,
-        )
+        self._launch(reading_kernels(self.real)[0], (len(self.lattice.to_surface),))
         nx, ny, _nz = self.lattice.counts
-        return self._surface.numpy().reshape(self._count, nx, ny, 3).astype(float)
+        return self.batch.surface.numpy().reshape(len(self.units), nx, ny, 3).astype(float)
 
     def means(self) -> list[Means]:
         """Return energies and smallest determinant of every environment."""
-        _, kernel = reading_kernels(self.real)
         whole = self.real(self.lattice.volume.sum())
-        self._means.zero_()
-        self._det.fill_(float("inf"))
-        wp.launch(
-            kernel,
-            (self._count, self._particles),
-            [
-                self.nodes, self._corner, self.rest, self.volume, whole,
-                self.status, self.shear, self.bulk, self.velocity, self.shift, self.gradient,
-            ],
-            [self._means, self._det],
-            device=self.device,
-        )  # fmt: skip
-        means, det = self._means.numpy() / FIXED_POINT, self._det.numpy().astype(float)
+        self.batch.means.zero_()
+        self.batch.det.fill_(float("inf"))
+        self._launch(reading_kernels(self.real)[1], (len(self.lattice.rest),), whole)
+        means = self.batch.means.numpy() / FIXED_POINT
+        det = self.batch.det.numpy().astype(float)
         return [
             Means(float(one[0]), float(one[1]), float(least))
             for one, least in zip(means, det, strict=True)

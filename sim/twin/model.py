@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from recorder.processes import Workers, results
 from sim.errors import PassesThrough, SimulationDiverged
-from sim.fem import FOR_EDGES, Fem
-from sim.fem.numerics import further_settings
+from sim.fem import FOR_EDGES, Fem, further_settings
 from sim.indenters import Indenter, named
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField

@@ -74,4 +74,4 @@ def test_the_authors_presets_are_compared_with_the_force_on_their_own_body() -> 
     scene, numerics = choices()["authors, as released"]
     assert scene.body == BODY_RELEASED
     assert scene.motion.time[-1] == pytest.approx(1.5e-3 / 40e-3)
-    assert numerics == Mpm.authors_released()
+    assert numerics == Mpm(published="genforce")

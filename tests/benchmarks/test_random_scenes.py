@@ -30,8 +30,8 @@ from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippe
 from benchmarks.sim.stability.chance.twins import KINDS, agrees, symmetric, twin_of
 from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of
-from sim.fem.numerics import Fem, Grading
 from sim.indenters import shapes
 from sim.result import Quality, Result, to_json
 from sim.scene import Body, Motion, Scene, press

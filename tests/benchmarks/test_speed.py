@@ -37,7 +37,7 @@ from benchmarks.sim.speed.work import PaperWork, TimedPress, paper_work, smoke_w
 from sim import Body, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
 from sim.device import ready_device
 from sim.effects import Effects, Friction
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import NAMES, sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)

@@ -34,7 +34,7 @@ def test_a_force_of_a_pixel_that_is_hardly_covered_is_off_as_a_whole() -> None:
 
 
 def test_what_fem_says_of_its_error_covers_the_truth_on_a_coarse_mesh() -> None:
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
 
     (task,) = round_tasks(["sphere 4 in 4, mu 0, nu 0.45, to 1.5"])
     result = simulate(task.scene, Fem(fineness=0.3))

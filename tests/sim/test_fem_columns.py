@@ -11,7 +11,7 @@ from support.fem_oracles import Array
 from support.fem_tangents import COUNT, FILLED, GRID, Tangents, columns_of, flat_tangent, spread_out
 from support.few import few
 
-from sim.fem.columns import ColumnPreconditioner
+from sim.fem.multigrid import ColumnPreconditioner
 
 FREE = np.repeat(GRID.free, 3)
 REALS = [

@@ -68,6 +68,7 @@ class Contact:
         self.convex = False
         self.rule = face_rule(points)
         self._contact, self._tangent = contact_kernels(real, friction is not None)
+        self._mesh = oracle.on_device(MESHES, variant, real, points)
         shape = len(INDENTERS), len(MESH.faces)
         vec3, mat33 = vector_of(real), matrix_of(real)
         many = (*shape, points * points)
@@ -95,45 +96,31 @@ class Contact:
                 for name in ("tip_old", "u_old", "traction_old", "limit")
             )
         )
-        inputs = [
-            oracle.integers(MESH.faces),
-            oracle.scalars([mesh.face_area for mesh in MESHES], real),
-            oracle.scalars(self.rule[0], real),
-            oracle.scalars(self.rule[1], real),
-            oracle.vectors([mesh.nodes for mesh in MESHES], real),
-            oracle.integers(self.variant),
-            self._table,
-            oracle.vectors(tips, real),
-            real(PENALTY),
-            oracle.scalars(self.multiplier, real),
-            oracle.integers(np.full(len(u), self.convex)),
-            oracle.scalars([one.coefficient for one in many] or np.zeros(len(u)), real),
-            real(STICK),
-            oracle.vectors(old[0], real),
-            oracle.vectors(old[1], real),
-            oracle.vectors(old[2], real),
-            oracle.scalars(old[3], real),
-            self._active,
-            oracle.vectors(u, real),
-        ]
-        shape = len(u), len(MESH.faces)
-        outputs = list(self.out.values())
-        wp.launch(self._contact, dim=shape, inputs=inputs, outputs=outputs, device="cpu")
+        state = oracle.contact_of(
+            real,
+            penalty=real(PENALTY),
+            stick=real(STICK),
+            coefficient=oracle.scalars([one.coefficient for one in many] or [0.0] * len(u), real),
+            convex=oracle.integers(np.full(len(u), self.convex)),
+            tip=oracle.vectors(tips, real),
+            tip_old=oracle.vectors(old[0], real),
+            u_old=oracle.vectors(old[1], real),
+            traction_old=oracle.vectors(old[2], real),
+            limit=oracle.scalars(old[3], real),
+            multiplier=oracle.scalars(self.multiplier, real),
+            **self.out,
+        )
+        inputs = [self._mesh, self._table, state, self._active, oracle.vectors(u, real)]
+        wp.launch(self._contact, dim=(len(u), len(MESH.faces)), inputs=inputs, device="cpu")
         return {name: array.numpy().astype(float) for name, array in self.out.items()}
 
     def tangent(self, v: Array) -> Array:
         """Return the derivative of -force along `v` at the state evaluated last."""
         shape = len(v), len(MESH.faces)
         product = oracle.zeros((*shape, 4), vector_of(self.real))
-        inputs = [
-            oracle.integers(MESH.faces),
-            oracle.scalars(self.rule[0], self.real),
-            self._active,
-            self.out["touched"],
-            self.out["matrix"],
-            oracle.vectors(v, self.real),
-        ]
-        wp.launch(self._tangent, dim=shape, inputs=inputs, outputs=[product], device="cpu")
+        state = oracle.contact_of(self.real, **{**self.out, "force": product})
+        inputs = [self._mesh, state, self._active, oracle.vectors(v, self.real)]
+        wp.launch(self._tangent, dim=shape, inputs=inputs, device="cpu")
         return np.asarray(product.numpy(), float)
 
 

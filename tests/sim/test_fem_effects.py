@@ -34,9 +34,9 @@ from sim import (
     Viscosity,
     simulate,
 )
+from sim.fem import Fem
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
-from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)

@@ -65,20 +65,9 @@ def _materials(kind: str) -> list[Material]:
 def _inputs(
     materials: list[Material], active: Array, u: Array, real: Any, variant: list[int]
 ) -> list[Any]:
-    viscous = materials[0].history is not None
-    empty = np.zeros((0, 0, 0, 3, 3)), np.zeros((0, 0))
-    history = [one.history for one in materials] if viscous else empty[0]
-    bulk_history = [one.bulk_history for one in materials] if viscous else empty[1]
     return [
-        oracle.integers(ELEMENTS),
-        *oracle.geometry(MESHES, variant, real),
-        GAUSS_POINTS,
-        oracle.scalars([one.shear for one in materials], real),
-        oracle.scalars([one.bulk for one in materials], real),
-        oracle.scalars([one.factor for one in materials], real),
-        oracle.scalars([one.bulk_factor for one in materials], real),
-        oracle.matrices(history, real),
-        oracle.scalars(bulk_history, real),
+        oracle.on_device(MESHES, variant, real),
+        oracle.material_of(materials, real),
         oracle.integers(active),
         oracle.vectors(u, real),
     ]
@@ -197,13 +186,14 @@ def test_a_group_may_lack_elements_and_those_without_weight_are_left_alone(modul
     few = AT_ONCE * 2 + 3
     materials, u = _materials("elastic"), _states(2)
     whole = _residual(module, materials, u, wp.float64, "elastic")
-    inverse, weight, _variant = oracle.geometry(MESHES, VARIANT, wp.float64)
     kept = np.ones(few, bool)
     kept[[0, AT_ONCE + 1, few - 1]] = False
     inputs = _inputs(materials, np.ones(2), u, wp.float64, VARIANT)
-    inputs[0] = oracle.integers(ELEMENTS[:few])
-    inputs[1] = oracle.matrices(inverse.numpy()[:, :few], wp.float64)
-    inputs[2] = oracle.scalars(weight.numpy()[:, :few] * kept[:, None], wp.float64)
+    mesh = inputs[0]
+    weight = mesh.weight.numpy()[:, :few] * kept[:, None]
+    mesh.elements = oracle.integers(ELEMENTS[:few])
+    mesh.inverse = oracle.matrices(mesh.inverse.numpy()[:, :few], wp.float64)
+    mesh.weight = oracle.scalars(weight, wp.float64)
     part = _launched(module, "elastic", wp.float64, inputs, (2, few))
     for one, two in zip(part, whole, strict=True):
         assert np.array_equal(one[:, kept], two[:, :few][:, kept])

@@ -24,8 +24,8 @@ from sim import (
     simulate,
     simulate_many,
 )
+from sim.fem import Fem, Precision
 from sim.fem.newton import CRUSHED_MOST, PATIENT, PATIENT_IN_ALL, Newton, Path, path_of
-from sim.fem.numerics import Fem, Precision
 from sim.fem.solver import precision_for_finer
 from sim.fem.verdict import checked
 from sim.indenters import flat_punch, sphere

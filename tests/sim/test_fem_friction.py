@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim import Body, Effects, Friction, Scene, press, simulate
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
 from sim import Body, Result, Scene, press, simulate
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import Indenter, box, flat_punch, sphere
 from tests.support.few import few
 

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.sim.independent.foreign import load
 from benchmarks.sim.independent.foreign_cases import CASES
 from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, press, simulate
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import Indenter, box, plane, sphere
 
 SLOW = pytest.mark.slow

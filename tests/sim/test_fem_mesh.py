@@ -8,8 +8,8 @@ import pytest
 from support import fem_oracles as oracle
 
 from sim import Body, SceneError
+from sim.fem import Grading
 from sim.fem.mesh import CELLS_MAX, MANY, MULTIPLE, Mesh, axis, build_mesh
-from sim.fem.numerics import Grading
 
 FLAT = Body(size_x=6e-3, size_y=5e-3, thickness=3e-3)
 DOMED = Body(size_x=6e-3, size_y=6e-3, thickness=3e-3, dome_radius=9e-3)

@@ -12,10 +12,8 @@ from support.fem_tangents import COUNT, FILLED, GRID, MESHES, Tangents
 from support.few import few
 
 from sim import simulate
-from sim.fem import multigrid
-from sim.fem.columns import ColumnPreconditioner
-from sim.fem.multigrid import SMOOTHING, Multigrid, grid_counts, thinned
-from sim.fem.numerics import Fem
+from sim.fem import Fem, multigrid
+from sim.fem.multigrid import SMOOTHING, ColumnPreconditioner, Multigrid, grid_counts, thinned
 from sim.indenters import shapes
 from sim.scene import Body, Scene, press
 
@@ -49,7 +47,8 @@ def _apply(one: Any, active: Array, r: Array, real: Any) -> tuple[Array, Array]:
     nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
     scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
     sums = wp.zeros((count, one.parts, 2), dtype=wp.float64, device="cpu")
-    one.choose(np.flatnonzero(active))
+    if isinstance(one, Multigrid):
+        one.choose(np.flatnonzero(active))
     vectors = nothing, oracle.vectors(r, real), z
     one.advance(oracle.rows(active), scalars, (nothing, nothing), vectors, sums)
     return np.array(z.numpy()), sums.numpy().sum(1)[:, 0]

@@ -8,20 +8,8 @@ import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array
 
-from sim.fem.assembly import Sums
-from sim.fem.vectors import (
-    LANES,
-    RUN,
-    SUMS,
-    axpy,
-    blend,
-    copy_active,
-    extrapolate,
-    fill,
-    push_kernel,
-    reduce_kernel,
-    residual_kernel,
-)
+from sim.fem.arrays import axpy, blend, copy_active, extrapolate, fill
+from sim.fem.balance import LANES, RUN, SUMS, TOTALS, push_kernel, reduce_kernel, residual_kernel
 from sim.scalars import vector_of
 
 MESHES = oracle.domed_meshes()
@@ -46,14 +34,12 @@ def _touched() -> Array:
     return np.random.default_rng(12).integers(0, 2, (3, len(MESH.faces)))
 
 
-def _mesh_inputs(real: Any) -> list[Any]:
-    return [
-        oracle.integers(MESH.node_elements),
-        oracle.integers(MESH.node_faces),
-        oracle.integers(MESH.free),
-        oracle.scalars([mesh.node_volume for mesh in MESHES], real),
-        oracle.integers(VARIANT),
-    ]
+def _inputs(real: Any, touched: Array, forces: Array) -> list[Any]:
+    """Return the structs of meshes and of contact with the faces' forces."""
+    contact = oracle.contact_of(
+        real, touched=oracle.integers(touched), force=oracle.vectors(forces, real)
+    )
+    return [oracle.on_device(MESHES, VARIANT, real), contact]
 
 
 def _at_nodes(cells: Array, values: Array) -> Array:
@@ -82,15 +68,13 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
     runs = RUNS if lanes == 1 else -(-COUNT // lanes)
     sums = oracle.zeros((3, runs, SUMS), wp.float64)
     inputs = [
-        *_mesh_inputs(real),
+        *_inputs(real, touched, faces),
         oracle.scalars(rate, real),
         oracle.vectors(predicted, real),
         oracle.vectors(weight, real),
         oracle.integers(ACTIVE),
         oracle.vectors(elements, real),
         oracle.scalars(det, real),
-        oracle.integers(touched),
-        oracle.vectors(faces, real),
         oracle.vectors(u, real),
         oracle.vectors(direction, real),
     ]
@@ -108,16 +92,16 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
     held = ((inner - applied) * ~MESH.free[:, None]).sum(1)
     expected = (applied - inner) * MESH.free[:, None]
     assert oracle.relative(residual.numpy(), expected) < error
-    totals = Sums(_reduced(sums, lanes))
+    totals = _reduced(sums, lanes).view(TOTALS)[:, 0]
     square, applied_square = (
         ((each * MESH.free[:, None]) ** 2).sum((1, 2)) for each in (expected, applied)
     )
-    assert oracle.relative(totals.square, square) < error
-    assert oracle.relative(totals.applied, applied_square) < error
-    assert oracle.relative(totals.slope, -(expected * direction).sum((1, 2))) < error
-    assert oracle.relative(totals.det, det.min(1) * ACTIVE) < error
-    assert oracle.relative(totals.contact, pushed) < error
-    assert oracle.relative(totals.base, held) < error
+    assert oracle.relative(totals["square"], square) < error
+    assert oracle.relative(totals["applied"], applied_square) < error
+    assert oracle.relative(totals["slope"], -(expected * direction).sum((1, 2))) < error
+    assert oracle.relative(totals["det"], det.min(1) * ACTIVE) < error
+    assert oracle.relative(totals["contact"], pushed) < error
+    assert oracle.relative(totals["base"], held) < error
 
 
 def _reduced(sums: Any, lanes: int = 1) -> Array:
@@ -141,15 +125,15 @@ def test_a_run_knows_the_least_determinant_around_its_own_nodes() -> None:
         sums = oracle.zeros((3, RUNS, SUMS), wp.float64)
         nothing = np.zeros((3, COUNT, 3))
         inputs = [
-            *_mesh_inputs(wp.float64),
+            *_inputs(
+                wp.float64, np.zeros((3, len(MESH.faces))), np.zeros((3, len(MESH.faces), 4, 3))
+            ),
             oracle.scalars(np.zeros(0), wp.float64),
             oracle.vectors(np.zeros((0, 0, 3)), wp.float64),
             oracle.vectors(np.zeros((0, 3)), wp.float64),
             oracle.integers(ACTIVE),
             oracle.vectors(np.zeros((3, len(MESH.elements), 8, 3)), wp.float64),
             oracle.scalars(det, wp.float64),
-            oracle.integers(np.zeros((3, len(MESH.faces)))),
-            oracle.vectors(np.zeros((3, len(MESH.faces), 4, 3)), wp.float64),
             oracle.vectors(nothing, wp.float64),
             oracle.vectors(nothing, wp.float64),
         ]
@@ -168,13 +152,7 @@ def test_push_gathers_the_faces_that_are_touched_at_nodes_that_move(
     faces, touched = _random(3, len(MESH.faces), 4, 3), _touched()
     before = _random(3, COUNT, 3)
     pushed = oracle.vectors(before, real)
-    inputs = [
-        oracle.integers(MESH.node_faces),
-        oracle.integers(MESH.free),
-        oracle.integers(ACTIVE),
-        oracle.integers(touched),
-        oracle.vectors(faces, real),
-    ]
+    inputs = [*_inputs(real, touched, faces), oracle.integers(ACTIVE)]
     wp.launch(push_kernel(real), dim=(3, COUNT), inputs=inputs, outputs=[pushed], device="cpu")
     expected = _at_nodes(MESH.faces, faces * touched[:, :, None, None]) * MESH.free[:, None]
     expected = np.where(ACTIVE[:, None, None] > 0, expected, before)

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate, simulate_many
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import Indenter, box, cone, flat_punch, named, sphere
 from tests.support.few import few
 

@@ -10,11 +10,10 @@ import pytest
 import warp as wp
 
 from sim import Body, Effects, Friction, Gravity, Inertia, Scene, press, simulate_many
+from sim.fem import Fem
 from sim.fem.assembly import Assembly
+from sim.fem.balance import LANES, reading_kernels
 from sim.fem.contact import STICK, face_rule
-from sim.fem.numerics import Fem
-from sim.fem.reading import reading_kernels
-from sim.fem.vectors import LANES
 from sim.indenters import named
 from sim.result import Result
 
@@ -27,19 +26,20 @@ FEM = Fem(spacing=4e-3 / 3, one_topology=True)
 def _alone(assembly: Any, env: int, tip: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
     """Return what is read of one environment, and the top's nodes (X, Y, 6)."""
     mesh, state = assembly.meshes[env], assembly.state
+    contact = state.contact
 
     def of(array: Any) -> np.ndarray:
         return np.array(array.numpy()[env], float)
 
-    rows = np.flatnonzero(of(assembly.touched))
-    u, pressure = of(state.u), of(state.pressure)[rows]
-    normal, traction = of(state.normal)[rows], of(state.traction)[rows]
+    rows = np.flatnonzero(of(contact.touched))
+    u, pressure = of(state.u), of(contact.pressure)[rows]
+    normal, traction = of(contact.normal)[rows], of(contact.traction)[rows]
     shape, rule = face_rule(2)
     area = rule * mesh.face_area[rows, None]
     force = (normal * pressure[:, :, None] + traction) * area[:, :, None]
     place = np.array([shape @ (mesh.nodes[face] + u[face]) for face in mesh.faces[rows]])
     place = place.reshape(force.shape)
-    deep = np.where(pressure > 0, pressure - of(state.multiplier)[rows], 0.0) / FEM.penalty
+    deep = np.where(pressure > 0, pressure - of(contact.multiplier)[rows], 0.0) / FEM.penalty
     excess = np.linalg.norm(traction, axis=2) - 0.8 * pressure
     weight, volume = of(state.weight), mesh.node_volume[:, None]
     springs = (np.square(traction).sum(axis=2) * area).sum() / (2 * STICK * FEM.penalty)
@@ -48,7 +48,7 @@ def _alone(assembly: Any, env: int, tip: np.ndarray) -> tuple[dict[str, Any], np
     columns = len(mesh.x) * len(mesh.y)
     nodal = np.zeros((columns, 3))
     for row in rows[rows < len(mesh.top_faces)].tolist():
-        np.add.at(nodal, mesh.top_faces[row], of(assembly.face_force)[row])
+        np.add.at(nodal, mesh.top_faces[row], of(contact.force)[row])
     top = np.concatenate([u[mesh.top.ravel()], nodal], axis=1)
     return {
         "force": force.sum(axis=(0, 1)),

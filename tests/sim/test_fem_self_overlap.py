@@ -20,11 +20,10 @@ from sim import (
     press,
     simulate,
 )
-from sim.fem import stepping
+from sim.fem import FOR_EDGES, Fem, stepping
 from sim.fem.assembly import Assembly
-from sim.fem.crossing import Crossing
+from sim.fem.contact import Crossing
 from sim.fem.mesh import Mesh, build_mesh
-from sim.fem.numerics import FOR_EDGES, Fem
 from sim.fem.self_overlap import folded_faces, self_overlap
 from sim.indenters import bar, flat_punch, sphere
 from sim.simulate import simulate_many
@@ -194,7 +193,7 @@ def test_skin_that_leaps_far_is_followed_closely_enough_to_meet_a_thin_bar() -> 
     state, unit = assembly.state, STRIP.thickness
     state.start(np.array([[0.0, 0.0, -0.4e-3]]) / unit)
     up = np.array([0.0, 0.0, 1e-3]) / unit
-    state.u_old.assign(np.tile(-0.9 * up, (1, len(mesh.nodes), 1)))
+    state.contact.u_old.assign(np.tile(-0.9 * up, (1, len(mesh.nodes), 1)))
     state.u.assign(np.tile(0.3 * up, (1, len(mesh.nodes), 1)))
     assert assembly.overlap(state.everyone, samples=3)[0, 0] == 0.0
     found = assembly.overlap(state.everyone, samples=3, states=3)[0, 0] * unit

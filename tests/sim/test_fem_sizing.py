@@ -8,8 +8,7 @@ import pytest
 from scipy import ndimage
 
 from sim.contact_size import half_widths
-from sim.fem import solver
-from sim.fem.numerics import Fem
+from sim.fem import Fem, solver
 from sim.fem.sizing import (
     FLATTER,
     NOTHING,

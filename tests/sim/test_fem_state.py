@@ -7,9 +7,9 @@ from support import fem_oracles as oracle
 from support.fem_oracles import Array
 
 from sim import Body, Effects, Friction, Inertia, Scene, press
+from sim.fem import Fem
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
-from sim.fem.numerics import Fem
 from sim.indenters import sphere
 
 BODY = Body(size_x=4e-3, size_y=5e-3, thickness=3e-3, poisson=0.4)
@@ -29,7 +29,7 @@ def _assembly() -> Assembly:
 def _pressure(assembly: Assembly) -> Array:
     state = assembly.state
     assembly.evaluate(state.everyone, state.u, wp.zeros_like(assembly.residual))
-    return np.asarray(state.pressure.numpy().copy())
+    return np.asarray(state.contact.pressure.numpy().copy())
 
 
 def _pressed() -> Assembly:
@@ -59,29 +59,29 @@ def test_giving_up_returns_to_the_pressure_of_the_step_before() -> None:
     state = assembly.state
     once = _pressure(assembly)
     assembly.accept(FIRST, STEP)
-    np.testing.assert_array_equal(state.multiplier.numpy()[0], once[0])
-    assert not state.multiplier.numpy()[1].any()
+    np.testing.assert_array_equal(state.contact.multiplier.numpy()[0], once[0])
+    assert not state.contact.multiplier.numpy()[1].any()
     _pressure(assembly)
     state.update_multiplier(state.everyone)
-    assert not np.array_equal(state.multiplier.numpy()[0], once[0])
+    assert not np.array_equal(state.contact.multiplier.numpy()[0], once[0])
     state.rollback_step(state.everyone)
-    np.testing.assert_array_equal(state.multiplier.numpy()[0], once[0])
-    assert not state.multiplier.numpy()[1].any()
+    np.testing.assert_array_equal(state.contact.multiplier.numpy()[0], once[0])
+    assert not state.contact.multiplier.numpy()[1].any()
 
 
 def test_tips_go_where_their_step_ends_and_back_to_where_it_began() -> None:
     state = _assembly().state
     start = np.array([[0.0, 0.0, 0.1], [0.0, 0.1, 0.2]])
     state.start(start)
-    np.testing.assert_array_equal(state.tip.numpy(), start)
+    np.testing.assert_array_equal(state.contact.tip.numpy(), start)
     state.begin_step(FIRST, TIP, STEP, np.zeros(2))
-    np.testing.assert_array_equal(state.tip.numpy(), start)
+    np.testing.assert_array_equal(state.contact.tip.numpy(), start)
     state.set_tip(BOTH)
-    np.testing.assert_array_equal(state.tip.numpy(), [TIP[0], start[1]])
+    np.testing.assert_array_equal(state.contact.tip.numpy(), [TIP[0], start[1]])
     np.testing.assert_array_equal(state.travel(BOTH).numpy(), [TIP[0] - start[0], [0, 0, 0]])
     np.testing.assert_array_equal(state.travel(~FIRST).numpy(), np.zeros((2, 3)))
     state.set_tip(FIRST, before=True)
-    np.testing.assert_array_equal(state.tip.numpy(), start)
+    np.testing.assert_array_equal(state.contact.tip.numpy(), start)
 
 
 def test_an_accepted_step_is_where_the_next_begins_for_the_chosen_only() -> None:
@@ -90,7 +90,7 @@ def test_an_accepted_step_is_where_the_next_begins_for_the_chosen_only() -> None
     _pressure(assembly)
     state.u.assign(np.ones((*state.u.shape, 3)))
     assembly.accept(FIRST, STEP)
-    np.testing.assert_array_equal(state.u_old.numpy()[:, 0, 0], [1.0, 0.0])
+    np.testing.assert_array_equal(state.contact.u_old.numpy()[:, 0, 0], [1.0, 0.0])
     np.testing.assert_array_equal(state.tip_before, [TIP[0], [0, 0, 0]])
     np.testing.assert_array_equal(state.travel(BOTH).numpy(), [[0, 0, 0], TIP[1]])
 

@@ -11,11 +11,10 @@ from support.fem_oracles import Array
 from support.fem_tangents import COUNT, FILLED, GRID, Tangents, spread_out
 
 from sim import Body, Effects, Friction, Scene, press, simulate
-from sim.fem import assembly
+from sim.fem import Fem, assembly
+from sim.fem.balance import RUN
 from sim.fem.matrix import BlockMatrix
 from sim.fem.mesh import SLOTS, colour_order, face_slots, neighbours
-from sim.fem.numerics import Fem
-from sim.fem.vectors import RUN
 from sim.indenters import named
 from sim.scalars import vector_of
 

@@ -22,7 +22,7 @@ from sim import (
     press,
     simulate,
 )
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.fem.verdict import checked
 from sim.indenters import named, plane, sphere
 from sim.layer import Layer

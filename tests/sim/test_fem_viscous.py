@@ -81,11 +81,8 @@ def _branches(real: Any) -> Branches:
 
 
 def _keep(branches: Branches, u: Array, real: Any, active: Array) -> None:
-    mesh = (oracle.integers(ELEMENTS), *oracle.geometry(MESHES, VARIANT, real))
-    material = (
-        oracle.scalars([one.shear for one in MATERIALS], real),
-        oracle.scalars([one.bulk for one in MATERIALS], real),
-    )
+    mesh = oracle.on_device(MESHES, VARIANT, real)
+    material = oracle.material_of(MATERIALS, real)
     branches.keep(mesh, material, oracle.integers(active), oracle.vectors(u, real))
 
 
@@ -109,8 +106,8 @@ def test_branches_follow_simo_and_hughes(real: Any, error: float) -> None:
     expected = [Recurrence(*each) for each in zip(SERIES, MATERIALS, meshes, strict=True)]
     for u, duration in zip(_walk(), STEPS, strict=True):
         factor, bulk_factor = _begin(branches, duration)
-        history = branches.history.numpy().astype(float)
-        bulk_history = branches.bulk_history.numpy().astype(float)
+        history = branches.arrays.history.numpy().astype(float)
+        bulk_history = branches.arrays.bulk_history.numpy().astype(float)
         for env, recurrence in enumerate(expected):
             recurrence.step(u[env], duration[env])
             stress, pressure = recurrence.total
@@ -127,10 +124,10 @@ def test_an_environment_that_is_not_active_remembers_the_step_before() -> None:
     _begin(branches, duration)
     _keep(branches, u, wp.float64, np.array([1, 0]))
     _begin(branches, duration)
-    history = branches.history.numpy()
+    history = branches.arrays.history.numpy()
     assert np.abs(history[0]).max() > 1e-3
     assert not history[1].any()
-    assert not branches.bulk_history.numpy()[1].any()
+    assert not branches.arrays.bulk_history.numpy()[1].any()
 
 
 def test_a_step_that_begins_leaves_the_history_of_one_that_is_under_way() -> None:
@@ -140,14 +137,20 @@ def test_a_step_that_begins_leaves_the_history_of_one_that_is_under_way() -> Non
     _begin(branches, STEPS[0])
     _keep(branches, u[0], wp.float64, EVERYONE)
     under_way = _begin(branches, STEPS[1])
-    history, bulk_history = branches.history.numpy().copy(), branches.bulk_history.numpy().copy()
+    history, bulk_history = (
+        branches.arrays.history.numpy().copy(),
+        branches.arrays.bulk_history.numpy().copy(),
+    )
     later = np.array([STEPS[2][0], STEPS[1][1]])
     factors = _begin(branches, later, np.array([1, 0]))
     assert factors[0][0] != under_way[0][0]
     for one, two in zip(factors, under_way, strict=True):
         assert one[1] == two[1]
     _begin(branches, STEPS[3], np.array([1, 0]))
-    for now, before in ((branches.history, history), (branches.bulk_history, bulk_history)):
+    for now, before in (
+        (branches.arrays.history, history),
+        (branches.arrays.bulk_history, bulk_history),
+    ):
         assert not np.array_equal(now.numpy()[0], before[0])
         np.testing.assert_array_equal(now.numpy()[1], before[1])
 
@@ -168,5 +171,5 @@ def test_volume_that_relaxes_in_shear_only_has_no_memory_of_pressure() -> None:
         _begin(branches, duration)
         _keep(branches, u, wp.float64, EVERYONE)
     _begin(branches, STEPS[0])
-    assert np.abs(branches.bulk_history.numpy()[0]).max() > 1e-3
-    assert not branches.bulk_history.numpy()[1].any()
+    assert np.abs(branches.arrays.bulk_history.numpy()[0]).max() > 1e-3
+    assert not branches.arrays.bulk_history.numpy()[1].any()

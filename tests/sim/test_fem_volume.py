@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sim import Body, Effects, Friction, Scene, Viscosity, press, simulate
-from sim.fem import volume
+from sim.fem import Fem, element
 from sim.fem.assembly import is_split
-from sim.fem.numerics import Fem
 from sim.indenters import sphere
 from sim.result import Result
 
@@ -37,7 +36,7 @@ def test_a_split_pressure_gives_the_forces_of_the_whole_one(
     monkeypatch: pytest.MonkeyPatch, poisson: float, effects: Effects
 ) -> None:
     split = _solved(poisson, effects)
-    monkeypatch.setattr(volume, "SPLIT_ABOVE", 0.5)
+    monkeypatch.setattr(element, "SPLIT_ABOVE", 0.5)
     whole = _solved(poisson, effects)
     largest = np.abs(whole.wrench[:, :3]).max()
     assert split.wrench[:, :3] == pytest.approx(whole.wrench[:, :3], abs=5e-4 * largest)
@@ -49,4 +48,4 @@ def test_a_split_pressure_gives_the_forces_of_the_whole_one(
 def test_only_nearly_incompressible_bodies_are_split() -> None:
     for poisson, split in ((0.49, False), (0.495, False), (0.499, True)):
         assert is_split([Scene(sphere(3e-3), MOTION, Body(poisson=poisson))]) == split
-        assert (volume.split_factor(poisson) < 1.0) == split
+        assert (element.split_factor(poisson) < 1.0) == split

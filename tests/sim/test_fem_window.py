@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim import Body, Indenter, Motion, Scene, SceneError, press
+from sim.fem import FOR_EDGES, Fem, Grading
 from sim.fem.mesh import MARGIN, Window, contact_window, meshes_of
-from sim.fem.numerics import FOR_EDGES, Fem, Grading
 from sim.fem.sizing import covered
 from sim.indenters import bar, cone, flat_punch, named, plane, sphere, torus
 from tests.support.few import few

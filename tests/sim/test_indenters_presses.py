@@ -12,7 +12,7 @@ import pytest
 from support import stl_files as files
 
 from sim import Body, Effects, Friction, Layer, Result, Scene, press, simulate, simulate_many
-from sim.fem.numerics import FOR_EDGES, Fem
+from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, box, from_stl, named, sphere
 from sim.mpm import Mpm
 from sim.simulate import Tier

@@ -9,7 +9,7 @@ import warp as wp
 from sim.effects import Effects, Friction, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, plane, sphere, torus
-from sim.layer import Layer, batch, batch_contact
+from sim.layer import Layer, batch, batch_kernels
 from sim.layer.batch import simulate_layers
 from sim.layer.solver import simulate_layer
 from sim.result import Outcome, Result
@@ -137,8 +137,8 @@ def test_wide_contacts_on_fine_pixels_are_left_to_the_single_solver(
 def test_a_press_that_does_not_converge_leaves_the_others_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(batch_contact, "TURNS", 1)
-    batch_contact.contact_kernel.cache_clear()
+    monkeypatch.setattr(batch_kernels, "TURNS", 1)
+    batch_kernels.contact_kernel.cache_clear()
     motion = Motion(tip=((0, 0, 0), (0.2e-3, 0, -1e-3)), time=(0.0, 1.0))
     rubs = Effects(friction=Friction(0.8))
     above = Motion(tip=((0, 0, 2e-3), (0, 0, 1e-3)), time=(0.0, 1.0))
@@ -151,7 +151,7 @@ def test_a_press_that_does_not_converge_leaves_the_others_alone(
             progress=told.append,
         )
     finally:
-        batch_contact.contact_kernel.cache_clear()
+        batch_kernels.contact_kernel.cache_clear()
     assert isinstance(failed, SimulationDiverged)
     assert "no converged state after the tip" in str(failed)
     assert len(failed.tried) == 5

@@ -9,7 +9,7 @@ import pytest
 
 from sim import plan, simulate, tolerance
 from sim.errors import SceneError
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 from sim.metrics import tolerance_of
 from sim.result import Result

@@ -22,9 +22,8 @@ from sim import (
     press,
 )
 from sim.indenters import sphere
-from sim.mpm import Mpm
+from sim.mpm import AUTHORS_CELL, STABLE, Mpm
 from sim.mpm.lattice import build_lattice, pace_of
-from sim.mpm.numerics import AUTHORS_CELL, STABLE
 from sim.mpm.solver import simulate_mpm
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
@@ -174,7 +173,7 @@ def test_the_authors_preset_is_what_their_code_says() -> None:
 def test_the_released_preset_makes_the_body_it_really_makes() -> None:
     body = Body(size_x=25e-3, size_y=25e-3, thickness=5e-3)
     scene = Scene(sphere(4e-3), press([1e-3], speed=40e-3), body)
-    numerics = Mpm.authors_released()
+    numerics = Mpm(published="genforce")
     assert build_lattice([scene], numerics).counts == (101, 101, 21)
     assert numerics.per_cell**3 == pytest.approx(0.14, abs=0.005)
     assert pace_of(scene, numerics, AUTHORS_CELL).speed_ratio > 0.05

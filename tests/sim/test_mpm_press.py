@@ -12,8 +12,7 @@ import warp as wp
 from benchmarks.sim.tiers.comparison import DEPTHS, FORCE, around
 from sim import Body, Effects, Friction, Result, Scene, SimulationDiverged, press
 from sim.indenters import flat_punch, plane, sphere
-from sim.mpm import Mpm, lattice, state
-from sim.mpm.numerics import AUTHORS_VOLUME
+from sim.mpm import AUTHORS_VOLUME, Mpm, lattice, state
 from sim.mpm.solver import end_of_line, simulate_mpm
 from sim.scene import through
 from sim.store import load_result, save_results

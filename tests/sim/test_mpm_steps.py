@@ -25,11 +25,11 @@ def _stirred(scene: Scene, numerics: Mpm) -> tuple[ParticleState, Array]:
     state, lattice, _ = oracle.state_of([scene], numerics)
     random = np.random.default_rng(1)
     count = len(lattice.rest)
-    oracle.put(state.shift, random.uniform(-0.3, 0.3, (1, count, 3)))
-    oracle.put(state.gradient, random.uniform(-0.1, 0.1, (1, count, 3, 3)))
+    oracle.put(state.batch.shift, random.uniform(-0.3, 0.3, (1, count, 3)))
+    oracle.put(state.batch.gradient, random.uniform(-0.1, 0.1, (1, count, 3, 3)))
     velocity = random.uniform(-0.1, 0.1, (*lattice.nodes, 3))
-    oracle.put(state.velocity, velocity.reshape(1, -1, 3))
-    oracle.put(state.sums, np.zeros(state.sums.shape))
+    oracle.put(state.batch.velocity, velocity.reshape(1, -1, 3))
+    oracle.put(state.batch.sums, np.zeros(state.batch.sums.shape))
     return state, velocity
 
 
@@ -37,23 +37,28 @@ def _stirred(scene: Scene, numerics: Mpm) -> tuple[ParticleState, Array]:
 def test_a_step_of_the_particles_is_what_numpy_says(precision: str, error: float) -> None:
     numerics = replace(EXACT, precision=precision)
     state, velocity = _stirred(SCENE, numerics)
-    shear, bulk = float(state.shear.numpy()[0]), float(state.bulk.numpy()[0])
+    shear, bulk = float(state.batch.shear.numpy()[0]), float(state.batch.bulk.numpy()[0])
     wanted = oracle.move(
-        state.lattice, velocity, state.shift.numpy()[0], state.gradient.numpy()[0], shear, bulk
+        state.lattice,
+        velocity,
+        state.batch.shift.numpy()[0],
+        state.batch.gradient.numpy()[0],
+        shear,
+        bulk,
     )
     state.move_particles()
     shift, gradient, sums = wanted
-    np.testing.assert_allclose(state.shift.numpy()[0], shift, atol=error)
-    np.testing.assert_allclose(state.gradient.numpy()[0], gradient, atol=error)
+    np.testing.assert_allclose(state.batch.shift.numpy()[0], shift, atol=error)
+    np.testing.assert_allclose(state.batch.gradient.numpy()[0], gradient, atol=error)
     np.testing.assert_allclose(oracle.sums_of(state), sums, atol=error)
     assert np.abs(sums[..., 1:]).max() > 0.01
 
 
 def test_particles_give_the_grid_their_mass_and_momentum_and_not_more() -> None:
     state, _ = _stirred(SCENE, EXACT)
-    before = state.shift.numpy()[0].copy()
+    before = state.batch.shift.numpy()[0].copy()
     state.move_particles()
-    velocity = state.shift.numpy()[0] - before
+    velocity = state.batch.shift.numpy()[0] - before
     volume = state.lattice.volume
     sums = oracle.sums_of(state).sum(axis=(0, 1, 2))
     assert sums[0] == pytest.approx(volume.sum(), rel=1e-10)
@@ -65,13 +70,13 @@ def test_what_nodes_gain_is_what_indenter_and_base_gave_them() -> None:
     state, lattice, paces = oracle.state_of([scene], EXACT)
     state.advance(int(paces[0].steps))
     sums = oracle.sums_of(state)
-    oracle.put(state.step, np.array([paces[0].steps - 1]))
-    state.history.zero_()
+    oracle.put(state.batch.step, np.array([paces[0].steps - 1]))
+    state.batch.history.zero_()
     state.begin_step()
     state.step_nodes()
-    velocity = state.velocity.numpy()[0].reshape(*lattice.nodes, 3)
+    velocity = state.batch.velocity.numpy()[0].reshape(*lattice.nodes, 3)
     change = (sums[..., :1] * velocity - sums[..., 1:]).sum(axis=(0, 1, 2))
-    impulses = state.history.numpy()[0].sum(axis=0) / IMPULSE_UNIT
+    impulses = state.batch.history.numpy()[0].sum(axis=0) / IMPULSE_UNIT
     np.testing.assert_allclose(change, impulses[:3] + impulses[6:], atol=1e-10)
     assert impulses[2] < -1e-3 < 1e-3 < impulses[8]
 
@@ -79,7 +84,7 @@ def test_what_nodes_gain_is_what_indenter_and_base_gave_them() -> None:
 def test_the_velocity_field_vanishes_on_the_base() -> None:
     state, lattice, paces = oracle.state_of([SCENE], EXACT)
     state.advance(int(paces[0].steps) - 1)
-    velocity = state.velocity.numpy()[0].reshape(*lattice.nodes, 3)
+    velocity = state.batch.velocity.numpy()[0].reshape(*lattice.nodes, 3)
     base = lattice.corner[2]
     spline = np.array([0.125, 0.75, 0.125])
     on_base = np.tensordot(velocity[:, :, base - 1 : base + 2], spline, axes=(2, 0))
@@ -90,11 +95,11 @@ def test_the_velocity_field_vanishes_on_the_base() -> None:
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_what_is_at_rest_stays_at_rest_to_the_last_bit(precision: str) -> None:
     state, _, _ = oracle.state_of([SCENE], replace(EXACT, precision=precision))
-    oracle.put(state._corners, np.full((*state._corners.shape, 3), 50.0))
+    oracle.put(state.batch.corners, np.full((*state.batch.corners.shape, 3), 50.0))
     readings = state.advance(30)
     assert not readings.any()
-    assert not state.shift.numpy().any()
-    assert not state.gradient.numpy().any()
+    assert not state.batch.shift.numpy().any()
+    assert not state.batch.gradient.numpy().any()
 
 
 def test_a_bonded_column_swings_at_the_speed_of_sound() -> None:
@@ -102,14 +107,14 @@ def test_a_bonded_column_swings_at_the_speed_of_sound() -> None:
     body = Body(size_x=2e-3, size_y=2e-3, thickness=8e-3, poisson=0.0)
     scene = Scene(sphere(1e-3), press([0.1e-3]), body)
     state, lattice, paces = oracle.state_of([scene], Mpm(cell=0.5e-3, precision="float64"))
-    oracle.put(state._corners, np.full((*state._corners.shape, 3), 50.0))
-    oracle.put(state._at, np.array([[0, 0, 10_000]]))
+    oracle.put(state.batch.corners, np.full((*state.batch.corners.shape, 3), 50.0))
+    oracle.put(state.batch.at, np.array([[0, 0, 10_000]]))
     height = np.arange(lattice.nodes[2]) - lattice.corner[2]
     rising = 1e-5 * np.sin(np.pi / 2 * np.clip(height, -1, 16) / 16)
     velocity = np.zeros((*lattice.nodes, 3))
     velocity[..., 2] = rising
-    oracle.put(state.velocity, velocity.reshape(1, -1, 3))
-    oracle.put(state.sums, np.zeros(state.sums.shape))
+    oracle.put(state.batch.velocity, velocity.reshape(1, -1, 3))
+    oracle.put(state.batch.sums, np.zeros(state.batch.sums.shape))
     state.move_particles()
     top = []
     half = 2 * body.thickness / paces[0].wave_speed / paces[0].time_step

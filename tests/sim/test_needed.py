@@ -14,7 +14,7 @@ from benchmarks.sim.accuracy.errors import worst_errors
 from sim import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, SceneError, Viscosity
 from sim import needed as module
 from sim.effect_bounds import bounds_of
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 from sim.metrics import outcome_of, tolerance_of
 from sim.needed import EffectsPlan, part_of_tolerance, plan_many

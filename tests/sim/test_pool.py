@@ -28,8 +28,8 @@ from sim import (
     press,
     simulate_many,
 )
+from sim.fem import Fem
 from sim.fem.mesh import agreed
-from sim.fem.numerics import Fem
 from sim.indenters import sphere
 from sim.tiers import gathered, submitted
 
@@ -245,7 +245,7 @@ def test_ctrl_c_stops_the_workers_at_once() -> None:
 SCRIPT = """
 import sys
 from sim import Scene, press, simulate_many
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 {guard}
     print("begun", flush=True)

@@ -19,7 +19,7 @@ from benchmarks.sim.render.states import RenderState, dent, fold, state_of
 from benchmarks.sim.render.timing import measure
 from recorder.markers import Lattice, count_markers, pack
 from sim.errors import SceneError
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 from sim.markers import (
     SIMULATED,

@@ -27,8 +27,8 @@ from sim import (
     simulate,
 )
 from sim.error_estimate import unknown_at_side
+from sim.fem import Fem
 from sim.fem.mesh import SHARE_LEAST, build_mesh
-from sim.fem.numerics import Fem
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Pattern, Renderer, named
 from sim.markers.textures import Textures

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from sim.effects import Effects, Friction
 from sim.errors import SceneError
+from sim.fem import Fem
 from sim.fem.assembly import Assembly
-from sim.fem.numerics import Fem
 from sim.indenters import named
 from sim.scene import Body, Scene, press
 from sim.sensors.field import SurfaceField

@@ -12,8 +12,7 @@ import pytest
 from sim import Body, Effects, Scene, press
 from sim.effects import Viscosity
 from sim.errors import SimulationDiverged
-from sim.fem import solver
-from sim.fem.numerics import Fem
+from sim.fem import Fem, solver
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Required, simulate_fem
 from sim.indenters import sphere

@@ -21,7 +21,7 @@ from sim import (
     simulate,
     simulate_many,
 )
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3]))

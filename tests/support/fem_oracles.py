@@ -6,6 +6,7 @@ derivatives by the complex step f'(u) v = Im f(u + i h v) / h, exact to round-of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +15,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim import Body, Indenter
+from sim.fem.arrays import contact_struct, material_struct, mesh_on
+from sim.fem.contact import face_rule
 from sim.fem.mesh import Mesh, build_mesh
 from sim.scalars import matrix_of, numpy_of, vector_of
 
@@ -240,13 +243,29 @@ def zeros(shape: tuple[int, ...], dtype: Any) -> Any:
     return wp.zeros(shape, dtype=dtype, device=CPU)
 
 
-def geometry(meshes: list[Mesh], variant: list[int], real: Any) -> tuple[Any, Any, Any]:
-    """Return inverse, weight and mesh of each environment, as the element kernels take them."""
-    return (
-        matrices([mesh.inverse for mesh in meshes], real),
-        scalars([mesh.weight for mesh in meshes], real),
-        integers(variant),
-    )
+def on_device(meshes: Sequence[Mesh], variant: Any, real: Any, points: int = 2) -> Any:
+    """Return the struct of meshes for environments (B,), with `points`^2 points of contact."""
+    return mesh_on(CPU, meshes, variant, face_rule(points), real)
+
+
+def material_of(materials: list[Material], real: Any) -> Any:
+    """Return the struct of the materials (B,)."""
+    struct = material_struct(real)()
+    for name in ("shear", "bulk", "factor", "bulk_factor"):
+        setattr(struct, name, scalars([getattr(one, name) for one in materials], real))
+    viscous = materials[0].history is not None
+    history = [one.history for one in materials] if viscous else np.zeros((0, 0, 0, 3, 3))
+    bulk_history = [one.bulk_history for one in materials] if viscous else np.zeros((0, 0))
+    struct.history, struct.bulk_history = matrices(history, real), scalars(bulk_history, real)
+    return struct
+
+
+def contact_of(real: Any, **values: Any) -> Any:
+    """Return a struct of contact with these values."""
+    struct = contact_struct(real)()
+    for name, value in values.items():
+        setattr(struct, name, value)
+    return struct
 
 
 def relative(found: Array, expected: Array) -> float:

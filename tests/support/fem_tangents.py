@@ -13,7 +13,6 @@ from benchmarks.sim.stability.planted import planted
 from sim.fem.contact import face_rule
 from sim.fem.matrix import BlockMatrix
 from sim.fem.mesh import SLOTS, Mesh, neighbours
-from sim.scalars import matrix_of
 
 GRID = oracle.domed_mesh()
 # Two bodies on one grid.
@@ -76,37 +75,22 @@ class Tangents:
 
     def assemble(self, block_matrix: BlockMatrix, real: Any) -> None:
         """Assemble again for the current state."""
-        geometry = (
-            oracle.matrices(np.stack([mesh.inverse for mesh in MESHES]), real),
-            oracle.scalars(np.stack([mesh.weight for mesh in MESHES]), real),
-            oracle.scalars(self.mass, real),
-            oracle.integers(self.body),
-        )
-        contact = (
-            oracle.scalars(SHAPE, real),
-            oracle.integers(self.touched),
-            oracle.matrices(self.contact, real),
+        mesh = oracle.on_device(MESHES, self.body, real)
+        mesh.mass = oracle.scalars(self.mass, real)
+        contact = oracle.contact_of(
+            real,
+            touched=oracle.integers(self.touched),
+            matrix=oracle.matrices(self.contact, real),
+            convex=oracle.integers(self.convex),
         )
         block_matrix.assemble(
             oracle.integers(self.active),
             oracle.vectors(self.u, real),
-            geometry,
-            self.inputs(real, self.materials),
+            mesh,
+            oracle.material_of(self.materials, real),
             contact,
             oracle.scalars(self.shift, real),
-            oracle.integers(self.convex),
         )
-
-    def inputs(self, real: Any, materials: list[Material]) -> tuple[Any, ...]:
-        names = ("shear", "bulk", "factor", "bulk_factor")
-        columns = [
-            oracle.scalars([getattr(one, name) for one in materials], real) for name in names
-        ]
-        if self.variant != "viscous":
-            return (*columns, oracle.zeros((0, 0, 0), matrix_of(real)), oracle.zeros((0, 0), real))
-        history = np.stack([one.history for one in materials])
-        bulk_history = np.stack([one.bulk_history for one in materials])
-        return (*columns, oracle.matrices(history, real), oracle.scalars(bulk_history, real))
 
     def dense(self, env: int) -> Array:
         """Return the same (N, 3, N, 3) by complex steps, face by face, from the definition."""
@@ -145,27 +129,23 @@ def flat_tangent(by: float) -> BlockMatrix:
     jacobian = np.einsum("eai,qaj->eqij", nodes[GRID.elements], oracle.local_gradients())
     one, real = [1.0], wp.float64
     block_matrix = BlockMatrix(GRID, real, 1, "cpu")
-    geometry = (
-        oracle.matrices(np.linalg.inv(jacobian)[None], real),
-        oracle.scalars(np.linalg.det(jacobian)[None], real),
-        oracle.scalars(np.ones((1, COUNT)), real),
-        oracle.integers([0]),
+    mesh = oracle.on_device([GRID], [0], real)
+    mesh.inverse = oracle.matrices(np.linalg.inv(jacobian)[None], real)
+    mesh.weight = oracle.scalars(np.linalg.det(jacobian)[None], real)
+    mesh.mass = oracle.scalars(np.ones((1, COUNT)), real)
+    contact = oracle.contact_of(
+        real,
+        touched=oracle.integers(np.zeros((1, len(GRID.faces)))),
+        matrix=oracle.matrices(np.zeros((1, len(GRID.faces), len(SHAPE), 3, 3)), real),
+        convex=oracle.integers([0]),
     )
-    contact = (
-        oracle.scalars(SHAPE, real),
-        oracle.integers(np.zeros((1, len(GRID.faces)))),
-        oracle.matrices(np.zeros((1, len(GRID.faces), len(SHAPE), 3, 3)), real),
-    )
-    material = Tangents().inputs(real, [Material(0.35, 1.0)])
-    u = oracle.vectors(np.zeros((1, COUNT, 3)), real)
     block_matrix.assemble(
         oracle.integers(one),
-        u,
-        geometry,
-        material,
+        oracle.vectors(np.zeros((1, COUNT, 3)), real),
+        mesh,
+        oracle.material_of([Material(0.35, 1.0)], real),
         contact,
         oracle.scalars([0.0], real),
-        oracle.integers([0]),
     )
     return block_matrix
 

@@ -85,4 +85,4 @@ def move(
 
 def sums_of(state: ParticleState, env: int = 0) -> Array:
     """Return mass and momentum at the nodes of an environment (X, Y, Z, 4)."""
-    return np.asarray(state.sums.numpy()[env] / FIXED_POINT).reshape(*state.lattice.nodes, 4)
+    return np.asarray(state.batch.sums.numpy()[env] / FIXED_POINT).reshape(*state.lattice.nodes, 4)

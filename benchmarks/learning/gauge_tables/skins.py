@@ -17,8 +17,7 @@ from recorder.store import replace_file
 from recorder.strict_yaml import yaml_text
 from sim.dataset.plan import Solving
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem import Fem
-from sim.fem.numerics import further_settings
+from sim.fem import Fem, further_settings
 from sim.result import ContactTier
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.sensors.quantities import quantities, with_quantities

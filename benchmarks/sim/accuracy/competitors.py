@@ -58,7 +58,7 @@ def _fem(**chosen: Any) -> Callable[[Sequence[Scene], str], Outcomes]:
     """Return a solver that calls `fem` with these fields of `Fem`."""
 
     def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
-        from sim.fem.numerics import Fem
+        from sim.fem import Fem
 
         return simulate_many(scenes, Fem(**chosen), device=device)
 
@@ -90,7 +90,7 @@ def _mpm(cell: float | None) -> Callable[[Sequence[Scene], str], Outcomes]:
 
 def competitors() -> list[Competitor]:
     """Return all competitors, each ladder from coarse to fine."""
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
 
     default = Fem().fineness
     found = [Competitor("layer", "", 0.0, _layer, cpu_only=True)]

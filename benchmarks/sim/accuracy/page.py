@@ -14,7 +14,7 @@ from benchmarks.sim.accuracy.reference import COARSER
 from benchmarks.sim.accuracy.row import Measured, Row
 from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT
 from recorder.pages import render
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 
 # Colour of each ladder; the shape of the mark gives the device.
 COLOURS = {

@@ -21,7 +21,7 @@ from sim.simulate import simulate_many
 
 if TYPE_CHECKING:
     from benchmarks.sim.accuracy.cases import Case
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
 
 # Element size of the second reference over that of the first. If errors decrease with the square of
 # the element size, the error of the first is 0.8 of the difference.
@@ -47,7 +47,7 @@ ELEMENTS_MAX = 1_000_000
 
 def reference_numerics(fineness: float) -> Fem:
     """Return settings with the finest mesh, no penetration, and a tenth of the tolerance."""
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
 
     return Fem(
         fineness=fineness,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 from sim.scene import Body, Motion, Scene
 

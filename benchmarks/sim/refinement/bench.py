@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.sim.reference_solutions import NEO_HOOKEAN_SPHERE
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 from sim.result import Result
 from sim.scene import Body, Scene, press

@@ -8,7 +8,7 @@ from pathlib import Path
 from benchmarks.sim.refinement.bench import FAR, BenchRow, convergence_rate
 from benchmarks.sim.refinement.shapes import DEPTH, FRICTION, SHEAR, ShapeRow
 from recorder.pages import render
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 
 
 def write_page(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import NAMES, Indenter, named
 from sim.result import Result
 from sim.scene import Scene, press

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.effects import Effects, Friction
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import named, sphere
 from sim.result import Result
 from sim.scene import Body, Scene, press

@@ -18,7 +18,7 @@ from benchmarks.sim.sensors.fit import SPACING
 from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import FOR_EDGES, Fem
+from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, named
 from sim.layer import Layer
 from sim.scene import Motion, press

@@ -24,7 +24,7 @@ from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
 from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.effects import Viscosity
-from sim.fem.numerics import FOR_EDGES, Fem
+from sim.fem import FOR_EDGES, Fem
 from sim.indenters import named
 from sim.result import Result
 from sim.scene import Motion, Scene, through

@@ -22,7 +22,7 @@ from scipy.ndimage import binary_erosion
 from benchmarks.sim.sensors.colour import pictures
 from recorder.plot import INK, PAPER, SOFT, font
 from sim.device import ready_device
-from sim.fem.numerics import FOR_EDGES, Fem
+from sim.fem import FOR_EDGES, Fem
 from sim.indenters import named
 from sim.layer import Layer
 from sim.result import Result

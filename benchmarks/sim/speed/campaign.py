@@ -24,7 +24,7 @@ from benchmarks.sim.speed.timing import Solve, fem, mpm, timed, warm_up, warm_up
 from benchmarks.sim.speed.work import PaperWork, TimedPress
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
     from sim.mpm import Mpm
 
 # Settings of the timed presses: residual over force at the depths that are stored and between
@@ -77,7 +77,7 @@ class SpeedCampaign:
     @property
     def numerics(self) -> Fem:
         """Settings of the timed presses."""
-        from sim.fem.numerics import FOR_EDGES, Fem
+        from sim.fem import FOR_EDGES, Fem
 
         return Fem(
             spacing=self.spacing,

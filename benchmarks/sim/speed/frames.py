@@ -22,7 +22,7 @@ from benchmarks.sim.speed.machine import machine_name
 from recorder.command_line.options import add_device
 from recorder.processes import Workers, cores
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import sphere
 from sim.layer import Layer
 from sim.metrics import force_scale

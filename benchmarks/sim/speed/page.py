@@ -17,7 +17,7 @@ from benchmarks.sim.speed.forces import SHALLOW_MM, Errors, Forces, errors, read
 from benchmarks.sim.speed.record import Machine, Run, SpeedRecord
 from benchmarks.sim.speed.steps import AS_IT_IS, READ_HALF, STEPS, Step, steps_on
 from recorder.pages import render
-from sim.fem.numerics import FOR_EDGES
+from sim.fem import FOR_EDGES
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 from sim.tolerance import left_of_difference
 

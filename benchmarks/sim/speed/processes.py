@@ -20,7 +20,7 @@ from recorder.command_line.options import add_device, numbers, positive, whole
 from recorder.processes import Workers
 from sim.cli.options import metres
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import FOR_EDGES, Fem
+from sim.fem import FOR_EDGES, Fem
 from sim.tiers import gathered, submitted
 
 

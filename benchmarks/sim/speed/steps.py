@@ -19,7 +19,7 @@ from sim.result import Outcome
 from sim.scene import Scene
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
 
 Where = Literal["cpu", "gpu", "both"]
 
@@ -56,7 +56,7 @@ def _changed(**values: Any) -> Callable[[Fem, str, int], Solve]:
 
 
 def _coarser_in_plan(numerics: Fem, device: str, _processes: int) -> Solve:
-    from sim.fem.numerics import Grading
+    from sim.fem import Grading
 
     return fem(replace(numerics, grading=Grading()), device)
 

@@ -23,7 +23,7 @@ from sim.scene import Body, Scene, press
 from sim.simulate import simulate_many
 
 if TYPE_CHECKING:
-    from sim.fem.numerics import Fem
+    from sim.fem import Fem
     from sim.mpm import Mpm
 
 Value = TypeVar("Value")

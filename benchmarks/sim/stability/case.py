@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from benchmarks.sim.stability.laws import Law
 from sim.errors import SimulationDiverged
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.result import Result
 from sim.scene import Scene
 from sim.simulate import simulate_many

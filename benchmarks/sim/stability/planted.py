@@ -38,14 +38,14 @@ Part = tuple[ModuleType, str, Any]
 _FULL_INTEGRATION = {
     "sim.fem.element": (
         (
-            "            energy += w * half * (g * square - three * shear[env])\n",
-            "            energy += w * half * (g * square - three * shear[env])\n"
-            "            pressure = half * bulk[env] * less * (two + less) / j\n",
+            "            energy += w * half * (g * square - three * shear)\n",
+            "            energy += w * half * (g * square - three * shear)\n"
+            "            pressure = half * bulk * less * (two + less) / j\n",
         ),
         # `of_mean` gives the bulk modulus where `at_point` uses the pressure.
         (
             "        return pressure, stiffness / volume\n",
-            "        return bulk[env], real(0.0)\n",
+            "        return bulk, real(0.0)\n",
         ),
         (
             "        f, c, _less, j, square = deformed(h)\n",
@@ -63,8 +63,8 @@ _FULL_INTEGRATION = {
     ),
     "sim.fem.lanes": (
         (
-            "        energy += w[q] * half * (g * square - 3 * shear.data[env]);\n",
-            "        energy += w[q] * half * (g * square - 3 * shear.data[env]);\n"
+            "        energy += w[q] * half * (g * square - 3 * material.shear.data[env]);\n",
+            "        energy += w[q] * half * (g * square - 3 * material.shear.data[env]);\n"
             "        pressure = half * stiff * less[q] * (2 + less[q]) / j;\n",
         ),
         ("    stiffness /= volume;\n", "    stiffness = 0;\n"),
@@ -165,7 +165,7 @@ def _energy_line_search() -> list[Part]:
         def _energy(self) -> Any:
             """Return the energy of elements and contact springs by environment, without weight."""
             assembly: Any = self._assembly
-            fractions = assembly.element_energy, assembly.face_energy
+            fractions = assembly.element_energy, assembly.state.contact.energy
             return sum(fraction.numpy().sum(axis=1, dtype=float) for fraction in fractions)
 
     return [(stepping, "Newton", ByEnergy)]

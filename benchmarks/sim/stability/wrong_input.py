@@ -15,7 +15,7 @@ from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import Law, at_least, at_most
 from sim.effects import Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.indenters import Part, named, shapes
 from sim.scene import Body, Motion, Scene, press
 from sim.simulate import simulate, simulate_many

@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from sim.errors import SimulationDiverged
 from sim.indenters import sphere
-from sim.mpm.numerics import AUTHORS_SPACING, AUTHORS_VOLUME, Mpm
+from sim.mpm import AUTHORS_SPACING, AUTHORS_VOLUME, Mpm
 from sim.mpm.solver import simulate_mpm
 from sim.result import Result
 from sim.scene import Body, Scene, press
@@ -84,7 +84,7 @@ def choices(*, fine: bool = False) -> dict[str, tuple[Scene, Mpm]]:
         "authors": (paper, Mpm.authors()),
         "authors, as released": (
             sphere_scene(BODY_RELEASED, speed=SPEED_RELEASED),
-            Mpm.authors_released(),
+            Mpm(published="genforce"),
         ),
     }
     cells = (0.5e-3, 0.4e-3, 0.25e-3) if fine else (0.5e-3, 0.4e-3)

@@ -17,7 +17,7 @@ from benchmarks.sim.stability.chance.referee import Held, held
 from benchmarks.sim.stability.chance.scenes import Drawn
 from benchmarks.sim.stability.chance.twins import KINDS, Twin, agrees, symmetric, twin_of
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem.numerics import Fem
+from sim.fem import Fem
 from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many

@@ -12,8 +12,8 @@ from benchmarks.sim.stability.chance.dice import Dice, rounded
 from benchmarks.sim.stability.chance.shapes import blade, draw_shape
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
+from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of
-from sim.fem.numerics import Fem, Grading
 from sim.indenters import Indenter, shapes
 from sim.scene import Body, Motion, Scene, through
 
