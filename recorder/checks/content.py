@@ -37,9 +37,9 @@ END_MARGIN = 0.25
 START_MARGIN = 0.1
 
 _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
-# Columns in which NaN means that the device sends no such value.
 # Column of a gauge that settles: what it read, also where that is no value.
 _READING = "reading"
+# Columns in which NaN means that the device sends no such value.
 _NAN_IS_FINE = {"device_t", "speed"}
 
 
@@ -92,33 +92,22 @@ def _measured(stream: Stream, name: str, values: Array) -> Array:
 
 def check_declared(session: Session) -> Iterator[Finding]:
     """Yield the streams, and the columns of tables, that the session declares but does not have."""
-    for name in _declared_streams(session):
-        if name not in session.streams:
-            yield Finding("missing-array", f"streams/{name}", "the session declares this stream")
-    for table, columns in _declared_columns(session).items():
-        there = {group.name for group in session.files.groups(session.path / table)}
-        for name in sorted(columns - there):
-            yield Finding("missing-array", f"{table}/{name}", "the table declares this column")
-
-
-def _declared_streams(session: Session) -> list[str]:
-    """Return the streams that must exist: those named when the session or a run of it began."""
     document = read_document(session.files, session.path / "streams" / "zarr.json")
+    # Streams are named when the session or a run of it began.
     names = [str(name) for name in document.get("attributes", {}).get("order", ())]
     for entry in session.runs:
         names += [name for name in entry["first_row"] if name not in ("segments", "reference")]
-    return list(dict.fromkeys(names))
-
-
-def _declared_columns(session: Session) -> dict[str, set[str]]:
-    """Return the columns that `targets` and `frames` declare, by table."""
-    declared: dict[str, set[str]] = {}
+    for name in dict.fromkeys(names):
+        if name not in session.streams:
+            yield Finding("missing-array", f"streams/{name}", "the session declares this stream")
     for table in ("targets", "frames"):
         path = session.path / table / "zarr.json"
-        if path in session.files.listed(path.parent):
-            attrs = read_document(session.files, path).get("attributes", {})
-            declared[table] = set(attrs.get("columns", ()))
-    return declared
+        if path not in session.files.listed(path.parent):
+            continue
+        columns = set(read_document(session.files, path).get("attributes", {}).get("columns", ()))
+        there = {group.name for group in session.files.groups(session.path / table)}
+        for name in sorted(columns - there):
+            yield Finding("missing-array", f"{table}/{name}", "the table declares this column")
 
 
 def check_segments(session: Session) -> Iterator[Finding]:
