@@ -64,7 +64,7 @@ def _fill(file: Any, session: Session, options: Options, progress: Progress) -> 
     tables = {
         name: Stream(session.path / name, session.files) for name in ("segments", "reference")
     }
-    total = sum(len(stream) for stream in streams.values())
+    total = max(sum(len(stream) for stream in streams.values()), 1)
     done = 0
     _set_attrs(file, session.attrs)
     for name, stream in {**streams, **tables}.items():
@@ -72,12 +72,13 @@ def _fill(file: Any, session: Session, options: Options, progress: Progress) -> 
         _set_attrs(group, stream.attrs)
         for layout in stream.layout.columns:
             if layout.column.is_image:
-                _write_images(group, stream, layout.column, options, progress, done, total)
+                for row in _write_images(group, stream, layout.column, options):
+                    progress(done + row, total)
             else:
                 _write_column(group, stream, layout.column)
         if name in streams:
             done += len(stream)
-            progress(done, max(total, 1))
+            progress(done, total)
     _write_table(file, session, "targets", TARGET_UNITS)
     _write_table(file, session, "frames", frame_units(session))
 
@@ -93,15 +94,8 @@ def _write_column(group: Any, stream: Stream, column: Column) -> None:
         out[start:stop] = stream.rows_between(column.name, start, stop)
 
 
-def _write_images(
-    group: Any,
-    stream: Stream,
-    column: Column,
-    options: Options,
-    progress: Progress,
-    done: int,
-    total: int,
-) -> None:
+def _write_images(group: Any, stream: Stream, column: Column, options: Options) -> Iterator[int]:
+    """Write the images of a stream; yield the number done."""
     count = len(stream)
     as_bytes = column.codec == "jpeg" and options.images == "stored"
     if as_bytes:
@@ -125,7 +119,7 @@ def _write_images(
                 out[row] = np.frombuffer(data, np.uint8)
         else:
             out[rows.start : rows.stop] = stream.images(rows)
-        progress(done + rows.stop, max(total, 1))
+        yield rows.stop
 
 
 def _write_table(
