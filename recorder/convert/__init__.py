@@ -4,7 +4,7 @@ The library of a format is imported only when the format is used;
 docs/how-to/export-and-import.md describes the content of each format.
 """
 
-from recorder.convert.export import FORMATS, Format, Options, building, export, file_name
+from recorder.convert.export import FORMATS, Options, export
 from recorder.convert.genforce_format import DEPTH_UNKNOWN, FORCE_COLUMNS, POSE_COLUMNS
 from recorder.convert.import_numbers import FORCE_UNITS, TORQUE_UNITS, in_order, told_order
 from recorder.convert.import_page import write_page
@@ -32,14 +32,11 @@ __all__ = [
     "Answers",
     "As",
     "Draft",
-    "Format",
     "MissingAnswer",
     "Options",
-    "building",
     "default_stream",
     "draft_recordings",
     "export",
-    "file_name",
     "in_order",
     "option_flag",
     "rate_option",

@@ -36,10 +36,6 @@ class Options:
     """lerobot, genforce: leave out rows that have no sample near enough."""
 
 
-def ignored(done: int, total: int) -> None:
-    """Ignore progress."""
-
-
 # Output of an export: built under a temporary name, renamed when complete; safe file names.
 
 # Suffix of an export that is being built and not yet valid.
@@ -169,7 +165,8 @@ def export(
         raise SessionError(f"{to} needs {error.name}: pip install 'tactile-rig[export]'") from error
     with building(destination) as beside:
         try:
-            return tuple(write(opened, beside, options or Options(), progress or ignored) or ())
+            tick = progress or (lambda done, total: None)
+            return tuple(write(opened, beside, options or Options(), tick) or ())
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise

@@ -357,27 +357,17 @@ class _Dataset:
 
 
 # Metadata that makes pandas read the texts as the index, where LeRobot looks for them.
+_KEYS = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
+_COLUMNS = (
+    ("task_index", "task_index", "int64", "int64", None),
+    (None, "__index_level_0__", "unicode", "object", None),
+)
 _INDEXED = {
     "pandas": json.dumps(
         {
             "index_columns": ["__index_level_0__"],
             "column_indexes": [],
-            "columns": [
-                {
-                    "name": "task_index",
-                    "field_name": "task_index",
-                    "pandas_type": "int64",
-                    "numpy_type": "int64",
-                    "metadata": None,
-                },
-                {
-                    "name": None,
-                    "field_name": "__index_level_0__",
-                    "pandas_type": "unicode",
-                    "numpy_type": "object",
-                    "metadata": None,
-                },
-            ],
+            "columns": [dict(zip(_KEYS, column, strict=True)) for column in _COLUMNS],
             "pandas_version": "2.0.0",
         }
     )

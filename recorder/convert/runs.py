@@ -5,9 +5,8 @@ A press is a sequence of consecutive rows of one target in one run.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -49,14 +48,13 @@ def need_presses(session: Session, *, valid_only: bool) -> list[RecordedPress]:
     if not keep.any():
         what = "valid rows" if valid_only else "rows with an image"
         raise SessionError(f"{session.name}: its frames hold no {what}")
-    return list(_cut(frames, np.flatnonzero(keep).astype(np.int64)))
-
-
-def _cut(frames: Mapping[str, Any], rows: Rows) -> Iterator[RecordedPress]:
-    target, run = frames["target"][rows], frames["run"][rows]
-    change = np.flatnonzero((np.diff(target) != 0) | (np.diff(run) != 0)) + 1
-    for part in np.split(rows, change):
-        yield RecordedPress(int(frames["target"][part[0]]), int(frames["run"][part[0]]), part)
+    rows = np.flatnonzero(keep).astype(np.int64)
+    target, run = frames["target"], frames["run"]
+    change = np.flatnonzero((np.diff(target[rows]) != 0) | (np.diff(run[rows]) != 0)) + 1
+    return [
+        RecordedPress(int(target[part[0]]), int(run[part[0]]), part)
+        for part in np.split(rows, change)
+    ]
 
 
 # Conversion of a run's host times to UTC, for formats with a single clock.
@@ -86,9 +84,8 @@ def parse_utc(text: str) -> int:
     whole, _, rest = text.strip().removesuffix("Z").partition(".")
     digits = rest[: len(rest) - len(rest.lstrip("0123456789"))]
     try:
-        moment = datetime.fromisoformat(whole + rest[len(digits) :] or "")
-        if moment.tzinfo is None:
-            moment = datetime.fromisoformat(whole + "+00:00")
+        moment = datetime.fromisoformat(whole + rest[len(digits) :])
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
     except ValueError as error:
         raise SessionError(f"found utc {text!r}: {error}") from error
     return round(moment.timestamp()) * 10**9 + int((digits + "0" * 9)[:9])

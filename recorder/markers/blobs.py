@@ -64,13 +64,13 @@ def smallest_marker(mask: Masks) -> int:
     return max(SMALLEST_PX, round(float(np.median(area)) / 5) if len(area) else 0)
 
 
-def marker_centres(mask: Masks, smallest_px: int = SMALLEST_PX) -> NDArray[np.float64]:
-    """Return the mean column and row (m, 2) [px] of the patches in one mask (h, w).
+def marker_centres(mask: Masks) -> NDArray[np.float64]:
+    """Return the mean column and row (m, 2) [px] of the markers in one mask (h, w).
 
     Raises:
         ValueError: Not one bool image.
     """
-    return find_blobs(_one(mask), smallest_px).centre
+    return find_blobs(_one(mask), SMALLEST_PX).centre
 
 
 def find_blobs(masks: Masks, smallest_px: int = 1) -> Blobs:
