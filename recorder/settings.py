@@ -1,4 +1,4 @@
-"""Settings: frozen dataclasses from the mappings of strict YAML, and their JSON Schemas.
+"""Settings: frozen dataclasses from the mappings of strict YAML.
 
 A field whose metadata has a `unit` is written in that unit in files, under a key that ends with
 it: `depth_max` with unit mm is `depth_max_mm`. Values in memory are SI. A field with metadata
@@ -58,8 +58,7 @@ _MISTAKEN = {
     "n_mm": (("N m", 1e3),),
     "n_per_mm": (("N/m", 1e-3),),
 }
-# JSON types of the plain values, and how errors call those that a file must have.
-_JSON = {float: "number", int: "integer", bool: "boolean", str: "string", Path: "string"}
+# Words of errors for the plain values.
 _WORDS = {int: "a whole number", bool: "true or false", str: "text"}
 _NONE = type(None)
 
@@ -91,7 +90,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Reader:
-    """Builds dataclasses from mappings, and describes the mappings as JSON Schemas."""
+    """Builds dataclasses from mappings."""
 
     error: type[ValueError]
     """Raised for every invalid key or value."""
@@ -165,16 +164,6 @@ class Reader:
         """Return the key of a field in files: its name, and its unit unless that is SI."""
         unit = self._unit(kind, each)
         return f"{each.name}_{unit}" if unit else each.name
-
-    def schema(self, kind: type, *, title: str = "") -> dict[str, Any]:
-        """Return the JSON Schema of the mappings that `build` takes, for editors.
-
-        No key is required, since files may extend others; `extends` is allowed at the top.
-        """
-        found = self._mapping_schema(kind)
-        found["properties"] = {"extends": {"type": "string"}, **found["properties"]}
-        head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title}
-        return {**head, **found}
 
     def _fields(self, kind: type) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
         for each in dataclasses.fields(kind):
@@ -348,42 +337,6 @@ class Reader:
             family = self.families.get(hint)
             found += [hint] if family is None else family(kind).values()
         return found
-
-    def _mapping_schema(self, kind: type) -> dict[str, Any]:
-        hints = get_type_hints(kind)
-        properties: dict[str, Any] = {}
-        if (word := getattr(kind, "KIND", None)) is not None:
-            properties["kind"] = {"const": word}
-        for key, each in self._fields(kind):
-            hint: Any = (Pose | None) if each.metadata.get("pose") else hints[each.name]
-            properties[key] = self._schema(hint)
-            if unit := self._unit(kind, each):
-                properties[key]["description"] = f"[{unit}]"
-        return {"type": "object", "additionalProperties": False, "properties": properties}
-
-    def _schema(self, hint: Any) -> dict[str, Any]:
-        origin, inner = get_origin(hint), get_args(hint)
-        if origin in (Union, types.UnionType):
-            return {"anyOf": [self._schema(option) for option in inner]}
-        if origin is Literal:
-            return {"enum": list(inner)}
-        if origin is tuple:
-            if inner[-1] is Ellipsis:
-                return {"type": "array", "items": self._schema(inner[0])}
-            items = [self._schema(each) for each in inner]
-            return {
-                "type": "array",
-                "prefixItems": items,
-                "minItems": len(items),
-                "maxItems": len(items),
-            }
-        if origin is dict:
-            return {"type": "object", "additionalProperties": self._schema(inner[1])}
-        if hint in self.families:
-            return {"anyOf": [self._schema(each) for each in self._members([hint], None)]}
-        if dataclasses.is_dataclass(hint):
-            return self._mapping_schema(hint)  # type: ignore[arg-type]
-        return {"type": "null" if hint is _NONE else _JSON[hint]}
 
 
 def _has_default(each: dataclasses.Field[Any]) -> bool:

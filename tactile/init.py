@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
 import shlex
 from importlib import resources
 from pathlib import Path
 
 from recorder.command_line.errors import CommandError
 from recorder.command_line.options import next_command
-from tactile.schema import KINDS, schema_of
 
-FOLDERS = ("benches/lab", "calibrations", "campaigns", "indenters", "schemas", "sessions")
+FOLDERS = ("benches/lab", "calibrations", "campaigns", "indenters", "sessions")
 # Number of existing entries that an error lists.
 SHOWN = 5
 
@@ -22,8 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = (
         "Creates DIR with benches/lab, calibrations, campaigns (with an example), "
-        "indenters, schemas of these files for editors, sessions and a README. Commands run in "
-        "DIR read and write their files there."
+        "indenters, sessions and a README. Commands run in DIR read and write their files there."
     )
     parser.add_argument("folder", type=Path, metavar="DIR", help="new, or empty")
 
@@ -44,18 +40,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def lay_out(folder: Path) -> None:
-    """Create the folders of a lab, the example files in them, and the schemas for editors.
-
-    Without the libraries of the extra `sim` there is no schema of sensor files.
-    """
+    """Create the folders of a lab and the example files in them."""
     for name in FOLDERS:
         (folder / name).mkdir(parents=True, exist_ok=True)
     day = resources.files("rig.bench") / "campaigns" / "day.yaml"
-    head = "# yaml-language-server: $schema=../schemas/campaign.schema.json\n"
-    (folder / "campaigns" / "day.yaml").write_text(head + day.read_text())
-    for kind in KINDS:
-        with contextlib.suppress(ModuleNotFoundError):
-            text = json.dumps(schema_of(kind), indent=1) + "\n"
-            (folder / "schemas" / f"{kind}.schema.json").write_text(text)
+    (folder / "campaigns" / "day.yaml").write_bytes(day.read_bytes())
     readme = resources.files("tactile") / "lab.md"
     (folder / "README.md").write_bytes(readme.read_bytes())

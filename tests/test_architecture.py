@@ -20,8 +20,7 @@ ALLOWED = {
     "rig": {"trajectories", "recorder"},
     "sim": {"trajectories", "recorder"},
     "learning": {"trajectories", "recorder"},
-    # Schemas describe classes of these.
-    "tactile": {"recorder", "rig", "sim", "learning"},
+    "tactile": {"recorder", "learning"},
 }
 # Vendor libraries and the only modules that may import them.
 VENDORS = {

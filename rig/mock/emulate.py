@@ -3,18 +3,16 @@
     python -m rig.mock.emulate netft '{"device": {"http_port": 8080}, "noise_n": 0.01}'
     python -m rig.mock.emulate camera '{"source": "images/", "device": {"rate_hz": 60}}'
     python -m rig.mock.emulate robotiq_2f --file gripper.json
-    python -m rig.mock.emulate xela --schema
 
-Its settings are one JSON document, in which `device` has the keys of the device in a bench file;
-the schema lists all keys. The process prints `ready <name> <address>` once it listens. It serves
-until SIGTERM or SIGINT, or with --until-stdin-closes until its parent exits, then prints the number
-of ticks missed.
+Its settings are one JSON document, in which `device` has the keys of the device in a bench file; an
+unknown key is refused with a list of all. The process prints `ready <name> <address>` once it
+listens. It serves until SIGTERM or SIGINT, or with --until-stdin-closes until its parent exits,
+then prints the number of ticks missed.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import os
 import signal
@@ -54,7 +52,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         "document", nargs="?", default="{}", metavar="JSON", help="the settings (none)"
     )
     given.add_argument("--file", type=Path, help="file that holds them")
-    given.add_argument("--schema", action="store_true", help="print their JSON Schema")
     parser.add_argument(
         "--until-stdin-closes", action="store_true", help="exit when the parent process does"
     )
@@ -65,9 +62,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.error(str(error))
     emulate = import_module(module).emulate
     kind = get_type_hints(emulate)["settings"]
-    if options.schema:
-        print(json.dumps(READER.schema(kind, title=options.name), indent=2))
-        return 0
     try:
         where = str(options.file or options.name)
         document = READER.read(options.file) if options.file else options.document

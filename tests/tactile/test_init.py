@@ -33,10 +33,6 @@ def test_a_lab_has_a_place_for_everything(lab: Path) -> None:
         "campaigns",
         "campaigns/day.yaml",
         "indenters",
-        "schemas",
-        "schemas/bench.schema.json",
-        "schemas/campaign.schema.json",
-        "schemas/sensor.schema.json",
         "sessions",
     ]
 
