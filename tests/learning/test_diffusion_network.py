@@ -16,9 +16,9 @@ from torch import nn
 
 from benchmarks.learning import diffusion_full_size
 from learning.config import read_settings
+from learning.data.images import unit
 from learning.errors import LearningError
 from learning.translation.diffusion.conditioning import ReferenceTokens, sine_places
-from learning.translation.diffusion.data import unit
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import (
     UNET_ADAPTER,
