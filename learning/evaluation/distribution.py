@@ -1,4 +1,4 @@
-"""Distances between two sets of images: features, distances of features, and classifiers.
+"""Distances between two sets of images: features, their distances, and their mixing.
 
 The first features are those of Inception v3 for FID and KID: 2048 features, with weights that the
 user provides. These are the weights of Inception published by TensorFlow in 2015, as ported to
@@ -14,7 +14,6 @@ import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -469,47 +468,12 @@ def _require_samples(one: Floats, other: Floats) -> None:
         raise LearningError("features: found some that are not numbers; allowed: numbers")
 
 
-# Separability of two sets of features: by a classifier, by neighbours, and by t-SNE plots.
+# Separability of two sets of features: by neighbours, and by t-SNE plots.
 
-FOLDS = 5
 # Number of neighbours of each sample in the mixing score.
 NEIGHBOURS = 10
 # Perplexity of t-SNE; a third of the samples if there are fewer than 90.
 PERPLEXITY = 30.0
-
-
-def classifier_accuracy(
-    one: Floats, other: Floats, groups: NDArray[np.integer[Any]], *, seed: int
-) -> float:
-    """Return the accuracy with which a linear classifier separates features (n, d) and (m, d).
-
-    It is the mean over both sets of the fraction of samples that a logistic regression on
-    standardised features, fitted to the other folds, assigns to their own set: 0.5 is chance
-    (classifier two-sample test, Lopez-Paz and Oquab, 2017). A group is never divided between folds,
-    so that the classifier cannot recognise a sample by others of its group.
-
-    Args:
-        one: Features (n, d).
-        other: Features (m, d).
-        groups: Number of the group of each sample (n + m,), such as its location.
-        seed: Seed of the folds.
-    """
-    from sklearn.linear_model import LogisticRegression
-    from sklearn.model_selection import StratifiedGroupKFold, cross_val_predict
-    from sklearn.pipeline import make_pipeline
-    from sklearn.preprocessing import StandardScaler
-
-    _require_samples(one, other)
-    features, which = _stacked(one, other)
-    if groups.shape != which.shape:
-        raise LearningError(f"groups: found shape {groups.shape}; allowed: {which.shape}")
-    fewest = min(len(np.unique(groups[which == kind])) for kind in (0, 1))
-    if fewest < FOLDS:
-        raise LearningError(f"groups: found {fewest} in a set; allowed: {FOLDS} or more")
-    classifier = make_pipeline(StandardScaler(), LogisticRegression(C=1.0, max_iter=2000))
-    folds = StratifiedGroupKFold(FOLDS, shuffle=True, random_state=seed)
-    predicted = cross_val_predict(classifier, features, which, groups=groups, cv=folds)
-    return float(np.mean([(predicted[which == kind] == kind).mean() for kind in (0, 1)]))
 
 
 def mixing_score(one: Floats, other: Floats, neighbours: int = NEIGHBOURS) -> float:

@@ -16,7 +16,6 @@ from learning.errors import LearningError
 from learning.evaluation.distribution import (
     NEIGHBOURS,
     Extractor,
-    classifier_accuracy,
     frechet_distance,
     kernel_distance,
     mixing_score,
@@ -257,8 +256,6 @@ class DistanceScore:
     """Squared kernel distance, mean of random subsets."""
     kernel_std: float
     """Its standard deviation over the subsets."""
-    classifier: float
-    """Accuracy of a classifier that separates the two sets; 0.5 is chance."""
     mixing: float
     """Mixing of nearest neighbours: 1 is full, 0 none."""
     samples: int
@@ -266,7 +263,7 @@ class DistanceScore:
     dimensions: int
     """Number of features."""
     seed: int
-    """Seed of the halves, subsets and folds."""
+    """Seed of the halves and subsets."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -519,7 +516,7 @@ def score_translation(
         location = target.table["location"][real.rows]
         halves = half_of_locations(location, seed)
         if len(np.unique(location)) >= LEAST:
-            distances += _distances(features, location, halves, role, extractor.name, seed)
+            distances += _distances(features, halves, role, extractor.name, seed)
         for method in (SOURCE, TRANSLATED, FLOOR):
             there = halves if method == FLOOR else ~halves
             kept.setdefault(method, features[method][there][:SHOWN].astype(np.float32))
@@ -583,7 +580,6 @@ def _sensor_of(archive: MarkerArchive, translated: ArchivedSensor, end: str) -> 
 
 def _distances(
     features: dict[str, Floats],
-    location: NDArray[np.integer[Any]],
     halves: NDArray[np.bool_],
     role: str,
     extractor: str,
@@ -591,7 +587,7 @@ def _distances(
 ) -> list[DistanceScore]:
     """Return the distances of frames of each method from real ones of other presses."""
     real = features[FLOOR][halves]
-    groups = np.concatenate([location[halves], location[~halves]])
+    neighbours = min(NEIGHBOURS, len(halves) - 1)
     scores = []
     for method, found in features.items():
         other = found[~halves]
@@ -604,8 +600,7 @@ def _distances(
                 frechet=frechet_distance(real, other),
                 kernel=kernel,
                 kernel_std=spread,
-                classifier=classifier_accuracy(real, other, groups, seed=seed),
-                mixing=mixing_score(real, other, min(NEIGHBOURS, len(groups) - 1)),
+                mixing=mixing_score(real, other, neighbours),
                 samples=min(len(real), len(other)),
                 dimensions=real.shape[1],
                 seed=seed,

@@ -14,7 +14,6 @@ from learning.evaluation.distribution import (
     FEATURES,
     MARKER_GRID,
     Inception,
-    classifier_accuracy,
     embedded,
     frechet_distance,
     kernel_distance,
@@ -87,27 +86,6 @@ def test_distances_of_too_few_or_other_features_are_refused() -> None:
         squared_kernel_distance(np.zeros((5, 3)), np.zeros((5, 4)))
     with pytest.raises(LearningError, match="not numbers"):
         frechet_distance(np.full((5, 3), np.nan), np.zeros((5, 3)))
-
-
-def test_a_classifier_tells_other_sets_apart_and_guesses_on_equal_ones() -> None:
-    drawn, each = np.random.default_rng(2).normal(size=(200, 3)), np.arange(200)
-    assert classifier_accuracy(drawn[:100], drawn[100:] + 8, each, seed=0) == 1
-    assert 0.35 < classifier_accuracy(drawn[:100], drawn[100:], each, seed=0) < 0.65
-
-
-def test_a_classifier_does_not_know_samples_by_their_likes() -> None:
-    chance = np.random.default_rng(3)
-    groups = np.repeat(np.arange(20), 10)
-    # The ten samples of a group are close together and in the same set.
-    drawn = chance.normal(size=(20, 40))[groups] + 0.01 * chance.normal(size=(200, 40))
-    known = classifier_accuracy(drawn[:100], drawn[100:], np.arange(200), seed=0)
-    assert known > 0.9
-    assert classifier_accuracy(drawn[:100], drawn[100:], groups, seed=0) < 0.75
-
-
-def test_a_classifier_needs_groups_for_every_fold() -> None:
-    with pytest.raises(LearningError, match="5 or more"):
-        classifier_accuracy(np.zeros((4, 2)), np.ones((9, 2)), np.arange(13), seed=0)
 
 
 def test_sets_far_apart_do_not_mix_and_equal_ones_mix_fully() -> None:

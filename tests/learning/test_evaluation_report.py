@@ -102,7 +102,6 @@ def test_the_source_as_it_is_is_told_from_the_target_and_the_floor_is_not(
     scores: TranslationScores,
 ) -> None:
     distances = {row.method: row for row in scores.distances}
-    assert distances[SOURCE].classifier > 0.95
     assert distances[SOURCE].mixing < 0.1
     assert distances[FLOOR].frechet < 0.2 * distances[SOURCE].frechet
     assert distances[FLOOR].mixing > 0.5
