@@ -135,12 +135,14 @@ class _Listening:
 def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
     clip = tiny_pretrained().clip
     heads = DiscriminatorHeads(clip.config.hidden_size, clip.config.projection_dim)
-    side = translator.Side(heads, torch.optim.AdamW(heads.parameters()), 1.0)
-    judges = translator.Judges(LossWeights(), None, ClipFeatures(clip), side)
+    side = translator.Side(heads, torch.optim.AdamW(heads.parameters()))
+    adversary = translator.Adversary(ClipFeatures(clip), side)
+    runs_on = accelerator(LaunchSettings(device="cpu"))
+    step = translator.Step(runs_on, LossWeights(), 1.0, side, None, adversary)
     made = (torch.rand(1, 3, SIDE, SIDE) * 2 - 1).requires_grad_()
     nothing = torch.zeros(1)
     batch = translator.Batch(nothing, nothing, nothing, None, None, torch.Generator())
-    translator._fooling(made, batch, judges, accelerator(LaunchSettings(device="cpu"))).backward()
+    step.fooling(made, batch, adversary).backward()
     assert made.grad is not None
     assert float(made.grad.abs().sum()) > 0
     assert all(each.grad is None and each.requires_grad for each in heads.parameters())
@@ -202,12 +204,6 @@ def test_a_training_without_pairs_is_refused() -> None:
     pairs = striped_pairs()
     with pytest.raises(LearningError, match="pairs: found none"):
         train(pairs.of_pairs(torch.arange(0)), tiny_pretrained(), tiny_settings())
-
-
-def test_losses_need_what_judges_them() -> None:
-    bare = replace(tiny_pretrained(), clip=None, perceptual=None)
-    with pytest.raises(LearningError, match="needs LPIPS, or 0"):
-        train(striped_pairs(), bare, tiny_settings())
 
 
 @pytest.mark.slow

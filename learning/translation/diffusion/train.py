@@ -137,8 +137,8 @@ class Pretrained:
     """SD-Turbo's autoencoder."""
     clip: Any = None
     """CLIP's image encoder; None if the adversary's weight is 0."""
-    perceptual: PerceptualDistance | None = None
-    """LPIPS; None if its weight is 0."""
+    perceptual: Any = None
+    """LPIPS, a `PerceptualDistance`; None if its weight is 0."""
 
 
 def read_pretrained(settings: TranslatorSettings) -> Pretrained:
@@ -185,142 +185,127 @@ class Side:
     """The network, wrapped for distributed training on several devices."""
     optimiser: torch.optim.Optimizer
     """Optimiser of its trainable parameters."""
-    clip_norm: float
-    """Gradient norm above which gradients are clipped; 0: no clipping."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judges:
-    """Losses and networks that evaluate the generator's images."""
+class Adversary:
+    """The discriminator."""
 
+    features: ClipFeatures
+    heads: Side
+
+    def seen(self, shown: torch.Tensor, batch: Batch) -> list[torch.Tensor]:
+        """Return the features of augmented images (n, 3, h, w)."""
+        found: list[torch.Tensor] = self.features(augment(shown, batch.generator))
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One step of generator and discriminator."""
+
+    runs_on: Accelerator
     losses: LossWeights
-    """Weights of the losses."""
+    clip_norm: float
+    """Gradient norm above which gradients are clipped; 0: no clipping."""
+    generator: Side
     perceptual: PerceptualDistance | None
     """LPIPS; None if its weight is 0."""
-    features: ClipFeatures | None
-    """CLIP's features; None if the adversary's weight is 0."""
-    heads: Side | None
-    """Heads of the discriminator; None likewise."""
+    adversary: Adversary | None
+    """None if its weight is 0."""
 
+    def merged(self, batches: Sequence[Batch]) -> dict[str, torch.Tensor]:
+        """Train one step on its batches; return the mean of each unweighted loss."""
+        fraction = 1 / len(batches)
+        reported: list[dict[str, torch.Tensor]] = []
+        shown = []
+        for number, batch in enumerate(batches):
+            with self._synchronised(self.generator, number == len(batches) - 1):
+                made = self._made(batch)
+                parts = self._reconstruction(made, batch)
+                if self.adversary is not None:
+                    parts["adversarial"] = self.fooling(made, batch, self.adversary)
+                self.runs_on.backward(self._weighted(parts) * fraction)
+            reported.append({name: part.detach() for name, part in parts.items()})
+            shown.append(made.detach())
+        self._advance(self.generator)
+        if self.adversary is not None:
+            heads = self.adversary.heads
+            for number, (batch, made) in enumerate(zip(batches, shown, strict=True)):
+                # One pass for both, since every pass updates the spectral norms.
+                both = torch.cat((self._true(batch), made))
+                with self._synchronised(heads, number == len(batches) - 1):
+                    with torch.no_grad():
+                        seen = self.adversary.seen(both, batch)
+                    logits = (level.chunk(2) for level in heads.network(seen))
+                    true, fake = zip(*logits, strict=True)
+                    loss = multilevel_sigmoid(true, real=True)
+                    loss = loss + multilevel_sigmoid(fake, real=False)
+                    self.runs_on.backward(loss * self.losses.adversarial * fraction)
+                reported[number]["discriminator"] = loss.detach()
+            self._advance(heads)
+        return {name: torch.stack([each[name] for each in reported]).mean() for name in reported[0]}
 
-def merged(
-    batches: Sequence[Batch], generator: Side, judges: Judges, runs_on: Accelerator
-) -> dict[str, torch.Tensor]:
-    """Train one step on its batches; return the mean of each unweighted loss."""
-    fraction = 1 / len(batches)
-    reported: list[dict[str, torch.Tensor]] = []
-    shown = []
-    for number, batch in enumerate(batches):
-        with _synchronised(generator.network, number == len(batches) - 1, runs_on):
-            made = _translate(generator.network, batch)
-            parts = _reconstruction(made, batch, generator, judges, runs_on)
-            if judges.heads is not None:
-                parts["adversarial"] = _fooling(made, batch, judges, runs_on)
-            runs_on.backward(_weighted(parts, judges.losses) * fraction)
-        reported.append({name: part.detach() for name, part in parts.items()})
-        shown.append(made.detach())
-    _advance(generator, runs_on)
-    if judges.heads is not None and judges.features is not None:
-        for number, (batch, made) in enumerate(zip(batches, shown, strict=True)):
-            # One pass for both, since every pass updates the spectral norms.
-            both = torch.cat((_native(batch, generator, runs_on), made))
-            with _synchronised(judges.heads.network, number == len(batches) - 1, runs_on):
-                logits = judges.heads.network(_seen(both, batch, judges.features))
-                true, fake = zip(*(level.chunk(2) for level in logits), strict=True)
-                loss = multilevel_sigmoid(true, real=True) + multilevel_sigmoid(fake, real=False)
-                runs_on.backward(loss * judges.losses.adversarial * fraction)
-            reported[number]["discriminator"] = loss.detach()
-        _advance(judges.heads, runs_on)
-    return {name: torch.stack([each[name] for each in reported]).mean() for name in reported[0]}
-
-
-def two_pass(
-    batch: Batch, generator: Side, judges: Judges, runs_on: Accelerator
-) -> dict[str, torch.Tensor]:
-    """Train one step on one batch as the authors' code does; return the unweighted losses."""
-    parts = _reconstruction(_translate(generator.network, batch), batch, generator, judges, runs_on)
-    runs_on.backward(_weighted(parts, judges.losses))
-    _advance(generator, runs_on)
-    if judges.heads is None or judges.features is None:
+    def two_pass(self, batch: Batch) -> dict[str, torch.Tensor]:
+        """Train one step on one batch as the authors' code does; return the unweighted losses."""
+        parts = self._reconstruction(self._made(batch), batch)
+        self.runs_on.backward(self._weighted(parts))
+        self._advance(self.generator)
+        if self.adversary is not None:
+            made = self._made(batch)
+            parts["adversarial"] = self.fooling(made, batch, self.adversary)
+            self.runs_on.backward(parts["adversarial"] * self.losses.adversarial)
+            self._advance(self.generator)
+            heads, judged = self.adversary.heads, []
+            for shown, real in ((self._true(batch), True), (made.detach(), False)):
+                with torch.no_grad():
+                    seen = self.adversary.seen(shown, batch)
+                judged.append(multilevel_sigmoid(heads.network(seen), real=real))
+                self.runs_on.backward(judged[-1] * self.losses.adversarial)
+                self._advance(heads)
+            parts["discriminator"] = judged[0] + judged[1]
         return {name: part.detach() for name, part in parts.items()}
-    made = _translate(generator.network, batch)
-    parts["adversarial"] = _fooling(made, batch, judges, runs_on)
-    runs_on.backward(parts["adversarial"] * judges.losses.adversarial)
-    _advance(generator, runs_on)
-    judged = []
-    for shown, real in ((_native(batch, generator, runs_on), True), (made.detach(), False)):
-        loss = multilevel_sigmoid(
-            judges.heads.network(_seen(shown, batch, judges.features)), real=real
+
+    def _made(self, batch: Batch) -> torch.Tensor:
+        made: torch.Tensor = self.generator.network(
+            batch.source, batch.target_reference, batch.source_reference, batch.noise
         )
-        runs_on.backward(loss * judges.losses.adversarial)
-        _advance(judges.heads, runs_on)
-        judged.append(loss)
-    parts["discriminator"] = judged[0] + judged[1]
-    return {name: part.detach() for name, part in parts.items()}
+        return made
 
+    def _true(self, batch: Batch) -> torch.Tensor:
+        network: MarkerToMarker = self.runs_on.unwrap_model(self.generator.network)
+        return network.native(batch.target)
 
-def _translate(network: nn.Module, batch: Batch) -> torch.Tensor:
-    made: torch.Tensor = network(
-        batch.source, batch.target_reference, batch.source_reference, batch.noise
-    )
-    return made
+    def _reconstruction(self, made: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
+        true = self._true(batch)
+        parts = {"square": functional.mse_loss(made, true)}
+        if self.perceptual is not None:
+            parts["perceptual"] = self.perceptual(made, true).mean()
+        return parts
 
+    def _weighted(self, parts: dict[str, torch.Tensor]) -> torch.Tensor:
+        weighted = (getattr(self.losses, name) * part for name, part in parts.items())
+        return sum(weighted, torch.zeros((), device=parts["square"].device))
 
-def _native(batch: Batch, generator: Side, runs_on: Accelerator) -> torch.Tensor:
-    network: MarkerToMarker = runs_on.unwrap_model(generator.network)
-    return network.native(batch.target)
+    def fooling(self, made: torch.Tensor, batch: Batch, adversary: Adversary) -> torch.Tensor:
+        """Return the generator's adversarial loss, with frozen heads."""
+        # Unwrapped, so that the generator's backward pass does not synchronise the heads.
+        heads = self.runs_on.unwrap_model(adversary.heads.network).requires_grad_(False)
+        try:
+            return multilevel_sigmoid(heads(adversary.seen(made, batch)), real=True)
+        finally:
+            heads.requires_grad_(True)
 
+    def _synchronised(self, side: Side, last: bool) -> Any:
+        """Synchronise gradients between devices only on the last batch of a step."""
+        return nullcontext() if last else self.runs_on.no_sync(side.network)
 
-def _reconstruction(
-    made: torch.Tensor, batch: Batch, generator: Side, judges: Judges, runs_on: Accelerator
-) -> dict[str, torch.Tensor]:
-    true = _native(batch, generator, runs_on)
-    parts = {"square": functional.mse_loss(made, true)}
-    if judges.perceptual is not None:
-        parts["perceptual"] = judges.perceptual(made, true).mean()
-    return parts
-
-
-def _fooling(
-    made: torch.Tensor, batch: Batch, judges: Judges, runs_on: Accelerator
-) -> torch.Tensor:
-    """Return the generator's adversarial loss, with frozen heads."""
-    if judges.heads is None or judges.features is None:
-        return made.new_zeros(())
-    # Unwrapped, so that the generator's backward pass does not synchronise the heads.
-    heads = runs_on.unwrap_model(judges.heads.network).requires_grad_(False)
-    try:
-        seen = judges.features(augment(made, batch.generator))
-        return multilevel_sigmoid(heads(seen), real=True)
-    finally:
-        heads.requires_grad_(True)
-
-
-def _seen(shown: torch.Tensor, batch: Batch, features: ClipFeatures) -> list[torch.Tensor]:
-    with torch.no_grad():
-        found: list[torch.Tensor] = features(augment(shown, batch.generator))
-    return found
-
-
-def _weighted(parts: dict[str, torch.Tensor], losses: LossWeights) -> torch.Tensor:
-    total = losses.square * parts["square"]
-    for name in ("perceptual", "adversarial"):
-        if name in parts:
-            total = total + getattr(losses, name) * parts[name]
-    return total
-
-
-def _synchronised(network: nn.Module, last: bool, runs_on: Accelerator) -> Any:
-    """Synchronise gradients between devices only on the last batch of a step."""
-    return nullcontext() if last else runs_on.no_sync(network)
-
-
-def _advance(side: Side, runs_on: Accelerator) -> None:
-    if side.clip_norm:
-        learning = [each for group in side.optimiser.param_groups for each in group["params"]]
-        runs_on.clip_grad_norm_(learning, side.clip_norm)
-    side.optimiser.step()
-    side.optimiser.zero_grad()
+    def _advance(self, side: Side) -> None:
+        if self.clip_norm:
+            learning = [each for group in side.optimiser.param_groups for each in group["params"]]
+            self.runs_on.clip_grad_norm_(learning, self.clip_norm)
+        side.optimiser.step()
+        side.optimiser.zero_grad()
 
 
 # Loop
@@ -357,46 +342,46 @@ def train(
     pairs = pairs.to(device)
     validation = None if validation is None else validation.to(device)
 
-    # Models.
-    perceptual, features, heads = _judges(pretrained, settings, device)
+    # Models, and an optimiser of its own for generator and discriminator, wrapped for the devices.
+    own, losses = settings.optimiser, settings.losses
     network = build(pretrained.unet, pretrained.vae, settings, vae_adapter=vae_adapter)
     if start_from is not None:
         load_weights(network, start_from, "start_from")
     network.to(device).train()
-
-    # Optimisers, wrapped for the devices; generator and discriminator have separate ones.
-    own = settings.optimiser
     wrapped, optimiser = runs_on.prepare(network, own.of(network.learning().values()))
-    generator, critic = Side(wrapped, optimiser, own.clip_norm), None
+    sides, adversary = [Side(wrapped, optimiser)], None
     models: dict[str, nn.Module] = {"model": network}
     states: dict[str, Any] = {"generator": optimiser}
-    if heads is not None:
+    if losses.adversarial:
+        clip = pretrained.clip.config
+        with torch.random.fork_rng():
+            torch.manual_seed(settings.seed)
+            heads = DiscriminatorHeads(clip.hidden_size, clip.projection_dim).to(device)
         wrapped, optimiser = runs_on.prepare(heads, own.of(heads.parameters()))
-        critic = Side(wrapped, optimiser, own.clip_norm)
+        sides.append(Side(wrapped, optimiser))
+        adversary = Adversary(ClipFeatures(pretrained.clip).to(device), sides[1])
         models["discriminator"], states["discriminator"] = heads, optimiser
     if runs_on.scaler is not None:
         states["scaler"] = runs_on.scaler
-    judges = Judges(settings.losses, perceptual, features, critic)
+    perceptual = pretrained.perceptual.to(device) if losses.perceptual else None
+    trained = Step(runs_on, losses, own.clip_norm, sides[0], perceptual, adversary)
 
     # Loop. Random numbers depend only on seed, step and process, so a resumed run is identical.
     done, score = run.restore(models, states), None
     references = encoded_references(network, pairs.references, runs_on)
     for step in range(done, settings.steps):
         rate = own.rate.at(step)
-        for side in filter(None, (generator, critic)):
+        for side in sides:
             set_rate(side.optimiser, rate)
         numbers = range(step * settings.accumulation, (step + 1) * settings.accumulation)
         batches = [_batch(pairs, references, settings, each, rank, ranks) for each in numbers]
-        if settings.two_pass:
-            losses = two_pass(batches[0], generator, judges, runs_on)
-        else:
-            losses = merged(batches, generator, judges, runs_on)
+        found = trained.two_pass(batches[0]) if settings.two_pass else trained.merged(batches)
 
         # Log, validation and checkpoint
         done = step + 1
         last, stop, score = done == settings.steps, session.passed(done, settings.steps), None
         if last or done == 1 or done % settings.log_every == 0:
-            message = {f"train/{name}": float(loss) for name, loss in losses.items()}
+            message = {f"train/{name}": float(loss) for name, loss in found.items()}
             for name, loss in message.items():
                 if not math.isfinite(loss):
                     raise LearningError(f"{name}: found {loss} on step {done}; allowed: finite")
@@ -452,25 +437,6 @@ def encoded_references(
     return Posterior(
         torch.cat([part.mean for part in parts]), torch.cat([part.deviation for part in parts])
     )
-
-
-def _judges(
-    pretrained: Pretrained, settings: TranslatorSettings, device: torch.device
-) -> tuple[PerceptualDistance | None, ClipFeatures | None, DiscriminatorHeads | None]:
-    perceptual, features, heads = None, None, None
-    if settings.losses.perceptual:
-        if pretrained.perceptual is None:
-            raise LearningError("losses.perceptual: found one; it needs LPIPS, or 0")
-        perceptual = pretrained.perceptual.to(device)
-    if settings.losses.adversarial:
-        if pretrained.clip is None:
-            raise LearningError("losses.adversarial: found one; it needs CLIP, or 0")
-        features = ClipFeatures(pretrained.clip).to(device)
-        clip = pretrained.clip.config
-        with torch.random.fork_rng():
-            torch.manual_seed(settings.seed)
-            heads = DiscriminatorHeads(clip.hidden_size, clip.projection_dim).to(device)
-    return perceptual, features, heads
 
 
 def _batch(
