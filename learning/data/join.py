@@ -99,7 +99,7 @@ class JoinedSensor:
     @property
     def sensor(self) -> ArchivedSensor:
         """The sensor in its own archive."""
-        return self.chosen.archive[self.chosen.sensor]
+        return self.chosen.archived
 
     @property
     def _keeps_fields(self) -> bool:
@@ -205,7 +205,7 @@ def _require_seen_alike(sensors: Sequence[Chosen], unseen: tuple[str, ...] | Non
         return
     known: dict[str, tuple[bool, Chosen]] = {}
     for each in sensors:
-        table = each.archive[each.sensor].table
+        table = each.archived.table
         for code, seen in np.unique(np.stack([table["indenter"], table["seen"]], 1), axis=0):
             name = each.archive.indenters[int(code)]
             before, other = known.setdefault(name, (bool(seen), each))
@@ -276,7 +276,7 @@ def _joined(
     wrenches: Mapping[str, NDArray[np.float64]],
 ) -> JoinedSensor:
     chosen = presses.of
-    sensor = chosen.archive[chosen.sensor]
+    sensor = chosen.archived
     table = sensor.table
     located = table["location"] >= 0
     of_row = mapped(table["location"], presses.location, target)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,13 +18,15 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from recorder import MarkerArchive
-from recorder.archive import NO_PHASE, location_pairs, press_rows
+from recorder.archive import NO_PHASE, ArchivedSensor, location_pairs, press_rows
 from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 NORMAL, SHEAR = PHASES.index("normal_inc"), PHASES.index("shear_inc")
+# Columns of a table, beside the location, that pair frames.
+_PAIRING = ("target", "indenter", "phase", "frame", "valid")
 # Presses that are compared with all others at once.
 _BLOCK = 512
 # Rounding of sums and differences of lengths and angles, allowed beyond a tolerance.
@@ -63,6 +65,11 @@ class Chosen:
     sensor: str
     name: str
 
+    @property
+    def archived(self) -> ArchivedSensor:
+        """The sensor in its archive."""
+        return self.archive[self.sensor]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Presses:
@@ -92,8 +99,8 @@ class Presses:
 
     def subset(self, rows: NDArray[Any]) -> Presses:
         """Return some of the presses."""
-        names = ("indenter", "target", "location", "place", "depth", "fraction", "angle", "flaw")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return replace(self, **{name: each[rows] for name, each in values.items() if name != "of"})
 
     def describe(self, row: int) -> str:
         """Return number, place, depth and direction of a press as text."""
@@ -117,31 +124,36 @@ class Differences:
     angle: Floats
     """Infinite where only one of both has a direction."""
 
-    def match(self, tolerances: Tolerances) -> NDArray[np.bool_]:
-        """Return True where presses match (p, q)."""
-        near = ~self.indenter & (self.place <= tolerances.place + _ROUNDING)
-        near &= self.fraction <= tolerances.depth_fraction + _ROUNDING
-        return np.asarray(near & (self.angle <= tolerances.angle + _ROUNDING))
+    @classmethod
+    def between(cls, one: Presses, other: Presses) -> Differences:
+        """Compare each press of `one` with each of `other`."""
+        place = np.linalg.norm(one.place[:, None] - other.place[None], axis=-1)
+        angle = _turn(one.angle[:, None], other.angle[None])
+        without, others = np.isnan(one.angle)[:, None], np.isnan(other.angle)[None]
+        angle = np.where(without & others, 0.0, np.where(without | others, np.inf, angle))
+        return cls(
+            one.indenter[:, None] != other.indenter[None],
+            np.where(np.isnan(place), np.inf, place),
+            np.abs(one.fraction[:, None] - other.fraction[None]),
+            angle,
+        )
+
+    def alike(self, tolerances: Tolerances) -> tuple[NDArray[np.bool_], ...]:
+        """Return where presses (p, q) agree: in indenter; and place; and depth; and direction."""
+        same = ~self.indenter
+        here = same & (self.place <= tolerances.place + _ROUNDING)
+        deep = here & (self.fraction <= tolerances.depth_fraction + _ROUNDING)
+        return same, here, deep, deep & (self.angle <= tolerances.angle + _ROUNDING)
 
 
-def differences(one: Presses, other: Presses) -> Differences:
-    """Compare each press of `one` with each of `other`."""
-    place = np.linalg.norm(one.place[:, None] - other.place[None], axis=-1)
-    turn = one.angle[:, None] - other.angle[None]
-    angle = np.abs((turn + math.pi) % (2 * math.pi) - math.pi)
-    without = np.isnan(one.angle)[:, None], np.isnan(other.angle)[None]
-    angle = np.where(without[0] & without[1], 0.0, np.where(without[0] | without[1], np.inf, angle))
-    return Differences(
-        one.indenter[:, None] != other.indenter[None],
-        np.where(np.isnan(place), np.inf, place),
-        np.abs(one.fraction[:, None] - other.fraction[None]),
-        angle,
-    )
+def _turn(one: Floats, other: Floats) -> Floats:
+    """Return the angle between directions, 0 to pi [rad]."""
+    return np.asarray(np.abs((one - other + math.pi) % (2 * math.pi) - math.pi))
 
 
 def read_presses(chosen: Chosen) -> Presses:
     """Read where, how deep and in which direction a sensor was pressed."""
-    sensor = chosen.archive[chosen.sensor]
+    sensor = chosen.archived
     where = f"{chosen.archive.name}: {chosen.sensor}"
     for key in ("position", "depth"):
         told = str(sensor.attrs.get(key, ""))
@@ -152,11 +164,16 @@ def read_presses(chosen: Chosen) -> Presses:
                 "train a model of its own, which needs no join"
             )
     table = sensor.table
-    ends, deepest_of = _ends(table), _deepest(table)
-    locations = np.unique(np.asarray(table["location"], np.int64)[table["location"] >= 0])
+    known, at = np.unique(np.asarray(table["location"], np.int64), return_index=True)
+    locations, rows = known[known >= 0], at[known >= 0]
     if not len(locations):
         raise LearningError(f"{where}: no press has a location; allowed: presses with shear")
-    first = {int(at): row for at, row in zip(*_first(table), strict=True)}
+    ends: dict[int, dict[int, int]] = {}
+    for (location, phase), part in press_rows(table, "phase").items():
+        ends.setdefault(location, {})[phase] = int(part[-1])
+    deepest_of = {
+        location: table["depth"][part].max() for (location,), part in press_rows(table).items()
+    }
     count = len(locations)
     place, depth, angle = (
         np.full((count, 2), np.nan),
@@ -187,7 +204,6 @@ def read_presses(chosen: Chosen) -> Presses:
     deepest = np.nanmax(depth) if np.isfinite(depth).any() else 0.0
     if not deepest > 0:
         raise LearningError(f"{where}: no press is deeper than 0 mm; allowed: known depths")
-    rows = np.array([first[location] for location in locations.tolist()])
     names = np.array(chosen.archive.indenters)
     return Presses(
         of=chosen,
@@ -200,28 +216,6 @@ def read_presses(chosen: Chosen) -> Presses:
         angle=angle,
         flaw=flaw,
     )
-
-
-def _ends(table: Mapping[str, NDArray[Any]]) -> dict[int, dict[int, int]]:
-    """Return the row of the last valid frame of each phase, by location and phase."""
-    found: dict[int, dict[int, int]] = {}
-    for (location, phase), rows in press_rows(table, "phase").items():
-        found.setdefault(location, {})[phase] = int(rows[-1])
-    return found
-
-
-def _deepest(table: Mapping[str, NDArray[Any]]) -> dict[int, float]:
-    """Return the largest depth of the valid frames of each location [m]."""
-    return {
-        location: float(table["depth"][rows].max())
-        for (location,), rows in press_rows(table).items()
-    }
-
-
-def _first(table: Mapping[str, NDArray[Any]]) -> tuple[list[int], list[int]]:
-    """Return the locations, and a row of each."""
-    locations, rows = np.unique(table["location"], return_index=True)
-    return locations.tolist(), rows.tolist()
 
 
 # Matching: every press is given the number of a place, equal for those that matched.
@@ -237,7 +231,7 @@ def match(sensors: Sequence[Presses], tolerances: Tolerances) -> list[Integers]:
         number = np.full(len(presses), -1, np.int64)
         for others, numbers in known:
             for rows in _blocks(presses):
-                near = differences(presses.subset(rows), others).match(tolerances)
+                near = Differences.between(presses.subset(rows), others).alike(tolerances)[-1]
                 for row, column in np.argwhere(near).tolist():
                     press, at = int(rows[row]), int(numbers[column])
                     if number[press] not in (-1, at):
@@ -262,7 +256,7 @@ def _blocks(presses: Presses) -> Iterator[Integers]:
 def _require_apart(presses: Presses, tolerances: Tolerances) -> None:
     """Reject a sensor that was pressed twice at one place within the tolerances."""
     for rows in _blocks(presses):
-        near = differences(presses.subset(rows), presses).match(tolerances)
+        near = Differences.between(presses.subset(rows), presses).alike(tolerances)[-1]
         near &= np.arange(len(presses))[None] > rows[:, None]
         for row, other in np.argwhere(near)[:1].tolist():
             raise _ambiguous(presses, int(rows[row]), presses, other, tolerances)
@@ -284,7 +278,7 @@ def _require_all_near(
     rows, columns = rows[number[rows] >= 0], columns[number[rows] >= 0]
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         one, other = presses.subset(np.array([row])), others.subset(np.array([column]))
-        if not differences(one, other).match(tolerances).all():
+        if not Differences.between(one, other).alike(tolerances)[-1].all():
             raise _ambiguous(presses, row, others, column, tolerances)
 
 
@@ -344,37 +338,29 @@ def compare(
     """Compare two sensors whose presses have the numbers that `match` returned."""
     _, rows, columns = np.intersect1d(*numbers, assume_unique=True, return_indices=True)
     mine, its = one.subset(rows), other.subset(columns)
-    turn = mine.angle - its.angle
-    angle = np.abs((turn + math.pi) % (2 * math.pi) - math.pi)
     unmatched: dict[str, int] = {}
     for presses, others, matched in ((one, other, rows), (other, one, columns)):
         rest = presses.subset(np.setdiff1d(np.arange(len(presses)), matched))
         for why in _reasons(rest, others, tolerances):
             unmatched[why] = unmatched.get(why, 0) + 1
-    source, target = (
-        _renumbered(each, number) for each, number in zip((one, other), numbers, strict=True)
-    )
     return Pair(
         one=one.of.name,
         other=other.of.name,
         presses=(len(one), len(other)),
         matched=len(rows),
-        frames=len(location_pairs(source, target)),
+        frames=len(location_pairs(_paired(one, numbers[0]), _paired(other, numbers[1]))),
         place=float(np.linalg.norm(mine.place - its.place, axis=1).max(initial=0.0)),
         depth_fraction=float(np.abs(mine.fraction - its.fraction).max(initial=0.0)),
-        angle=float(np.nan_to_num(angle).max(initial=0.0)),
+        angle=float(np.nan_to_num(_turn(mine.angle, its.angle)).max(initial=0.0)),
         unmatched=dict(sorted(unmatched.items())),
     )
 
 
-def _renumbered(presses: Presses, number: Integers) -> dict[str, NDArray[Any]]:
+def _paired(presses: Presses, number: Integers) -> dict[str, NDArray[Any]]:
     """Return the columns of a sensor's table that pair frames, with numbers as locations."""
-    table = presses.of.archive[presses.of.sensor].table
-    names = ("target", "indenter", "phase", "frame", "valid")
-    return {
-        "location": mapped(table["location"], presses.location, number),
-        **{name: table[name] for name in names},
-    }
+    table = presses.of.archived.table
+    location = mapped(table["location"], presses.location, number)
+    return {name: table[name] for name in _PAIRING} | {"location": location}
 
 
 def mapped(values: NDArray[Any], known: Integers, to: Integers) -> Integers:
@@ -389,10 +375,8 @@ def _reasons(presses: Presses, others: Presses, tolerances: Tolerances) -> Itera
     who = f"{presses.of.name}, {{}}"
     for rows in _blocks(presses):
         some = presses.subset(rows)
-        apart = differences(some, others)
-        same = ~apart.indenter
-        here = same & (apart.place <= tolerances.place + _ROUNDING)
-        deep = here & (apart.fraction <= tolerances.depth_fraction + _ROUNDING)
+        apart = Differences.between(some, others)
+        same, here, deep, _ = apart.alike(tolerances)
         for row in range(len(some)):
             if some.flaw[row]:
                 why = str(some.flaw[row])

@@ -15,10 +15,10 @@ from learning.translation.translator import FLOW, Translator
 if TYPE_CHECKING:
     import torch
 
-# Packages of our trained translators, by kind; imported on demand, as one needs further libraries.
+# Modules of our trained translators, by kind; imported on demand, as one needs further libraries.
 TRAINED = {
-    "field": "learning.translation.field",
-    "diffusion": "learning.translation.diffusion",
+    "field": "learning.translation.field.translator",
+    "diffusion": "learning.translation.diffusion.translator",
 }
 
 
