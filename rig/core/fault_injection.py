@@ -3,7 +3,7 @@
 Faults by name, with their values (without `seconds`, they last until `clear`):
 
     freeze       seconds                      no message leaves; connections stay open
-    slow         seconds fraction delay       only this fraction of messages leaves, delayed [s]
+    slow         seconds fraction             only this fraction of messages leaves
     garbage      seconds messages             corrupt content, for a time or a number of messages
     wrong_units  seconds                      as defined by the emulator of the device
     reorder      seconds every                every n-th message leaves after the next one
@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import random
 import threading
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
@@ -31,7 +30,7 @@ M = TypeVar("M")
 # Values of each fault other than `seconds`, with their defaults.
 _VALUES: dict[str, dict[str, float]] = {
     "freeze": {},
-    "slow": {"fraction": 0.25, "delay": 0.0},
+    "slow": {"fraction": 0.25},
     "garbage": {"messages": 0},
     "wrong_units": {},
     "reorder": {"every": 10},
@@ -91,7 +90,6 @@ class FaultInjector(Generic[M]):
         self._rng = random.Random(seed)
         self._lock = threading.RLock()
         self._active: dict[str, _Active] = {}
-        self._delayed: deque[tuple[int, M]] = deque()
         self._held: M | None = None
         self._credit = 0.0
         self.on = False
@@ -138,8 +136,8 @@ class FaultInjector(Generic[M]):
                 self.touched += 1
                 return ()
             leaving: tuple[M, ...] = ()
-            for late in self._slowed(message):
-                leaving += self._ordered(self._repeated(self._changed(late)))
+            if self._leaves():
+                leaving = self._ordered(self._repeated(self._changed(message)))
             self._settle()
             return leaving
 
@@ -183,27 +181,17 @@ class FaultInjector(Generic[M]):
 
     def _settle(self) -> None:
         """Stop processing messages once no fault is active and no message is held back."""
-        self.on = bool(self._active or self._delayed or self._held is not None)
+        self.on = bool(self._active or self._held is not None)
 
-    def _slowed(self, message: M) -> tuple[M, ...]:
-        """Return the messages that are now due, possibly including this one."""
+    def _leaves(self) -> bool:
+        """Return True if a slow line sends this message; any other sends all."""
         slow = self._active.get("slow")
-        now_ns = self._clock.now_ns()
-        if slow is None:
-            self._credit = 1.0
-        else:
-            self._credit += slow.values["fraction"]
-        delay = 0.0 if slow is None else slow.values["delay"]
-        if self._credit >= 1.0 - 1e-9:
-            self._credit -= 1.0
-            self._delayed.append((now_ns + round(delay * SECOND_NS), message))
-            self.touched += delay > 0
-        else:
+        self._credit = 1.0 if slow is None else self._credit + slow.values["fraction"]
+        if self._credit < 1.0 - 1e-9:
             self.touched += 1
-        due = []
-        while self._delayed and self._delayed[0][0] <= now_ns:
-            due.append(self._delayed.popleft()[1])
-        return tuple(due)
+            return False
+        self._credit -= 1.0
+        return True
 
     def _changed(self, message: M) -> M:
         if "wrong_units" in self._active:

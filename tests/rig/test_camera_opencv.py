@@ -61,11 +61,14 @@ class FaultyMjpeg(MjpegEmulator):
 
     fault: Fault | None = None
 
-    def parts(self, jpeg: bytes) -> Iterable[bytes]:
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.faults.passed = self._frames
+
+    def _frames(self, jpeg: bytes) -> Iterable[bytes]:
         stamp = frame_stamp(jpeg)
         assert stamp is not None
-        frames = (jpeg,) if self.fault is None else self.fault(stamp[0], jpeg)
-        return tuple(part for frame in frames for part in super(FaultyMjpeg, self).parts(frame))
+        return (jpeg,) if self.fault is None else self.fault(stamp[0], jpeg)
 
 
 def emulated(

@@ -81,17 +81,6 @@ def test_a_slow_line_lets_a_part_through(clock: FakeClock) -> None:
     assert sent(line, clock, 2) == names(1, 2)
 
 
-def test_a_slow_line_delays_and_keeps_the_order(clock: FakeClock) -> None:
-    line = text_line(clock)
-    line.inject("slow", fraction=1.0, delay=0.25, seconds=0.45)
-    out = sent(line, clock, 12)
-    assert out[:9] == names(1, 2, 3, 4, 5, 6, 7, 8, 9)
-    assert not line.on
-    # The first three are sent before the first of them is due.
-    line.inject("slow", fraction=1.0, delay=0.25)
-    assert sent(line, clock, 4) == names(1)
-
-
 def test_garbage_is_as_long_as_what_it_replaces(clock: FakeClock) -> None:
     line = FaultInjector[bytes](clock, spoil=corrupted_bytes)
     line.inject("garbage", messages=3)

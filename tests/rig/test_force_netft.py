@@ -35,7 +35,11 @@ class FaultyNetFt(NetFtEmulator):
     fault: Fault | None = None
     rates_are_fixed = False
 
-    def packets(self, packet: bytes) -> Iterable[bytes]:
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.faults.passed = self._packets
+
+    def _packets(self, packet: bytes) -> Iterable[bytes]:
         (sequence,) = struct.unpack(">I", packet[:4])
         return (packet,) if self.fault is None else self.fault(sequence, packet)
 

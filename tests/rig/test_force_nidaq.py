@@ -40,8 +40,13 @@ class FaultyNidaq(NidaqEmulator):
 
     fault: Fault | None = None
 
-    def samples(self, volts: np.ndarray) -> np.ndarray:
-        return volts if self.fault is None else self.fault(volts)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._passed = self.faults.passed
+        self.faults.passed = self._samples
+
+    def _samples(self, volts: np.ndarray) -> tuple[np.ndarray, ...]:
+        return self._passed(volts if self.fault is None else self.fault(volts))
 
 
 def emulated(
@@ -184,7 +189,6 @@ def test_silence_is_device_lost(host: str) -> None:
 
 def test_an_unplugged_card_is_device_lost_and_can_be_plugged_in_again(host: str) -> None:
     with emulated(host) as emulator:
-        emulator.fault = lambda volts: NidaqEmulator.samples(emulator, volts)
         with opened(host) as driver:
             collect(driver, 5)
             emulator.faults.inject("unplug")

@@ -33,7 +33,11 @@ class FaultyXela(XelaEmulator):
 
     fault: Fault | None = None
 
-    def messages(self, message: str) -> Iterable[str]:
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.faults.passed = self._messages
+
+    def _messages(self, message: str) -> Iterable[str]:
         number = json.loads(message)["message"]
         return (message,) if self.fault is None else self.fault(number, message)
 

@@ -22,7 +22,7 @@ import logging
 import queue
 import socket
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -285,10 +285,6 @@ class MjpegEmulator(Emulator):
             self._server.server_close()
             self._server = None
 
-    def parts(self, jpeg: bytes) -> Iterable[bytes]:
-        """Return the parts sent for one frame; faults and tests corrupt frames here."""
-        return tuple(multipart(frame) for frame in self.faults.passed(jpeg))
-
     def apply(self, fault: str, **values: Any) -> dict[str, Any]:
         """Change the lens, or inject a fault; see the module and `FaultInjector.inject`."""
         if fault == "lens":
@@ -315,7 +311,8 @@ class MjpegEmulator(Emulator):
             jpeg = source(state)
             if self._lens != (1.0, 0.0):
                 jpeg = through_lens(jpeg, *self._lens)
-            parts = tuple(self.parts(stamped(jpeg, filmed, t_ns)))
+            passed = self.faults.passed(stamped(jpeg, filmed, t_ns))
+            parts = tuple(multipart(frame) for frame in passed)
             if delay_ns:
                 self._late.put((t_ns + delay_ns, parts))
             else:

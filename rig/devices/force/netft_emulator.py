@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from urllib.parse import SplitResult, parse_qs
@@ -124,10 +123,6 @@ class NetFtEmulator(Emulator):
             self._udp.close()
             self._udp = None
 
-    def packets(self, packet: bytes) -> Iterable[bytes]:
-        """Return the packets sent for one record; faults and tests corrupt packets here."""
-        return self.faults.passed(packet)
-
     def _on_disturbance(self) -> None:
         wrong, own = self.faults.wrong_units, self._config.page
         units = _WRONG_UNITS if wrong else (own.force_unit, own.torque_unit)
@@ -195,7 +190,7 @@ class NetFtEmulator(Emulator):
         packet = RECORD.pack(
             self._rdt_sequence, self._ft_sequence, self.page.runstat, *shown.tolist()
         )
-        for sent in self.packets(packet):
+        for sent in self.faults.passed(packet):
             # If the client has gone, the box continues to send to nobody.
             with contextlib.suppress(OSError):
                 udp.sendto(sent, self._peer)

@@ -162,18 +162,8 @@ def emit_page(page: Page) -> bytes:
     root = ET.Element("netFTApi")
     for tag, name in _TAGS.items():
         value = getattr(page, name)
-        text = (
-            f"0x{value:08x}"
-            if tag == "runstat"
-            else f"{value:.17g}"
-            if tag
-            in (
-                "cfgcpf",
-                "cfgcpt",
-            )
-            else str(value)
-        )
-        ET.SubElement(root, tag).text = text
+        text = f"{value:.17g}" if isinstance(value, float) else str(value)
+        ET.SubElement(root, tag).text = f"0x{value:08x}" if name == "runstat" else text
     ET.SubElement(root, "comrdte").text = "1"
     return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
 

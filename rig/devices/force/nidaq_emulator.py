@@ -394,14 +394,6 @@ class NidaqEmulator(Emulator):
             self._pool.shutdown()
             self._pool = None
 
-    def samples(self, volts: Array) -> Array:
-        """Return the rows that one tick puts into the buffer: (n, 6) [V], mostly one.
-
-        Faults and tests stop the sample clock (no row) and corrupt voltages here.
-        """
-        passed = self.faults.passed(volts)
-        return np.concatenate(passed) if passed else volts[:0]
-
     def converted(self, channels: Sequence[Channel]) -> Array:
         """Return the current voltages (1, channels), with noise, range limits and 16 bits."""
         number, state = self._world.state()
@@ -425,8 +417,8 @@ class NidaqEmulator(Emulator):
             pacer.wait()
             self.missed += pacer.late
             # The card's clock never stands still: late samples are added all the same.
-            rows = self.samples(np.repeat(self.converted(channels), 1 + pacer.late, axis=0))
-            if len(rows):
+            volts = np.repeat(self.converted(channels), 1 + pacer.late, axis=0)
+            for rows in self.faults.passed(volts):
                 buffer.put(rows)
 
 

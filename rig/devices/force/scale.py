@@ -200,12 +200,10 @@ class ScaleDriver(ReceivingDriver):
     def _force(self, reading: Reading) -> float:
         """Return Fz [N]: compression of the sensor is negative."""
         config = self._config
-        per_unit = UNITS[self._unit or "g"] if config.counts_per_n is None else None
-        force = (
-            reading.value / (config.counts_per_n or 1.0)
-            if per_unit is None
-            else (reading.value * per_unit)
-        )
+        if config.counts_per_n is None:
+            force = reading.value * UNITS[self._unit or "g"]
+        else:
+            force = reading.value / config.counts_per_n
         return -force if config.direction == "down" else force
 
     def _settled(self, reading: Reading, force: float, now_ns: int) -> bool:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import os
 import select
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -56,10 +55,6 @@ class ScaleEmulator(PtyEmulator):
         self._rng = np.random.default_rng(config.seed)
         self._shown = self._before = 0.0
 
-    def lines(self, content: bytes) -> Iterable[bytes]:
-        """Return the content sent for one reading; faults and tests lose or corrupt bytes here."""
-        return self.faults.passed(content)
-
     def _serve(self) -> None:
         pacer = Pacer(self._clock, _FILTER_HZ)
         device = self._config.device
@@ -76,7 +71,7 @@ class ScaleEmulator(PtyEmulator):
             if device.protocol == "hx711":
                 asked = int(tick % every == 0)
             for _ in range(asked):
-                for content in self.lines(self._line()):
+                for content in self.faults.passed(self._line()):
                     self._send(content)
 
     def _asked(self) -> int:

@@ -18,7 +18,7 @@ import json
 import math
 import socket
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -139,10 +139,6 @@ class XelaEmulator(Emulator):
             self._server.shutdown()
             self._server = None
 
-    def messages(self, message: str) -> Iterable[str]:
-        """Return the messages sent for one scan; faults and tests corrupt messages here."""
-        return self.faults.passed(message)
-
     def _on_plug(self) -> None:
         if not self.faults.unplugged:
             return
@@ -165,7 +161,7 @@ class XelaEmulator(Emulator):
                 layout=self._config.layout,
                 ups=self._config.device.rate_hz,
             )
-            self._scans.publish(self.messages(message))
+            self._scans.publish(self.faults.passed(message))
 
     def _play(self, playback: Playback, message: Callable[..., str]) -> None:
         playback.run(
