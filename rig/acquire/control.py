@@ -25,7 +25,7 @@ from rig.devices.hid.settings import PedalConfig
 
 if TYPE_CHECKING:
     from rig.devices.gripper.robotiq import GripWatch
-    from rig.devices.hid.pedal import DeadMan, PedalState, PedalWatch
+    from rig.devices.hid.drivers import DeadMan, PedalState, PedalWatch
 
 logger = logging.getLogger(__name__)
 
@@ -249,11 +249,11 @@ class Interlocks:
 
             self._grip = GripWatch(bench.gripper, clock, self._tell)
         if bench.pedal is not None:
-            from rig.devices.hid.pedal import PedalWatch
+            from rig.devices.hid.drivers import PedalWatch
 
             self._pedal = PedalWatch(bench.pedal, clock, self._on_pedal)
             if bench.pedal.mode == "dead_man":
-                from rig.devices.hid.pedal import DeadMan
+                from rig.devices.hid.drivers import DeadMan
 
                 self._dead_man = DeadMan()
 

@@ -32,8 +32,8 @@ from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from rig.core.geometry import compose
 from rig.devices.arm.arm import Arm, MoveResult
+from rig.devices.hid.drivers import Cap, SpaceMouseDriver
 from rig.devices.hid.reports import Axes
-from rig.devices.hid.spacemouse import Cap, SpaceMouseDriver
 from trajectories import Point
 
 logger = logging.getLogger(__name__)

@@ -149,14 +149,12 @@ def device(kind: str) -> Device:
         return DEVICES[kind]
     if kind in _entry_points():
         return _loaded(kind)
-    known = ", ".join([*DEVICES, *_entry_points()])
-    raise ConfigError(f"kind: found {kind!r}; allowed: {known}")
+    raise ConfigError(f"kind: found {kind!r}; allowed: {', '.join(kinds())}")
 
 
-def contract_devices() -> list[Device]:
-    """Return the devices that the contract suite tests, those of installed packages included."""
-    foreign = [_loaded(kind) for kind in _entry_points()]
-    return [each for each in (*DEVICES.values(), *foreign) if each.example]
+def kinds() -> list[str]:
+    """Return the kinds of all devices, those of installed packages included."""
+    return [*DEVICES, *_entry_points()]
 
 
 def settings_of(kind: Any, *, stream: str | None) -> dict[str, type[Any]]:

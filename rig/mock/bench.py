@@ -11,8 +11,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -43,23 +42,6 @@ _UR_PORTS = (29999, 30001, 30002, 30003, 30004)
 _KINDS = ("arm", "force", "camera", "taxels", "gripper", "pedal", "spacemouse")
 # Fault port of the first of the devices that have names of their own.
 _NAMED_PORTS = 31020
-
-
-@dataclass(frozen=True, slots=True)
-class _Device:
-    """One device of the bench to be emulated."""
-
-    process: str
-    """Name of its process."""
-    kind: str
-    """One of `_KINDS`."""
-    config: Any
-    """Its settings."""
-    content: dict[str, Any]
-    """The same as read from the bench file."""
-    fault_port: int
-    played: bool = True
-    """True for the first of its kind, which plays a real recording if there is one."""
 
 
 class MockBench(ProcessGroup):
@@ -102,55 +84,52 @@ class MockBench(ProcessGroup):
             "host": self.host,
             "fault_port": PORTS["world"],
         }
-        found: dict[str, tuple[str, dict[str, Any]]] = {"world": ("world", world)}
+        documents: dict[str, tuple[str, dict[str, Any]]] = {"world": ("world", world)}
         if isinstance(bench.world, SimulatedSpec):
-            found["solver"] = ("solver", world)
-        for device in self._emulated():
+            documents["solver"] = ("solver", world)
+        played: set[str] = set()
+        for process, kind, config, section, port in self._emulated():
+            if kind not in self._devices:
+                continue
+            # The first of a kind plays a real recording, if there is one.
+            sources = Sources() if kind in played else self._sources
+            played.add(kind)
             settings = {
-                "device": {"kind": device.config.KIND, **device.content},
+                "device": {"kind": config.KIND, **section},
                 "host": self.host,
                 "world": str(folder / WORLD_FILE),
-                "fault_port": device.fault_port,
-                **self._more(device),
+                "fault_port": port,
+                **self._more(process, kind, config, sources),
             }
-            found[device.process] = (device.config.KIND, settings)
-        return found
+            documents[process] = (config.KIND, settings)
+        return documents
 
-    def _emulated(self) -> list[_Device]:
-        """Return the devices to emulate."""
+    def _emulated(self) -> Iterator[tuple[str, str, Any, dict[str, Any], int]]:
+        """Yield process, kind, settings, section of the file and fault port of each device."""
         bench, content = self.bench, self.file.content
-        found = []
         for kind in _KINDS:
             key = "jog" if kind == "spacemouse" else kind
-            if key == "force" and bench.no_gauge:
-                continue
-            if getattr(bench, key) is not None:
-                device = _Device(kind, kind, getattr(bench, key), content[key], PORTS[kind])
-                found.append(device)
-        for place, (name, config) in enumerate((bench.streams or {}).items()):
-            first = config.STREAM not in [device.kind for device in found]
+            if getattr(bench, key) is not None and not (key == "force" and bench.no_gauge):
+                yield kind, kind, getattr(bench, key), content[key], PORTS[kind]
+        for number, (name, config) in enumerate((bench.streams or {}).items()):
             section = content["streams"][name]
-            port = _NAMED_PORTS + place
-            if not registry.device(config.KIND).emulator:
+            if registry.device(config.KIND).emulator:
+                yield f"{name}.device", config.STREAM, config, section, _NAMED_PORTS + number
+            elif getattr(config, "host", None) != bench.arm.host:
                 # The arm's own controller serves further readers.
-                if getattr(config, "host", None) != bench.arm.host:
-                    raise ConfigError(
-                        f"streams.{name}.host: found {section['host']!r}; allowed on a mock "
-                        "bench: that of the arm"
-                    )
-                continue
-            found.append(_Device(f"{name}.device", config.STREAM, config, section, port, first))
-        return [device for device in found if device.kind in self._devices]
+                raise ConfigError(
+                    f"streams.{name}.host: found {section['host']!r}; allowed on a mock bench: "
+                    "that of the arm"
+                )
 
-    def _more(self, device: _Device) -> dict[str, Any]:
+    def _more(self, process: str, name: str, config: Any, sources: Sources) -> dict[str, Any]:
         """Return the settings of an emulator that its device does not have."""
-        bench, name, config = self.bench, device.kind, device.config
+        bench = self.bench
         if isinstance(config, StreamSettings):
             try:
                 config.check_mock()
             except ValueError as error:
-                raise ConfigError(f"{device.process.removesuffix('.device')}.{error}") from None
-        sources = self._sources if device.played else Sources()
+                raise ConfigError(f"{process.removesuffix('.device')}.{error}") from None
         noise = (bench.world and bench.world.noise) or Noise()
         if name == "arm":
             rotation = bench.tool_rotation

@@ -58,7 +58,10 @@ COLUMNS: dict[str, dict[str, type]] = {
 }
 
 
-@pytest.fixture(name="device", params=registry.contract_devices(), ids=lambda each: each.kind)
+DEVICES = [each for each in map(registry.device, registry.kinds()) if each.example]
+
+
+@pytest.fixture(name="device", params=DEVICES, ids=lambda each: each.kind)
 def each_device(request: pytest.FixtureRequest) -> Device:
     device: Device = request.param
     return device

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
 from rig.devices.hid.settings import PedalConfig
 from rig.devices.hid.emulator import HidEmulator
-from rig.devices.hid.pedal import PedalDriver
+from rig.devices.hid.drivers import PedalDriver
 
 clock = SystemClock()
 emulator = HidEmulator("pedal", Path(sys.argv[1]), clock)
@@ -66,7 +67,7 @@ from pathlib import Path
 from rig.core.clock import SystemClock
 from rig.devices.hid.settings import SpaceMouseConfig
 from rig.devices.hid.emulator import HidEmulator
-from rig.devices.hid.spacemouse import SpaceMouseDriver
+from rig.devices.hid.drivers import SpaceMouseDriver
 
 clock = SystemClock()
 emulator = HidEmulator("spacemouse", Path(sys.argv[1]), clock)
@@ -94,7 +95,7 @@ print(json.dumps(found))
 ABSENT = """
 from rig.core.errors import DeviceLost
 from rig.devices.hid.settings import PedalConfig
-from rig.devices.hid.pedal import PedalDriver
+from rig.devices.hid.drivers import PedalDriver
 import sys
 for device in sys.argv[1:]:
     try:
@@ -152,19 +153,19 @@ def test_a_node_without_the_right_names_the_udev_rule(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     from rig.core.errors import DeviceLost
-    from rig.devices.hid import device
+    from rig.devices.hid.drivers import HidDevice
 
     node = tmp_path / "hidraw0"
     node.touch()
-    monkeypatch.setattr(device.os, "access", lambda *_: False)
-    pedal = device.HidDevice(str(node), "foot pedal", (1, 6))
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    pedal = HidDevice(str(node), "foot pedal", (1, 6))
     with pytest.raises(DeviceLost, match=r'KERNEL=="hidraw\*".*MODE="0660"'):
         pedal.open()
 
 
 def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
     from rig.core.errors import DeviceLost
-    from rig.devices.hid.device import HidDevice
+    from rig.devices.hid.drivers import HidDevice
 
     node = tmp_path / "hidraw0"
     node.touch()
@@ -177,7 +178,7 @@ def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
 
 def test_an_emulated_node_without_the_shim_says_how_to_get_it(tmp_path: Path) -> None:
     from rig.core.errors import DeviceLost
-    from rig.devices.hid.device import HidDevice
+    from rig.devices.hid.drivers import HidDevice
 
     pedal = HidDevice(str(tmp_path / "pedal.hidraw"), "foot pedal", (1, 6))
     with pytest.raises(DeviceLost, match=r"LD_PRELOAD=\$\(python -m rig.devices.hid.shim\)"):

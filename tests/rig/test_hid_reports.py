@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from rig.core.config import build
 from rig.core.errors import ConfigError
-from rig.devices.hid.pedal import DeadMan, PedalState
+from rig.devices.hid.drivers import DeadMan, PedalState
 from rig.devices.hid.reports import CapReport, emit_cap, emit_keys, parse_cap, parse_keys
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 

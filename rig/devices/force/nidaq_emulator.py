@@ -51,49 +51,6 @@ class Channel:
     """Upper limit of the range [V]."""
 
 
-class Buffer:
-    """Sample buffer, filled by the sample clock and emptied by a client."""
-
-    def __init__(self, capacity: int) -> None:
-        self.capacity = capacity
-        self.stopped = threading.Event()
-        self._changed = threading.Condition()
-        self._rows: list[Array] = []
-        self.acquired = 0
-        self.taken = 0
-        self.overrun = False
-
-    def put(self, rows: Array) -> None:
-        """Add (n, channels); if the client is too late, every later `take` returns None."""
-        with self._changed:
-            self.acquired += len(rows)
-            self.overrun = self.overrun or self.acquired - self.taken > self.capacity
-            if not self.overrun:
-                self._rows.append(rows)
-            self._changed.notify_all()
-
-    def take(self, count: int, timeout: float) -> Array | None:
-        """Return the next (count, channels), fewer after `timeout` [s]; None after an overrun."""
-        with self._changed:
-            self._changed.wait_for(
-                lambda: self.acquired - self.taken >= count or self.stopped.is_set(), timeout
-            )
-            if self.overrun:
-                return None
-            if not self._rows:
-                return np.empty((0, 0))
-            rows = np.concatenate(self._rows)
-            self._rows = [rows[count:]] if len(rows) > count else []
-            self.taken += len(rows[:count])
-            return rows[:count]
-
-    def stop(self) -> None:
-        """Stop the clock that fills the buffer."""
-        self.stopped.set()
-        with self._changed:
-            self._changed.notify_all()
-
-
 # NI-DAQmx calls answered by the emulated card: tasks of analog inputs, their settings, reading.
 #
 # Attribute numbers and values are NI-DAQmx's own (NIDAQmx.h); the messages come with the library.
@@ -116,23 +73,27 @@ _DRIVER_VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
 _CHANNELS = re.compile(r"(?P<device>[^/]+)/ai(?P<first>\d+)(?::(?:ai)?(?P<last>\d+))?")
 
 
-@dataclass(slots=True)
 class _Task:
-    """Task set up by a client."""
+    """Task set up by a client, with a buffer that the sample clock fills and the client empties."""
 
-    channels: list[Channel] = field(default_factory=list)
-    rate_hz: float = 0.0
-    capacity: int = 0
-    buffer: Buffer | None = None
-    clock: threading.Thread | None = None
+    def __init__(self) -> None:
+        self.channels: list[Channel] = []
+        self.rate_hz = 0.0
+        self.capacity = 0
+        self.clock: threading.Thread | None = None
+        """Fills the buffer, until `stopped`."""
+        self.stopped = threading.Event()
+        self._changed = threading.Condition()
+        self._empty()
+
+    def _empty(self) -> None:
+        self._rows: list[Array] = []
+        self.acquired = self.taken = 0
+        self._overrun = False
 
     @property
     def names(self) -> str:
         return ", ".join(channel.name for channel in self.channels)
-
-    def counts(self) -> tuple[int, int]:
-        """Return the samples acquired and taken so far."""
-        return (0, 0) if self.buffer is None else (self.buffer.acquired, self.buffer.taken)
 
     def limit(self, request: Any) -> float:
         """Return a limit of the channel that a request names, else of the first [V]."""
@@ -140,11 +101,46 @@ class _Task:
         channel = (named or self.channels)[0]
         return channel.high if request.attribute_raw == 0x17DD else channel.low
 
+    def start(self, run: Callable[[_Task], None]) -> None:
+        """Start the sample clock, if the client has set its rate."""
+        if self.clock is None and self.rate_hz:
+            self.stopped.clear()
+            self.clock = threading.Thread(target=run, args=(self,), name="nidaq-emulator-clock")
+            self.clock.start()
+
     def stop(self) -> None:
-        if self.buffer is not None and self.clock is not None:
-            self.buffer.stop()
+        """Stop the sample clock and empty the buffer; may be called twice."""
+        self.stopped.set()
+        with self._changed:
+            self._changed.notify_all()
+        if self.clock is not None:
             self.clock.join()
-        self.buffer = self.clock = None
+            self.clock = None
+        self._empty()
+
+    def put(self, rows: Array) -> None:
+        """Add (n, channels); if the client is too late, every later `take` returns None."""
+        with self._changed:
+            self.acquired += len(rows)
+            self._overrun = self._overrun or self.acquired - self.taken > self.capacity
+            if not self._overrun:
+                self._rows.append(rows)
+            self._changed.notify_all()
+
+    def take(self, count: int, timeout: float) -> Array | None:
+        """Return the next (count, channels), fewer after `timeout` [s]; None after an overrun."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self.acquired - self.taken >= count or self.stopped.is_set(), timeout
+            )
+            if self._overrun:
+                return None
+            if not self._rows:
+                return np.empty((0, 0))
+            rows = np.concatenate(self._rows)
+            self._rows = [rows[count:]] if len(rows) > count else []
+            self.taken += len(rows[:count])
+            return rows[:count]
 
 
 class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
@@ -204,15 +200,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
         return pb.CfgSampClkTimingResponse(status=0)
 
     def StartTask(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
-        task = self._task(request, context)
-        if task.buffer is None and task.rate_hz:
-            task.buffer = Buffer(task.capacity)
-            task.clock = threading.Thread(
-                target=self._card.run_clock,
-                args=(task.rate_hz, task.channels, task.buffer),
-                name="nidaq-emulator-clock",
-            )
-            task.clock.start()
+        self._task(request, context).start(self._card.run_clock)
         return pb.StartTaskResponse(status=0)
 
     def StopTask(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
@@ -229,11 +217,11 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
     def ReadAnalogF64(self, request: Any, context: Any) -> Any:  # noqa: D102, N802
         task = self._task(request, context)
         count, status = request.num_samps_per_chan, 0
-        if task.buffer is None:
+        if task.clock is None:
             # A task without a sample clock takes one sample per call: software timed.
             rows = self._card.converted(task.channels)
         else:
-            taken = task.buffer.take(count, request.timeout)
+            taken = task.take(count, request.timeout)
             if taken is None:
                 _fail(context, _OVERRUN)
             rows = taken
@@ -293,12 +281,12 @@ _READ_BACK: dict[str, Callable[[_Task, Any], Any]] = {
     "GetReadAttributeString": lambda task, request: task.names,
     # 0x1223: samples that wait.
     "GetReadAttributeUInt32": lambda task, request: (
-        task.counts()[0] - task.counts()[1]
-        if request.attribute_raw == 0x1223
-        else len(task.channels)
+        task.acquired - task.taken if request.attribute_raw == 0x1223 else len(task.channels)
     ),
     # 0x192A: acquired in all; 0x1221: where the next read begins.
-    "GetReadAttributeUInt64": lambda task, request: task.counts()[request.attribute_raw != 0x192A],
+    "GetReadAttributeUInt64": lambda task, request: (
+        task.acquired if request.attribute_raw == 0x192A else task.taken
+    ),
     "GetBufferAttributeUInt32": lambda task, request: task.capacity,
     "GetTimingAttributeDouble": lambda task, request: task.rate_hz,
     "GetTimingAttributeInt32": lambda task, request: _CONTINUOUS,
@@ -410,16 +398,16 @@ class NidaqEmulator(Emulator):
         converted: Array = (low + codes * step)[np.newaxis]
         return converted
 
-    def run_clock(self, rate_hz: float, channels: Sequence[Channel], buffer: Buffer) -> None:
-        """Run the sample clock of one task: fill `buffer` until it is stopped."""
-        pacer = Pacer(self._clock, rate_hz)
-        while not buffer.stopped.is_set():
+    def run_clock(self, task: _Task) -> None:
+        """Run the sample clock of a task: fill its buffer until it is stopped."""
+        pacer = Pacer(self._clock, task.rate_hz)
+        while not task.stopped.is_set():
             pacer.wait()
             self.missed += pacer.late
             # The card's clock never stands still: late samples are added all the same.
-            volts = np.repeat(self.converted(channels), 1 + pacer.late, axis=0)
+            volts = np.repeat(self.converted(task.channels), 1 + pacer.late, axis=0)
             for rows in self.faults.passed(volts):
-                buffer.put(rows)
+                task.put(rows)
 
 
 def _corrupt(volts: Array, rng: random.Random) -> Array:
