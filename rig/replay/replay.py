@@ -11,25 +11,30 @@ import contextlib
 import logging
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from recorder import Session, SessionError, SessionWriter, StreamWriter
+from recorder import Session, SessionError, SessionWriter, StreamSpec, StreamWriter
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
 from recorder.command_line.options import next_command
 from recorder.info import session_digest, stream_digest
-from recorder.progress import ItemProgress
+from recorder.progress import ItemProgress, duration
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
-from rig.core.clock import ClockAnchor, SystemClock
+from rig.acquire.streams import StreamHandle
+from rig.bench.bench import Bench
+from rig.core.clock import SECOND_NS, Clock, ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost
-from rig.mock.players import playback_hosts, replay_bench
+from rig.core.playback import ENDED, load_recorded_stream
+from rig.core.shared_memory import SharedLatest
+from rig.devices.force.netft_recorded import force_bias
+from rig.mock.players import Players, playback_hosts, replay_bench
 from rig.replay.replayable import replayable
 from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line
-from rig.replay.run import ReplayedRun
 
 logger = logging.getLogger(__name__)
 
@@ -70,6 +75,8 @@ class Replay:
         self._request = request
         self._clock = SystemClock()
         self._source = Session(request.source)
+        self._names: tuple[str, ...] = ()
+        self._hashes: dict[str, str] = {}
         self._writer: SessionWriter | None = None
         self._maps: dict[int, Retiming] = {}
         self._start_ns: dict[int, int] = {}
@@ -80,12 +87,12 @@ class Replay:
         if request.out.exists():
             raise SessionError(f"{request.out}: exists already; choose another name")
         with ItemProgress("images checked", sys.stderr) as progress:
-            names = replayable(source, request.without, progress)
-        hashes = _digests("images read", source, names)
+            self._names = replayable(source, request.without, progress)
+        self._hashes = _digests("images read", source, self._names)
         stop: BaseException | None = None
         with InterruptFlag() as interrupt:
             try:
-                self._replay_runs(names, hashes, interrupt)
+                self._replay_runs(interrupt)
             except BaseException as error:
                 # On any error, the session is closed before anything else.
                 stop = error
@@ -95,7 +102,7 @@ class Replay:
                 raise SessionError(f"{request.source}: no rows to replay")
             interrupt.ignore()
             try:
-                self._finish(self._writer, names, stop)
+                self._finish(self._writer, stop)
             except (SessionError, OSError) as error:
                 out = request.out
                 print(
@@ -106,42 +113,34 @@ class Replay:
                 return EXIT_DEVICE_LOST
         if stop is not None:
             return self._stopped(stop)
-        return self._report(names, hashes)
+        return self._report()
 
-    def _replay_runs(
-        self, names: tuple[str, ...], hashes: dict[str, str], interrupt: InterruptFlag
-    ) -> None:
-        request, source = self._request, self._source
+    def _replay_runs(self, interrupt: InterruptFlag) -> None:
+        speed, source, names = self._request.speed, self._source, self._names
         for run in range(max(len(source.runs), 1)):
             with contextlib.ExitStack() as stack:
                 folder = Path(
                     stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-"))
                 )
                 hosts = playback_hosts(names)
-                bench = replay_bench(source, names, hosts, request.speed)
+                bench = replay_bench(source, names, hosts, speed)
                 replayed = ReplayedRun(
-                    source, names, run, bench, hosts, folder, self._clock, speed=request.speed
+                    source, names, run, bench, hosts, folder, self._clock, interrupt, speed=speed
                 )
                 if not replayed.seconds and not any(replayed.totals.values()):
                     continue
                 stack.enter_context(replayed)
-                description = replayed.open(interrupt)
+                description = replayed.open()
                 if self._writer is None:
-                    self._writer = self._create(names, hashes, description, replayed)
+                    self._writer = self._create(description, replayed)
                 self._writer.begin_run({**asdict(ClockAnchor.take()), "devices": description})
                 for name in names:
                     replayed.record(name, self._writer.stream_path(name))
                 self._start_ns[run] = replayed.start_playback()
-                replayed.watch(interrupt)
+                replayed.watch()
 
-    def _create(
-        self,
-        names: tuple[str, ...],
-        hashes: dict[str, str],
-        description: dict[str, Any],
-        replayed: ReplayedRun,
-    ) -> SessionWriter:
-        source, request = self._source, self._request
+    def _create(self, description: dict[str, Any], replayed: ReplayedRun) -> SessionWriter:
+        source, request, names = self._source, self._request, self._names
         attrs = source.attrs
         anchor = ClockAnchor.take()
         own = {
@@ -152,8 +151,8 @@ class Replay:
             "software": software(),
             "replay_of": {
                 "name": source.path.name,
-                "sha256": session_digest(hashes),
-                "streams": hashes,
+                "sha256": session_digest(self._hashes),
+                "streams": self._hashes,
                 "left_out": sorted(set(source.streams) - set(names)),
                 "speed": request.speed_name,
                 "status": source.status,
@@ -177,9 +176,8 @@ class Replay:
             targets=dict(source.targets),
         )
 
-    def _finish(
-        self, writer: SessionWriter, names: tuple[str, ...], stop: BaseException | None
-    ) -> None:
+    def _finish(self, writer: SessionWriter, stop: BaseException | None) -> None:
+        names = self._names
         if stop is not None:
             for name in names:
                 # A stream whose process was killed has rows that only a writer recovers.
@@ -222,18 +220,23 @@ class Replay:
         writer.finish(
             status,
             reason,
-            rate_hz=self._source.rate_hz * self._faster(replay, names),
+            rate_hz=self._source.rate_hz * self._faster(replay),
             # At another speed the devices' clocks are slower than the host's by that factor.
             clocks=self._request.speed == 1.0,
         )
 
-    def _faster(self, replay: Session, names: tuple[str, ...]) -> float:
+    def _faster(self, replay: Session) -> float:
         """Return the playback speed relative to the recording."""
         if self._request.speed > 0:
             return self._request.speed
-        recorded = sum(span(self._source, names, run) for run in self._start_ns)
-        replayed = sum(span(replay, names, place) for place in range(len(self._start_ns)))
+        recorded, replayed = self._seconds(replay)
         return recorded / replayed if recorded > 0 and replayed > 0 else 1.0
+
+    def _seconds(self, replay: Session) -> tuple[float, float]:
+        """Return the time from first to last row of all runs, recorded and replayed [s]."""
+        recorded = sum(span(self._source, self._names, run) for run in self._start_ns)
+        replayed = sum(span(replay, self._names, place) for place in range(len(self._start_ns)))
+        return recorded, replayed
 
     def _stopped(self, stop: BaseException) -> int:
         out = self._request.out
@@ -244,14 +247,13 @@ class Replay:
             return EXIT_DEVICE_LOST
         raise stop
 
-    def _report(self, names: tuple[str, ...], hashes: dict[str, str]) -> int:
-        request = self._request
+    def _report(self) -> int:
+        request, names = self._request, self._names
         replay = Session(request.out)
         again = _digests("images compared", replay, names)
         rows = {name: len(replay.streams[name]) for name in names}
-        equal, lines = compared(hashes, again, rows)
-        recorded = sum(span(self._source, names, run) for run in self._start_ns)
-        took = sum(span(replay, names, place) for place in range(len(self._start_ns)))
+        equal, lines = compared(self._hashes, again, rows)
+        recorded, took = self._seconds(replay)
         lines.append(
             f"{recorded:.1f} s recorded, replayed in {took:.1f} s "
             f"({recorded / took if took > 0 else 1.0:.1f} times as fast)"
@@ -293,3 +295,237 @@ def _rows(table: Any) -> list[dict[str, Any]]:
 def _digests(title: str, session: Session, names: tuple[str, ...]) -> dict[str, str]:
     with ItemProgress(title, sys.stderr) as progress:
         return {name: stream_digest(session.streams[name], progress) for name in names}
+
+
+# One run: emulators and drivers, from the first connection to the last row.
+
+
+logger = logging.getLogger(__name__)
+
+# Conditions for the end of a run, and for giving up on it.
+
+# Longest time for a stream's last rows to arrive after its emulator has sent them all [s].
+MISSING_TIMEOUT = 5.0
+# Longest time without progress while rows are left, added to the longest recorded gap [s].
+STALL_TIMEOUT = 30.0
+
+
+class EndOfTape:
+    """Checks repeatedly if every stream has all its rows.
+
+    `gap` is the longest time without a row in the recording itself [s].
+    """
+
+    def __init__(self, totals: Mapping[str, int], gap: float) -> None:
+        self._totals = dict(totals)
+        self._gap = gap
+        self._seen: dict[str, tuple[int, int]] = {}
+        self._changed_ns: dict[str, int] = {}
+
+    def reached(
+        self, now_ns: int, taken: Mapping[str, int], positions: Mapping[str, np.void | None]
+    ) -> bool:
+        """Return True if all rows of all streams have been taken.
+
+        `taken` are the rows taken by each stream's process, `positions` the POSITION of each
+        emulator.
+        """
+        for name, total in self._totals.items():
+            if taken[name] > total:
+                raise DeviceLost(f"{name}: {taken[name] - total} rows more than were sent")
+        if all(taken[name] == total for name, total in self._totals.items()):
+            return True
+        moving = False
+        for name in self._totals:
+            position = positions[name]
+            sent = 0 if position is None else int(position["sent"])
+            if self._seen.get(name) != (sent, taken[name]) or name not in self._changed_ns:
+                self._seen[name] = (sent, taken[name])
+                self._changed_ns[name] = now_ns
+                moving = True
+        for name, total in self._totals.items():
+            position = positions[name]
+            still = (now_ns - self._changed_ns[name]) / SECOND_NS
+            ended = position is not None and position["state"] == ENDED
+            missing = total - taken[name]
+            if missing and ended and still > MISSING_TIMEOUT:
+                raise DeviceLost(
+                    f"{name}: {missing} of {total} rows are missing {still:.0f} s after its "
+                    "emulator had sent all"
+                )
+        stalled = (now_ns - max(self._changed_ns.values())) / SECOND_NS
+        if not moving and stalled > STALL_TIMEOUT + self._gap:
+            left = {name: total - taken[name] for name, total in self._totals.items()}
+            raise DeviceLost(f"replay: no progress for {stalled:.0f} s; rows missing: {left}")
+        return False
+
+
+# Samples that a driver delivers before playback starts, because it needs them to open, by kind.
+_LEAD_IN = {"force": 1, "taxels": 1, "pose": 0, "arm_wrench": 0, "camera": 0}
+_SETTLE_NS = SECOND_NS // 5
+_SETTLE_TIMEOUT = 10.0
+# Time from the cue to the start of playback; emulators poll the cue 200 times per second.
+_LEAD_NS = SECOND_NS // 10
+_LOOK_NS = SECOND_NS // 50
+_SAY_NS = 5 * SECOND_NS
+
+
+class ReplayedRun:
+    """Context manager for the emulators and streams of one run, with an empty run folder.
+
+    `bench` has the addresses of the emulators, on the loopback address of each stream in `hosts`;
+    speed 0 is as fast as the drivers read.
+    """
+
+    def __init__(
+        self,
+        source: Session,
+        names: tuple[str, ...],
+        run: int,
+        bench: Bench,
+        hosts: Mapping[str, str],
+        folder: Path,
+        clock: Clock,
+        interrupt: InterruptFlag,
+        *,
+        speed: float,
+    ) -> None:
+        self._interrupt = interrupt
+        self._source = source
+        self._hosts = hosts
+        self._kinds = {name: source.streams[name].traits.kind for name in names}
+        self._names = names
+        self._run = run
+        self._bench = bench
+        self._folder = folder
+        self._clock = clock
+        self._speed = speed
+        recorded_streams = {name: load_recorded_stream(source, names, name, run) for name in names}
+        self.totals = {name: len(recorded.rows) for name, recorded in recorded_streams.items()}
+        ends = [
+            int(recorded.t_ns.max()) for recorded in recorded_streams.values() if len(recorded.t_ns)
+        ]
+        self.seconds = max(ends, default=0) / SECOND_NS
+        """Recorded duration of the run [s]."""
+        times = np.sort(
+            np.concatenate([[0], *(recorded.t_ns for recorded in recorded_streams.values())])
+        )
+        self._gap = float(np.diff(times).max(initial=0)) / SECOND_NS / (speed or 1.0)
+        self._players: Players | None = None
+        self._handles: dict[str, StreamHandle] = {}
+        self._latest: dict[str, SharedLatest] = {}
+        self._base: dict[str, int] = {}
+
+    def __enter__(self) -> ReplayedRun:
+        self._players = Players(
+            self._source.path,
+            self._names,
+            self._run,
+            self._hosts,
+            self._folder,
+            self._clock,
+            speed=self._speed,
+        ).__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        players, self._players = self._players, None
+        try:
+            if players is not None:
+                players.wake()
+            for handle in self._handles.values():
+                handle.close()
+        finally:
+            for record in self._latest.values():
+                record.close()
+            if players is not None:
+                players.close()
+
+    def open(self) -> dict[str, dict[str, Any]]:
+        """Open every driver and return the properties of the devices, by stream.
+
+        Those of cameras are opened last: such a driver waits for the next frame with a timeout
+        that also delays closing, so that timeout is short.
+        """
+        description = {}
+        cameras = [name for name in self._names if self._kinds[name] == "camera"]
+        for names in ([name for name in self._names if name not in cameras], cameras):
+            for name in names:
+                self._handles[name] = StreamHandle(name, self._bench, self._folder)
+                path = self._folder / f"{name}.latest"
+                self._latest[name] = SharedLatest.attach(path, self._bench.row(name).latest)
+            for name in names:
+                self._interrupt.check()
+                description[name] = self._handles[name].wait_opened()
+        for name, handle in self._handles.items():
+            if self._kinds[name] == "force":
+                handle.set_bias(force_bias(self._source.streams[name]))
+        self._settle()
+        return description
+
+    def spec(self, name: str, description: dict[str, Any], attrs: dict[str, Any]) -> StreamSpec:
+        """Return a stream's storage spec: device as found by the driver, rest from the source."""
+        rate_hz = self._source.streams[name].rate_hz
+        return self._bench.row(name).spec(description, rate_hz, **attrs)
+
+    def record(self, name: str, path: Path) -> None:
+        """Append the stream's samples to the group at `path` from now on."""
+        self._handles[name].record(path)
+
+    def start_playback(self) -> int:
+        """Start playback and return the time at which its first row is due [ns]."""
+        players = self._started()
+        self._base = {name: record.count for name, record in self._latest.items()}
+        start_ns = self._clock.now_ns() + _LEAD_NS
+        players.start_playback(start_ns)
+        return start_ns
+
+    def watch(self) -> None:
+        """Wait until every stream has all its rows."""
+        players = self._started()
+        end = EndOfTape(self.totals, self._gap)
+        start_ns = said_ns = self._clock.now_ns()
+        while True:
+            self._interrupt.check()
+            for handle in self._handles.values():
+                handle.check()
+            players.check()
+            taken = {name: record.count - self._base[name] for name, record in self._latest.items()}
+            now_ns = self._clock.now_ns()
+            if end.reached(now_ns, taken, players.positions()):
+                return
+            if now_ns - said_ns >= _SAY_NS:
+                said_ns = now_ns
+                self._say(taken, (now_ns - start_ns) / SECOND_NS)
+            self._clock.sleep_until(now_ns + _LOOK_NS)
+
+    def _settle(self) -> None:
+        """Wait until the samples that the drivers needed to open have passed; they hold no row."""
+        begun_ns = changed_ns = self._clock.now_ns()
+        before: dict[str, int] = {}
+        while True:
+            self._interrupt.check()
+            counts = {name: record.count for name, record in self._latest.items()}
+            now_ns = self._clock.now_ns()
+            if counts != before:
+                before, changed_ns = counts, now_ns
+            enough = all(count >= _LEAD_IN[self._kinds[name]] for name, count in counts.items())
+            if enough and now_ns - changed_ns >= _SETTLE_NS:
+                return
+            if now_ns - begun_ns > _SETTLE_TIMEOUT * SECOND_NS:
+                raise DeviceLost(f"replay: drivers are open but show no sample: {counts}")
+            for handle in self._handles.values():
+                handle.check()
+            self._clock.sleep_until(now_ns + _LOOK_NS)
+
+    def _say(self, taken: dict[str, int], seconds: float) -> None:
+        total = sum(self.totals.values())
+        done = sum(taken.values()) / total if total else 1.0
+        left = seconds * (1 - done) / done if done > 0 else self.seconds
+        rows = "  ".join(f"{name} {taken[name]}/{self.totals[name]}" for name in self._names)
+        logger.info("replay %3.0f %%  %s  %s left", 100 * done, rows, duration(left))
+
+    def _started(self) -> Players:
+        if self._players is None:
+            raise DeviceLost("replay: its emulators are not running")
+        return self._players

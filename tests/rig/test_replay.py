@@ -38,10 +38,16 @@ from rig.devices.force.netft_emulator import NetFtEmulatorConfig, emulate
 from rig.devices.force.netft_recorded import force_counts
 from rig.devices.force.netft_wire import Page
 from rig.replay import replay as module
-from rig.replay.replay import EXIT_DIFFERENT, Replay, ReplayRequest
+from rig.replay.replay import (
+    EXIT_DIFFERENT,
+    MISSING_TIMEOUT,
+    STALL_TIMEOUT,
+    EndOfTape,
+    Replay,
+    ReplayRequest,
+)
 from rig.replay.replayable import replayable
 from rig.replay.result import Retiming, compared
-from rig.replay.run import MISSING_TIMEOUT, STALL_TIMEOUT, EndOfTape
 
 ALL = ("camera", "force", "pose", "taxels")
 TIMES = {"t_ns"}
