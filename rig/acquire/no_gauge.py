@@ -20,7 +20,7 @@ import numpy as np
 from PIL import Image
 
 from recorder import OUTCOMES, Session
-from rig.acquire.calibration import signal_onset, store
+from rig.acquire.calibration import onset, store
 from rig.acquire.calibration.home import home_calibration
 from rig.acquire.calibration.onset import TouchedSurface
 from rig.acquire.calibration.store import (
@@ -211,14 +211,6 @@ class Record(Protocol):
         """
 
 
-class StageStopped(Exception):
-    """A stage was stopped; `code` is the exit code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"exit code {code}")
-        self.code = code
-
-
 def prepare(
     file: BenchFile,
     calibrations: Path,
@@ -282,8 +274,8 @@ def find_surface(file: BenchFile, record: Record) -> HomeCalibration:
         touches,
         lambda ready: slowed(at_surface(ready, rough), TOUCH_BELOW, speed=TOUCH_SPEED),
     )
-    surface = signal_onset.evaluate(session, touches)
-    home = home_calibration(signal_onset.METHOD, surface, file, raised=rough)
+    surface = onset.touched_by_signal(session, touches)
+    home = home_calibration(onset.SIGNAL_METHOD, surface, file, raised=rough)
     print("\n".join(lines_of(surface, home)), flush=True)
     check_surface(surface, home.shift)
     return home
@@ -337,9 +329,9 @@ def largest_of(session: Session, index: int) -> tuple[float, np.ndarray | None]:
     if name is None:
         return float("nan"), None
     stream = session.streams[name]
-    start, end = signal_onset.span_of(session, index)
+    start, end = onset.span_of(session, index)
     rows = np.flatnonzero((stream.t_ns >= start) & (stream.t_ns < end))
-    levels = signal_onset.levels_of(stream, rows)
+    levels = onset.levels_of(stream, rows)
     motion = max((level.motion for level in levels), default=float("nan"))
     image = None
     if stream.traits.kind == "camera" and rows.size:

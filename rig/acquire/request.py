@@ -89,6 +89,14 @@ class CollectRequest:
         return done and session.status == "complete"
 
 
+class StageStopped(Exception):
+    """A stage was stopped; `code` is the exit code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"exit code {code}")
+        self.code = code
+
+
 def _resumed(path: Path, bench: Bench) -> tuple[Plan, int]:
     """Return plan and number of targets of a session, which must be of the bench."""
     session = Session(path)

@@ -172,7 +172,7 @@ class _StreamLoop:
         self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
         self._dropped_before = self._driver.dropped
         self._rejected_before = dict(self._driver.rejected)
-        self._pipe.send(("recording", self._writer.rows))
+        self._pipe.send(("recording", None))
 
     def _take(self, sample: dict[str, Any]) -> None:
         if self._bias is not None:

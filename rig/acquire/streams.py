@@ -89,11 +89,10 @@ class StreamHandle:
         """Return the newest SIGNAL_LATEST; None if the stream guards nothing."""
         return None if self._signal is None else self._signal.read()
 
-    def record(self, path: Path) -> int:
-        """Append to the stream group at `path` from now on; return its number of rows."""
+    def record(self, path: Path) -> None:
+        """Append to the stream group at `path` from now on."""
         self._send("record", path)
-        rows: int = self._answer("recording", 5.0)
-        return rows
+        self._answer("recording", 5.0)
 
     def latest(self) -> np.void | None:
         """Return the newest sample as a record of the stream's kind."""

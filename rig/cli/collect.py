@@ -6,10 +6,12 @@ import argparse
 import contextlib
 import dataclasses
 import functools
+from collections.abc import Callable
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DONE
-from rig.acquire.request import CollectRequest
+from rig.acquire.calibration.store import Calibration
+from rig.acquire.request import CollectRequest, StageStopped
 from rig.bench import guards
 from rig.bench.bench import Bench
 from rig.cli.options import (
@@ -128,7 +130,7 @@ def collect(
         print(f"complete: all {request.total} targets are done; {session} is left as it is")
         return EXIT_DONE
     with contextlib.ExitStack() as stack:
-        depth = 0.0
+        prepare: Callable[[Bench], Bench] | None = None
         if bench.no_gauge:
             from rig.acquire import no_gauge
 
@@ -154,18 +156,18 @@ def collect(
                         functools.partial(stage, recording, session.parent),
                         _show if bench.mock else confirm,
                     )
-            except no_gauge.StageStopped as stopped:
+            except StageStopped as stopped:
                 print("collect: a stage before the plan was stopped; nothing was collected")
                 return stopped.code
             request = dataclasses.replace(request, calibration=calibration)
-
-        def prepare(ready: Bench) -> Bench:
-            placed = calibration.applied(ready)
-            return guards.slowed(placed, depth) if bench.no_gauge else placed
-
+            prepare = functools.partial(_slowed, calibration, depth)
         return record(
             recording, request, prepare=prepare, sources=sources, truth=truth, watch=watch
         )
+
+
+def _slowed(calibration: Calibration, depth: float, bench: Bench) -> Bench:
+    return guards.slowed(calibration.applied(bench), depth)
 
 
 def _show(lines: list[str]) -> None:

@@ -11,7 +11,7 @@ from recorder import Session
 from recorder.command_line.errors import EXIT_DONE
 from rig.acquire.calibration import home, store
 from rig.acquire.calibration.store import require_gauge
-from rig.acquire.request import CollectRequest
+from rig.acquire.request import CollectRequest, StageStopped
 from rig.cli.options import recording_options
 from rig.cli.recording import Recording, measured, record, recording_of, stage, started_bench
 from rig.cli.terminal import require_terminal
@@ -102,7 +102,7 @@ def find_by_signal(recording: Recording) -> int:
             surface = no_gauge.find_surface(
                 recording.file, functools.partial(stage, started, folder)
             )
-        except no_gauge.StageStopped as stopped:
+        except StageStopped as stopped:
             print("home: not finished, nothing is stored; repeat the command")
             return stopped.code
     bench = recording.bench

@@ -16,8 +16,7 @@ from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.collector import Collector
-from rig.acquire.no_gauge import StageStopped
-from rig.acquire.request import CollectRequest
+from rig.acquire.request import CollectRequest, StageStopped
 from rig.bench.bench import Bench, BenchFile
 from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to, opened_page
 from rig.cli.terminal import confirm, deepest, motion_lines

@@ -48,10 +48,6 @@ class Folders:
         return self.campaigns / "again.yaml"
 
 
-class Refused(Exception):
-    """A request that has no answer; the text names the reason."""
-
-
 class Query(dict[str, str]):
     """Values of a request: the part of its address after `?`, whose length the server limits."""
 
@@ -60,13 +56,13 @@ class Query(dict[str, str]):
 
     def __missing__(self, key: str) -> str:
         """Refuse a request that lacks a value."""
-        raise Refused(f"{key}: missing")
+        raise ValueError(f"{key}: missing")
 
     def whole(self, key: str) -> int:
         """Return a whole number."""
         text = self[key]
         if not (text.isascii() and text.isdigit() and len(text) < 10):
-            raise Refused(f"{key}: found {text!r}; allowed: a whole number")
+            raise ValueError(f"{key}: found {text!r}; allowed: a whole number")
         return int(text)
 
 

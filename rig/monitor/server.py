@@ -32,7 +32,7 @@ from recorder import SessionError
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
 from rig.monitor.access import AccessPolicy, Site, headers_of, single_header, text_of
-from rig.monitor.lab import Folders, Lab, Refused
+from rig.monitor.lab import Folders, Lab
 from rig.monitor.live_view import SAMPLE_RATE_HZ, LiveView
 
 # Path of the lab's data.
@@ -187,7 +187,7 @@ class PageServer:
             body, kind = await asyncio.get_running_loop().run_in_executor(
                 self._reader, self._lab.answer, path.removeprefix(DATA), parts.query
             )
-        except (Refused, ValueError) as error:
+        except ValueError as error:
             return text_of(http.HTTPStatus.BAD_REQUEST, f"{error}\n")
         except (KeyError, IndexError, SessionError, ConfigError, OSError) as error:
             return text_of(http.HTTPStatus.NOT_FOUND, f"{_text(error)}\n")

@@ -17,8 +17,7 @@ import pytest
 from benchmarks.no_gauge import command
 from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
 from rig.acquire import no_gauge
-from rig.acquire.calibration.onset import Onset
-from rig.acquire.calibration.signal_onset import Way, onset_of, surface_of
+from rig.acquire.calibration.onset import Onset, Way, onset_of, surface_of
 from rig.acquire.calibration.store import (
     Calibration,
     FirstPressRecord,

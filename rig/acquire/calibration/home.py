@@ -15,8 +15,8 @@ from rig.acquire.calibration.onset import (
     combine,
     find_onset,
     slopes_of,
+    span_of,
 )
-from rig.acquire.calibration.signal_onset import span_of
 from rig.acquire.calibration.store import (
     HomeCalibration,
     bench_hash,
