@@ -14,10 +14,17 @@ from support.watching import jpeg
 
 from recorder import SessionWriter, StreamWriter, camera_spec
 from rig.bench.bench import Bench, bench_from
+from rig.core.clock import FakeClock
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.core.shared_memory import SharedLatest
-from rig.monitor.collection import MOST_PICTURES, MOST_PLOTS, LiveState, Picture
+from rig.monitor.collection import (
+    MOST_PICTURES,
+    MOST_PLOTS,
+    CollectionJob,
+    CollectionView,
+    Picture,
+)
 
 
 def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:
@@ -39,7 +46,7 @@ def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:
 
 
 @contextlib.contextmanager
-def seen(bench: Bench, folder: Path) -> Iterator[tuple[LiveState, dict[str, SharedLatest]]]:
+def seen(bench: Bench, folder: Path) -> Iterator[tuple[CollectionView, dict[str, SharedLatest]]]:
     with contextlib.ExitStack() as stack:
         records = {
             name: stack.enter_context(
@@ -49,10 +56,8 @@ def seen(bench: Bench, folder: Path) -> Iterator[tuple[LiveState, dict[str, Shar
             )
             for name in (row.name for row in bench.rows)
         }
-        yield (
-            stack.enter_context(contextlib.closing(LiveState(bench, folder, folder / "s.zarr", 0))),
-            records,
-        )
+        job = CollectionJob(bench, folder, folder / "s.zarr", (), 1, 0.0)
+        yield stack.enter_context(contextlib.closing(CollectionView(job, FakeClock()))), records
 
 
 def test_every_gauge_arm_and_taxel_array_has_its_own_values(tmp_path: Path) -> None:
@@ -103,7 +108,7 @@ def test_each_camera_has_its_own_picture(tmp_path: Path) -> None:
 def test_the_page_shows_a_bounded_number_of_pictures_and_plots(count: int, tmp_path: Path) -> None:
     bench = bench_with(count, count, count, count)
     with seen(bench, tmp_path) as (state, _):
-        shown = state.constants()
+        shown = state.hello()
         assert next(iter(shown["pictures"])) == "camera"
         assert len(shown["pictures"]) == min(2 * count + 1, MOST_PICTURES)
         assert len(shown["plots"]) == min(count + 1, MOST_PLOTS)

@@ -88,7 +88,7 @@ def test_the_address_is_printed_and_a_remote_one_has_the_token(
         page = opened(parse("--watch", "0"), tmp_path, stack)
         assert capsys.readouterr().out == f"watch it at http://127.0.0.1:{page.port}/\n"
     with contextlib.ExitStack() as stack:
-        opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
+        page = opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
         printed = capsys.readouterr().out
         assert f":{page.port}/?token=" in printed
         assert "not encrypted" in printed

@@ -54,7 +54,7 @@ NAMES = {
     "spoilt": "corrupt",
     "ballast": "reserved",
     "newtons": "force, errors",
-    "Look": "LiveState",
+    "Look": "CollectionView",
     "Walk": "PlanRunner",
     "Sentinels": "Interlocks",
     "Judgement": "Result",
