@@ -16,14 +16,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from recorder.archive.plan import FORMAT as ARCHIVE
 from recorder.archive.reader import describe_archive
 from recorder.session.accounts import Account, accounts_of, loss_lines
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.session.uncertainty import time_lines
-from recorder.spec import OUTCOMES, PHASES
-from recorder.store.attributes import says_it_is
+from recorder.spec import ARCHIVE_FORMAT, OUTCOMES, PHASES
+from recorder.store.documents import says_it_is
 from recorder.store.files import locate
 
 # Called with the number of images read and the total.
@@ -78,7 +77,7 @@ def describe(path: str | os.PathLike[str]) -> str:
     For a marker archive, the summary has one line per sensor.
     """
     files, place = locate(path)
-    if says_it_is(place, files, ARCHIVE):
+    if says_it_is(place, files, ARCHIVE_FORMAT):
         return describe_archive(path)
     session = Session(path)
     lines = [f"{session.name}  status {session.status}, {len(session.runs)} run(s)"]

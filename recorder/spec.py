@@ -15,6 +15,7 @@ import numpy as np
 from recorder.errors import SessionError
 
 FORMAT = "tactile-rig session"
+ARCHIVE_FORMAT = "tactile-rig markers"
 FORMAT_VERSION = 2
 
 # Axes of a wrench, by column.

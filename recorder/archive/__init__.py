@@ -16,13 +16,12 @@ from recorder.archive.arrays import (
 )
 from recorder.archive.check import check_archive, marker_flags
 from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs, press_rows
-from recorder.archive.plan import FORMAT, FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
+from recorder.archive.plan import FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
 from recorder.archive.reader import ArchivedSensor, MarkerArchive, Rows, Simulated, describe_archive
 from recorder.archive.writer import ArchiveWriter, SensorWriter, write_simulated
 
 __all__ = [
     "COLUMNS",
-    "FORMAT",
     "FORMAT_VERSION",
     "GIVEN",
     "MASKS",

@@ -59,15 +59,18 @@ SHADING = Representation(
 REPRESENTATIONS: Mapping[str, Representation] = {each.name: each for each in (MASKS, SHADING)}
 
 
+@dataclass(frozen=True)
 class ArchiveArray(ArrayLayout):
     """One array of an archive, of fixed length.
 
     A shard is written in one go under a name unique to its writer, made durable and then renamed.
     """
 
+    level: int = 3
+    """Level of zstd for new chunks; any is read."""
+
     # All shards are in one directory: one name to make durable, not a path.
     separator = "."
-    level = 3
 
     @property
     def shards(self) -> int:

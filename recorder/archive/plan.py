@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from recorder.archive.arrays import MASKS, ArchiveArray, Representation
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice
-from recorder.store.files import LOCAL, read_document, sync_directory, write_group
+from recorder.spec import ARCHIVE_FORMAT
+from recorder.store.documents import read_document, write_group
+from recorder.store.files import LOCAL, sync_directory
 
-FORMAT = "tactile-rig markers"
 FORMAT_VERSION = 1
 WRITING, COMPLETE = "writing", "complete"
 
@@ -215,7 +216,7 @@ def begin(path: Path, plan: ArchivePlan) -> None:
 def _build(path: Path, plan: ArchivePlan) -> None:
     path.mkdir(parents=True)
     own = {
-        "format": FORMAT,
+        "format": ARCHIVE_FORMAT,
         "format_version": FORMAT_VERSION,
         "status": WRITING,
         "sensors": [sensor.name for sensor in plan.sensors],

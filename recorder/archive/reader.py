@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.archive.arrays import COLUMNS, MASKS, REPRESENTATIONS, SIMULATED, ArchiveArray
-from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION
+from recorder.archive.plan import COMPLETE, FORMAT_VERSION
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
-from recorder.store.attributes import read_attrs
-from recorder.store.files import LOCAL, Files, locate, read_document
-from recorder.store.reader import ColumnReader, Table
+from recorder.spec import ARCHIVE_FORMAT
+from recorder.store.documents import read_attrs, read_document
+from recorder.store.files import LOCAL, Files, locate
+from recorder.store.reader import ColumnReader
+from recorder.store.tables import Table
 
 Rows = Sequence[int] | NDArray[np.integer[Any]] | slice
 
@@ -296,7 +298,7 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
 
 def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     """Return the attributes of an archive."""
-    attrs = read_attrs(path, files, what="archive", format_=FORMAT, version=FORMAT_VERSION)
+    attrs = read_attrs(path, files, what="archive", format_=ARCHIVE_FORMAT, version=FORMAT_VERSION)
     for key, kind in (("status", str), ("sensors", list), ("indenters", list)):
         if not isinstance(attrs.get(key), kind):
             raise SessionError(

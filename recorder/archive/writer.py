@@ -29,20 +29,13 @@ from recorder.archive.arrays import (
     checked_columns,
     column_array,
 )
-from recorder.archive.plan import COMPLETE, FORMAT, FORMAT_VERSION, LEDGER, ArchivePlan, begin
-from recorder.archive.reader import ArchivedSensor
+from recorder.archive.plan import COMPLETE, LEDGER, ArchivePlan, begin
+from recorder.archive.reader import ArchivedSensor, read_archive_attrs
 from recorder.errors import SessionError
 from recorder.spec import PHASES
 from recorder.store.array import Array
-from recorder.store.attributes import read_attrs
-from recorder.store.files import (
-    LOCAL,
-    TEMPORARY,
-    merge_attrs,
-    replace_file,
-    sync_directory,
-    write_group,
-)
+from recorder.store.documents import merge_attrs, write_group
+from recorder.store.files import TEMPORARY, replace_file, sync_directory
 
 _SOURCE_CHUNK = 256
 
@@ -179,7 +172,7 @@ class ArchiveWriter:
             left.unlink(missing_ok=True)
 
     def _attrs(self) -> dict[str, Any]:
-        return read_attrs(self.path, LOCAL, what="archive", format_=FORMAT, version=FORMAT_VERSION)
+        return read_archive_attrs(self.path)
 
 
 class SensorWriter:

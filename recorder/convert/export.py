@@ -13,11 +13,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from recorder.archive import FORMAT as ARCHIVE
 from recorder.archive import MarkerArchive
 from recorder.errors import SessionError
 from recorder.session.reader import Session
-from recorder.store.attributes import says_it_is
+from recorder.spec import ARCHIVE_FORMAT
+from recorder.store.documents import says_it_is
 from recorder.store.files import locate, sync_directory
 
 # Options of an export, and its progress callback.
@@ -177,7 +177,7 @@ def export(
 
 def _opened(source: str | os.PathLike[str]) -> Session | MarkerArchive:
     files, path = locate(source)
-    if says_it_is(path, files, ARCHIVE):
+    if says_it_is(path, files, ARCHIVE_FORMAT):
         return MarkerArchive(source)
     session = Session(source)
     if session.warning:

@@ -58,7 +58,8 @@ def _verify(copy: Layout) -> Iterator[int]:
 
 def _decode(source: Layout, copy: Layout) -> Iterator[int]:
     """Write the images of one column as lossless pixels; yield the number done."""
-    pixels = replace(copy, shape=(0, *copy.shape[1:]), codec="zstd")
+    level = images.PIXELS_LEVEL
+    pixels = replace(copy, shape=(0, *copy.shape[1:]), codec="zstd", level=level)
     shutil.rmtree(pixels.path)
     pixels.create()
     reader, decode = ColumnReader(source), images.decoder(source.column)

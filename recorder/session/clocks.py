@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
-from recorder.store.files import merge_attrs
+from recorder.store.documents import merge_attrs
 
 Floats = NDArray[np.float64]
 

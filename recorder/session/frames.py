@@ -17,8 +17,9 @@ from recorder.session.reader import Session
 from recorder.session.uncertainty import row_sigma, sigmas_of
 from recorder.session.window import align_window
 from recorder.spec import PHASES
-from recorder.store.files import merge_attrs, sync_directory
-from recorder.store.reader import declared_rows, write_table
+from recorder.store.documents import merge_attrs
+from recorder.store.files import sync_directory
+from recorder.store.tables import declared_rows, write_table
 
 Array = np.ndarray[Any, Any]
 
@@ -90,7 +91,7 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
     """
     parts = [
         _run_table(session, run, ticks, segment, rate_hz)
-        for run, ticks, segment in _run_ticks(session, rate_hz)
+        for run, ticks, segment in run_ticks(session, rate_hz)
     ]
     if not parts:
         parts = [_run_table(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64), rate_hz)]
@@ -150,18 +151,13 @@ def has_targets(session: Session) -> bool:
     return any(declared_rows(column, session.files) for column in columns)
 
 
-def whole_run(session: Session, run: int, rate_hz: float) -> Times:
-    """Return the ticks (n,) [ns] from the first sample of a run to its last."""
-    span = session.sources(run).span
-    return np.zeros(0, np.int64) if span is None else grid(span[0], span[0], span[1] + 1, rate_hz)
-
-
-def _run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
+def run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
     """Yield each run with its ticks and the segment of each tick."""
     segments = session.segments
     if not has_targets(session):
         for run in range(max(len(session.runs), 1)):
-            whole = whole_run(session, run, rate_hz)
+            span = session.sources(run).span
+            whole = grid(span[0], span[0], span[1] + 1, rate_hz) if span else np.zeros(0, np.int64)
             yield run, whole, np.full(len(whole), -1, np.int64)
         return
     for run in np.unique(segments["run"]):

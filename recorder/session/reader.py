@@ -24,10 +24,10 @@ from recorder.session.window import (
     ticks_before,
 )
 from recorder.spec import frame_columns, signal_of
-from recorder.store.attributes import read_order, read_session_attrs
+from recorder.store.documents import read_order, read_session_attrs
 from recorder.store.files import Files, locate
-from recorder.store.manifest import sealed_files
-from recorder.store.reader import Table
+from recorder.store.sealed import sealed_files
+from recorder.store.tables import Table
 
 Array = np.ndarray[Any, Any]
 

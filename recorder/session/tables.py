@@ -9,7 +9,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.session.reader import Session
-from recorder.store.files import read_document
+from recorder.store.documents import read_document
 
 # Names of the components of a row, by kind of stream.
 _COMPONENTS = {

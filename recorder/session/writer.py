@@ -23,11 +23,18 @@ from recorder.spec import (
     check_streams,
     reference_spec,
 )
-from recorder.store.attributes import check_session_attrs, read_session_attrs
-from recorder.store.files import json_bytes, merge_attrs, sync_directory, write_group
+from recorder.store.documents import (
+    check_session_attrs,
+    json_bytes,
+    merge_attrs,
+    read_session_attrs,
+    write_group,
+)
+from recorder.store.files import sync_directory
 from recorder.store.layout import StreamLayout, create_stream
-from recorder.store.manifest import hold, remove_unfinished, seal
-from recorder.store.reader import write_table
+from recorder.store.manifest import remove_unfinished, seal
+from recorder.store.sealed import hold
+from recorder.store.tables import write_table
 
 _CREATING = ".creating"
 

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store import images
-from recorder.store.files import LOCAL, Files, read_document, write_json
+from recorder.store.documents import ROWS_MAX, read_document, write_json
+from recorder.store.files import LOCAL, Files
 
 Array = np.ndarray[Any, Any]
 # (slots, 2): offset and length of each inner chunk; both are MISSING if there is none.
@@ -30,7 +31,6 @@ MISSING = 0xFFFF_FFFF_FFFF_FFFF
 CRC_BYTES = 4
 
 # Largest metadata accepted, so that a corrupt or hostile file cannot make a reader allocate memory.
-ROWS_MAX = 1 << 40
 SIDE_MAX = 1 << 16
 ROW_BYTES_MAX = 1 << 28
 CHUNK_BYTES_MAX = 1 << 30
@@ -103,6 +103,8 @@ class ArrayLayout:
     """Further attributes."""
     codec: str = "zstd"
     """`zstd`, or `jpeg` for images stored as JPEG."""
+    level: int = images.ZSTD_LEVEL
+    """Level of zstd for new chunks; any is read."""
     files: Files = field(default=LOCAL, repr=False, compare=False)
     """File access for the directory."""
 
@@ -114,16 +116,11 @@ class ArrayLayout:
     """True if a shard lists the checksums of its chunks before its index."""
 
     @property
-    def level(self) -> int:
-        """Level of zstd for new chunks; any is read."""
-        return images.ZSTD_LEVEL
-
-    @property
     def fill_value(self) -> Any:
-        """Value of missing data: NaN if the type allows it, so that it is recognisable."""
-        if self.data_type == "bool":
-            return False
-        return "NaN" if self.data_type.startswith("float") else 0
+        """Value of missing data: in shards NaN if the type allows it, to be recognisable."""
+        if self.sharded and self.data_type.startswith("float"):
+            return "NaN"
+        return np.zeros((), self.dtype).item()
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
@@ -247,7 +244,7 @@ class ArrayLayout:
             per_shard // inner[0],
             attributes,
             "jpeg" if codecs[0]["name"] == images.NAME else "zstd",
-            files,
+            files=files,
         )
 
     def encoded(self, rows: Array) -> bytes:

@@ -7,7 +7,6 @@ power failure.
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,14 +14,10 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import numpy as np
-
 from recorder.errors import SessionError
 
 # Suffix of a file that is still being written and not yet valid.
 TEMPORARY = ".tmp"
-# Largest file of metadata that is read [bytes]; the manifest of a day has a tenth of it.
-DOCUMENT_MAX = 1 << 28
 
 # Offset and length in a file [bytes].
 Range = tuple[int, int]
@@ -309,35 +304,6 @@ def _fsspec() -> Any:
     return fsspec
 
 
-# Metadata of a session or an archive: a JSON object per group and array.
-
-
-def read_document(files: Files, path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file, whose attributes, if any, are an object as well."""
-    try:
-        check_document_size(files, path)
-        document = json.loads(files.read(path))
-    except FileNotFoundError:
-        raise SessionError(f"{files.name(path)}: missing") from None
-    except (OSError, ValueError, RecursionError) as error:
-        raise SessionError(f"{files.name(path)}: not readable as JSON: {error}") from error
-    if not isinstance(document, dict):
-        found = type(document).__name__
-        raise SessionError(f"{files.name(path)}: found {found}, expected a JSON object")
-    if not isinstance(document.get("attributes", {}), dict):
-        attributes = document["attributes"]
-        raise SessionError(
-            f"{files.name(path)}: found attributes {attributes!r:.80}, expected a JSON object"
-        )
-    return document
-
-
-def check_document_size(files: Files, path: Path) -> None:
-    """Reject a local file that is too large for metadata, before it is read."""
-    if files.local and (size := path.stat().st_size) > DOCUMENT_MAX:
-        raise SessionError(f"{path}: found {size} bytes; allowed for metadata: {DOCUMENT_MAX}")
-
-
 # Changes of files on the disk.
 
 
@@ -381,43 +347,3 @@ def replace_file(path: Path, data: bytes, *, several: bool = False) -> None:
         os.close(fd)
     temporary.replace(path)
     sync_directory(path.parent)
-
-
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Replace a JSON file atomically.
-
-    Numpy scalars and arrays become numbers and lists.
-    """
-    replace_file(path, json_bytes(path, document))
-
-
-def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
-    """Return the content of a JSON file as `write_json` writes it."""
-    try:
-        return json.dumps(document, indent=2, allow_nan=False, default=_plain).encode()
-    except (TypeError, ValueError) as error:
-        raise SessionError(f"{path}: not storable as JSON: {error}") from error
-
-
-def write_group(path: Path, attrs: dict[str, Any]) -> None:
-    """Write the metadata of a Zarr group."""
-    write_json(path / "zarr.json", {"zarr_format": 3, "node_type": "group", "attributes": attrs})
-
-
-def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:
-    """Merge into the attributes of a group, atomically."""
-    document = read_document(LOCAL, path / "zarr.json")
-    before = document.get("attributes", {})
-    document["attributes"] = {**before, **attrs}
-    if document["attributes"] != before:
-        write_json(path / "zarr.json", document)
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    raise TypeError(f"{type(value).__name__} is not JSON")

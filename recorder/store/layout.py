@@ -17,8 +17,15 @@ from recorder.errors import SessionError
 from recorder.spec import Column, StreamSpec
 from recorder.store import images
 from recorder.store.array import ArrayLayout, check_shape
-from recorder.store.attributes import check_rate, check_stream_attrs
-from recorder.store.files import LOCAL, Files, merge_attrs, read_document, write_group, write_json
+from recorder.store.documents import (
+    check_rate,
+    check_stream_attrs,
+    merge_attrs,
+    read_document,
+    write_group,
+    write_json,
+)
+from recorder.store.files import LOCAL, Files
 
 # Chunks per shard of new columns. Sealing costs the same for every shard; the shards of JPEG
 # images would be small and many otherwise.
@@ -49,6 +56,7 @@ class Layout(ArrayLayout):
             rows_per_chunk,
             chunks_per_shard,
             codec=column.codec,
+            level=images.PIXELS_LEVEL if column.is_image else images.ZSTD_LEVEL,
         )
 
     @cached_property
@@ -63,11 +71,6 @@ class Layout(ArrayLayout):
             description=self.description,
             codec=self.codec,
         )
-
-    @property
-    def level(self) -> int:
-        """Level of zstd for new chunks; any is read."""
-        return images.PIXELS_LEVEL if self.column.is_image else images.ZSTD_LEVEL
 
     def partial(self, number: int) -> Path:
         """Return the path of the shard while it grows."""

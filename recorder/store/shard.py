@@ -16,14 +16,7 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store.array import CRC_BYTES, packed_crc, packed_index
 from recorder.store.files import TEMPORARY, sync_directory
-from recorder.store.journal import (
-    HEADER,
-    STEP,
-    GrowingLog,
-    JournalRecord,
-    RecordLog,
-    chunk_header,
-)
+from recorder.store.journal import HEADER, STEP, GrowingLog, JournalRecord, RecordLog, chunk_header
 from recorder.store.layout import Layout
 
 

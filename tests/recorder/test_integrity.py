@@ -281,7 +281,7 @@ def test_metadata_that_is_nested_or_large_without_end_is_refused(
         (path / "zarr.json").write_text(text)
         with pytest.raises(SessionError, match=message):
             Session(path)
-    monkeypatch.setattr("recorder.store.files.DOCUMENT_MAX", 10)
+    monkeypatch.setattr("recorder.store.documents.DOCUMENT_MAX", 10)
     with pytest.raises(SessionError, match="17 bytes; allowed for metadata: 10"):
         Session(path)
 

@@ -30,7 +30,7 @@ from recorder.session.loss import (
     lateness,
     other_rate,
 )
-from recorder.store.files import merge_attrs
+from recorder.store.documents import merge_attrs
 from tests.support.few import few
 
 Columns = dict[str, Any]

@@ -23,10 +23,10 @@ def test_settings_are_read_without_zarr() -> None:
 
 
 @pytest.mark.parametrize(
-    "before", ["recorder.checks", "recorder.checks.content", "recorder.settings"]
+    "before", ["recorder.checks", "recorder.checks.recover", "recorder.settings"]
 )
 def test_check_is_the_function_whatever_was_imported_before(before: str) -> None:
-    code = f"import {before}; from recorder import check; import recorder.checks.content; "
+    code = f"import {before}; from recorder import check; import recorder.checks.recover; "
     code += "import recorder; print(check.__module__, recorder.check is check)"
     assert python(code) == "recorder.checks.check True\n"
 

@@ -37,7 +37,7 @@ from recorder.checks.check import check
 from recorder.convert import Options, export
 from recorder.findings import faults
 from recorder.session.frames import grid, in_frame, write_frames
-from recorder.store.reader import Table
+from recorder.store.tables import Table
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from recorder.session import stream_writer
 from recorder.session.columns import Stream
 from recorder.store import journal
 from recorder.store.layout import StreamLayout, create_stream
-from recorder.store.reader import Table, write_table
+from recorder.store.tables import Table, write_table
 
 BLOCK = 64  # rows per journal at camera rates, and frames per image shard
 

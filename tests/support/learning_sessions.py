@@ -13,7 +13,7 @@ from support.marker_truth import VIEWS
 from support.sessions import reseal
 
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
-from recorder.store.files import merge_attrs
+from recorder.store.documents import merge_attrs
 from recorder.store.images import compress
 from recorder.store.layout import Layout
 from recorder.store.shard import ColumnLog

@@ -27,7 +27,7 @@ from recorder import (
     taxels_spec,
 )
 from recorder.spec import reference_spec
-from recorder.store.files import write_group
+from recorder.store.documents import write_group
 
 Columns = dict[str, Any]
 Change = Callable[[str, Columns], Columns]

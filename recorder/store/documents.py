@@ -1,25 +1,101 @@
-"""Attributes of sessions, streams and archives, and the bounds of those that readers compute with.
+"""Metadata of sessions, streams and archives: a JSON object per group and array.
 
-They are checked by name before any of them is used. Metadata may come from anybody: a value of
-another type, NaN, a huge number or a huge list is refused here, and not found later as a wrong time
-or a failed allocation.
+Attributes that readers compute with are checked by name before any of them is used. Metadata may
+come from anybody: a value of another type, NaN, a huge number or a huge list is refused here, and
+not found later as a wrong time or a failed allocation.
 """
 
 from __future__ import annotations
 
+import json
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from recorder.errors import SessionError
 from recorder.spec import FORMAT, FORMAT_VERSION, RATE_MAX_HZ, STATUSES
-from recorder.store.array import ROWS_MAX
-from recorder.store.files import LOCAL, Files, read_document
+from recorder.store.files import LOCAL, Files, replace_file
 
+# Largest file of metadata that is read [bytes]; the manifest of a day has a tenth of it.
+DOCUMENT_MAX = 1 << 28
+# Most rows of an array.
+ROWS_MAX = 1 << 40
 # Attribute of a closed session whose derived files are being built again: its status before.
 REBUILDING = "rebuilding"
+
+
+def read_document(files: Files, path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file, whose attributes, if any, are an object as well."""
+    try:
+        check_document_size(files, path)
+        document = json.loads(files.read(path))
+    except FileNotFoundError:
+        raise SessionError(f"{files.name(path)}: missing") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise SessionError(f"{files.name(path)}: not readable as JSON: {error}") from error
+    if not isinstance(document, dict):
+        found = type(document).__name__
+        raise SessionError(f"{files.name(path)}: found {found}, expected a JSON object")
+    if not isinstance(document.get("attributes", {}), dict):
+        attributes = document["attributes"]
+        raise SessionError(
+            f"{files.name(path)}: found attributes {attributes!r:.80}, expected a JSON object"
+        )
+    return document
+
+
+def check_document_size(files: Files, path: Path) -> None:
+    """Reject a local file that is too large for metadata, before it is read."""
+    if files.local and (size := path.stat().st_size) > DOCUMENT_MAX:
+        raise SessionError(f"{path}: found {size} bytes; allowed for metadata: {DOCUMENT_MAX}")
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Replace a JSON file atomically.
+
+    Numpy scalars and arrays become numbers and lists.
+    """
+    replace_file(path, json_bytes(path, document))
+
+
+def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
+    """Return the content of a JSON file as `write_json` writes it."""
+    try:
+        return json.dumps(document, indent=2, allow_nan=False, default=_plain).encode()
+    except (TypeError, ValueError) as error:
+        raise SessionError(f"{path}: not storable as JSON: {error}") from error
+
+
+def write_group(path: Path, attrs: dict[str, Any]) -> None:
+    """Write the metadata of a Zarr group."""
+    write_json(path / "zarr.json", {"zarr_format": 3, "node_type": "group", "attributes": attrs})
+
+
+def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:
+    """Merge into the attributes of a group, atomically."""
+    document = read_document(LOCAL, path / "zarr.json")
+    before = document.get("attributes", {})
+    document["attributes"] = {**before, **attrs}
+    if document["attributes"] != before:
+        write_json(path / "zarr.json", document)
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"{type(value).__name__} is not JSON")
+
+
+# Bounds of attributes.
 
 # Longest latency, exposure and interval [s]; the longest age of a valid sample and sync interval.
 SECONDS_MAX, AGE_MAX = 60.0, 1e9
