@@ -72,8 +72,8 @@ def write_table(
             chunks_per_shard=1,
         )
         document = layout.document()
-        for key in ("zarr_format", "node_type", "storage_transformers"):
-            document[key] = document.pop(key)  # in the order of keys that tables have
+        for own in ("zarr_format", "node_type", "storage_transformers"):
+            document[own] = document.pop(own)  # in the order of keys that tables have
         layout.path.mkdir()
         (layout.path / "zarr.json").write_text(json.dumps(document, indent=2))
         for number, first in enumerate(range(0, len(column), _CHUNK_ROWS)):
