@@ -94,8 +94,6 @@ class Reader:
 
     error: type[ValueError]
     """Raised for every invalid key or value."""
-    units: Mapping[type, Mapping[str, str]] = field(default_factory=dict)
-    """Units of fields whose metadata do not have them, by class and name."""
     stored: bool = False
     """True for values stored by a program: SI under the names of the fields, infinity as `inf`."""
     families: Mapping[Any, Callable[[Any], Mapping[str, type]]] = field(default_factory=dict)
@@ -140,7 +138,7 @@ class Reader:
             if key not in content and not _has_default(each):
                 raise self.error(f"{where}: missing {key}; known: {', '.join(fields)}")
         values = {
-            fields[key].name: self._field(kind, fields[key], hints, value, f"{where}.{key}")
+            fields[key].name: self._field(fields[key], hints, value, f"{where}.{key}")
             for key, value in content.items()
         }
         try:
@@ -160,15 +158,15 @@ class Reader:
             raise self.error(f"{where}.kind: {found}; allowed: {', '.join(by_kind)}")
         return self.build(by_kind[kind], content, where)
 
-    def key_of(self, kind: type, each: dataclasses.Field[Any]) -> str:
+    def key_of(self, each: dataclasses.Field[Any]) -> str:
         """Return the key of a field in files: its name, and its unit unless that is SI."""
-        unit = self._unit(kind, each)
+        unit = self._unit(each)
         return f"{each.name}_{unit}" if unit else each.name
 
     def _fields(self, kind: type) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
         for each in dataclasses.fields(kind):
             if each.init:
-                yield self.key_of(kind, each), each
+                yield self.key_of(each), each
 
     def _as_written(
         self, message: str, fields: Mapping[str, Any], content: Mapping[str, Any]
@@ -180,21 +178,13 @@ class Reader:
                 return f" (in SI units; the file has {key}: {content[key]})"
         return ""
 
-    def _unit(self, kind: type, each: dataclasses.Field[Any]) -> str | None:
-        if self.stored:
-            return None
-        unit: str | None = each.metadata.get("unit") or self.units.get(kind, {}).get(each.name)
-        return unit
+    def _unit(self, each: dataclasses.Field[Any]) -> str | None:
+        return None if self.stored else each.metadata.get("unit")
 
     def _field(
-        self,
-        kind: type,
-        each: dataclasses.Field[Any],
-        hints: Mapping[str, Any],
-        value: Any,
-        at: str,
+        self, each: dataclasses.Field[Any], hints: Mapping[str, Any], value: Any, at: str
     ) -> Any:
-        unit = self._unit(kind, each)
+        unit = self._unit(each)
         if each.metadata.get("pose"):
             if value is None:
                 return None

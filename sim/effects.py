@@ -5,7 +5,7 @@ Those that are off are compiled out of the kernels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from sim.errors import SceneError, check_kind, check_range
@@ -43,7 +43,7 @@ class Viscosity:
 
     ratios: tuple[float, ...]
     """Ratio of each branch's stiffness to the stiffness at rest, 0 to 100."""
-    times: tuple[float, ...]
+    times: tuple[float, ...] = field(metadata={"unit": "s"})
     """Relaxation time of each branch [s], 1e-6 to 1e6."""
     relaxes: Literal["all", "shear"] = "all"
     """`all`: Poisson's ratio is constant in time (Lee & Radok's assumption); `shear`: the response

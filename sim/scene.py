@@ -38,17 +38,17 @@ class Body:
         SceneError: A value is outside of the allowed range of its field.
     """
 
-    size_x: float = 20e-3
+    size_x: float = field(default=20e-3, metadata={"unit": "mm"})
     """Width along x [m], 1e-4 to 1."""
-    size_y: float = 20e-3
+    size_y: float = field(default=20e-3, metadata={"unit": "mm"})
     """Width along y [m], 1e-4 to 1."""
-    thickness: float = 4e-3
+    thickness: float = field(default=4e-3, metadata={"unit": "mm"})
     """Height from the base to the top (to the apex, with a dome) [m], 1e-4 to 1."""
-    modulus: float = 0.145e6
+    modulus: float = field(default=0.145e6, metadata={"unit": "kpa"})
     """Young's modulus at rest, after all relaxation [Pa], 1e2 to 1e9."""
     poisson: float = 0.45
     """Poisson's ratio at rest, 0 to 0.49995; 0.5 (incompressible) is not supported."""
-    dome_radius: float | None = None
+    dome_radius: float | None = field(default=None, metadata={"unit": "mm"})
     """Radius of a spherical top [m]; None: flat. At its lowest point, a corner or an end of the
     ellipse, the body must still be 5 % of the thickness high."""
     density: float = 1070.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -33,12 +33,12 @@ class Pattern:
     name: str
     shape: Shape
     """Shape of the markers; a diamond is a square rotated by 45 degrees."""
-    size: float
+    size: float = field(metadata={"unit": "mm"})
     """Width of a marker along x before rotation [m], 1e-5 to 0.1: a disc's diameter, a square's
     side, a diamond's diagonal."""
-    places: tuple[Place, ...]
+    places: tuple[Place, ...] = field(metadata={"unit": "mm"})
     """Centres of the markers (x, y) [m]."""
-    angle: float = 0.0
+    angle: float = field(default=0.0, metadata={"unit": "deg"})
     """Rotation of each marker about its centre, anticlockwise [rad], up to pi."""
 
     def __post_init__(self) -> None:

@@ -9,12 +9,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from recorder.settings import Reader
 from sim.effects import Effects
 from sim.errors import SceneError, check_range
 from sim.indenters import Indenter
 from sim.markers import Camera, Pattern, named
 from sim.scene import Body, Motion, Scene
-from sim.sensors.config import READER
 from sim.sensors.pins import Pins
 from sim.sensors.posterior import Posterior
 from sim.sensors.taxels import TaxelPad, TaxelSignal
@@ -212,6 +212,8 @@ class SimulatedSensor:
 
 
 # Sensors that come with the simulator, by name, and sensors from the user's files.
+
+READER = Reader(SceneError)
 
 # One file per sensor, named as the sensor.
 ROWS = Path(__file__).parent / "rows"

@@ -125,7 +125,7 @@ def test_an_unknown_setting_of_an_emulator_is_refused_with_all_that_there_are(
 ) -> None:
     with pytest.raises(SystemExit):
         main([name, '{"?": 0}'])
-    keys = {READER.key_of(settings_of(name), each) for each in fields(settings_of(name))}
+    keys = {READER.key_of(each) for each in fields(settings_of(name))}
     refusal = " ".join(capsys.readouterr().err.split())
     assert set(refusal.rpartition("known: ")[2].split(", ")) == keys
     if name in KINDS:

@@ -363,7 +363,7 @@ def _plain(spec: Any) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for item in dataclasses.fields(spec):
         value, unit = getattr(spec, item.name), item.metadata.get("unit")
-        key = READER.key_of(type(spec), item)
+        key = READER.key_of(item)
         if item.metadata.get("pose"):
             position = [round(1e3 * number, 9) for number in value[:3]]
             rotation = [round(math.degrees(number), 9) for number in value[3:]]
