@@ -3,23 +3,39 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import cast, get_args
 
 from recorder.command_line.options import add_device, numbers
+from sim.device import ready_device
 from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem import Fem
+from sim.indenters import (
+    NAMES,
+    UNITS,
+    UPS,
+    Indenter,
+    bar,
+    box,
+    cone,
+    flat_punch,
+    from_stl,
+    named,
+    plane,
+    rounded_cone,
+    sphere,
+    torus,
+    tube,
+)
+from sim.indenters.solid import REACH, Unit, Up
 from sim.layer import Layer
 from sim.scene import Body, Footprint
-
-if TYPE_CHECKING:
-    from sim.indenters import Indenter
-
 
 # Readers of option values: numbers, lists of numbers, pairs.
 
@@ -46,41 +62,40 @@ def branches(text: str) -> tuple[tuple[float, float], ...] | None:
 
 # The indenter: one of the 18 by name, a shape by its measures, or an STL file; and its tilt.
 
-# Values after the colon of `--shape`: lengths in [m], angles in [rad].
-Measures = dict[str, float]
-
-# Shapes by measure, and the measures that each requires; lengths [mm], `half_angle` [deg].
-NEEDS: dict[str, tuple[str, ...]] = {
-    "sphere": ("radius",),
-    "punch": ("radius",),
-    "cone": ("half_angle", "tip_radius"),
-    "rounded-cone": ("half_angle", "tip_radius"),
-    "box": ("width", "length"),
-    "bar": ("radius", "length"),
-    "torus": ("ring_radius", "tube_radius"),
-    "tube": ("outer_radius", "inner_radius"),
-    "plane": (),
+# Shapes by measure: the parameters of each but an edge radius are its measures, lengths [mm],
+# `half_angle` [deg].
+SHAPES: dict[str, Callable[..., Indenter]] = {
+    "sphere": sphere,
+    "punch": flat_punch,
+    "cone": cone,
+    "rounded-cone": rounded_cone,
+    "box": box,
+    "bar": bar,
+    "torus": torus,
+    "tube": tube,
+    "plane": plane,
 }
 # Radius of every convex edge, which each shape and file may be given.
 EDGE = "edge_radius"
 # Default edge radius of a shape by measure, as far as there is room. Most of the named shapes have
 # the same radius, since a sharp edge is never solved reproducibly.
 EDGE_MM = 0.3
-# Shapes without an edge to round.
-ROUND = ("sphere", "torus", "rounded-cone", "plane")
 # Suffix of a file given in place of a shape, and the keys that may follow it.
 FILE = ".stl"
 FILE_KEYS = ("unit", "up", EDGE)
 
 
+def _measures(shape: str) -> list[str]:
+    """Return the names of the measures that a shape requires."""
+    return [name for name in inspect.signature(SHAPES[shape]).parameters if name != EDGE]
+
+
 def add_indenter_options(parser: argparse.ArgumentParser) -> None:
     """Add `--shape`, `--tilt` and `--at`."""
-    from sim.indenters import NAMES, UNITS, UPS
-
     group = parser.add_argument_group("indenter")
     by_measure = "; ".join(
         f"{shape}{':' if keys else ''}{','.join(f'{key}=' for key in keys)}"
-        for shape, keys in NEEDS.items()
+        for shape, keys in ((shape, _measures(shape)) for shape in SHAPES)
     )
     group.add_argument(
         "--shape",
@@ -116,8 +131,6 @@ def indenter_of(options: argparse.Namespace) -> Indenter:
 
 
 def _upright(options: argparse.Namespace) -> Indenter:
-    from sim.indenters import NAMES, named
-
     shape, texts = split_shape(options.shape)
     if shape.lower().endswith(FILE):
         return _from_file(shape, texts, options)
@@ -125,20 +138,27 @@ def _upright(options: argparse.Namespace) -> Indenter:
     edge = sizes.pop(EDGE, None)
     if shape in NAMES and not sizes:
         return named(shape, edge)
-    if shape not in NEEDS:
+    if shape not in SHAPES:
         if shape in NAMES:
             raise SceneError(
                 f"--shape {shape}: {sorted(sizes)[0]} given; allowed: {EDGE}, its measures are "
                 "known"
             )
-        allowed = dict.fromkeys((*NAMES, *NEEDS))
+        allowed = dict.fromkeys((*NAMES, *SHAPES))
         raise SceneError(f"--shape: {shape!r}; allowed: {', '.join(allowed)}")
-    if set(sizes) != set(NEEDS[shape]):
-        listed = ", ".join(NEEDS[shape]) or "no measure"
+    if set(sizes) != set(_measures(shape)):
+        listed = ", ".join(_measures(shape)) or "no measure"
         raise SceneError(
             f"--shape {shape}: {', '.join(sorted(sizes)) or 'nothing'} given; allowed: {listed}"
         )
-    return _measured(shape, sizes, edge)
+    made = SHAPES[shape](**sizes)
+    if EDGE not in inspect.signature(SHAPES[shape]).parameters:
+        if edge is not None:
+            raise SceneError(f"--shape {shape}: {EDGE} given; allowed: none, it has no edge")
+        return made
+    if edge is None:
+        edge = min(metres(EDGE_MM), made.edge_radius_max)
+    return replace(made, edge_radius=edge)
 
 
 def split_shape(text: str) -> tuple[str, dict[str, str]]:
@@ -154,10 +174,6 @@ def split_shape(text: str) -> tuple[str, dict[str, str]]:
 
 
 def _from_file(path: str, texts: dict[str, str], options: argparse.Namespace) -> Indenter:
-    from sim.device import ready_device
-    from sim.indenters import UNITS, UPS, from_stl
-    from sim.indenters.solid import REACH, Unit, Up
-
     for key, text in texts.items():
         choices = {"unit": UNITS, "up": UPS}.get(key, ())
         if key not in FILE_KEYS or (choices and text not in choices):
@@ -176,30 +192,6 @@ def _from_file(path: str, texts: dict[str, str], options: argparse.Namespace) ->
     for note in indenter.solid.notes if indenter.solid else ():
         print(f"note: {note}", file=sys.stderr)
     return indenter
-
-
-def _measured(shape: str, sizes: Measures, edge: float | None) -> Indenter:
-    from sim import indenters
-
-    makers: dict[str, Callable[..., Indenter]] = {
-        "sphere": indenters.sphere,
-        "punch": indenters.flat_punch,
-        "cone": indenters.cone,
-        "rounded-cone": indenters.rounded_cone,
-        "box": indenters.box,
-        "bar": indenters.bar,
-        "torus": indenters.torus,
-        "tube": indenters.tube,
-        "plane": indenters.plane,
-    }
-    made = makers[shape](**sizes)
-    if shape in ROUND:
-        if edge is not None:
-            raise SceneError(f"--shape {shape}: {EDGE} given; allowed: none, it has no edge")
-        return made
-    if edge is None:
-        edge = min(metres(EDGE_MM), made.edge_radius_max)
-    return replace(made, edge_radius=edge)
 
 
 def _si(shape: str, key: str, text: str) -> float:

@@ -91,26 +91,6 @@ def _mm(random: _Random, low: float, high: float) -> float:
     return _MM * math.exp(random.uniform(math.log(low), math.log(high)))
 
 
-def _sphere(random: _Random) -> Indenter:
-    return sphere(_mm(random, 2.0, 8.0))
-
-
-def _punch(random: _Random) -> Indenter:
-    return flat_punch(_mm(random, 1.5, 4.5))
-
-
-def _cone(random: _Random) -> Indenter:
-    return cone(math.radians(random.uniform(20, 65)), _mm(random, 0.4, 1.5))
-
-
-def _box(random: _Random) -> Indenter:
-    return box(_mm(random, 1.5, 9.0), _mm(random, 3.0, 14.0))
-
-
-def _bar(random: _Random) -> Indenter:
-    return bar(_mm(random, 1.5, 5.0), _mm(random, 4.0, 14.0))
-
-
 def _tube(random: _Random) -> Indenter:
     inner = _mm(random, 1.2, 3.2)
     return tube(inner + _mm(random, 0.8, 2.0), inner)
@@ -151,11 +131,11 @@ def _dots(random: _Random) -> Indenter:
 
 
 _FAMILIES: tuple[Callable[[_Random], Indenter], ...] = (
-    _sphere,
-    _punch,
-    _cone,
-    _box,
-    _bar,
+    lambda random: sphere(_mm(random, 2.0, 8.0)),
+    lambda random: flat_punch(_mm(random, 1.5, 4.5)),
+    lambda random: cone(math.radians(random.uniform(20, 65)), _mm(random, 0.4, 1.5)),
+    lambda random: box(_mm(random, 1.5, 9.0), _mm(random, 3.0, 14.0)),
+    lambda random: bar(_mm(random, 1.5, 5.0), _mm(random, 4.0, 14.0)),
     _tube,
     _torus,
     _polygon,

@@ -17,41 +17,37 @@ from sim.indenters.solid import REACH, SPACING, Axis, Solid, Unit, Up, digest
 TIP_PLANE = Part("side", "half_plane", (0.0, -1.0, 0.0))
 
 
-def sphere(radius: float, *, name: str = "sphere") -> Indenter:
+def sphere(radius: float) -> Indenter:
     """Return a sphere [m]."""
     _check_length("sphere", "radius", radius)
-    return Indenter(name, (Part("turned", "circle", (0.0, radius, radius), "union"),))
+    return Indenter("sphere", (Part("turned", "circle", (0.0, radius, radius), "union"),))
 
 
-def torus(ring_radius: float, tube_radius: float, *, name: str = "torus") -> Indenter:
+def torus(ring_radius: float, tube_radius: float) -> Indenter:
     """Return a flat-lying torus with the radii of its middle line and of its tube [m]."""
     _check_length("torus", "tube_radius", tube_radius)
     check_range("torus", "ring_radius", ring_radius, tube_radius, 1.0, unit="m")
     values = (ring_radius, tube_radius, tube_radius)
-    return Indenter(name, (Part("turned", "circle", values, "union"),))
+    return Indenter("torus", (Part("turned", "circle", values, "union"),))
 
 
-def flat_punch(radius: float, edge_radius: float = 0.0, *, name: str = "flat_punch") -> Indenter:
+def flat_punch(radius: float, edge_radius: float = 0.0) -> Indenter:
     """Return a flat, round punch [m]."""
     _check_length("flat_punch", "radius", radius)
     wall = Part("turned", "half_plane", (1.0, 0.0, radius), "union")
-    return Indenter(name, (wall, TIP_PLANE), edge_radius)
+    return Indenter("flat_punch", (wall, TIP_PLANE), edge_radius)
 
 
-def tube(
-    outer_radius: float, inner_radius: float, edge_radius: float = 0.0, *, name: str = "tube"
-) -> Indenter:
+def tube(outer_radius: float, inner_radius: float, edge_radius: float = 0.0) -> Indenter:
     """Return a flat ring, the end of a tube with these radii [m]."""
     _check_length("tube", "inner_radius", inner_radius)
     check_range("tube", "outer_radius", outer_radius, inner_radius, 1.0, unit="m", open_low=True)
     middle, half = (outer_radius + inner_radius) / 2, (outer_radius - inner_radius) / 2
     wall = Part("turned", "band", (1.0, 0.0, middle, half), "union")
-    return Indenter(name, (wall, TIP_PLANE), edge_radius)
+    return Indenter("tube", (wall, TIP_PLANE), edge_radius)
 
 
-def cone(
-    half_angle: float, tip_radius: float = 0.0, edge_radius: float = 0.0, *, name: str = "cone"
-) -> Indenter:
+def cone(half_angle: float, tip_radius: float = 0.0, edge_radius: float = 0.0) -> Indenter:
     """Return a cone at `half_angle` [rad] from its axis, with a flat round tip [m].
 
     With the largest edge radius that fits, the tip is a sphere tangent to the side: see
@@ -62,7 +58,7 @@ def cone(
     cosine, sine = math.cos(half_angle), math.sin(half_angle)
     side = Part("turned", "half_plane", (cosine, -sine, tip_radius * cosine), "union", cosine=sine)
     tip = Part("side", "half_plane", (0.0, -1.0, 0.0), cosine=sine)
-    return Indenter(name, (side, tip), edge_radius)
+    return Indenter("cone", (side, tip), edge_radius)
 
 
 def rounded_cone(half_angle: float, tip_radius: float) -> Indenter:
@@ -74,26 +70,24 @@ def rounded_cone(half_angle: float, tip_radius: float) -> Indenter:
     return Indenter("rounded_cone", sharp.parts, min(tip_radius, sharp.edge_radius_max))
 
 
-def box(width: float, length: float, edge_radius: float = 0.0, *, name: str = "box") -> Indenter:
+def box(width: float, length: float, edge_radius: float = 0.0) -> Indenter:
     """Return a flat rectangle, `width` along x and `length` along y [m]."""
-    return Indenter(name, (*block(width, length), TIP_PLANE), edge_radius)
+    return Indenter("box", (*block(width, length), TIP_PLANE), edge_radius)
 
 
-def bar(radius: float, length: float, edge_radius: float = 0.0, *, name: str = "bar") -> Indenter:
+def bar(radius: float, length: float, edge_radius: float = 0.0) -> Indenter:
     """Return a round bar along y [m]."""
     _check_length("bar", "radius", radius)
     _check_length("bar", "length", length)
     round_side = Part("side", "circle", (0.0, radius, radius), "union")
     ends = Part("plan", "band", (0.0, 1.0, 0.0, length / 2))
-    return Indenter(name, (round_side, ends), edge_radius)
+    return Indenter("bar", (round_side, ends), edge_radius)
 
 
-def extruded(
-    values: Sequence[float], edge_radius: float = 0.0, *, name: str = "extruded"
-) -> Indenter:
+def extruded(values: Sequence[float], edge_radius: float = 0.0) -> Indenter:
     """Return a flat punch with the outline of a path in x and y (see `Part.values`)."""
     outline = Part("plan", "path", tuple(float(value) for value in values), "union")
-    return Indenter(name, (outline, TIP_PLANE), edge_radius)
+    return Indenter("extruded", (outline, TIP_PLANE), edge_radius)
 
 
 def plane() -> Indenter:

@@ -84,7 +84,7 @@ def blade(dice: Dice, unit: float) -> Indenter:
     edge = rounded(width * dice.one_of([0.1, 0.25, 0.4, 0.48]))
     if dice.chance(0.5):
         width, length = length, width
-    return shapes.box(rounded(width), rounded(length), edge, name="blade")
+    return replace(shapes.box(rounded(width), rounded(length), edge), name="blade")
 
 
 def _edge(dice: Dice, most: float) -> float:
@@ -101,7 +101,7 @@ def _polygon(dice: Dice, unit: float) -> Indenter:
         angle = math.tau * (corner + 0.6 * (dice.even(0.0, 1.0) - 0.5)) / corners
         radius = unit * dice.even(2.0, 5.0)
         values += [rounded(radius * math.cos(angle)), rounded(radius * math.sin(angle)), 0.0]
-    sharp = shapes.extruded(values, name="polygon")
+    sharp = replace(shapes.extruded(values), name="polygon")
     return replace(sharp, edge_radius=_edge(dice, sharp.edge_radius_max))
 
 
