@@ -90,15 +90,8 @@ RUN = 32
 
 
 @wp.func
-def sampled(vertex: wp.vec3, samples: float):
-    """Return a vertex with column and row in samples."""
-    shift = 0.5 * samples - 0.5
-    return wp.vec3(vertex[0] * samples + shift, vertex[1] * samples + shift, vertex[2])
-
-
-@wp.func
 def fractions(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
-    """Return barycentric coordinates of a sample's centre; -inf or NaN if there is no area."""
+    """Return barycentric coordinates of a pixel's centre; -inf or NaN if there is no area."""
     ab = b - a
     ac = c - a
     area = ab[0] * ac[1] - ab[1] * ac[0]
@@ -114,7 +107,7 @@ def fractions(a: wp.vec3, b: wp.vec3, c: wp.vec3, column: float, row: float):
 def cover_triangle(
     number: wp.array3d[wp.int64], frame: int, triangle: int, a: wp.vec3, b: wp.vec3, c: wp.vec3
 ):
-    """Update the number of every sample that a triangle covers."""
+    """Update the number of every pixel that a triangle covers."""
     last_column = float(number.shape[2] - 1)
     last_row = float(number.shape[1] - 1)
     left = wp.ceil(wp.max(wp.min(wp.min(a[0], b[0]), c[0]) - OVERLAP, 0.0))
@@ -135,18 +128,16 @@ def cover_triangle(
 def _cover_kernel():
     @wp.kernel(enable_backward=False, module="unique")
     def cover(
-        # Settings:
-        samples: float,
         # In: column, row, nearness
         vertex: wp.array3d[wp.vec3],
-        # Out: number of each sample
+        # Out: number of each pixel
         number_out: wp.array3d[wp.int64],
     ):
         frame, i, j = wp.tid()
-        a = sampled(vertex[frame, i, j], samples)
-        b = sampled(vertex[frame, i + 1, j], samples)
-        c = sampled(vertex[frame, i + 1, j + 1], samples)
-        d = sampled(vertex[frame, i, j + 1], samples)
+        a = vertex[frame, i, j]
+        b = vertex[frame, i + 1, j]
+        c = vertex[frame, i + 1, j + 1]
+        d = vertex[frame, i, j + 1]
         first = ((i << CELL_BITS) | j) << 1
         cover_triangle(number_out, frame, first, a, b, c)
         cover_triangle(number_out, frame, first + 1, a, c, d)
@@ -154,19 +145,19 @@ def _cover_kernel():
     return cover
 
 
-def see_triangles(vertex, samples: int) -> wp.array:
-    """Return the numbers of `samples` x `samples` samples per pixel (F, H, W) int64."""
+def see_triangles(vertex) -> wp.array:
+    """Return the number of each pixel (F, H, W) int64."""
     frames, x, y = vertex.shape
     if max(x, y) > CELL_MASK:
         raise SceneError(
             f"render.spacing: {x} x {y} points; allowed: up to {CELL_MASK} along each side"
         )
-    shape = (frames, HEIGHT * samples, WIDTH * samples)
+    shape = (frames, HEIGHT, WIDTH)
     number = wp.full(shape, NOTHING, dtype=wp.int64, device=vertex.device)
     wp.launch(
         _cover_kernel(),
         dim=(frames, x - 1, y - 1),
-        inputs=[float(samples), vertex],
+        inputs=[vertex],
         outputs=[number],
         device=vertex.device,
     )
@@ -178,7 +169,6 @@ def _material_kernel(run: int):
     @wp.kernel(enable_backward=False, module="unique")
     def find_material(
         # Settings:
-        samples: float,
         corner: wp.vec2,
         step: wp.vec2,
         # In:
@@ -196,9 +186,9 @@ def _material_kernel(run: int):
                 i = triangle >> (CELL_BITS + 1)
                 j = (triangle >> 1) & CELL_MASK
                 second = triangle & 1
-                a = sampled(vertex[frame, i, j], samples)
-                b = sampled(vertex[frame, i + 1, j + second], samples)
-                c = sampled(vertex[frame, i + 1 - second, j + 1], samples)
+                a = vertex[frame, i, j]
+                b = vertex[frame, i + 1, j + second]
+                c = vertex[frame, i + 1 - second, j + 1]
                 fraction = fractions(a, b, c, float(column), float(row))
                 # A quantity that is linear in space is linear in the image once divided by depth.
                 share_b = fraction[1] * b[2]
@@ -216,15 +206,15 @@ def _material_kernel(run: int):
     return find_material
 
 
-def find_material(top: Top, vertex, number, samples: int) -> wp.array:
-    """Return x and y [m] of the material point at each sample (F, H, W) vec2; NaN without gel."""
+def find_material(top: Top, vertex, number) -> wp.array:
+    """Return x and y [m] of the material point at each pixel (F, H, W) vec2; NaN without gel."""
     material = wp.empty(number.shape, dtype=wp.vec2, device=number.device)
     run = RUN if number.device.is_cpu else 1
     frames, rows, columns = number.shape
     wp.launch(
         _material_kernel(run),
         dim=(frames, rows, columns // run),
-        inputs=[float(samples), wp.vec2(*top.corner), wp.vec2(*top.step), vertex, number],
+        inputs=[wp.vec2(*top.corner), wp.vec2(*top.step), vertex, number],
         outputs=[material],
         device=number.device,
     )
@@ -235,8 +225,7 @@ def find_material(top: Top, vertex, number, samples: int) -> wp.array:
 #
 # A straight edge covers half of a pixel exactly when the pixel's centre lies on it. A pixel is
 # therefore marker (at least half covered) if the signed distance at its centre is not above 0. To
-# first order in the size of a pixel, this equals anti-aliasing and thresholding. With several
-# samples per pixel, covered samples are counted instead, which resolves bent edges and corners.
+# first order in the size of a pixel, this equals anti-aliasing and thresholding.
 
 # Pixels per byte of a packed mask.
 BITS = 8
@@ -280,32 +269,10 @@ def distance_at(textures: Distances, pattern: int, place: wp.vec2):
     return wp.lerp(low, high, up)
 
 
-@wp.func
-def covered(
-    material: wp.array3d[wp.vec2],
-    frame: int,
-    row: int,
-    column: int,
-    samples: int,
-    textures: Distances,
-    pattern: int,
-):
-    """Return the number of a pixel's samples that a marker covers."""
-    count = wp.int32(0)
-    for r in range(samples):
-        for c in range(samples):
-            place = material[frame, row * samples + r, column * samples + c]
-            if distance_at(textures, pattern, place) <= 0.0:
-                count += 1
-    return count
-
-
 @functools.cache
-def _mask_kernel(several: bool):
+def _mask_kernel():
     @wp.kernel(enable_backward=False, module="unique")
     def pack(
-        # Settings:
-        samples: int,
         # In:
         textures: Distances,
         material: wp.array3d[wp.vec2],
@@ -316,33 +283,28 @@ def _mask_kernel(several: bool):
         row = byte * BITS // WIDTH
         first = byte * BITS % WIDTH
         bits = wp.int32(0)
-        if wp.static(not several):
-            middle = material[frame, row, first + BITS // 2]
-            far = distance_at(textures, pattern, middle)
-            for k in range(BITS):
-                place = material[frame, row, first + k]
-                here = far
-                # The bilinear distance changes by at most sqrt 2 times the way.
-                if not 2.0 * wp.length_sq(place - middle) < far * far:
-                    here = distance_at(textures, pattern, place)
-                bits = 2 * bits + wp.where(here <= 0.0, 1, 0)
-        else:
-            for k in range(BITS):
-                count = covered(material, frame, row, first + k, samples, textures, pattern)
-                bits = 2 * bits + wp.where(2 * count >= samples * samples, 1, 0)
+        middle = material[frame, row, first + BITS // 2]
+        far = distance_at(textures, pattern, middle)
+        for k in range(BITS):
+            place = material[frame, row, first + k]
+            here = far
+            # The bilinear distance changes by at most sqrt 2 times the way.
+            if not 2.0 * wp.length_sq(place - middle) < far * far:
+                here = distance_at(textures, pattern, place)
+            bits = 2 * bits + wp.where(here <= 0.0, 1, 0)
         packed_out[frame, pattern, byte] = wp.uint8(bits)
 
     return pack
 
 
-def packed_masks(material, samples: int, textures: Textures) -> wp.array:
+def packed_masks(material, textures: Textures) -> wp.array:
     """Return packed masks (F, P, H W / 8) uint8 of every frame and pattern."""
     shape = (material.shape[0], len(textures), HEIGHT * WIDTH // BITS)
     packed = wp.empty(shape, dtype=wp.uint8, device=material.device)
     wp.launch(
-        _mask_kernel(samples > 1),
+        _mask_kernel(),
         dim=shape,
-        inputs=[samples, distances_of(textures), material],
+        inputs=[distances_of(textures), material],
         outputs=[packed],
         device=material.device,
     )
@@ -369,11 +331,9 @@ def distance_beside(
 
 
 @functools.cache
-def _coverage_kernel(several: bool):
+def _coverage_kernel():
     @wp.kernel(enable_backward=False, module="unique")
     def cover(
-        # Settings:
-        samples: int,
         # In:
         textures: Distances,
         material: wp.array3d[wp.vec2],
@@ -382,33 +342,29 @@ def _coverage_kernel(several: bool):
     ):
         frame, pattern, row, column = wp.tid()
         fraction = wp.float32(0.0)
-        if wp.static(several):
-            count = covered(material, frame, row, column, samples, textures, pattern)
-            fraction = float(count) / float(samples * samples)
-        else:
-            here = distance_at(textures, pattern, material[frame, row, column])
-            if wp.isfinite(here):
-                left = distance_beside(material, frame, row, column - 1, textures, pattern, here)
-                right = distance_beside(material, frame, row, column + 1, textures, pattern, here)
-                above = distance_beside(material, frame, row - 1, column, textures, pattern, here)
-                below = distance_beside(material, frame, row + 1, column, textures, pattern, here)
-                change = wp.length(wp.vec2(right - left, below - above)) * 0.5
-                fraction = wp.where(here <= 0.0, 1.0, 0.0)
-                if change > FLAT:
-                    fraction = wp.clamp(0.5 - here / change, 0.0, 1.0)
+        here = distance_at(textures, pattern, material[frame, row, column])
+        if wp.isfinite(here):
+            left = distance_beside(material, frame, row, column - 1, textures, pattern, here)
+            right = distance_beside(material, frame, row, column + 1, textures, pattern, here)
+            above = distance_beside(material, frame, row - 1, column, textures, pattern, here)
+            below = distance_beside(material, frame, row + 1, column, textures, pattern, here)
+            change = wp.length(wp.vec2(right - left, below - above)) * 0.5
+            fraction = wp.where(here <= 0.0, 1.0, 0.0)
+            if change > FLAT:
+                fraction = wp.clamp(0.5 - here / change, 0.0, 1.0)
         coverage_out[frame, pattern, row, column] = wp.uint8(fraction * 255.0 + 0.5)
 
     return cover
 
 
-def coverages(material, samples: int, textures: Textures) -> wp.array:
+def coverages(material, textures: Textures) -> wp.array:
     """Return each pixel's coverage by markers (F, P, H, W) uint8, 255 if complete."""
     shape = (material.shape[0], len(textures), HEIGHT, WIDTH)
     coverage = wp.empty(shape, dtype=wp.uint8, device=material.device)
     wp.launch(
-        _coverage_kernel(samples > 1),
+        _coverage_kernel(),
         dim=shape,
-        inputs=[samples, distances_of(textures), material],
+        inputs=[distances_of(textures), material],
         outputs=[coverage],
         device=material.device,
     )

@@ -35,18 +35,18 @@ from sim.scene import Body
 class View:
     """F frames as a camera sees them, from which any pattern can be rendered."""
 
-    def __init__(self, material, samples: int, body: Body) -> None:
-        """Hold `material`, x and y [m] at `samples` x `samples` samples per pixel (F, H, W)."""
-        self._material, self._samples, self._body = material, samples, body
+    def __init__(self, material, body: Body) -> None:
+        """Hold `material`, x and y [m] at each pixel (F, 480, 640)."""
+        self._material, self._body = material, body
 
     def __len__(self) -> int:
         """Return the number of frames."""
         return self._material.shape[0]
 
     def material(self) -> NDArray[np.float32]:
-        """Return undeformed x and y [m] of the material point at each sample (F, H, W, 2).
+        """Return undeformed x and y [m] of the material point at each pixel (F, 480, 640, 2).
 
-        NaN where there is no gel. H and W are 480 and 640 times the samples along a pixel's side.
+        NaN where there is no gel.
         """
         seen = self._material.numpy()
         if self._body.footprint == "rectangle":
@@ -56,7 +56,7 @@ class View:
 
     def packed(self, textures: Textures) -> NDArray[np.uint8]:
         """Return masks of every frame and pattern as packed bits (F, P, 38400)."""
-        return packed_masks(self._material, self._samples, textures).numpy()
+        return packed_masks(self._material, textures).numpy()
 
     def masks(self, textures: Textures) -> NDArray[np.bool_]:
         """Return masks (F, P, 480, 640): True if a marker covers at least half of a pixel."""
@@ -64,7 +64,7 @@ class View:
 
     def coverage(self, textures: Textures) -> NDArray[np.uint8]:
         """Return each pixel's coverage by markers, 255 if complete (F, P, 480, 640)."""
-        return coverages(self._material, self._samples, textures).numpy()
+        return coverages(self._material, textures).numpy()
 
 
 Array = NDArray[np.float64]
@@ -72,15 +72,12 @@ Surface = NDArray[np.float32]
 
 # Spacing of the points to which the surface is refined [m].
 SPACING = 0.1e-3
-# Samples along a pixel's side. Even numbers enlarge markers: anywhere between the two middle
-# samples, an edge covers half of them, which counts as half of the pixel.
-SAMPLES = (1, 3, 5, 7, 9)
 
 
 class Renderer:
     """Renderer of one gel under one camera; keeps constant data between calls.
 
-    A frame takes 5 MB of the device's memory, times the square of `samples`; patterns share it.
+    A frame takes 5 MB of the device's memory; patterns share it.
 
     Raises:
         SceneError: The camera is inside the gel, or an option is out of range.
@@ -92,7 +89,6 @@ class Renderer:
         camera: Camera | None = None,
         *,
         spacing: float = SPACING,
-        samples: int = 1,
         device: str = "cpu",
     ) -> None:
         """Prepare rendering of `body` with `camera`.
@@ -101,7 +97,6 @@ class Renderer:
             body: The gel.
             camera: The camera; by default the paper's.
             spacing: Spacing of the points to which the surface is refined [m].
-            samples: Samples along each side of a pixel; 1 is exact to first order in its size.
             device: `cpu`, `cuda:0` and the like.
         """
         self.body, self.camera = body, Camera.paper() if camera is None else camera
@@ -110,10 +105,7 @@ class Renderer:
                 f"camera.distance: {self.camera.distance:.6g} m; allowed: above the gel's "
                 f"thickness of {body.thickness:.6g} m (the camera would sit in it)"
             )
-        if samples not in SAMPLES:
-            allowed = ", ".join(map(str, SAMPLES))
-            raise SceneError(f"render.samples: {samples!r}; allowed: {allowed}")
-        self.samples, self.device = samples, device
+        self.device = device
         self._top = top_of(body, spacing)
         self._device_top = DeviceTop.of(self._top, device)
         self._lens = lens_of(self.camera)
@@ -142,9 +134,9 @@ class Renderer:
         taps = _taps(x, y, self._top.x, self._top.y)
         moved = self._checked(x, y, surface)
         vertex = see_vertices(self._lens, self._device_top, *taps, moved)
-        number = see_triangles(vertex, self.samples)
-        material = find_material(self._top, vertex, number, self.samples)
-        return View(material, self.samples, self.body)
+        number = see_triangles(vertex)
+        material = find_material(self._top, vertex, number)
+        return View(material, self.body)
 
     def displacement(self, x: Array, y: Array, surface: Surface) -> NDArray[np.float16]:
         """Return the displacement in the image of material points on the archives' lattice.

@@ -37,7 +37,7 @@ def draw(path: str | PathLike[str], states: Sequence[RenderState]) -> None:
     sheet = Image.new("RGB", (width, GAP + len(states) * (TILE[1] + CAPTION + GAP)), PAPER)
     pen = ImageDraw.Draw(sheet)
     for row, state in enumerate(states):
-        renderer = Renderer(state.body, Camera.paper(), samples=5)
+        renderer = Renderer(state.body, Camera.paper())
         textures = renderer.textures([named(name) for name in PATTERNS])
         before = renderer.undeformed().coverage(textures)[0]
         after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]

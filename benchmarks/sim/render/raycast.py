@@ -107,7 +107,12 @@ def cast_rays(
 
 
 def marked(pattern: Pattern, material: Array, samples: int) -> NDArray[np.bool_]:
-    """Return the mask (480, 640), True where markers cover at least half of the samples.
+    """Return the mask (480, 640), True where markers cover at least half of the samples."""
+    return 2 * fraction_of(pattern, material, samples) >= 1
+
+
+def fraction_of(pattern: Pattern, material: Array, samples: int) -> Array:
+    """Return the fraction of the samples of each pixel (480, 640) that markers cover.
 
     A point is compared with the marker with the nearest centre only, so markers must be less than
     0.7 times as wide as their distance.
@@ -119,7 +124,7 @@ def marked(pattern: Pattern, material: Array, samples: int) -> NDArray[np.bool_]
     _, nearest = cKDTree(centres).query(points[seen])
     inside[seen] = pattern.marker_distance(points[seen] - centres[nearest]) <= 0
     count = inside.reshape(HEIGHT, samples, WIDTH, samples).sum(axis=(1, 3))
-    return 2 * count >= samples**2
+    return np.asarray(count / samples**2)
 
 
 def _triangles(across: int, along: int) -> NDArray[np.int32]:

@@ -31,9 +31,7 @@ from sim.scene import Body
 REPEATS = 5
 
 
-def measure(
-    frames: int, samples: int, spacing: float, device: str, repeats: int
-) -> list[tuple[str, float, int]]:
+def measure(frames: int, spacing: float, device: str, repeats: int) -> list[tuple[str, float, int]]:
     """Return each stage's name, minimum time over `repeats` [s], and number of images."""
     body, lens, top = Body(), lens_of(Camera.paper()), top_of(Body(), spacing)
     states = [dent(depth=(k + 1) / frames * 1.5e-3) for k in range(frames)]
@@ -43,7 +41,7 @@ def measure(
     textures = Textures(patterns, body, device=device)
     device_top = DeviceTop.of(top, device)
     taps = cubic_taps(x, top.x), cubic_taps(y, top.y)
-    renderer = Renderer(body, spacing=spacing, samples=samples, device=device)
+    renderer = Renderer(body, spacing=spacing, device=device)
     here: Any = wp.array(surface, dtype=wp.vec3, device=device)
     images = frames * len(patterns)
 
@@ -61,11 +59,11 @@ def measure(
         return found, min(seconds[1:])
 
     vertex, to_vertices = timed(lambda: see_vertices(lens, device_top, *taps, here))
-    number, to_triangles = timed(lambda: see_triangles(vertex, samples))
-    material, to_material = timed(lambda: find_material(top, vertex, number, samples))
-    packed, to_masks = timed(lambda: packed_masks(material, samples, textures))
+    number, to_triangles = timed(lambda: see_triangles(vertex))
+    material, to_material = timed(lambda: find_material(top, vertex, number))
+    packed, to_masks = timed(lambda: packed_masks(material, textures))
     _, to_host = timed(packed.numpy)
-    _, to_grey = timed(lambda: coverages(material, samples, textures))
+    _, to_grey = timed(lambda: coverages(material, textures))
     _, to_field = timed(lambda: renderer.displacement(x, y, surface))
     _, whole = timed(lambda: renderer.see(x, y, surface).packed(textures))
     _, textured = timed(lambda: Textures(patterns, body, device=device))
@@ -86,7 +84,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
     add_device(parser)
     parser.add_argument("--frames", type=int, default=9, help="frames per batch")
-    parser.add_argument("--samples", type=int, default=1, help="samples along a pixel's side, odd")
     parser.add_argument(
         "--spacing-mm", type=float, default=SPACING * 1e3, help="spacing of the points [mm]"
     )
@@ -103,7 +100,6 @@ def run(options: argparse.Namespace) -> int:
     ready_device(options.device)
     rows = measure(
         options.frames,
-        options.samples,
         options.spacing_mm * 1e-3,
         options.device,
         options.repeats,
@@ -111,7 +107,7 @@ def run(options: argparse.Namespace) -> int:
     clock = "CPU time of one process" if options.device == "cpu" else "wall time"
     print(
         f"{wp.get_device(options.device).name}, {clock}; {options.frames} frames at once, "
-        f"{len(SIMULATED)} patterns, {options.samples} x {options.samples} samples a pixel, "
+        f"{len(SIMULATED)} patterns, "
         f"points every {options.spacing_mm:g} mm"
     )
     for name, seconds, count in rows:
