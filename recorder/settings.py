@@ -123,9 +123,7 @@ class Reader:
         `where` is its file and dotted path, for errors.
         """
         if not isinstance(content, dict):
-            raise self.error(
-                f"{where}: found {describe(content)}; allowed: a mapping of keys to values"
-            )
+            raise self._wrong(where, content, "a mapping of keys to values")
         content = dict(content)
         word = getattr(kind, "KIND", None)
         if word is not None and (found := content.pop("kind", word)) != word:
@@ -135,7 +133,7 @@ class Reader:
         if unknown := sorted(str(key) for key in content.keys() - fields.keys()):
             raise self.error(f"{where}: unknown {', '.join(unknown)}; {_known(unknown, fields)}")
         for key, each in fields.items():
-            if key not in content and not _has_default(each):
+            if key not in content and each.default is each.default_factory is dataclasses.MISSING:
                 raise self.error(f"{where}: missing {key}; known: {', '.join(fields)}")
         values = {
             fields[key].name: self._field(fields[key], hints, value, f"{where}.{key}")
@@ -151,8 +149,7 @@ class Reader:
         """Return the one of several dataclasses whose `KIND` a mapping names as its `kind`."""
         by_kind = {kind.KIND: kind for kind in kinds}
         if not isinstance(content, dict):
-            allowed = f"a mapping with kind {' or '.join(by_kind)}"
-            raise self.error(f"{where}: found {describe(content)}; allowed: {allowed}")
+            raise self._wrong(where, content, f"a mapping with kind {' or '.join(by_kind)}")
         if (kind := content.get("kind")) not in by_kind:
             found = f"found {kind!r}" if "kind" in content else "missing"
             raise self.error(f"{where}.kind: {found}; allowed: {', '.join(by_kind)}")
@@ -162,6 +159,9 @@ class Reader:
         """Return the key of a field in files: its name, and its unit unless that is SI."""
         unit = self._unit(each)
         return f"{each.name}_{unit}" if unit else each.name
+
+    def _wrong(self, where: str, value: Any, allowed: str) -> ValueError:
+        return self.error(f"{where}: found {describe(value)}; allowed: {allowed}")
 
     def _fields(self, kind: type) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
         for each in dataclasses.fields(kind):
@@ -242,8 +242,7 @@ class Reader:
         if origin is Literal:
             # True is 1 and 1.0 is 1 for Python, not for whoever reads the file.
             if not any(type(value) is type(each) and value == each for each in inner):
-                allowed = ", ".join(map(str, inner))
-                raise self.error(f"{where}: found {describe(value)}; allowed: {allowed}")
+                raise self._wrong(where, value, ", ".join(map(str, inner)))
             return value
         if origin is tuple:
             return self._tuple(inner, value, where, unit)
@@ -257,13 +256,13 @@ class Reader:
             if self.stored and value in ("inf", "-inf"):
                 return float(value)
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise self.error(f"{where}: found {describe(value)}; allowed: a number{_in(unit)}")
+                raise self._wrong(where, value, f"a number{_in(unit)}")
             if not math.isfinite(value):
                 raise self.error(f"{where}: found {value}; allowed: a finite number{_in(unit)}")
             return to_si(float(value), unit) if unit else float(value)
         if hint in (int, str, bool):
             if type(value) is not hint:
-                raise self.error(f"{where}: found {describe(value)}; allowed: {_WORDS[hint]}")
+                raise self._wrong(where, value, _WORDS[hint])
             return value
         if hint is Path:
             return Path(self._value(str, value, where, unit))
@@ -273,7 +272,7 @@ class Reader:
         self, inner: tuple[Any, ...], value: Any, where: str, unit: str | None
     ) -> tuple[Any, ...]:
         if not isinstance(value, list):
-            raise self.error(f"{where}: found {describe(value)}; allowed: a list")
+            raise self._wrong(where, value, "a list")
         each = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
         if len(each) != len(value):
             raise self.error(f"{where}: found {len(value)} values; allowed: {len(each)}{_in(unit)}")
@@ -288,9 +287,7 @@ class Reader:
         A name without a value is left out: so a file removes one of the file that it extends.
         """
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-            raise self.error(
-                f"{where}: found {describe(value)}; allowed: a mapping from names to values"
-            )
+            raise self._wrong(where, value, "a mapping from names to values")
         return {
             key: self._value(hint, item, f"{where}.{key}", unit)
             for key, item in value.items()
@@ -307,17 +304,15 @@ class Reader:
         kinds = self._members(known, value)
         if kinds and (len(known) == len(options) or isinstance(value, dict)):
             return self.build_one_of(kinds, value, where)
-        allowed = (
-            [f"a mapping with kind {' or '.join(each.KIND for each in kinds)}"] if kinds else []
-        )
-        for option in options:
-            if option in known:
-                continue
+        allowed = []
+        if kinds:
+            allowed.append(f"a mapping with kind {' or '.join(each.KIND for each in kinds)}")
+        for option in (each for each in options if each not in known):
             try:
                 return self._value(option, value, where, unit)
             except self.error as error:
                 allowed.append(str(error).rpartition("allowed: ")[2])
-        raise self.error(f"{where}: found {describe(value)}; allowed: {', or '.join(allowed)}")
+        raise self._wrong(where, value, ", or ".join(allowed))
 
     def _members(self, hints: Sequence[Any], value: Any) -> list[Any]:
         """Return the dataclasses that a mapping may describe, with the members of families."""
@@ -327,11 +322,6 @@ class Reader:
             family = self.families.get(hint)
             found += [hint] if family is None else family(kind).values()
         return found
-
-
-def _has_default(each: dataclasses.Field[Any]) -> bool:
-    missing = dataclasses.MISSING
-    return each.default is not missing or each.default_factory is not missing
 
 
 def _known(unknown: Sequence[str], fields: Mapping[str, Any]) -> str:

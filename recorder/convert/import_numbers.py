@@ -30,6 +30,7 @@ from recorder.convert.import_tracks import (
     TaxelOrder,
     Times,
     kind_of_name,
+    option_flag,
     rate_of,
     require_advance,
 )
@@ -142,11 +143,14 @@ _COLUMN = re.compile(
     r"^(?P<name>[A-Za-z]+)(?:\s*[(\[]\s*(?P<unit>[^)\]]+?)\s*[)\]]|_(?P<tail>\w+))?$"
 )
 _TIMES = ("t", "time", "timestamp")
-# Columns of a CSV file that are no forces: word, name, units.
-_OTHERS: dict[str, tuple[str, dict[str, float]]] = {
-    **{axis.lower(): (axis, LENGTH_UNITS) for axis in POSE_AXES[:3]},
-    **{axis.lower(): (axis, ANGLE_UNITS) for axis in POSE_AXES[3:]},
-    **{word: ("width", LENGTH_UNITS) for word in ("width", "opening")},
+# Axis or `t`, units, and the answer that has the unit of columns without one, by word.
+_WORDS: dict[str, tuple[str, dict[str, float], str]] = {
+    **{word: ("t", TIME_UNITS, "") for word in _TIMES},
+    **{axis.lower(): (axis, FORCE_UNITS, "units") for axis in AXES[:3]},
+    **{axis.lower(): (axis, TORQUE_UNITS, "torque_units") for axis in AXES[3:]},
+    **{axis.lower(): (axis, LENGTH_UNITS, "") for axis in POSE_AXES[:3]},
+    **{axis.lower(): (axis, ANGLE_UNITS, "") for axis in POSE_AXES[3:]},
+    **{word: ("width", LENGTH_UNITS, "") for word in ("width", "opening")},
 }
 
 
@@ -182,31 +186,21 @@ def parse_header(
 def _column(name: str, answers: Answers, where: str) -> tuple[str, float]:
     match = _COLUMN.match(name)
     word = match["name"].lower() if match else ""
-    unit = (match["unit"] or match["tail"]) if match else None
-    if word in _TIMES:
-        if unit is None:
-            raise SessionError(f"{where}: says no unit; name it such as {name}_s or {name} (ms)")
-        return "t", parse_unit(unit, TIME_UNITS, where)
-    for axis in AXES:
-        if word != axis.lower():
-            continue
-        known, default, option = (
-            (FORCE_UNITS, answers.units, "--units")
-            if axis[0] == "F"
-            else (TORQUE_UNITS, answers.torque_units, "--torque-units")
+    if match is None or word not in _WORDS:
+        raise SessionError(
+            f"{where}: not known; allowed: {', '.join(AXES)}, each with its unit, as Fx (N), and "
+            f"{', '.join(_TIMES)} with theirs; leave others out with --ignore NAME"
         )
-        if unit is None and default is None:
-            raise SessionError(f"{where}: says no unit; say {option} ({', '.join(known)})")
-        return axis, parse_unit(unit or default or "", known, where)
-    if word in _OTHERS:
-        name, units = _OTHERS[word]
-        if unit is None:
-            raise SessionError(f"{where}: says no unit; allowed: {', '.join(units)}")
-        return name, parse_unit(unit, units, where)
-    raise SessionError(
-        f"{where}: not known; allowed: {', '.join(AXES)}, each with its unit, as Fx (N), and "
-        f"{', '.join(_TIMES)} with theirs; leave others out with --ignore NAME"
-    )
+    meaning, units, option = _WORDS[word]
+    unit = match["unit"] or match["tail"] or (getattr(answers, option) if option else None)
+    if unit is not None:
+        return meaning, parse_unit(unit, units, where)
+    cure = f"allowed: {', '.join(units)}"
+    if option:
+        cure = f"say {option_flag(option)} ({', '.join(units)})"
+    elif meaning == "t":
+        cure = f"name it such as {name}_s or {name} (ms)"
+    raise SessionError(f"{where}: says no unit; {cure}")
 
 
 def read_lines(path: Path) -> list[list[str]]:
