@@ -131,9 +131,9 @@ def import_weights(file: Path, options: argparse.Namespace) -> int:
 
 def import_folder(folder: Path, options: argparse.Namespace) -> int:
     """Make or continue the archive of a folder and return the exit code."""
-    from learning.data.genforce import import_folder as import_published
-    from learning.data.genforce import read_compensation, read_plan
-    from learning.data.genforce.importing import SURFACES_MM, Choices
+    from learning.data.genforce.format import read_compensation
+    from learning.data.genforce.importing import SURFACES_MM, Choices, read_plan
+    from learning.data.genforce.importing import import_folder as import_published
     from learning.markers.build import summary
     from recorder import MarkerArchive
 

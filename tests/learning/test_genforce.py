@@ -17,16 +17,14 @@ from PIL import Image
 from support.learning_sessions import record
 from support.planned_archives import planned_archive
 
-from learning.data.genforce import (
+from learning.data.genforce.format import (
     Compensation,
-    import_folder,
-    layout_of,
+    GenForcePress,
     read_coefficients,
     read_compensation,
     read_mask,
 )
-from learning.data.genforce.format import GenForcePress
-from learning.data.genforce.importing import Choices
+from learning.data.genforce.importing import Choices, import_folder, layout_of
 from learning.data.genforce.turns import fitted_turn, turn_of
 from learning.data.matching import Chosen, read_presses
 from learning.errors import LearningError

@@ -22,8 +22,7 @@ from support.planned_archives import (
 )
 from support.simulated_archives import LAYER, make
 
-from learning.data.genforce import import_folder
-from learning.data.genforce.importing import Choices
+from learning.data.genforce.importing import Choices, import_folder
 from learning.data.join import join
 from learning.data.matching import Chosen, Presses, Tolerances, match
 from learning.data.splits import make_split

@@ -68,11 +68,7 @@ WHITE_ABOVE = 50
 
 
 def read_mask(path: Path) -> Packed:
-    """Read the packed mask (38400,) in a file.
-
-    Raises:
-        LearningError: The file is missing, corrupt, or of another size; the message names it.
-    """
+    """Read the packed mask (38400,) in a file."""
     if path.suffix == ".npy":
         return _of_array(read_array(path), path)
     return pack(_greys(path) > WHITE_ABOVE)
@@ -253,11 +249,7 @@ class Compensation:
 
 
 def read_coefficients(path: Path) -> tuple[float, ...]:
-    """Read the coefficients in a file: one per line, or in one line with commas.
-
-    Raises:
-        LearningError: The file is missing or empty, or a value is not a number.
-    """
+    """Read the coefficients in a file: one per line, or in one line with commas."""
     lines = _lines(path)
     if not lines:
         raise LearningError(f"{path}: is empty; expected coefficients, highest power first")
@@ -273,11 +265,7 @@ def read_coefficients(path: Path) -> tuple[float, ...]:
 
 
 def read_compensation(folder: Path) -> dict[str, Compensation]:
-    """Read the coefficients of all sensors in a folder: <sensor>_down.csv, <sensor>_up.csv.
-
-    Raises:
-        LearningError: The folder is missing, has no coefficients, or a file of a pair is missing.
-    """
+    """Read the coefficients of all sensors in a folder: <sensor>_down.csv, <sensor>_up.csv."""
     if not folder.is_dir():
         raise LearningError(f"{folder}: no such folder")
     halves = [path.stem.rpartition("_") for path in folder.glob("*_*.csv")]

@@ -77,12 +77,6 @@ from recorder.settings import Reader
 from recorder.spec import PHASES
 from trajectories import PressShear, Target, plan_to_json
 
-# Supported layouts and their descriptions.
-LAYOUTS: Mapping[str, str] = {
-    "training": "packed masks a contact point, with forces and depths",
-    "states": "simulated pictures by place and depth",
-    "raw": "a run as it was collected: pictures or taxels, forces, poses",
-}
 # Default size of a pixel of the authors' GelSights [mm].
 MM_PER_PX = 0.0249
 TAXELS_MM_PER_PX = 0.03671875
@@ -221,11 +215,7 @@ class _Folder:
 
 
 def read_plan(path: Path) -> PressShear:
-    """Read the plan of presses in a bench file or a simulated sensor's file, its `trajectory`.
-
-    Raises:
-        LearningError: No such file, or it has no valid press-shear plan.
-    """
+    """Read the plan of presses in a bench file or a simulated sensor's file, its `trajectory`."""
     reader = Reader(LearningError)
     content = reader.read(path)
     if "trajectory" not in content:
@@ -234,11 +224,7 @@ def read_plan(path: Path) -> PressShear:
 
 
 def layout_of(root: Path) -> str:
-    """Return the one of `LAYOUTS` that a folder has.
-
-    Raises:
-        LearningError: It has none of them, or is not a folder.
-    """
+    """Return the layout of a folder: `training`, `states` or `raw`."""
     if not root.is_dir():
         raise LearningError(f"{root}: no such folder")
     if (root / "img").is_dir():
@@ -249,7 +235,7 @@ def layout_of(root: Path) -> str:
         return "raw"
     raise LearningError(
         f"{root}: found no img, no <Pattern>_ref.jpg and no image/<indenter>-<date>_<time>; "
-        f"expected one of the layouts {', '.join(LAYOUTS)}"
+        "expected one of the layouts training, states, raw"
     )
 
 
@@ -264,11 +250,6 @@ def import_folder(
 
     All labels and lists are read first, so an invalid folder is rejected before anything is
     written. Masks are read as they are written.
-
-    Raises:
-        LearningError: A file or folder is missing or invalid; the message names it.
-        SessionError: Another archive exists at `out`.
-        OSError: The disk is full, or not writable.
     """
     chosen = choices or Choices()
     layout = layout_of(root)
