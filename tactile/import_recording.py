@@ -11,12 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from recorder import Session, SessionError
-from recorder.command_line.options import next_command, numbers
+from recorder.command_line.options import next_command
 from recorder.convert import (
-    FORCE_UNITS,
-    KINDS,
-    ORDERS,
-    TORQUE_UNITS,
     Answers,
     As,
     Draft,
@@ -55,15 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--yes", action="store_true", help="write without asking for approval of the page")
     add("--page", type=Path, metavar="HTML", help="page to draw (beside --out)")
     add("--like", type=Path, metavar="SESSION", help="take the answers of an earlier import")
-    add("--sensor", metavar="NAME", help="name of the sensor")
-    add("--indenter", metavar="NAME", help="name of what touched it")
-    add(
-        "--by-name",
-        action="store_true",
-        default=None,
-        help="recordings are named after what touched: ball_1, ball_2",
-    )
-    add("--operator", metavar="NAME", help="who recorded it")
     files = parser.add_argument_group("files whose kind is stated; all are one recording")
     for name in _FILES:
         files.add_argument(
@@ -73,55 +60,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             metavar="[STREAM=]PATH",
             help=f"a file of kind {name}; may be repeated, with names of the streams",
         )
-    told = parser.add_argument_group("what files may not tell")
-    tell = told.add_argument
-    several: dict[str, Any] = {"action": "append", "metavar": "[STREAM=]HZ"}
-    tell(
-        "--as",
-        dest="kinds",
-        action="append",
-        metavar="PATTERN=KIND",
-        help=f"files, topics or features of these names are {', '.join(KINDS)}",
-    )
-    tell("--fps", **several, help="images per second")
-    tell("--force-hz", **several, help="rows of forces, widths and poses per second")
-    tell("--taxels-hz", **several, help="scans of taxels per second")
-    tell(
-        "--taxel-order",
-        choices=ORDERS,
-        help="order of 48 numbers: taxel (x y z of each in turn) or axis (x of all, then y, then "
-        "z); default: by the resting counts",
-    )
-    tell("--units", metavar="UNIT", help=f"of forces: {', '.join(FORCE_UNITS)}")
-    tell("--torque-units", metavar="UNIT", help=f"of torques: {', '.join(TORQUE_UNITS)}")
-    tell("--width-unit", choices=("m", "mm"), help="of the width of a gripper")
-    tell("--ignore", action="append", metavar="NAME", help="leave out this CSV column")
-    tell(
-        "--stills",
-        action="store_true",
-        default=None,
-        help="each picture of a folder is a contact of its own",
-    )
-    tell(
-        "--no-contact",
-        action="append",
-        metavar="[NAME=]START:END",
-        help="seconds without contact in a recording; of single pictures, the name of one",
-    )
-    tell(
-        "--press",
-        action="append",
-        metavar="[NAME=]START:END",
-        help="seconds of a contact in a recording, or none, instead of looking for contacts",
-    )
-    tell("--lag", type=float, metavar="S", help="how much later the images show what forces show")
-    tell(
-        "--contact-frame",
-        type=numbers(6),
-        metavar="X,...",
-        help="x y z [m] and rotation vector [rad] in which poses give places and depths",
-    )
-    tell("--trim", action="store_true", default=None, help="cut files to the shortest of them")
+    unknown = parser.add_argument_group("what files may not tell")
+    for flag, option in Answers.options():
+        unknown.add_argument(flag, **option)
     import_genforce.add_options(parser)
 
 

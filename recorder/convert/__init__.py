@@ -6,12 +6,10 @@ docs/how-to/export-and-import.md describes the content of each format.
 
 from recorder.convert.export import FORMATS, Options, export
 from recorder.convert.genforce_format import DEPTH_UNKNOWN, FORCE_COLUMNS, POSE_COLUMNS
-from recorder.convert.import_numbers import FORCE_UNITS, TORQUE_UNITS, in_order, told_order
+from recorder.convert.import_numbers import in_order, told_order
 from recorder.convert.import_page import write_page
 from recorder.convert.import_session import Draft, draft_recordings, write_sessions
 from recorder.convert.import_tracks import (
-    KINDS,
-    ORDERS,
     Answers,
     As,
     MissingAnswer,
@@ -23,12 +21,8 @@ from recorder.convert.import_tracks import (
 __all__ = [
     "DEPTH_UNKNOWN",
     "FORCE_COLUMNS",
-    "FORCE_UNITS",
     "FORMATS",
-    "KINDS",
-    "ORDERS",
     "POSE_COLUMNS",
-    "TORQUE_UNITS",
     "Answers",
     "As",
     "Draft",

@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.convert.import_tracks import (
+    FORCE_UNITS,
     ORDERS,
+    TORQUE_UNITS,
     Answers,
     As,
     Floats,
@@ -38,23 +40,6 @@ from recorder.errors import SessionError
 from recorder.session.align import rotation_vector
 from recorder.spec import AXES
 
-# Newton per unit.
-FORCE_UNITS = {
-    "N": 1.0,
-    "mN": 1e-3,
-    "kN": 1e3,
-    "gf": 9.80665e-3,
-    "kgf": 9.80665,
-    "lbf": 4.4482216152605,
-}
-# Newton metre per unit.
-TORQUE_UNITS = {
-    "N m": 1.0,
-    "N mm": 1e-3,
-    "mN m": 1e-3,
-    "kgf cm": 9.80665e-2,
-    "lbf in": 0.1129848290276167,
-}
 # Nanoseconds per unit.
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 LENGTH_UNITS = {"m": 1.0, "mm": 1e-3}

@@ -12,6 +12,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from recorder.command_line.options import numbers
 from recorder.errors import SessionError
 from recorder.session.align import NS
 
@@ -21,6 +22,24 @@ KINDS: tuple[As, ...] = get_args(As)
 # Order of the 48 numbers of a row: x y z of each taxel in turn, or x of all taxels, then y, then z.
 TaxelOrder = Literal["taxel", "axis"]
 ORDERS: tuple[TaxelOrder, ...] = get_args(TaxelOrder)
+
+# Newton per unit.
+FORCE_UNITS = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "kN": 1e3,
+    "gf": 9.80665e-3,
+    "kgf": 9.80665,
+    "lbf": 4.4482216152605,
+}
+# Newton metre per unit.
+TORQUE_UNITS = {
+    "N m": 1.0,
+    "N mm": 1e-3,
+    "mN m": 1e-3,
+    "kgf cm": 9.80665e-2,
+    "lbf in": 0.1129848290276167,
+}
 
 
 def rate_option(kind: As) -> str:
@@ -52,48 +71,76 @@ class MissingAnswer(SessionError):
         self.option, self.choices = option, tuple(choices)
 
 
+def _answer(value: Any, about: str, /, **option: Any) -> Any:
+    """Return the field of an answer, whose metadata make its option of the command."""
+    return field(default=value, metadata={"help": about, **option})
+
+
+_FLAG: dict[str, Any] = {"action": "store_true", "default": None}
+_RATES: dict[str, Any] = {"action": "append", "metavar": "[STREAM=]HZ"}
+_SPANS: dict[str, Any] = {"action": "append", "metavar": "[NAME=]START:END"}
+
+
 @dataclass(frozen=True, slots=True)
 class Answers:
     """Answers to what the files of a recording cannot tell; stored in the session, for `--like`."""
 
-    sensor: str = ""
-    """Name of the sensor."""
-    indenter: str = ""
-    """Name of what touched it."""
-    by_name: bool = False
-    """True if each recording is named after what touched it: `ball_2` is `ball`."""
-    operator: str = ""
-    """Person who made the recordings."""
-    kinds: tuple[str, ...] = ()
-    """`PATTERN=KIND`: files, topics and features of these names are of that kind."""
-    fps: tuple[str, ...] = ()
-    """Images per second, `[STREAM=]HZ`."""
-    force_hz: tuple[str, ...] = ()
-    """Rows of forces per second, likewise; of widths and poses too."""
-    taxels_hz: tuple[str, ...] = ()
-    """Scans of taxels per second, likewise."""
-    taxel_order: TaxelOrder | None = None
-    """Order of the numbers in a row of taxels."""
-    units: str | None = None
-    """Unit of forces without a unit."""
-    torque_units: str | None = None
-    """Unit of torques without a unit."""
-    width_unit: str | None = None
-    """Unit of the width of a gripper: m or mm."""
-    ignore: tuple[str, ...] = ()
-    """Columns of CSV files to leave out."""
-    stills: bool = False
-    """True if each picture of a folder shows a contact of its own."""
-    trim: bool = False
-    """True to cut all tracks of a recording to the shortest."""
-    no_contact: tuple[str, ...] = ()
-    """`[RECORDING=]START:END` without contact [s]; of single pictures the name of one."""
-    press: tuple[str, ...] = ()
-    """`[RECORDING=]START:END` of a contact [s], or `none`; without one they are looked for."""
-    lag: float | None = None
-    """Seconds by which images or taxels show a contact later than the force, on their clocks."""
-    contact_frame: tuple[float, ...] = ()
-    """x y z [m] and rotation vector [rad] of the contact frame in which poses give a depth."""
+    sensor: str = _answer("", "name of the sensor", metavar="NAME")
+    indenter: str = _answer("", "name of what touched it", metavar="NAME")
+    by_name: bool = _answer(
+        False, "recordings are named after what touched: ball_1, ball_2", **_FLAG
+    )
+    operator: str = _answer("", "who recorded it", metavar="NAME")
+    kinds: tuple[str, ...] = _answer(
+        (),
+        f"files, topics or features of these names are {', '.join(KINDS)}",
+        flag="--as",
+        action="append",
+        metavar="PATTERN=KIND",
+    )
+    fps: tuple[str, ...] = _answer((), "images per second", **_RATES)
+    force_hz: tuple[str, ...] = _answer((), "rows of forces, widths and poses per second", **_RATES)
+    taxels_hz: tuple[str, ...] = _answer((), "scans of taxels per second", **_RATES)
+    taxel_order: TaxelOrder | None = _answer(  # noqa: RUF009
+        None,
+        "order of 48 numbers: taxel (x y z of each in turn) or axis (x of all, then y, then z); "
+        "default: by the resting counts",
+        choices=ORDERS,
+    )
+    units: str | None = _answer(None, f"of forces: {', '.join(FORCE_UNITS)}", metavar="UNIT")
+    torque_units: str | None = _answer(
+        None, f"of torques: {', '.join(TORQUE_UNITS)}", metavar="UNIT"
+    )
+    width_unit: str | None = _answer(None, "of the width of a gripper", choices=("m", "mm"))
+    ignore: tuple[str, ...] = _answer(
+        (), "leave out this CSV column", action="append", metavar="NAME"
+    )
+    stills: bool = _answer(False, "each picture of a folder is a contact of its own", **_FLAG)
+    trim: bool = _answer(False, "cut files to the shortest of them", **_FLAG)
+    no_contact: tuple[str, ...] = _answer(
+        (), "seconds without contact in a recording; of single pictures, the name of one", **_SPANS
+    )
+    press: tuple[str, ...] = _answer(
+        (),
+        "seconds of a contact in a recording, or none, instead of looking for contacts",
+        **_SPANS,
+    )
+    lag: float | None = _answer(
+        None, "how much later the images show what forces show", type=float, metavar="S"
+    )
+    contact_frame: tuple[float, ...] = _answer(
+        (),
+        "x y z [m] and rotation vector [rad] in which poses give places and depths",
+        type=numbers(6),
+        metavar="X,...",
+    )
+
+    @staticmethod
+    def options() -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield flag and settings of the option of each answer, for a parser."""
+        for each in fields(Answers):
+            option = dict(each.metadata)
+            yield option.pop("flag", option_flag(each.name)), {"dest": each.name, **option}
 
     def rate(self, kind: As, stream: str) -> float | None:
         """Return the stated rate of a stream (empty: the first of its kind), or None."""
