@@ -152,12 +152,7 @@ class SharedLatest:
 
 
 class AwaitedRecord:
-    """Reads a `SharedLatest` that another process creates, possibly later.
-
-    Args:
-        path: The file; None: it never exists.
-        dtype: Structured dtype of one record.
-    """
+    """Reads a `SharedLatest` that another process creates, possibly later; or never (no path)."""
 
     def __init__(self, path: Path | None, dtype: np.dtype[Any]) -> None:
         self._path = path

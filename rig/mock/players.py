@@ -16,7 +16,7 @@ from rig.core.playback import FAILED, POSITION, SYNC, position_path, stated_rate
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.settings import ArmConfig, PoseConfig, WrenchConfig
 from rig.devices.camera.settings import CameraConfig
-from rig.devices.force.netft_recorded import force_page
+from rig.devices.force.netft_emulator import force_page
 from rig.devices.force.settings import NetFtConfig
 from rig.devices.taxels.settings import XelaConfig
 from rig.mock.bench import free_loopback
@@ -34,16 +34,9 @@ PLAYED_BY = {
 
 
 class Players(ProcessGroup):
-    """Starts, cues and ends the emulators of a run, as a context manager.
+    """Starts, cues and ends the emulators of a run, each at its own loopback address.
 
-    Args:
-        session: The source.
-        names: Streams to play.
-        run: Number of the run.
-        hosts: Loopback address to listen on, by stream.
-        folder: Empty run folder.
-        clock: Clock.
-        speed: Multiple of the recorded speed; 0: as fast as read.
+    `speed` is a multiple of the recorded one; 0: as fast as read.
     """
 
     def __init__(
@@ -135,14 +128,7 @@ def playback_hosts(names: tuple[str, ...]) -> dict[str, str]:
 def replay_bench(
     session: Session, names: tuple[str, ...], hosts: Mapping[str, str], speed: float
 ) -> Bench:
-    """Return a bench with a session's devices at the addresses of their emulators.
-
-    Args:
-        session: The source.
-        names: Its streams to replay.
-        hosts: Loopback address of the emulator of each.
-        speed: Multiple of the recorded speed; 0: as fast as read.
-    """
+    """Return a bench with a session's devices at the addresses of their emulators."""
     attrs = session.attrs
     devices = {name: _device(session, name, hosts[name], speed) for name in names}
     # A lab bench needs an arm and an F/T sensor; those of a replay may never be opened.

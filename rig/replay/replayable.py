@@ -15,7 +15,7 @@ import numpy.typing as npt
 from recorder import Session, SessionError, Stream
 from rig.core.playback import stated_rate
 from rig.devices.camera.jpeg import is_whole, with_huffman_tables
-from rig.devices.force.netft_recorded import force_bias, force_counts, force_page
+from rig.devices.force.netft_emulator import force_bias, force_counts, force_page
 from rig.mock.players import PLAYED_BY
 
 Ints = npt.NDArray[np.int64]

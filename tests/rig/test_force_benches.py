@@ -22,8 +22,13 @@ from rig.core.samples import FORCE_LATEST
 from rig.devices.force.netft import NetFtDriver
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
 from rig.devices.force.nidaq import NidaqDriver
-from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
-from rig.devices.force.settings import NetFtConfig, NidaqConfig
+from rig.devices.force.settings import (
+    BEYOND_RATING,
+    LOST_BEFORE,
+    SATURATED,
+    NetFtConfig,
+    NidaqConfig,
+)
 from rig.mock.bench import MockBench
 from rig.mock.emulate import EMULATORS
 from rig.mock.world.truth import Truth

@@ -24,8 +24,7 @@ from rig.devices.force import nidaq
 from rig.devices.force.calibration import ToolTransform, read_calibration
 from rig.devices.force.nidaq import NidaqDriver
 from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
-from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED
-from rig.devices.force.settings import NidaqConfig
+from rig.devices.force.settings import BEYOND_RATING, LOST_BEFORE, SATURATED, NidaqConfig
 
 CLOCK = SystemClock()
 PORT = 31763

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.core.clock import SECOND_NS
-from rig.devices.force.sample_clock import SampleTimeline
+from rig.devices.force.nidaq import SampleTimeline
 
 RATE = 1000.0
 PERIOD = SECOND_NS // 1000

@@ -34,8 +34,7 @@ from rig.core.playback import (
 )
 from rig.core.realtime import RIG_PRIORITY
 from rig.core.shared_memory import SharedLatest
-from rig.devices.force.netft_emulator import NetFtEmulatorConfig, emulate
-from rig.devices.force.netft_recorded import force_counts
+from rig.devices.force.netft_emulator import NetFtEmulatorConfig, emulate, force_counts
 from rig.devices.force.netft_wire import Page
 from rig.replay import replay as module
 from rig.replay.replay import (

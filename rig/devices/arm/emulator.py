@@ -130,14 +130,7 @@ class ScriptClient(Client):
 
 
 class RtdeClient(Client):
-    """One RTDE connection: its recipes, and the inputs it owns.
-
-    Args:
-        peer: The connection.
-        controller: Source of outputs, destination of inputs.
-        owners: Client that may write each input; shared by all clients of a controller.
-        line: Fault injector of its data packages.
-    """
+    """One RTDE connection: its recipes, and the inputs it owns (`owners` is common to all)."""
 
     def __init__(
         self,

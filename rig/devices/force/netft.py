@@ -120,15 +120,7 @@ def remaining(clock: Clock, deadline_ns: int) -> float:
 
 
 def fetch(host: str, port: int, path: str, clock: Clock, deadline_ns: int) -> bytes:
-    """Return the body of a page, at most 1 MB.
-
-    Args:
-        host: Address of the box.
-        port: Port of its web server.
-        path: Path of the page, without its first slash.
-        clock: Clock of the deadline.
-        deadline_ns: Time by which the whole answer must be here [ns].
-    """
+    """Return the body of a page, at most 1 MB, whole by the deadline."""
     with socket.create_connection((host, port), remaining(clock, deadline_ns)) as connection:
         connection.sendall(
             f"GET /{path} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n\r\n".encode()

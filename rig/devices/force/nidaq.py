@@ -1,7 +1,7 @@
 """ATI DAQ F/T driver for an NI card: gauge voltages by NI-DAQmx, the wrench by the `.cal` file.
 
-The card's own clock paces the samples, so sample k was taken at k / rate of the card's time;
-rig/devices/force/sample_clock.py converts it to the host's clock. The bias is the rig's tare, in
+The card's own clock paces the samples, so sample k was taken at k / rate of the card's time, which
+is converted to the host's clock. The bias is the rig's tare, in
 newton: the map is linear, so that is the bias of the volts (rig/devices/force/calibration.py).
 
 With a local driver the library is called directly; with `grpc`, it calls an NI gRPC Device Server,
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,8 +33,7 @@ from rig.core.driver import ReceivingDriver
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES, packaged
 from rig.devices.force.calibration import TransducerCalibration, read_calibration
-from rig.devices.force.sample_clock import BEYOND_RATING, LOST_BEFORE, SATURATED, SampleTimeline
-from rig.devices.force.settings import NidaqConfig
+from rig.devices.force.settings import BEYOND_RATING, LOST_BEFORE, SATURATED, NidaqConfig
 
 logger = logging.getLogger(__name__)
 
@@ -66,6 +66,47 @@ _LOST_CODES = {
 }
 
 
+# Number of seconds over which the smallest delay counts: long enough to contain a quick answer even
+# on a busy machine, short enough to follow a card whose clock drifts (100 ppm are 0.4 ms in 4 s).
+_BUCKETS = 4
+
+
+class SampleTimeline:
+    """Maps sample numbers to host time by the lower envelope of the observations.
+
+    The host regularly reads the number of samples. Sample k cannot have been taken after the host
+    learnt of it, and the quickest answer is the closest: with period p, sample 0 is at the smallest
+    (host time - k p) of the last seconds. So the samples of one block do not all have the time at
+    which the block was read, and a late read changes nothing.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_ns = SECOND_NS / rate_hz
+        self._least: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)
+        self._last_ns = -1
+
+    def observe(self, newest: int, now_ns: int) -> None:
+        """Record that sample number `newest` existed at `now_ns`."""
+        delay_ns = now_ns - round(newest * self._period_ns)
+        second = now_ns // SECOND_NS
+        if self._least and self._least[-1][0] == second:
+            delay_ns = min(delay_ns, self._least.pop()[1])
+        self._least.append((second, delay_ns))
+
+    def time_ns(self, number: int) -> int:
+        """Return the best current estimate of the time of sample `number` [ns]."""
+        return min(delay_ns for _, delay_ns in self._least) + round(number * self._period_ns)
+
+    def take(self, first: int, count: int) -> npt.NDArray[np.int64]:
+        """Return times (count,) [ns] of samples from `first` on, later than all returned before."""
+        numbers = np.arange(count, dtype=np.int64)
+        regular = self.time_ns(first) + np.rint(numbers * self._period_ns).astype(np.int64)
+        # A new quickest answer moves the envelope back, but not before times already returned.
+        times: npt.NDArray[np.int64] = np.maximum(regular, self._last_ns + 1 + numbers)
+        self._last_ns = int(times[-1])
+        return times
+
+
 class _Overrun(Exception):
     """The buffer overflowed before it was read: samples are lost, the task must be restarted."""
 
@@ -74,7 +115,7 @@ class NidaqDriver(ReceivingDriver):
     """Stream of an ATI DAQ F/T transducer on an NI card.
 
     Columns: value (6,) float64 [N, N m] untared, seq int64 (number of the sample; lost samples
-    leave a gap), status int64 (rig/devices/force/sample_clock.py), t_ns.
+    leave a gap), status int64 (rig/devices/force/settings.py), t_ns.
     """
 
     def __init__(self, config: NidaqConfig, clock: Clock) -> None:

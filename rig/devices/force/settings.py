@@ -10,7 +10,15 @@ from rig.core.packaged import BENCHES, packaged
 from rig.core.stream_settings import StreamSettings
 from rig.devices.force.calibration import ToolTransform, read_calibration
 from rig.devices.force.netft_wire import ERROR_MASK, SATURATION_MASK
-from rig.devices.force.sample_clock import SATURATED
+
+# Status words of F/T sensors that transmit none: the problems of one sample.
+# Where the Net F/T box has a bit for the same problem, the number is the same.
+# A gauge is at the limit of its output: the wrench is wrong.
+SATURATED = 1 << 17
+# An axis is beyond its rated range, before the tare: a warning; the bench's limits decide.
+BEYOND_RATING = 1 << 16
+# Samples between this one and the previous one were lost.
+LOST_BEFORE = 1 << 15
 
 Axis = Literal["Fx", "Fy", "Fz", "Tx", "Ty", "Tz"]
 AXES: tuple[Axis, ...] = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")

@@ -34,12 +34,9 @@ _LONGEST = 64
 
 
 class HidDevice:
-    """One HID device, read report by report.
+    """One HID device, `/dev/hidrawN` or `vendor:product`, read report by report.
 
-    Args:
-        device: `/dev/hidrawN` or `vendor:product`.
-        what: Description of the device, for errors.
-        usage: HID usage page and usage of the required interface, if a device has several.
+    `usage` has page and usage of the required interface, if a device has several.
     """
 
     def __init__(self, device: str, what: str, usage: tuple[int, int]) -> None:

@@ -26,14 +26,7 @@ _POLL_NS = 400_000
 
 
 class WorldHost(Emulator):
-    """Steps a World along an arm's published motion, in its own thread.
-
-    Args:
-        world: The World.
-        arm: ARM_TRUTH record to follow.
-        states: WORLD_STATE record to publish to.
-        truth: Log of every state, closed with the host; or None.
-    """
+    """Steps a World along an arm's published motion, in its own thread."""
 
     def __init__(
         self, world: World, arm: SharedLatest, states: SharedLatest, truth: TruthLog | None

@@ -109,14 +109,7 @@ class Backdrop:
 
 
 class MarkerPicture:
-    """Markers of any shape on a lit gel.
-
-    Args:
-        background: Colour of the gel, RGB.
-        ink: Colour of the markers, RGB.
-        grey_noise: Standard deviation of the image noise [grey levels].
-        seed: Seed of the noise.
-    """
+    """Markers of any shape on a lit gel."""
 
     def __init__(
         self,
@@ -169,13 +162,7 @@ _SHADE, _SHADE_DEPTH = 90.0, 1.5e-3
 
 
 class MarkerCamera:
-    """Draws a `MarkerView` of a deformed surface.
-
-    Args:
-        view: Pattern and camera.
-        grey_noise: Standard deviation of the image noise [grey levels].
-        seed: Seed of the noise.
-    """
+    """Draws a `MarkerView` of a deformed surface."""
 
     def __init__(self, view: MarkerView, *, grey_noise: float = 0.0, seed: int = 0) -> None:
         self._view = view

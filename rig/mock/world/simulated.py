@@ -35,13 +35,7 @@ _MOVED = 2e-6
 
 
 class SimulatedWorld:
-    """Extrapolates the solver's last solution to each cycle of the arm.
-
-    Args:
-        spec: The sensor.
-        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
-        folder: Run folder, where the solver's records are.
-    """
+    """Extrapolates the solver's last solution to each cycle of the arm."""
 
     def __init__(self, spec: SimulatedSpec, contact_frame: tuple[float, ...], folder: Path) -> None:
         self._spec = spec
@@ -160,12 +154,7 @@ def gone_on(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
 
 
 class SimulatedView:
-    """Draws the simulated sensor's markers for a WORLD_STATE.
-
-    Args:
-        spec: The sensor.
-        folder: Run folder, where the solver's records are.
-    """
+    """Draws the simulated sensor's markers for a WORLD_STATE."""
 
     def __init__(self, spec: SimulatedSpec, folder: Path) -> None:
         self._markers, self._shape = markers_of(spec)
