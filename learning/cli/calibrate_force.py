@@ -64,7 +64,7 @@ def weights(text: str) -> list[float]:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.transfer.weigh import forces_of_holds, forces_of_rows, weigh
+    from learning.transfer.scale import forces_of_holds, forces_of_rows, weigh
 
     if options.out.exists():
         raise LearningError(f"--out: found {options.out}; allowed: a new folder")

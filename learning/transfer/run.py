@@ -32,7 +32,7 @@ from learning.force.export import export_onnx
 from learning.force.intervals import Scale
 from learning.force.model import load_force_model
 from learning.training.checkpoint import CONFIG, MODEL, read_model_folder, weights_hash
-from learning.transfer.calibrate import calibrate, forces_at
+from learning.transfer.by_place import ByPlace, forces_at
 from learning.transfer.deliver import (
     PRESSES,
     Card,
@@ -42,9 +42,8 @@ from learning.transfer.deliver import (
     lines_of,
     write_report,
 )
-from learning.transfer.few_labels import error_curve, gains_of_labels
 from learning.transfer.pairs import join_pair, split_pair
-from learning.transfer.tune import tune_by_place
+from learning.transfer.scale import error_curve, gains_of_labels
 from learning.translation.archive import Pair
 from recorder import MarkerArchive
 from recorder.processes import cores
@@ -151,47 +150,28 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     translator = settings.translators[0]
     trained = places.model(f"force-{source}-to-{target}.{method}.{translator}")
     stored = read_stored(places.compensation) if method in CHOICE_OF_METHOD else None
-    labels_as = relabelling(archive, Pair(source, target), method, stored)
-    trained = tune_by_place(
-        archive, source, target, split, trained, settings, labels_as, asked.device
-    )
-    calibration = calibrate(
-        archive,
-        source,
-        target,
-        load_force_model(trained, asked.device),
-        labels_as,
-        calibrates,
-        _scale(asked, method),
-    )
+    relabelled = relabelling(archive, Pair(source, target), method, stored)
+    by_place = ByPlace(archive, source, target, relabelled)
+    trained = by_place.tune(trained, split, settings, asked.device, "by place")
+    scale = _scale(asked, method)
+    model = load_force_model(trained, asked.device)
+    calibration = by_place.calibrate(model, calibrates, scale)
     # Its errors are measured: the delivered model learns the indenters that calibrated as well.
-    trained = tune_by_place(
-        archive,
-        source,
-        target,
-        split.trained_on(calibrates),
-        trained,
-        settings,
-        labels_as,
-        asked.device,
-        "all",
-    )
+    whole = split.trained_on(calibrates)
+    trained = by_place.tune(trained, whole, settings, asked.device, "all")
     factor = 1.0 if method != UNSCALED or asked.ratio is None else asked.ratio
-    calibration = replace(
-        calibration, intervals=calibration.intervals.rescaled(factor, _scale(asked, method))
-    )
+    intervals = calibration.intervals.rescaled(factor, scale)
     factors = np.full(3, factor)
     history: tuple[str, ...] = ()
     curve: list[dict[str, str]] = []
     if asked.labels is not None:
         few = read_labels(asked.labels, asked.target.archive, asked.target.sensor)
         given = factor * forces_at(archive[target], few.rows, load_force_model(trained))
-        curve = error_curve(few, given, calibration.intervals)
-        gains, scale, text = gains_of_labels(few, given, calibration.intervals)
+        curve = error_curve(few, given, intervals)
+        gains, scale, text = gains_of_labels(few, given, intervals)
         factors = factor * gains
         history = (text,)
-        rescaled = calibration.intervals.rescaled(gains.tolist(), scale)
-        calibration = replace(calibration, intervals=rescaled)
+        intervals = intervals.rescaled(gains.tolist(), scale)
 
     card = Card(
         source=source,
@@ -200,13 +180,14 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         translator=translator,
         seen=tuple(sorted({each.indenter for each in split.presses if each.role == "train"})),
         pairs=_met(archive, source, target),
-        intervals=calibration.intervals,
+        intervals=intervals,
         history=history,
     )
     deliver(trained, asked.model, card, factors.tolist())
     _deliver_before(places.model(f"force-{source}"), asked.before)
     scaled = replace(
         calibration,
+        intervals=intervals,
         predicted=factors * calibration.predicted,
         wanted=factors * calibration.wanted,
     )

@@ -27,10 +27,9 @@ from learning.force.intervals import (
     measured_scale,
     read_intervals,
 )
-from learning.transfer.few_labels import error_curve, gains_of_labels
 from learning.transfer.pairs import join_pair, labels_by_place, split_pair
+from learning.transfer.scale import error_curve, forces_of_holds, gains_of_labels
 from learning.transfer.score import score_of
-from learning.transfer.weigh import forces_of_holds
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
 from recorder.spec import PHASES
