@@ -58,7 +58,6 @@ def run_training(
         kind,
         settings,
         " ".join(data),
-        True,
         metadata=metadata,
         writes=writes,
     ) as run:

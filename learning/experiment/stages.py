@@ -493,7 +493,7 @@ class Experiment:
     def _open(self, name: str, settings: ForceSettings, data: str) -> RunFolder:
         """Open the run folder of a force model."""
         data = f"{self._data} {data}"
-        return RunFolder.open(self.places.model(name), KIND, settings, data, True, keep=1)
+        return RunFolder.open(self.places.model(name), KIND, settings, data, keep=1)
 
     def _force_settings(self, *, tuning: bool = False) -> ForceSettings:
         return force_settings(self.settings, self.archive, self.device, tuning=tuning)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -168,12 +167,12 @@ def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: Forc
     return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
 
 
-def told(calibration: Calibration) -> Iterator[str]:
-    """Yield lines about intervals that are written beside a model."""
+def told(calibration: Calibration) -> str:
+    """Return a line about intervals that are written beside a model."""
     intervals = calibration.intervals
     low, high = intervals.of(calibration.predicted)
     shear, normal = ((high - low)[:, axes].mean() / 2 for axes in (slice(0, 2), 2))
-    yield (
+    return (
         f"90 % intervals, by frames under {', '.join(intervals.indenters)}: in "
         f"the mean +-{shear:.3f} N of shear, +-{normal:.3f} N of Fz"
     )

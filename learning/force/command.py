@@ -6,7 +6,6 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,8 +15,6 @@ from recorder.command_line.options import names
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    import torch
-
     from learning.data.presses import Presses
     from learning.data.splits import Role, Split
     from learning.force.labels import LabelSource
@@ -72,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Train, and return the exit code."""
     from learning.archive_writer import archive_fingerprint
-    from learning.data.presses import press_table
+    from learning.data.presses import load_presses, press_table
     from learning.force.folder import model_name
     from learning.force.labels import label_source
     from learning.force.model import KIND, load_force_model
@@ -100,28 +97,28 @@ def run(options: argparse.Namespace) -> int:
             source.of(press_table(archive[name], rows)).require_wrench()
 
     def train(session: Session) -> Iterator[str]:
-        presses, validation = (
-            [
-                each
-                for name in sensors
-                if len(
-                    each := _presses(archive[name], split, role, settings, source, session.device)
-                )
-            ]
-            for role in ("train", "validation")
-        )
+        def load(role: Role) -> list[Presses]:
+            found = []
+            for name in sensors:
+                rows, form = split.rows(archive[name].table, role), settings.input.stored_form
+                if not len(rows):
+                    continue
+                with ItemProgress("frames", sys.stderr) as frames:
+                    presses = load_presses(
+                        archive[name], rows, device=session.device, form=form, progress=frames
+                    )
+                found.append(source.of(presses))
+            return found
+
+        presses, validation = load("train"), load("validation")
         with session.stop:
             model = train_force(
-                presses,
-                settings,
-                session,
-                validation=validation,
-                start_from=start_from,
+                presses, settings, session, validation=validation, start_from=start_from
             )
         if not session.run.writes:
             return iter(())
-        trained = Trained(out, archive, split, settings, source, model)
-        return trained.written(presses, validation)
+        own_twin = archive[sensors[0]] if source.own_twin else None
+        return _delivered(out, archive, split, settings, model, presses, validation, own_twin)
 
     # By these, a live stream is read as the pictures were from which the model learned.
     made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
@@ -157,118 +154,99 @@ def _origin(sensor: ArchivedSensor, source: LabelSource) -> dict[str, str]:
     return {"method": source.method, "translator": str(sensor.attrs.get("model", "unknown"))}
 
 
-def _presses(
-    sensor: ArchivedSensor,
+def _delivered(
+    out: Path,
+    archive: MarkerArchive,
     split: Split,
-    role: Role,
     settings: ForceSettings,
-    source: LabelSource,
-    device: torch.device,
-) -> Presses:
-    from learning.data.presses import load_presses
+    model: ForceModel,
+    presses: list[Presses],
+    validation: list[Presses],
+    own_twin: ArchivedSensor | None,
+) -> Iterator[str]:
+    """Write ONNX, card and, of a sensor's own twin, intervals; yield the lines that report it."""
+    from learning.force.export import export_onnx
+    from recorder.pages import render
+    from recorder.store import replace_file
 
-    rows, form = split.rows(sensor.table, role), settings.input.stored_form
-    with ItemProgress("frames", sys.stderr) as frames:
-        presses = load_presses(sensor, rows, device=device, form=form, progress=frames)
-    return source.of(presses)
+    def indenters(role: Role) -> list[str]:
+        return sorted({press.indenter for press in split.presses if press.role == role})
+
+    yield f"{out}: trained on {sum(map(len, presses)):,} presses"
+    yield from _partly_labelled(model, presses)
+    errors = [_errors(model, each) for each in validation]
+    yield from errors
+    if own_twin is not None:
+        yield from _with_intervals(out, archive, own_twin, split, model)
+    difference = export_onnx(model, out / ONNX)
+    card = render(
+        Path(__file__).with_name(CARD),
+        sensors=[each.sensor for each in presses],
+        axes=model.axes,
+        description=settings.description,
+        seed=settings.seed,
+        millions=sum(weight.numel() for weight in model.parameters()) / 1e6,
+        archive=archive.name,
+        presses=sum(map(len, presses)),
+        frames=sum(each.frames for each in presses),
+        indenters=indenters("train"),
+        tested=indenters("new_indenter"),
+        errors=errors,
+        difference=difference,
+    )
+    replace_file(out / CARD, card.encode())
+    yield f"{out / ONNX}, {out / CARD}: written"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trained:
-    """A model that was trained, and what it was trained on."""
+def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:
+    """Yield lines on axes and frames without a label, of which the loss knows nothing."""
+    from learning.force.model import AXES
 
-    out: Path
-    archive: MarkerArchive
-    split: Split
-    settings: ForceSettings
-    source: LabelSource
-    model: ForceModel
+    for each in presses:
+        counts = each.wrench.isfinite().sum(dim=0).tolist()
+        if min(counts) < each.frames:
+            listed = ", ".join(f"{n} {k:,}" for n, k in zip(AXES, counts, strict=True))
+            yield f"{each.sensor}: labels in {each.frames:,} frames: {listed}"
+    if len(model.axes) < len(AXES):
+        axes = ", ".join(model.axes)
+        yield f"the model predicts {axes} only; forces on other axes are NaN"
 
-    def written(self, presses: list[Presses], validation: list[Presses]) -> Iterator[str]:
-        """Write ONNX, intervals and card beside the model; yield the lines that report it.
 
-        Args:
-            presses: Training presses of each sensor.
-            validation: Validation presses.
-        """
-        from learning.force.export import export_onnx
-        from recorder.pages import render
-        from recorder.store import replace_file
+def _errors(model: ForceModel, presses: Presses) -> str:
+    """Return a line with the errors of a model on presses for validation."""
+    import numpy as np
 
-        yield f"{self.out}: trained on {sum(map(len, presses)):,} presses"
-        yield from self._partly_labelled(presses)
-        errors = [*self._errors(validation)]
-        yield from errors
-        if self.source.own_twin:
-            yield from self._with_intervals(presses[0].sensor)
-        difference = export_onnx(self.model, self.out / ONNX)
-        card = render(
-            Path(__file__).with_name(CARD),
-            sensors=[each.sensor for each in presses],
-            axes=self.model.axes,
-            description=self.settings.description,
-            seed=self.settings.seed,
-            millions=sum(weight.numel() for weight in self.model.parameters()) / 1e6,
-            archive=self.archive.name,
-            presses=sum(map(len, presses)),
-            frames=sum(each.frames for each in presses),
-            indenters=self._indenters("train"),
-            tested=self._indenters("new_indenter"),
-            errors=errors,
-            difference=difference,
+    from learning.force.model import AXES
+    from learning.metrics import axis_means
+
+    if not presses.is_labelled:
+        return f"{presses.sensor}: no label in validation"
+    true = presses.wrench.cpu().numpy().astype(np.float64)
+    off = axis_means(abs(model.predict(presses) - true)).tolist()
+    by = "  ".join(
+        f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"
+        for axis, off_n in zip(AXES, off, strict=True)
+    )
+    return f"{presses.sensor}: off in validation by {by} N"
+
+
+def _with_intervals(
+    out: Path, archive: MarkerArchive, sensor: ArchivedSensor, split: Split, model: ForceModel
+) -> Iterator[str]:
+    """Write intervals beside a model of its own twin's forces, and yield lines about them."""
+    from learning.force.calibrate import calibrated_by_twin, told
+
+    try:
+        calibration = calibrated_by_twin(archive, sensor.name, split, model)
+    except LearningError as error:
+        # The model is trained all the same.
+        yield f"no intervals: {error}"
+        return
+    if calibration is None:
+        yield (
+            "no intervals: the split has no unseen indenter, whose frames would show how far "
+            "off the model is (--unseen NAME,...)"
         )
-        replace_file(self.out / CARD, card.encode())
-        yield f"{self.out / ONNX}, {self.out / CARD}: written"
-
-    def _indenters(self, role: Role) -> list[str]:
-        return sorted({press.indenter for press in self.split.presses if press.role == role})
-
-    def _partly_labelled(self, presses: Sequence[Presses]) -> Iterator[str]:
-        """Yield lines on axes and frames without a label, of which the loss knows nothing."""
-        from learning.force.model import AXES
-
-        for each in presses:
-            counts = each.wrench[:, : len(AXES)].isfinite().sum(dim=0).tolist()
-            if min(counts) < each.frames:
-                listed = ", ".join(f"{n} {k:,}" for n, k in zip(AXES, counts, strict=True))
-                yield f"{each.sensor}: labels in {each.frames:,} frames: {listed}"
-        if len(self.model.axes) < len(AXES):
-            axes = ", ".join(self.model.axes)
-            yield f"the model predicts {axes} only; forces on other axes are NaN"
-
-    def _errors(self, validation: Sequence[Presses]) -> Iterator[str]:
-        import numpy as np
-
-        from learning.force.model import AXES
-        from learning.metrics import axis_means
-
-        for each in validation:
-            if not each.is_labelled:
-                yield f"{each.sensor}: no label in validation"
-                continue
-            true = each.wrench.cpu().numpy().astype(np.float64)
-            off = axis_means(abs(self.model.predict(each) - true)).tolist()
-            by = "  ".join(
-                f"{axis} {off_n:.3f}" if math.isfinite(off_n) else f"{axis} -"
-                for axis, off_n in zip(AXES, off, strict=True)
-            )
-            yield f"{each.sensor}: off in validation by {by} N"
-
-    def _with_intervals(self, sensor: str) -> Iterator[str]:
-        """Write intervals beside a model of its own twin's forces, and yield lines about them."""
-        from learning.force.calibrate import calibrated_by_twin, told
-
-        try:
-            calibration = calibrated_by_twin(self.archive, sensor, self.split, self.model)
-        except LearningError as error:
-            # The model is trained all the same.
-            yield f"no intervals: {error}"
-            return
-        if calibration is None:
-            yield (
-                "no intervals: the split has no unseen indenter, whose frames would show how far "
-                "off the model is (--unseen NAME,...)"
-            )
-            return
-        calibration.intervals.write(self.out)
-        yield from told(calibration)
+        return
+    calibration.intervals.write(out)
+    yield told(calibration)

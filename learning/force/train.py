@@ -250,14 +250,10 @@ def epoch(
     seed: int,
     number: int,
 ) -> Epoch:
-    """Return one pass over the presses of `sensors` in random order.
+    """Return one pass over the presses of the sensors of some indices, in random order.
 
-    Args:
-        starts: Starts for every sensor (P + 1,): frames of press p are starts[p]:starts[p + 1].
-        sensors: Indices of the sensors to train on.
-        settings: Number of presses per sequence; leftover presses are skipped in this pass.
-        seed: Seed of the whole training.
-        number: Counts epochs over all stages.
+    Frames of press p of a sensor are starts[p]:starts[p + 1]; presses that fill no whole sequence
+    are skipped in this pass.
     """
     random = generator(seed, "force", "epoch", number)
     strings = []
@@ -273,14 +269,7 @@ def epoch(
 def frames_of(
     groups: Sequence[Presses], sequences: Sequences, inputs: InputSettings, device: torch.device
 ) -> Tensor:
-    """Return the prepared and mirrored frames (b, s, planes, side, side) of a step.
-
-    Args:
-        groups: Presses of each sensor.
-        sequences: Sequences of the step.
-        inputs: Settings of the network input.
-        device: Device of the result.
-    """
+    """Return the prepared and mirrored frames (b, s, planes, side, side) of a step."""
     shown = []
     for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True):
         presses = groups[sensor]
@@ -290,13 +279,7 @@ def frames_of(
 
 
 def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) -> Tensor:
-    """Return prepared frames (..., b, s, planes, h, w), mirrored where requested.
-
-    Args:
-        frames: Frames of sequences.
-        flips: True to mirror columns and rows of each sequence (b, 2).
-        inputs: Settings of the network input.
-    """
+    """Return prepared frames (..., b, s, planes, h, w), mirrored where `flips` (b, 2) say so."""
     for plane, axis in enumerate((-1, -2)):
         if not flips[:, plane].any():
             continue
@@ -311,12 +294,9 @@ def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) ->
 
 
 def superposed(values: Tensor, sequences: Sequences, *, axis: int = 0) -> Tensor:
-    """Return prepared frames or forces with those of the added sequences.
+    """Return prepared frames or forces (b, s, ...) with those of the added sequences.
 
-    Args:
-        values: Values (b, s, ...); a shorter sequence repeats its last frame.
-        sequences: Sequences of the step.
-        axis: Axis of the sequences.
+    A shorter sequence repeats its last frame. The sequences are along `axis`.
     """
     if not sequences.factors.any():
         return values
@@ -328,26 +308,14 @@ def superposed(values: Tensor, sequences: Sequences, *, axis: int = 0) -> Tensor
 
 
 def signs(flips: NDArray[np.bool_], device: torch.device) -> Tensor:
-    """Return the signs (b, 1, 3) for forces (..., b, s, 3) of mirrored sequences.
-
-    Args:
-        flips: True where columns and rows of each sequence are mirrored (b, 2), together with the
-            shear.
-        device: Device of the result.
-    """
+    """Return the signs (b, 1, 3) for forces (..., b, s, 3): shear is mirrored with the image."""
     sign = torch.ones(len(flips), 1, 3)
     sign[:, 0, :2] = torch.where(torch.from_numpy(flips), -1.0, 1.0)
     return sign.to(device)
 
 
 def forces_of(labels: Sequence[Tensor], sequences: Sequences, device: torch.device) -> Tensor:
-    """Return the forces (b, s, 3) N of a step; mirroring an image mirrors the shear.
-
-    Args:
-        labels: Forces (N, 3) N of the frames of each sensor.
-        sequences: Sequences of the step.
-        device: Device of the result.
-    """
+    """Return the forces (b, s, 3) N of a step, of those (N, 3) of the frames of each sensor."""
     return _gathered(labels, sequences, device) * signs(sequences.flips, device)
 
 
@@ -451,6 +419,15 @@ class TrainState:
     waited: int = 0
     """Validations since the best one."""
 
+    def state_dict(self) -> dict[str, Any]:
+        """Return the state for a checkpoint."""
+        return asdict(self)
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the state from `state_dict`."""
+        for name, value in state.items():
+            setattr(self, name, value)
+
 
 def train_force(
     presses: Presses | Sequence[Presses],
@@ -495,9 +472,7 @@ def train_force(
     optimiser = runs_on.prepare(optimiser_of(model.parameters(), settings.optimiser))
 
     # Loop
-    state, best = TrainState(), None
-    if run.latest() is not None:
-        state, best = _resumed(run, model, optimiser)
+    state, best = _resumed(run, model, optimiser)
     total = total_steps(groups, settings, ranks)
     while state.stage < len(settings.stages):
         stage = settings.stages[state.stage]
@@ -664,16 +639,15 @@ def _save(
     models: dict[str, nn.Module | State] = {"model": model}
     if best is not None:
         models["best"] = best
-    run.save(state.steps, models, {"optimiser": optimiser, "course": asdict(state)}, score=score)
+    run.save(state.steps, models, {"optimiser": optimiser, "course": state}, score=score)
 
 
 def _resumed(run: RunFolder, model: nn.Module, optimiser: Any) -> tuple[TrainState, State | None]:
     """Restore a run's latest checkpoint; return its progress and the best weights of its stage."""
-    run.restore({"model": model}, {"optimiser": optimiser})
+    state, best = TrainState(), None
+    run.restore({"model": model}, {"optimiser": optimiser, "course": state})
     folder = run.latest()
-    best = None if folder is None else folder / "best.safetensors"
-    state = TrainState(**run.training_values()["course"])
-    if best is None or not best.exists():
-        return state, None
-    device = next(model.parameters()).device
-    return state, {name: value.to(device) for name, value in read_weights(best).items()}
+    if folder is not None and (file := folder / "best.safetensors").exists():
+        device = next(model.parameters()).device
+        best = {name: value.to(device) for name, value in read_weights(file).items()}
+    return state, best

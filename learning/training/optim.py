@@ -34,24 +34,22 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Cosine:
-    """Half a cosine wave from the rate to a fraction of it."""
+    """Half a cosine wave from the rate to zero."""
 
     KIND: ClassVar[str] = "cosine"
 
     rate: float
     steps: int
-    """Step at which the rate reaches its final value, and stays there."""
+    """Step at which the rate reaches zero, and stays there."""
     warm_up: int = 0
     """Steps over which the rate rises; they are the first of `steps`."""
-    final: float = 0.0
-    """Fraction of the rate at the end."""
 
     def __post_init__(self) -> None:
         _require(self.rate, self.warm_up)
-        if self.steps <= self.warm_up or not 0 <= self.final <= 1:
+        if self.steps <= self.warm_up:
             raise LearningError(
-                f"cosine: found steps {self.steps}, warm_up {self.warm_up}, final {self.final}; "
-                "allowed: more steps than warm_up, final 0 to 1"
+                f"cosine: found steps {self.steps}, warm_up {self.warm_up}; allowed: more steps "
+                "than warm_up"
             )
 
     def at(self, step: int) -> float:
@@ -59,32 +57,25 @@ class Cosine:
         if step < self.warm_up:
             return self.rate * _risen(step, self.warm_up)
         fraction = min(1.0, (step - self.warm_up) / (self.steps - self.warm_up))
-        wave = (1 + math.cos(math.pi * fraction)) / 2
-        return self.rate * (self.final + (1 - self.final) * wave)
+        return self.rate * ((1 + math.cos(math.pi * fraction)) / 2)
 
 
 @dataclass(frozen=True, slots=True)
 class InversePower:
-    """rate (1 + gamma step)^-power (authors' code: 3e-4 and 0.75, stepped every iteration)."""
+    """rate (1 + 3e-4 step)^-0.75, stepped every iteration (authors' code)."""
 
     KIND: ClassVar[str] = "inverse_power"
 
     rate: float
-    gamma: float = 3e-4
-    power: float = 0.75
     warm_up: int = 0
     """Steps over which the rate rises."""
 
     def __post_init__(self) -> None:
         _require(self.rate, self.warm_up)
-        if self.gamma < 0 or self.power < 0:
-            raise LearningError(
-                f"inverse_power: found gamma {self.gamma}, power {self.power}; allowed: 0 and more"
-            )
 
     def at(self, step: int) -> float:
         """Return the rate of a step, from 0."""
-        fallen = float((1 + self.gamma * step) ** -self.power)
+        fallen = float((1 + 3e-4 * step) ** -0.75)
         return self.rate * fallen * _risen(step, self.warm_up)
 
 

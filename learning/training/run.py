@@ -78,7 +78,6 @@ class RunFolder:
         kind: str,
         settings: Any,
         data_fingerprint: str,
-        resume: bool = False,
         *,
         metadata: Mapping[str, Any] | None = None,
         keep: int = 2,
@@ -91,7 +90,6 @@ class RunFolder:
             kind: Kind of the model.
             settings: Frozen dataclass with all settings of the training.
             data_fingerprint: Fingerprint of the training data, including the split.
-            resume: Continue an existing run; without one, a new run begins.
             metadata: Plain values known before training that are needed to use the model.
             keep: Number of newest checkpoints to keep, in addition to the best.
             writes: True if this process writes; of several, only the main one does.
@@ -106,7 +104,7 @@ class RunFolder:
         if not writes:
             return run
         if (folder / CONFIG).exists():
-            _require_same(folder, config, resume)
+            _require_same(folder, config)
             run._forget_later()
         elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise LearningError(f"{folder}: holds something else; allowed: a new or empty folder")
@@ -231,11 +229,6 @@ class RunFolder:
             raise LearningError(f"{folder / CONFIG}.step: missing; allowed: a number of steps")
         return step
 
-    def training_values(self, checkpoint: Path | None = None) -> dict[str, Any]:
-        """Return a checkpoint's training state, by name; empty if there is no checkpoint."""
-        folder = checkpoint or self.latest()
-        return {} if folder is None else _read_training(folder / TRAINING)
-
     def finish(
         self,
         step: int,
@@ -304,10 +297,8 @@ class RunFolder:
         replace_file(log, "".join(f"{line}\n" for line in kept).encode())
 
 
-def _require_same(folder: Path, config: Config, resume: bool) -> None:
+def _require_same(folder: Path, config: Config) -> None:
     there = read_config(folder)
-    if not resume:
-        raise LearningError(f"{folder}: a run is there; resume it, or choose another folder")
     one, other = (
         {
             "kind": each.kind,

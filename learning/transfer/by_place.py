@@ -109,7 +109,7 @@ class ByPlace:
         if self.relabelling is not None:
             data = f"{data} {self.relabelling.made_from}".rstrip()
         folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
-        with RunFolder.open(folder, KIND, tuning, data, True, keep=1) as run:
+        with RunFolder.open(folder, KIND, tuning, data, keep=1) as run:
             if not run.finished:
                 presses = load_presses(sensor, rows, device=device)
                 labels = torch.from_numpy(self.wanted[presses.rows.numpy()]).float()

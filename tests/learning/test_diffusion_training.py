@@ -71,7 +71,7 @@ def test_a_resumed_run_is_the_same_run_bit_for_bit(tmp_path: Path) -> None:
     states, logs = [], []
     for name, stops in (("whole", (2,)), ("halves", (1, 2))):
         for stop in stops:
-            with RunFolder.open(tmp_path / name, "diffusion", settings, "x", True) as run:
+            with RunFolder.open(tmp_path / name, "diffusion", settings, "x") as run:
                 stopping = session(settings, run, 1 if stop == 1 else 0)
                 network = train(striped_pairs(), tiny_pretrained(), settings, session=stopping)
                 assert run.finished == (stop == 2)
@@ -167,7 +167,7 @@ def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: P
     images, states = striped_pairs().images, []
     for name, stops in (("whole", (2,)), ("halves", (1, 2))):
         for stop in stops:
-            with RunFolder.open(tmp_path / name, "marker-vae", settings, "x", True) as run:
+            with RunFolder.open(tmp_path / name, "marker-vae", settings, "x") as run:
                 stopping = session(settings, run, 1 if stop == 1 else 0)
                 vae = tiny_pretrained().vae
                 network = train_vae(images, vae, settings, images[:2], stopping)

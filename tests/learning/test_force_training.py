@@ -49,8 +49,8 @@ SEVERAL = [noise_presses(4, seed=1), noise_presses(5, seed=2)]
 HELD = noise_presses(2, seed=3)
 
 
-def _open(path: Path, settings: ForceSettings = TOY, *, resume: bool = False) -> RunFolder:
-    return RunFolder.open(path, KIND, settings, "data", resume)
+def _open(path: Path, settings: ForceSettings = TOY) -> RunFolder:
+    return RunFolder.open(path, KIND, settings, "data")
 
 
 def _left(model: ForceModel, presses: Presses) -> float:
@@ -95,7 +95,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(
         stopping = session(EVERYTHING, run, steps + 1)
         train_force(SEVERAL, EVERYTHING, stopping, validation=HELD)
         assert not run.finished
-    with _open(tmp_path / "parts", EVERYTHING, resume=True) as run:
+    with _open(tmp_path / "parts", EVERYTHING) as run:
         parts = train_force(SEVERAL, EVERYTHING, session(EVERYTHING, run), validation=HELD)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, parts.state_dict()[name]), name

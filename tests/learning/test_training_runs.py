@@ -49,14 +49,14 @@ class Net(nn.Module):
         return out
 
 
-def _train(folder: Path, until: int, *, resume: bool = False) -> Net:
+def _train(folder: Path, until: int) -> Net:
     """Train with momentum and dropout up to some step, saving every 10 steps."""
     toy = Toy()
     seed_torch(toy.seed, "weights")
     net = Net(toy.width)
     optimiser = torch.optim.AdamW(net.parameters())
     rate = Cosine(1e-2, toy.steps, warm_up=5)
-    with RunFolder.open(folder, "force", toy, "data", resume) as run:
+    with RunFolder.open(folder, "force", toy, "data") as run:
         done = run.restore({"model": net}, {"optimiser": optimiser})
         for step in range(done, until):
             seed_torch(toy.seed, "step", step)
@@ -87,7 +87,7 @@ def test_two_halves_are_the_whole_bit_for_bit(tmp_path: Path) -> None:
     whole = _train(tmp_path / "whole", 40)
     _train(tmp_path / "halves", 20)
     torch.manual_seed(99)
-    halves = _train(tmp_path / "halves", 40, resume=True)
+    halves = _train(tmp_path / "halves", 40)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, halves.state_dict()[name]), name
     assert _losses(tmp_path / "whole") == _losses(tmp_path / "halves")
@@ -104,7 +104,7 @@ def test_steps_after_the_last_checkpoint_are_taken_again(tmp_path: Path) -> None
     _train(tmp_path / "killed", 27)
     with (tmp_path / "killed/metrics.jsonl").open("a") as file:
         file.write('{"step": 28, "train/lo')
-    resumed = _train(tmp_path / "killed", 40, resume=True)
+    resumed = _train(tmp_path / "killed", 40)
     assert torch.equal(whole.layers[0].weight, resumed.layers[0].weight)
     assert _losses(tmp_path / "killed") == _losses(tmp_path / "whole")
 
@@ -120,18 +120,18 @@ def test_a_kill_before_the_rename_leaves_the_checkpoint_before(
 
     monkeypatch.setattr(Path, "rename", killed)
     with pytest.raises(KeyboardInterrupt):
-        _train(folder, 20, resume=True)
+        _train(folder, 20)
     monkeypatch.undo()
     left = [path.name for path in (folder / "checkpoints").iterdir()]
     assert sorted(left) == [".writing-00000020", "00000010"]
-    _train(folder, 20, resume=True)
+    _train(folder, 20)
     left = [path.name for path in (folder / "checkpoints").iterdir()]
     assert sorted(left) == ["00000010", "00000020"]
 
 
 def test_the_last_ones_and_the_best_are_kept(tmp_path: Path) -> None:
     _train(tmp_path / "run", 40)
-    run = RunFolder.open(tmp_path / "run", "force", Toy(), "data", resume=True)
+    run = RunFolder.open(tmp_path / "run", "force", Toy(), "data")
     kept = sorted(path.name for path in (tmp_path / "run/checkpoints").iterdir())
     # Scores are |step - 15|: 10 and 20 are equal, and the older one is kept.
     assert kept == ["00000010", "00000030", "00000040"]
@@ -145,13 +145,11 @@ def test_other_settings_or_data_are_refused_by_name(tmp_path: Path) -> None:
     before = sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "run").rglob("*"))
     other = replace(Toy(), width=16, seed=4)
     with pytest.raises(LearningError, match=r"begun with other settings\.seed, settings\.width"):
-        RunFolder.open(tmp_path / "run", "force", other, "data", resume=True)
+        RunFolder.open(tmp_path / "run", "force", other, "data")
     with pytest.raises(LearningError, match="begun with other data; allowed: the same"):
-        RunFolder.open(tmp_path / "run", "force", Toy(), "other", resume=True)
+        RunFolder.open(tmp_path / "run", "force", Toy(), "other")
     with pytest.raises(LearningError, match="begun with other kind"):
-        RunFolder.open(tmp_path / "run", "field", Toy(), "data", resume=True)
-    with pytest.raises(LearningError, match="a run is there; resume it"):
-        RunFolder.open(tmp_path / "run", "force", Toy(), "data")
+        RunFolder.open(tmp_path / "run", "field", Toy(), "data")
     after = sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "run").rglob("*"))
     assert before == after
 
@@ -159,10 +157,10 @@ def test_other_settings_or_data_are_refused_by_name(tmp_path: Path) -> None:
 def test_a_description_may_be_reworded(tmp_path: Path) -> None:
     with RunFolder.open(tmp_path / "run", "force", Described("first words"), "data"):
         pass
-    RunFolder.open(tmp_path / "run", "force", Described("other words"), "data", resume=True)
+    RunFolder.open(tmp_path / "run", "force", Described("other words"), "data")
     other = Described("other words", seed=4)
     with pytest.raises(LearningError, match=r"begun with other settings\.seed; allowed"):
-        RunFolder.open(tmp_path / "run", "force", other, "data", resume=True)
+        RunFolder.open(tmp_path / "run", "force", other, "data")
 
 
 def test_a_folder_that_is_nowhere_keeps_nothing(
@@ -184,9 +182,8 @@ def test_a_folder_that_is_nowhere_keeps_nothing(
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    for resume in (False, True):
-        with pytest.raises(LearningError, match="holds something else"):
-            RunFolder.open(tmp_path, "force", Toy(), "data", resume)
+    with pytest.raises(LearningError, match="holds something else"):
+        RunFolder.open(tmp_path, "force", Toy(), "data")
     assert os.listdir(tmp_path) == ["notes.txt"]
 
 
@@ -256,7 +253,7 @@ def test_damaged_training_states_are_refused(tmp_path: Path) -> None:
     states = tmp_path / "run/checkpoints/00000010/training.pt"
     states.write_bytes(states.read_bytes()[:50])
     with pytest.raises(LearningError, match=r"training\.pt: damaged, or not plain states"):
-        _train(tmp_path / "run", 20, resume=True)
+        _train(tmp_path / "run", 20)
 
 
 def test_states_that_could_not_be_read_back_are_not_kept(tmp_path: Path) -> None:

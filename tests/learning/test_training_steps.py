@@ -66,11 +66,11 @@ def test_a_rate_is_that_of_the_authors() -> None:
 
 
 def test_rates_rise_and_fall() -> None:
-    rate = Cosine(1.0, 110, warm_up=10, final=0.1)
+    rate = Cosine(1.0, 110, warm_up=10)
     assert rate.at(0) == pytest.approx(1 / 11)
     assert rate.at(10) == pytest.approx(1.0)
-    assert rate.at(60) == pytest.approx(0.55)
-    assert rate.at(110) == rate.at(500) == pytest.approx(0.1)
+    assert rate.at(60) == pytest.approx(0.5)
+    assert rate.at(110) == rate.at(500) == pytest.approx(0.0)
     assert Constant(2.0, warm_up=3).at(1) == pytest.approx(1.0)
     assert Constant(2.0, warm_up=3).at(3) == 2.0
     optimiser = torch.optim.SGD(nn.Linear(1, 1).parameters(), lr=1.0)
@@ -83,7 +83,7 @@ def test_rates_rise_and_fall() -> None:
     [
         (Constant, {"rate": -1.0}),
         (Cosine, {"rate": 1.0, "steps": 5, "warm_up": 5}),
-        (InversePower, {"rate": 1.0, "gamma": -1.0}),
+        (InversePower, {"rate": 1.0, "warm_up": -1}),
     ],
 )
 def test_schedules_that_make_no_sense_are_refused(kind: type, given: dict[str, object]) -> None:

@@ -101,7 +101,7 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(
         train_field(frames, SETTINGS, session=session(SETTINGS, run, stopped_after))
         assert not run.finished
         assert run.latest() == tmp_path / f"run/checkpoints/{stopped_after:08d}"
-    with RunFolder.open(tmp_path / "run", "field", SETTINGS, "data", resume=True) as run:
+    with RunFolder.open(tmp_path / "run", "field", SETTINGS, "data") as run:
         train_field(frames, SETTINGS, frames, session(SETTINGS, run))
         assert run.finished
     resumed = load_translator(tmp_path / "run")

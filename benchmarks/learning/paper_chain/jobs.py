@@ -244,7 +244,7 @@ def run_of(
     began = time.perf_counter()
     launched = accelerator(settings.launch)
     with (
-        RunFolder.open(chain.model(name), kind, settings, data, True, metadata=metadata) as run,
+        RunFolder.open(chain.model(name), kind, settings, data, metadata=metadata) as run,
         Stop(lambda line: print(line, file=sys.stderr)) as stop,
     ):
         yield run, Session(launched, run, stop)

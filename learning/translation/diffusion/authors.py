@@ -156,5 +156,7 @@ def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
     with RunFolder.open(
         out, found.kind, settings, "the authors' checkpoint", metadata=metadata
     ) as run:
+        if run.finished:
+            raise LearningError(f"{out}: a run is there; allowed: another folder")
         run.finish(0, {"model": network})
     return found.kind, sum(tensor.numel() for tensor in found.tensors.values())
