@@ -53,29 +53,29 @@ def run_training(
     """
     launched = accelerator(settings.launch)
     writes = launched.is_main_process
-    with RunFolder.open(
+    run = RunFolder.open(
         out,
         kind,
         settings,
         " ".join(data),
         metadata=metadata,
         writes=writes,
-    ) as run:
-        if run.finished:
-            print(f"{out}: is finished")
-            return
-        if writes and split is not None:
-            split.write(run.path / SPLIT)
-            print(f"{run.path / SPLIT}: sha256 {split.fingerprint[:12]}", file=sys.stderr)
-        print(described(launched), file=sys.stderr)
-        stop = Stop(lambda line: print(line, file=sys.stderr))
-        with (
-            ItemProgress(reading, sys.stderr) as items,
-            ItemProgress("steps", sys.stderr) as steps,
-        ):
-            told = train(Session(launched, run, stop, steps, items))
-        if stop.agreed(launched) and not run.finished:
-            print(f"{out}: stopped; the same command continues", file=sys.stderr)
-            raise KeyboardInterrupt
+    )
+    if run.finished:
+        print(f"{out}: is finished")
+        return
+    if writes and split is not None:
+        split.write(run.path / SPLIT)
+        print(f"{run.path / SPLIT}: sha256 {split.fingerprint[:12]}", file=sys.stderr)
+    print(described(launched), file=sys.stderr)
+    stop = Stop(lambda line: print(line, file=sys.stderr))
+    with (
+        ItemProgress(reading, sys.stderr) as items,
+        ItemProgress("steps", sys.stderr) as steps,
+    ):
+        told = train(Session(launched, run, stop, steps, items))
+    if stop.agreed(launched) and not run.finished:
+        print(f"{out}: stopped; the same command continues", file=sys.stderr)
+        raise KeyboardInterrupt
     for line in [f"{out}: trained"] if told is None else told:
         print(line)

@@ -305,10 +305,8 @@ def _falling(
 ) -> dict[str, float]:
     """Return the mean square by step, for a training with this loss alone."""
     runs_on = launched(settings.launch)
-    with (
-        TemporaryDirectory() as folder,
-        RunFolder.open(Path(folder) / "run", KIND, settings, "random patterns") as run,
-    ):
+    with TemporaryDirectory() as folder:
+        run = RunFolder.open(Path(folder) / "run", KIND, settings, "random patterns")
         pairs = overfitted_pairs(SAME, side, runs_on.device)
         made = networks(runs_on.device)
         train(pairs, made, settings, session=Session(runs_on, run, progress=progress))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from json import dumps
@@ -375,9 +374,9 @@ class Experiment:
         force = replace(self.settings.force, set=(*self.settings.force.set, *changed))
         self.settings = replace(self.settings, force=force)
         name = f"force-{sensor}"
-        with self._open(name, self._force_settings(), sensor) as run:
-            if not run.finished:
-                run.finish(0, {"model": model})
+        run = self._open(name, self._force_settings(), sensor)
+        if not run.finished:
+            run.finish(0, {"model": model})
         own = load_force_model(self.places.model(name)).state_dict()
         if not all(torch.equal(own[key], one) for key, one in model.state_dict().items()):
             raise LearningError(
@@ -457,38 +456,34 @@ class Experiment:
     ) -> tuple[Path, ForceModel]:
         """Return a model and its folder; its frames, for training and validation, are lazy."""
         folder = self.places.model(name)
-        with self._open(name, settings, data) as run:
-            if not run.finished:
-                presses, held = frames()
-                with session_of(run, settings.launch, f"steps of {name}") as session:
-                    train_force(
-                        self._as_seen(presses),
-                        settings,
-                        session,
-                        validation=() if held is None else self._as_seen(held),
-                        start_from=start_from,
-                    )
+        run = self._open(name, settings, data)
+        if not run.finished:
+            presses, held = frames()
+            with session_of(run, settings.launch, f"steps of {name}") as session:
+                train_force(
+                    self._as_seen(presses),
+                    settings,
+                    session,
+                    validation=() if held is None else self._as_seen(held),
+                    start_from=start_from,
+                )
         return folder, load_force_model(folder, self.device)
 
     def _tune_batched(self, tunings: list[Tuning], frames: dict[Pair, Presses]) -> None:
         """Train all models that do not exist yet in one batch, which keeps a GPU busy."""
         settings = self._force_settings(tuning=True)
         _, own = self._own_model(tunings[0].pair.source)
-        with ExitStack() as opened:
-            runs = [
-                (one, opened.enter_context(self._open(one.name, settings, one.data)))
-                for one in tunings
-            ]
-            due = [(one, run) for one, run in runs if not run.finished]
-            if not due:
-                return
-            name = f"steps of {len(due)} models, {due[0][0].name} first"
-            presses = [one.labelled(self._as_seen(frames[one.pair])) for one, _ in due]
-            with session_of(RunFolder.nowhere(), settings.launch, name) as session:
-                models = train_batched(presses, settings, session, start_from=own)
-                steps = total_steps(presses[:1], settings)
-                for (_, run), model in zip(due, models or (), strict=False):
-                    run.finish(steps, {"model": model})
+        runs = [(one, self._open(one.name, settings, one.data)) for one in tunings]
+        due = [(one, run) for one, run in runs if not run.finished]
+        if not due:
+            return
+        name = f"steps of {len(due)} models, {due[0][0].name} first"
+        presses = [one.labelled(self._as_seen(frames[one.pair])) for one, _ in due]
+        with session_of(RunFolder.nowhere(), settings.launch, name) as session:
+            models = train_batched(presses, settings, session, start_from=own)
+            steps = total_steps(presses[:1], settings)
+            for (_, run), model in zip(due, models or (), strict=False):
+                run.finish(steps, {"model": model})
 
     def _open(self, name: str, settings: ForceSettings, data: str) -> RunFolder:
         """Open the run folder of a force model."""

@@ -70,9 +70,9 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
     box = {name: getattr(model, name) for name in ("low", "high")}
     load_weights(model, {**_renamed(tensors), **box}, str(file))
     data = f"{file.name} {weights_hash(file)}"
-    with RunFolder.open(out, KIND, settings, data, keep=1) as run:
-        if not run.finished:
-            run.finish(0, {"model": model})
+    run = RunFolder.open(out, KIND, settings, data, keep=1)
+    if not run.finished:
+        run.finish(0, {"model": model})
     return model.eval()
 
 

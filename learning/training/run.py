@@ -3,7 +3,7 @@
 The folder holds the state of the run, its metrics and, in the end, its model:
 
     config.yaml                     kind, settings, data, code version
-    metrics.jsonl, tensorboard/     values passed to `log`
+    metrics.jsonl                   values passed to `log`
     checkpoints/00001000/           model.safetensors, training.pt, config.yaml
     model.safetensors               written last: the folder is a finished model
 
@@ -53,23 +53,20 @@ from recorder.store import replace_file, sync_directory
 
 if TYPE_CHECKING:
     from accelerate import Accelerator
-    from torch.utils.tensorboard import SummaryWriter
 
 
 METRICS, CHECKPOINTS, TRAINING = "metrics.jsonl", "checkpoints", "training.pt"
 
-_TENSORBOARD = "tensorboard"
 _WRITING, _REPLACED = ".writing-", ".replaced-"
 _RNG = "torch_rng"
 
 
 class RunFolder:
-    """The folder of a training, made by `open`. A context manager that closes the logs."""
+    """The folder of a training, made by `open`."""
 
     def __init__(self, path: Path, config: Config, *, keep: int = 2, writes: bool = True) -> None:
         """Represent a folder that `open` has prepared."""
         self.path, self.config, self.keep, self.writes = path, config, keep, writes
-        self._board: SummaryWriter | None = None
 
     @classmethod
     def open(
@@ -124,7 +121,7 @@ class RunFolder:
         return (self.path / f"{MODEL}.safetensors").is_file()
 
     def log(self, step: int, values: Mapping[str, float | str]) -> None:
-        """Add measured values to the log and to TensorBoard.
+        """Add measured values to the log.
 
         Args:
             step: Number of steps done.
@@ -135,14 +132,6 @@ class RunFolder:
         plain = {name: _plain(value) for name, value in values.items()}
         with (self.path / METRICS).open("a", encoding="utf-8") as file:
             file.write(json.dumps({"step": step, **plain}) + "\n")
-        if self._board is None:
-            # Imported here, as it takes seconds and readers of a folder do not need it.
-            from torch.utils.tensorboard import SummaryWriter
-
-            self._board = SummaryWriter(str(self.path / _TENSORBOARD), purge_step=step)
-        for name, value in plain.items():
-            if isinstance(value, int | float):
-                self._board.add_scalar(name, value, step)
 
     def save(
         self,
@@ -253,23 +242,6 @@ class RunFolder:
         # `model` is written last, as it marks the run as finished.
         for name in sorted(models, key=lambda name: name == MODEL):
             save_weights(models[name], self.path / f"{name}.safetensors")
-
-    def close(self) -> None:
-        """Close the logs. Can be called twice."""
-        if self._board is not None:
-            self._board.close()
-            self._board = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _checkpoints(self) -> list[Path]:
         """Return complete checkpoints, oldest first."""

@@ -109,14 +109,14 @@ class ByPlace:
         if self.relabelling is not None:
             data = f"{data} {self.relabelling.made_from}".rstrip()
         folder = trained.with_name(f"{trained.name}.{name.replace(' ', '-')}")
-        with RunFolder.open(folder, KIND, tuning, data, keep=1) as run:
-            if not run.finished:
-                presses = load_presses(sensor, rows, device=device)
-                labels = torch.from_numpy(self.wanted[presses.rows.numpy()]).float()
-                presses = replace(presses, wrench=labels.to(presses.device))
-                before = load_force_model(trained, device)
-                with session_of(run, tuning.launch, f"steps of {self.target} by place") as session:
-                    train_force(presses, tuning, session, start_from=before)
+        run = RunFolder.open(folder, KIND, tuning, data, keep=1)
+        if not run.finished:
+            presses = load_presses(sensor, rows, device=device)
+            labels = torch.from_numpy(self.wanted[presses.rows.numpy()]).float()
+            presses = replace(presses, wrench=labels.to(presses.device))
+            before = load_force_model(trained, device)
+            with session_of(run, tuning.launch, f"steps of {self.target} by place") as session:
+                train_force(presses, tuning, session, start_from=before)
         return folder
 
 

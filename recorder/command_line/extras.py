@@ -30,7 +30,6 @@ LIBRARIES = {
     "serial": ("rig",),
     "skimage": ("learning",),
     "sklearn": ("learning",),
-    "tensorboard": ("learning",),
     "torch": ("learning",),
     "transformers": ("diffusion",),
     "trimesh": ("sim",),

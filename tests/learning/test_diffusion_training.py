@@ -71,10 +71,10 @@ def test_a_resumed_run_is_the_same_run_bit_for_bit(tmp_path: Path) -> None:
     states, logs = [], []
     for name, stops in (("whole", (2,)), ("halves", (1, 2))):
         for stop in stops:
-            with RunFolder.open(tmp_path / name, "diffusion", settings, "x") as run:
-                stopping = session(settings, run, 1 if stop == 1 else 0)
-                network = train(striped_pairs(), tiny_pretrained(), settings, session=stopping)
-                assert run.finished == (stop == 2)
+            run = RunFolder.open(tmp_path / name, "diffusion", settings, "x")
+            stopping = session(settings, run, 1 if stop == 1 else 0)
+            network = train(striped_pairs(), tiny_pretrained(), settings, session=stopping)
+            assert run.finished == (stop == 2)
         states.append(network.state_dict())
         logs.append((tmp_path / name / METRICS).read_text())
     assert logs[0] == logs[1]
@@ -167,10 +167,10 @@ def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: P
     images, states = striped_pairs().images, []
     for name, stops in (("whole", (2,)), ("halves", (1, 2))):
         for stop in stops:
-            with RunFolder.open(tmp_path / name, "marker-vae", settings, "x") as run:
-                stopping = session(settings, run, 1 if stop == 1 else 0)
-                vae = tiny_pretrained().vae
-                network = train_vae(images, vae, settings, images[:2], stopping)
+            run = RunFolder.open(tmp_path / name, "marker-vae", settings, "x")
+            stopping = session(settings, run, 1 if stop == 1 else 0)
+            vae = tiny_pretrained().vae
+            network = train_vae(images, vae, settings, images[:2], stopping)
         states.append(network.state_dict())
     assert all(torch.equal(states[0][name], each) for name, each in states[1].items())
     fresh = dict(tiny_pretrained().vae.named_parameters())

@@ -55,8 +55,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = write_base(folder / "sd-turbo", DEEP_VAE)
     settings = tiny_settings(base=str(base))
     metadata = {BASE: fingerprint(str(base))}
-    with RunFolder.open(folder / "run", KIND, settings, "made up", metadata=metadata) as run:
-        run.finish(4, {"model": _network(moved=True)})
+    run = RunFolder.open(folder / "run", KIND, settings, "made up", metadata=metadata)
+    run.finish(4, {"model": _network(moved=True)})
     return folder / "run"
 
 
@@ -186,8 +186,8 @@ def test_features_of_images_are_the_latents_of_the_marker_vae(tmp_path: Path) ->
     settings = tiny_vae_settings(f"weights.base={base}")
     network = MarkerVae(tiny_pretrained(DEEP_VAE).vae, settings)
     metadata = {BASE: fingerprint(base)}
-    with RunFolder.open(tmp_path / "vae", VAE, settings, "made up", metadata=metadata) as run:
-        run.finish(1, {"model": network})
+    run = RunFolder.open(tmp_path / "vae", VAE, settings, "made up", metadata=metadata)
+    run.finish(1, {"model": network})
     images = torch.randint(0, 2, (70, 256, 256), dtype=torch.uint8) * 255
     extractor = load_extractor(str(tmp_path / "vae"))
     features = extractor.features(images.numpy())

@@ -33,9 +33,9 @@ def test_all_weights_are_trained_and_stored(tmp_path: Path) -> None:
     settings = read_settings(train.TranslatorSettings, train.PRESETS, "ours", given)
     own = settings.of_marker_vae()
     pairs = striped_pairs()
-    with RunFolder.open(tmp_path / "vae", VAE, own, "stripes", metadata=metadata) as run:
-        session = Session(accelerator(own.launch), run)
-        vae = train_vae(pairs.images, read_vae(base), own, None, session)
+    run = RunFolder.open(tmp_path / "vae", VAE, own, "stripes", metadata=metadata)
+    session = Session(accelerator(own.launch), run)
+    vae = train_vae(pairs.images, read_vae(base), own, None, session)
     begun = tiny_pretrained().vae.state_dict()
     moved = {name for name, each in vae.vae.state_dict().items() if not each.equal(begun[name])}
     assert moved == begun.keys()
@@ -43,9 +43,9 @@ def test_all_weights_are_trained_and_stored(tmp_path: Path) -> None:
     adapter = load_vae_adapter(tmp_path / "vae", fingerprint(base))
     assert adapter.keys() == begun.keys()
     networks = train.Pretrained(read_unet(base), read_vae(base))
-    with RunFolder.open(tmp_path / "m2m", KIND, settings, "stripes", metadata=metadata) as run:
-        session = Session(accelerator(settings.launch), run)
-        network = train.train(pairs, networks, settings, None, session, vae_adapter=adapter)
+    run = RunFolder.open(tmp_path / "m2m", KIND, settings, "stripes", metadata=metadata)
+    session = Session(accelerator(settings.launch), run)
+    network = train.train(pairs, networks, settings, None, session, vae_adapter=adapter)
     # The reference encoder is the trained autoencoder's, and stays as it is.
     frozen = network.reference.encoder.state_dict()
     assert all(each.equal(adapter[f"encoder.{name}"]) for name, each in frozen.items())

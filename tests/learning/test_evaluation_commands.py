@@ -39,8 +39,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         model = ForceModel(TOY.network, TOY.input)
         metadata = {"sensors": sensors, **made}
-        with RunFolder.open(folder / name, KIND, TOY, "data", metadata=metadata) as run:
-            run.finish(1, {"model": model})
+        run = RunFolder.open(folder / name, KIND, TOY, "data", metadata=metadata)
+        run.finish(1, {"model": model})
     return folder
 
 
@@ -109,8 +109,8 @@ def test_a_model_of_fz_alone_says_so_and_is_scored_by_fz(
     nan = float("nan")
     model.set_range(ForceRange((nan, nan, -5.0), (nan, nan, 0.0)))
     metadata = {"sensors": ["grid"]}
-    with RunFolder.open(tmp_path / "fz", KIND, TOY, "data", metadata=metadata) as opened:
-        opened.finish(1, {"model": model})
+    opened = RunFolder.open(tmp_path / "fz", KIND, TOY, "data", metadata=metadata)
+    opened.finish(1, {"model": model})
     assert run(lab, str(tmp_path / "fz"), "--out", str(tmp_path / "p.npz")) == 0
     found = read_predictions(tmp_path / "p.npz")
     assert np.isnan(found.predicted[:, :2]).all()

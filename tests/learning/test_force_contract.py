@@ -54,8 +54,8 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
             )
         )
     presses = noise_presses(form=settings.input.stored_form)
-    with RunFolder.open(tmp_path / name, KIND, settings, "noise") as run:
-        train_force(presses, settings, Session(accelerator(settings.launch), run))
+    run = RunFolder.open(tmp_path / name, KIND, settings, "noise")
+    train_force(presses, settings, Session(accelerator(settings.launch), run))
     return tmp_path / name
 
 

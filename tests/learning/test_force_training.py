@@ -81,8 +81,8 @@ def test_a_displacement_model_learns_from_marker_fields() -> None:
 def not_stopped(tmp_path_factory: pytest.TempPathFactory) -> tuple[ForceModel, str]:
     """Return the model of a run of `EVERYTHING`, and its log."""
     path = tmp_path_factory.mktemp("whole") / "run"
-    with _open(path, EVERYTHING) as run:
-        model = train_force(SEVERAL, EVERYTHING, session(EVERYTHING, run), validation=HELD)
+    run = _open(path, EVERYTHING)
+    model = train_force(SEVERAL, EVERYTHING, session(EVERYTHING, run), validation=HELD)
     return model, (path / "metrics.jsonl").read_text()
 
 
@@ -91,12 +91,12 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(
     tmp_path: Path, steps: int, not_stopped: tuple[ForceModel, str]
 ) -> None:
     whole, log = not_stopped
-    with _open(tmp_path / "parts", EVERYTHING) as run:
-        stopping = session(EVERYTHING, run, steps + 1)
-        train_force(SEVERAL, EVERYTHING, stopping, validation=HELD)
-        assert not run.finished
-    with _open(tmp_path / "parts", EVERYTHING) as run:
-        parts = train_force(SEVERAL, EVERYTHING, session(EVERYTHING, run), validation=HELD)
+    run = _open(tmp_path / "parts", EVERYTHING)
+    stopping = session(EVERYTHING, run, steps + 1)
+    train_force(SEVERAL, EVERYTHING, stopping, validation=HELD)
+    assert not run.finished
+    run = _open(tmp_path / "parts", EVERYTHING)
+    parts = train_force(SEVERAL, EVERYTHING, session(EVERYTHING, run), validation=HELD)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, parts.state_dict()[name]), name
     assert (tmp_path / "parts" / "metrics.jsonl").read_text() == log
@@ -104,8 +104,8 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(
 
 def test_a_finished_run_is_a_model_that_predicts_the_same(tmp_path: Path) -> None:
     presses = noise_presses(3)
-    with _open(tmp_path / "run") as run:
-        trained = train_force(presses, TOY, session(TOY, run))
+    run = _open(tmp_path / "run")
+    trained = train_force(presses, TOY, session(TOY, run))
     opened = load_force_model(tmp_path / "run")
     assert read_model_folder(tmp_path / "run", KIND).settings(ForceSettings) == TOY
     assert (opened.network, opened.inputs, opened.training) == (TOY.network, TOY.input, False)
@@ -113,8 +113,8 @@ def test_a_finished_run_is_a_model_that_predicts_the_same(tmp_path: Path) -> Non
 
 
 def test_what_a_model_is_made_of_must_fit(tmp_path: Path) -> None:
-    with _open(tmp_path / "run") as run:
-        train_force(noise_presses(3), TOY, session(TOY, run))
+    run = _open(tmp_path / "run")
+    train_force(noise_presses(3), TOY, session(TOY, run))
     config = (tmp_path / "run" / "config.yaml").read_text()
     (tmp_path / "run" / "config.yaml").write_text(config.replace("memory: 8", "memory: 12"))
     with pytest.raises(LearningError, match="memory"):
@@ -173,15 +173,15 @@ def test_presses_that_cannot_be_learned_from_are_refused_and_nothing_is_written(
     presses = noise_presses(3)
     missing = replace(presses, wrench=presses.wrench.clone())
     missing.wrench[:] = torch.nan
-    with _open(tmp_path / "run") as run:
-        with pytest.raises(LearningError, match="found no label of Fx, Fy or Fz in"):
-            train_force(missing, TOY, session(TOY, run))
-        with pytest.raises(LearningError, match="found field; allowed: images"):
-            train_force(noise_presses(form="field"), TOY, session(TOY, run))
-        with pytest.raises(LearningError, match="found none of a sensor"):
-            train_force([], TOY, session(TOY, run))
-        assert run.latest() is None
-        assert not run.finished
+    run = _open(tmp_path / "run")
+    with pytest.raises(LearningError, match="found no label of Fx, Fy or Fz in"):
+        train_force(missing, TOY, session(TOY, run))
+    with pytest.raises(LearningError, match="found field; allowed: images"):
+        train_force(noise_presses(form="field"), TOY, session(TOY, run))
+    with pytest.raises(LearningError, match="found none of a sensor"):
+        train_force([], TOY, session(TOY, run))
+    assert run.latest() is None
+    assert not run.finished
 
 
 def test_a_loss_that_is_no_number_ends_training_and_leaves_the_last_checkpoint(
@@ -358,8 +358,8 @@ def test_a_model_of_fz_alone_predicts_fz_alone(tmp_path: Path, box: str) -> None
     settings = toy(
         stages=(StageSettings(epochs=15, learning_rate=2e-2, schedule="cosine"),), force_range=box
     )
-    with _open(tmp_path / "run", settings) as run:
-        train_force(some, settings, session(settings, run), validation=_measured(presses, 2))
+    run = _open(tmp_path / "run", settings)
+    train_force(some, settings, session(settings, run), validation=_measured(presses, 2))
     model = load_force_model(tmp_path / "run")
     assert model.axes == ("Fz",)
     found, wanted = model.predict(presses), presses.wrench.numpy()

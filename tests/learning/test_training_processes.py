@@ -34,20 +34,20 @@ net = nn.Linear(3, 1)
 optimiser = torch.optim.SGD(net.parameters(), lr=0.1)
 wrapped, optimiser = launched.prepare(net, optimiser)
 stop = Stop()
-with RunFolder.open(folder, "force", Toy(whole), "data", writes=launched.is_main_process) as run:
-    for step in range(20):
-        chosen = batch(0, step, whole // ranks, len(values), rank=rank, ranks=ranks)
-        seen = values[torch.from_numpy(chosen)]
-        loss = (wrapped(seen) - seen.sum(1, keepdim=True)).square().mean()
-        optimiser.zero_grad()
-        launched.backward(loss)
-        optimiser.step()
-        run.log(step + 1, {"loss": loss.item()})
-        # The last process alone is asked; all of them stop.
-        stop.asked = stop.asked or (rank == ranks - 1 and step == stop_at)
-        if stop.agreed(launched):
-            break
-    run.finish(step + 1, {"model": launched.unwrap_model(wrapped)})
+run = RunFolder.open(folder, "force", Toy(whole), "data", writes=launched.is_main_process)
+for step in range(20):
+    chosen = batch(0, step, whole // ranks, len(values), rank=rank, ranks=ranks)
+    seen = values[torch.from_numpy(chosen)]
+    loss = (wrapped(seen) - seen.sum(1, keepdim=True)).square().mean()
+    optimiser.zero_grad()
+    launched.backward(loss)
+    optimiser.step()
+    run.log(step + 1, {"loss": loss.item()})
+    # The last process alone is asked; all of them stop.
+    stop.asked = stop.asked or (rank == ranks - 1 and step == stop_at)
+    if stop.agreed(launched):
+        break
+run.finish(step + 1, {"model": launched.unwrap_model(wrapped)})
 launched.end_training()
 """
 

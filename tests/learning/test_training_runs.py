@@ -56,26 +56,26 @@ def _train(folder: Path, until: int) -> Net:
     net = Net(toy.width)
     optimiser = torch.optim.AdamW(net.parameters())
     rate = Cosine(1e-2, toy.steps, warm_up=5)
-    with RunFolder.open(folder, "force", toy, "data") as run:
-        done = run.restore({"model": net}, {"optimiser": optimiser})
-        for step in range(done, until):
-            seed_torch(toy.seed, "step", step)
-            values = torch.from_numpy(generator(toy.seed, "batch", step).normal(size=(16, 4)))
-            set_rate(optimiser, rate.at(step))
-            loss = (net(values.float()) - values.float().sum(1, keepdim=True)).square().mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            run.log(step + 1, {"train/loss": loss.item()})
-            if (step + 1) % 10 == 0:
-                run.save(
-                    step + 1,
-                    {"model": net},
-                    {"optimiser": optimiser},
-                    score=abs(step - 14.0),
-                )
-        if until == toy.steps:
-            run.finish(until, {"model": net}, metadata={"range": [1.0, 2.0]})
+    run = RunFolder.open(folder, "force", toy, "data")
+    done = run.restore({"model": net}, {"optimiser": optimiser})
+    for step in range(done, until):
+        seed_torch(toy.seed, "step", step)
+        values = torch.from_numpy(generator(toy.seed, "batch", step).normal(size=(16, 4)))
+        set_rate(optimiser, rate.at(step))
+        loss = (net(values.float()) - values.float().sum(1, keepdim=True)).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        run.log(step + 1, {"train/loss": loss.item()})
+        if (step + 1) % 10 == 0:
+            run.save(
+                step + 1,
+                {"model": net},
+                {"optimiser": optimiser},
+                score=abs(step - 14.0),
+            )
+    if until == toy.steps:
+        run.finish(until, {"model": net}, metadata={"range": [1.0, 2.0]})
     return net
 
 
@@ -155,8 +155,8 @@ def test_other_settings_or_data_are_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_a_description_may_be_reworded(tmp_path: Path) -> None:
-    with RunFolder.open(tmp_path / "run", "force", Described("first words"), "data"):
-        pass
+    RunFolder.open(tmp_path / "run", "force", Described("first words"), "data")
+    pass
     RunFolder.open(tmp_path / "run", "force", Described("other words"), "data")
     other = Described("other words", seed=4)
     with pytest.raises(LearningError, match=r"begun with other settings\.seed; allowed"):
@@ -272,6 +272,6 @@ def test_processes_that_do_not_write_leave_no_trace(tmp_path: Path) -> None:
 
 
 def test_what_is_not_finite_is_logged_as_null(tmp_path: Path) -> None:
-    with RunFolder.open(tmp_path / "run", "force", Toy(), "data") as run:
-        run.log(1, {"r2": float("nan"), "loss": 2.0, "what": "text"})
+    run = RunFolder.open(tmp_path / "run", "force", Toy(), "data")
+    run.log(1, {"r2": float("nan"), "loss": 2.0, "what": "text"})
     assert _losses(tmp_path / "run") == [{"step": 1, "r2": None, "loss": 2.0, "what": "text"}]

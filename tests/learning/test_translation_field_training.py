@@ -97,13 +97,13 @@ def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: Frames) -> No
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(
     frames: Frames, trained: dict[str, Tensor], tmp_path: Path, stopped_after: int
 ) -> None:
-    with RunFolder.open(tmp_path / "run", "field", SETTINGS, "data") as run:
-        train_field(frames, SETTINGS, session=session(SETTINGS, run, stopped_after))
-        assert not run.finished
-        assert run.latest() == tmp_path / f"run/checkpoints/{stopped_after:08d}"
-    with RunFolder.open(tmp_path / "run", "field", SETTINGS, "data") as run:
-        train_field(frames, SETTINGS, frames, session(SETTINGS, run))
-        assert run.finished
+    run = RunFolder.open(tmp_path / "run", "field", SETTINGS, "data")
+    train_field(frames, SETTINGS, session=session(SETTINGS, run, stopped_after))
+    assert not run.finished
+    assert run.latest() == tmp_path / f"run/checkpoints/{stopped_after:08d}"
+    run = RunFolder.open(tmp_path / "run", "field", SETTINGS, "data")
+    train_field(frames, SETTINGS, frames, session(SETTINGS, run))
+    assert run.finished
     resumed = load_translator(tmp_path / "run")
     assert isinstance(resumed, FieldTranslator)
     for name, value in resumed.model.state_dict().items():
@@ -121,16 +121,16 @@ def test_a_loss_that_is_lost_ends_the_training_and_saves_nothing(
     frames: Frames, tmp_path: Path
 ) -> None:
     settings = tiny(**steps(30, 0), **{"field_stage.learning_rate": 1e30})
-    with RunFolder.open(tmp_path / "run", "field", settings, "data") as run:
-        with pytest.raises(LearningError, match="found a loss of"):
-            train_field(frames, settings, session=session(settings, run))
-        assert run.latest() is None
+    run = RunFolder.open(tmp_path / "run", "field", settings, "data")
+    with pytest.raises(LearningError, match="found a loss of"):
+        train_field(frames, settings, session=session(settings, run))
+    assert run.latest() is None
 
 
 def test_weights_of_another_network_are_refused(frames: Frames, tmp_path: Path) -> None:
     settings = tiny(**steps(1, 0))
-    with RunFolder.open(tmp_path / "a", "field", settings, "data") as run:
-        train_field(frames, settings, session=session(settings, run))
+    run = RunFolder.open(tmp_path / "a", "field", settings, "data")
+    train_field(frames, settings, session=session(settings, run))
     config = (tmp_path / "a/config.yaml").read_text()
     (tmp_path / "a/config.yaml").write_text(config.replace("numbers: 4", "numbers: 5"))
     with pytest.raises(LearningError, match="map"):

@@ -35,13 +35,13 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("models")
-    with RunFolder.open(folder / "field", "field", tiny(), "made up") as run:
-        run.finish(1, {"model": untrained()})
+    run = RunFolder.open(folder / "field", "field", tiny(), "made up")
+    run.finish(1, {"model": untrained()})
     base = str(write_base(folder / "sd-turbo", DEEP_VAE))
     pretrained, settings = tiny_pretrained(DEEP_VAE), tiny_settings(base=base)
     metadata = {BASE: fingerprint(base)}
-    with RunFolder.open(folder / "diffusion", "diffusion", settings, "x", metadata=metadata) as run:
-        run.finish(1, {"model": build(pretrained.unet, pretrained.vae, settings)})
+    run = RunFolder.open(folder / "diffusion", "diffusion", settings, "x", metadata=metadata)
+    run.finish(1, {"model": build(pretrained.unet, pretrained.vae, settings)})
     return folder
 
 

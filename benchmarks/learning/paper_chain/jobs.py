@@ -243,10 +243,8 @@ def run_of(
     """Yield the folder of a training and its session; on a stop the job ends, to be repeated."""
     began = time.perf_counter()
     launched = accelerator(settings.launch)
-    with (
-        RunFolder.open(chain.model(name), kind, settings, data, metadata=metadata) as run,
-        Stop(lambda line: print(line, file=sys.stderr)) as stop,
-    ):
+    run = RunFolder.open(chain.model(name), kind, settings, data, metadata=metadata)
+    with Stop(lambda line: print(line, file=sys.stderr)) as stop:
         yield run, Session(launched, run, stop)
         if not run.finished:
             raise KeyboardInterrupt

@@ -153,10 +153,8 @@ def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
         BASE: fingerprint(base),
         "imported_from": f"{path.name} sha256 {weights_hash(path)}",
     }
-    with RunFolder.open(
-        out, found.kind, settings, "the authors' checkpoint", metadata=metadata
-    ) as run:
-        if run.finished:
-            raise LearningError(f"{out}: a run is there; allowed: another folder")
-        run.finish(0, {"model": network})
+    run = RunFolder.open(out, found.kind, settings, "the authors' checkpoint", metadata=metadata)
+    if run.finished:
+        raise LearningError(f"{out}: a run is there; allowed: another folder")
+    run.finish(0, {"model": network})
     return found.kind, sum(tensor.numel() for tensor in found.tensors.values())

@@ -282,10 +282,8 @@ def marker_vae_of(
     """
     own, base = settings.of_marker_vae(), fingerprint(settings.weights.base)
     folder, writes = session.run.path / KIND, session.run.writes
-    with (
-        RunFolder.open(folder, KIND, own, data, metadata={BASE: base}, writes=writes) as run,
-        ItemProgress("steps of the marker VAE", sys.stderr) as steps,
-    ):
+    run = RunFolder.open(folder, KIND, own, data, metadata={BASE: base}, writes=writes)
+    with ItemProgress("steps of the marker VAE", sys.stderr) as steps:
         if not run.finished:
             images, validation = read()
             held = validation if len(validation) else None
