@@ -125,7 +125,7 @@ class Differences:
     """Infinite where only one of both has a direction."""
 
     @classmethod
-    def between(cls, one: Presses, other: Presses) -> Differences:
+    def of(cls, one: Presses, other: Presses) -> Differences:
         """Compare each press of `one` with each of `other`."""
         place = np.linalg.norm(one.place[:, None] - other.place[None], axis=-1)
         angle = _turn(one.angle[:, None], other.angle[None])
@@ -231,7 +231,7 @@ def match(sensors: Sequence[Presses], tolerances: Tolerances) -> list[Integers]:
         number = np.full(len(presses), -1, np.int64)
         for others, numbers in known:
             for rows in _blocks(presses):
-                near = Differences.between(presses.subset(rows), others).alike(tolerances)[-1]
+                near = Differences.of(presses.subset(rows), others).alike(tolerances)[-1]
                 for row, column in np.argwhere(near).tolist():
                     press, at = int(rows[row]), int(numbers[column])
                     if number[press] not in (-1, at):
@@ -256,7 +256,7 @@ def _blocks(presses: Presses) -> Iterator[Integers]:
 def _require_apart(presses: Presses, tolerances: Tolerances) -> None:
     """Reject a sensor that was pressed twice at one place within the tolerances."""
     for rows in _blocks(presses):
-        near = Differences.between(presses.subset(rows), presses).alike(tolerances)[-1]
+        near = Differences.of(presses.subset(rows), presses).alike(tolerances)[-1]
         near &= np.arange(len(presses))[None] > rows[:, None]
         for row, other in np.argwhere(near)[:1].tolist():
             raise _ambiguous(presses, int(rows[row]), presses, other, tolerances)
@@ -278,7 +278,7 @@ def _require_all_near(
     rows, columns = rows[number[rows] >= 0], columns[number[rows] >= 0]
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         one, other = presses.subset(np.array([row])), others.subset(np.array([column]))
-        if not Differences.between(one, other).alike(tolerances)[-1].all():
+        if not Differences.of(one, other).alike(tolerances)[-1].all():
             raise _ambiguous(presses, row, others, column, tolerances)
 
 
@@ -375,7 +375,7 @@ def _reasons(presses: Presses, others: Presses, tolerances: Tolerances) -> Itera
     who = f"{presses.of.name}, {{}}"
     for rows in _blocks(presses):
         some = presses.subset(rows)
-        apart = Differences.between(some, others)
+        apart = Differences.of(some, others)
         same, here, deep, _ = apart.alike(tolerances)
         for row in range(len(some)):
             if some.flaw[row]:
