@@ -367,7 +367,7 @@ def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
 
 def _marker_vae(folder: Path, device: str) -> Extractor:
     """Return features (n, 4 * 64) of a marker VAE: the mean of its latent in 8 x 8 cells."""
-    from learning.translation.diffusion.vae import KIND, load_vae
+    from learning.translation.diffusion.network import MARKER_VAE, load_vae
 
     vae = load_vae(folder, device)
 
@@ -377,7 +377,7 @@ def _marker_vae(folder: Path, device: str) -> Extractor:
             cells = functional.adaptive_avg_pool2d(latent, CELLS).flatten(1)
         return np.asarray(cells.double().cpu().numpy(), np.float64)
 
-    return Extractor(f"{KIND}@{_sha256(folder / 'model.safetensors')}", compute)
+    return Extractor(f"{MARKER_VAE}@{_sha256(folder / 'model.safetensors')}", compute)
 
 
 def _sha256(path: Path) -> str:

@@ -36,11 +36,13 @@ from learning.markers.segment import (
     ShadingPreset,
     TaxelPreset,
     built_preset,
+    cells_of,
+    change_of,
     names,
     preset,
     preset_of_sensor,
+    shading_of,
 )
-from learning.markers.shading import cells_of, change_of, shading_of
 from learning.training.checkpoint import CONFIG, read_config
 from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack

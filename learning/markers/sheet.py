@@ -11,10 +11,17 @@ from numpy.typing import NDArray
 
 from learning.contact_sheet import Tile, marker_picture, write_sheet
 from learning.errors import LearningError
-from learning.markers.flags import FLAG
+from learning.markers.frames import FLAG
 from learning.markers.recording import Recording
-from learning.markers.segment import CameraPreset, Picture, outlined, preset, view_of
-from learning.markers.shading import change_of, picture_of
+from learning.markers.segment import (
+    CameraPreset,
+    Picture,
+    change_of,
+    outlined,
+    picture_of,
+    preset,
+    view_of,
+)
 from recorder import MarkerArchive
 from recorder.archive import MASKS, ArchivedSensor
 from recorder.markers import SMALLEST_PX, count_markers, unpack

@@ -18,7 +18,6 @@ from benchmarks.learning import diffusion_full_size
 from learning.config import read_settings
 from learning.data.images import unit
 from learning.errors import LearningError
-from learning.translation.diffusion.conditioning import ReferenceTokens, sine_places
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import (
     UNET_ADAPTER,
@@ -26,11 +25,13 @@ from learning.translation.diffusion.network import (
     VAE_ADAPTER,
     VAE_TARGETS,
     MarkerToMarker,
+    ReferenceTokens,
     add_adapter,
     build,
     clean_latent,
     is_adapter,
     remaining_signal,
+    sine_places,
 )
 from learning.translation.diffusion.train import PRESETS, TranslatorSettings, train
 from learning.translation.diffusion.weights import WIDTHS, vendor

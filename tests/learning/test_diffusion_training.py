@@ -29,10 +29,9 @@ from learning.training.optim import Constant
 from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerator
 from learning.translation.diffusion import train as translator
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
-from learning.translation.diffusion.network import build
+from learning.translation.diffusion.network import MarkerVae, build
 from learning.translation.diffusion.train import LossWeights, TranslatorSettings, evaluate, train
 from learning.translation.diffusion.train_vae import train_vae
-from learning.translation.diffusion.vae import MarkerVae
 
 PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
 

@@ -30,10 +30,9 @@ from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder
 from learning.translation import Translator, load_translator
 from learning.translation.diffusion import command
-from learning.translation.diffusion.network import KIND, MarkerToMarker, build
+from learning.translation.diffusion.network import KIND, MarkerToMarker, MarkerVae, build, load_vae
+from learning.translation.diffusion.network import MARKER_VAE as VAE
 from learning.translation.diffusion.translator import DiffusionTranslator
-from learning.translation.diffusion.vae import KIND as VAE
-from learning.translation.diffusion.vae import MarkerVae, load_vae
 from learning.translation.diffusion.weights import BASE, base_of, fingerprint
 from recorder import MarkerArchive
 

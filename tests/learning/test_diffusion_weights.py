@@ -24,9 +24,9 @@ from learning.translation.diffusion.network import (
     MarkerToMarker,
     build,
     is_adapter,
+    load_vae_adapter,
 )
 from learning.translation.diffusion.translator import load_network
-from learning.translation.diffusion.vae import load_vae_adapter
 from learning.translation.diffusion.weights import (
     PerceptualDistance,
     fingerprint,

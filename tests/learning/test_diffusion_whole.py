@@ -11,11 +11,10 @@ from learning.config import read_settings
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, accelerator
 from learning.translation.diffusion import train
-from learning.translation.diffusion.network import KIND
+from learning.translation.diffusion.network import KIND, load_vae_adapter
+from learning.translation.diffusion.network import MARKER_VAE as VAE
 from learning.translation.diffusion.train_vae import train_vae
 from learning.translation.diffusion.translator import load_network
-from learning.translation.diffusion.vae import KIND as VAE
-from learning.translation.diffusion.vae import load_vae_adapter
 from learning.translation.diffusion.weights import BASE, fingerprint, read_unet, read_vae
 
 FEW = (

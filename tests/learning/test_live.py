@@ -17,8 +17,14 @@ from learning.markers import Segmenter, preset
 from learning.markers.displacement import FieldReader
 from learning.markers.frames import taxel_masks
 from learning.markers.segment import FOLDER as PRESETS
-from learning.markers.segment import CameraPreset, ShadingPreset, TaxelPreset, kept_preset
-from learning.markers.shading import cells_of, shading_of
+from learning.markers.segment import (
+    CameraPreset,
+    ShadingPreset,
+    TaxelPreset,
+    cells_of,
+    kept_preset,
+    shading_of,
+)
 from learning.training.checkpoint import Config
 from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack

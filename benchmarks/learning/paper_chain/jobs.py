@@ -62,14 +62,13 @@ from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, Session, Stop, accelerator, generator
 from learning.translation.diffusion import train as m2m
 from learning.translation.diffusion.network import KIND as M2M
+from learning.translation.diffusion.network import MARKER_VAE as VAE
+from learning.translation.diffusion.network import load_vae_adapter
 from learning.translation.diffusion.train_vae import MarkerVaeSettings, train_vae
-from learning.translation.diffusion.vae import KIND as VAE
-from learning.translation.diffusion.vae import load_vae_adapter
 from learning.translation.diffusion.weights import BASE, fingerprint, read_unet, read_vae
 from learning.translation.field import train as field
 from learning.translation.field.data import gather_role
-from learning.translation.loading import load_translator
-from learning.translation.translator import SensorView, Translator, for_pair
+from learning.translation.translator import SensorView, Translator, for_pair, load_translator
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
 from recorder.markers import pack, unpack

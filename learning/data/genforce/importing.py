@@ -59,8 +59,7 @@ from learning.data.genforce.format import (
 from learning.data.genforce.turns import turn_of
 from learning.errors import LearningError
 from learning.indenters import UNSEEN, coded
-from learning.markers.flags import FLAG, marker_flags
-from learning.markers.frames import taxel_masks
+from learning.markers.frames import FLAG, marker_flags, taxel_masks
 from learning.markers.lattice import Lattice, with_reference
 from learning.markers.segment import (
     CameraPreset,

@@ -25,13 +25,13 @@ from learning.translation.diffusion.network import (
     VAE_ADAPTER,
     VAE_TARGETS,
     MarkerToMarker,
+    MarkerVae,
     build,
     is_adapter,
     rank_of,
 )
 from learning.translation.diffusion.train import PRESETS, TranslatorSettings
 from learning.translation.diffusion.train_vae import MarkerVaeSettings
-from learning.translation.diffusion.vae import MarkerVae
 from learning.translation.diffusion.weights import (
     BASE,
     Weights,

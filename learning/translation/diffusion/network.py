@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import Any, Literal
 
 import torch
@@ -22,9 +23,89 @@ from torch import nn
 
 from learning.config import require
 from learning.errors import LearningError
-from learning.training.checkpoint import load_weights
-from learning.translation.diffusion.conditioning import Conditioning, ReferenceTokens
-from learning.translation.diffusion.weights import Weights, vendor
+from learning.training.checkpoint import load_weights, read_model_folder
+from learning.translation.diffusion.weights import Weights, base_of, read_vae, require_base, vendor
+
+# Tokens for the UNet's cross-attention: the target's reference and, optionally, the source's.
+#
+# The paper only states that the reference's latent is the condition of the cross-attention:
+# `channel_tokens` is one token per channel of the latent, with its pixels as features (authors'
+# code; as many pixels as the width of the cross-attention), `patch_tokens` one token per 2 x 2
+# pixels of the latent, by a linear projection with positional encoding.
+
+Conditioning = Literal["channel_tokens", "patch_tokens"]
+# Side of a patch [px of the latent].
+PATCH = 2
+
+
+class ReferenceTokens(nn.Module):
+    """Latents of references as tokens (n, count, width)."""
+
+    def __init__(
+        self, kind: Conditioning, *, channels: int, width: int, source_reference: bool
+    ) -> None:
+        """Build the layers.
+
+        Args:
+            kind: Encoding of tokens.
+            channels: Channels of the latent.
+            width: Width of the UNet's cross-attention.
+            source_reference: True if the source's reference is also an input.
+        """
+        super().__init__()
+        self.kind, self.width, self.source_reference = kind, width, source_reference
+        if kind == "patch_tokens":
+            self.projection = nn.Linear(channels * PATCH**2, width)
+            self.norm = nn.LayerNorm(width)
+        if source_reference:
+            self.role = nn.Parameter(torch.randn(2, width) * 0.02)
+            """Embeddings added to the tokens of the target and of the source."""
+
+    def forward(self, target: torch.Tensor, source: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the tokens (n, count, width) of one or two latents (n, channels, h, w)."""
+        if not self.source_reference:
+            if source is not None:
+                raise LearningError("source_reference: found one; this network reads none")
+            return self._tokens(target)
+        if source is None:
+            raise LearningError("source_reference: missing; this network reads the source's own")
+        both = self._tokens(target) + self.role[0], self._tokens(source) + self.role[1]
+        return torch.cat(both, dim=1)
+
+    def _tokens(self, latent: torch.Tensor) -> torch.Tensor:
+        count, channels, height, width = latent.shape
+        if self.kind == "channel_tokens":
+            if height * width != self.width:
+                raise LearningError(
+                    f"channel_tokens: found a latent of {height} x {width}; allowed: "
+                    f"{self.width} pixels, the width of the cross-attention"
+                )
+            return latent.reshape(count, channels, self.width)
+        patches = nn.functional.pixel_unshuffle(latent, PATCH)
+        rows, columns = patches.shape[2:]
+        tokens = self.projection(patches.flatten(2).transpose(1, 2))
+        places = sine_places(rows, columns, self.width).to(tokens)
+        normed: torch.Tensor = self.norm(tokens + places)
+        return normed
+
+
+def sine_places(rows: int, columns: int, width: int) -> torch.Tensor:
+    """Return positional encodings of a raster (rows x columns, width), in row-major order.
+
+    Half of the features encode the row and half the column, by sines and cosines of falling
+    frequency (Vaswani et al. 2017, once for each axis).
+    """
+    halves = width // 2, width - width // 2
+    by_row = _sines(rows, halves[0])[:, None].expand(rows, columns, halves[0])
+    by_column = _sines(columns, halves[1])[None].expand(rows, columns, halves[1])
+    return torch.cat((by_row, by_column), dim=2).reshape(rows * columns, width)
+
+
+def _sines(count: int, width: int) -> torch.Tensor:
+    frequencies = torch.exp(torch.arange(0, width, 2) * (-math.log(10_000.0) / max(width, 1)))
+    angles = torch.arange(count)[:, None] * frequencies
+    return torch.stack((angles.sin(), angles.cos()), dim=2).flatten(1)[:, :width]
+
 
 # Kind of a translator's folder.
 KIND = "diffusion"
@@ -408,3 +489,103 @@ def rank_of(adapter: Mapping[str, torch.Tensor]) -> int:
 
 def _is_ours(name: str) -> bool:
     return is_adapter(name) or name.startswith(("tokens.", "unet.conv_in."))
+
+
+# The marker VAE: SD-Turbo's autoencoder with an adapter for marker images.
+#
+# Its adapter initialises the translator's encoder and decoder, and is the reference encoder's. Its
+# latents are the features in which sets of images are compared.
+
+# Kind of a marker VAE's folder.
+MARKER_VAE = "marker-vae"
+
+
+class MarkerVae(nn.Module):
+    """SD-Turbo's autoencoder with an adapter, for images (n, 1, h, w) in [0, 1].
+
+    Its state contains only the adapter, or all weights if all are trained.
+    """
+
+    def __init__(self, vae: Any, settings: VaeSettings, *, decode_scaled: bool = False) -> None:
+        """Add the adapter, unless all weights are trained.
+
+        Args:
+            vae: SD-Turbo's autoencoder; becomes part of the network.
+            settings: Settings of the network.
+            decode_scaled: True if the decoder takes the latent times its scaling factor.
+        """
+        super().__init__()
+        if not settings.whole:
+            add_adapter(vae, VAE_ADAPTER, settings.vae_rank, VAE_TARGETS, seed=settings.seed)
+        if settings.gradient_checkpointing:
+            vae.enable_gradient_checkpointing()
+        self.vae = vae
+        self.zero_one = settings.pixel_range == "zero_one"
+        self.decode_scaled = decode_scaled
+        if not settings.whole:
+            keep_in_state(self, is_adapter)
+
+    def forward(
+        self, images: torch.Tensor, noise: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return images, their reconstructions and the divergence of their latents.
+
+        Args:
+            images: Images (n, 1, h, w) in [0, 1].
+            noise: Standard normal noise of a latent's shape; None: decode the posterior's mean.
+
+        Returns:
+            Images and their reconstructions (n, 3, h, w) in the network's range, and the
+            divergence of each latent from the normal distribution (n,).
+        """
+        true = self._native(images)
+        found = posterior(self.vae, true, 1.0)
+        latent = found.at(noise)
+        if self.decode_scaled:
+            latent = latent * float(self.vae.config.scaling_factor)
+        made = self.vae.decode(latent).sample.float()
+        variance = found.deviation**2
+        divergence = 0.5 * (found.mean**2 + variance - variance.log() - 1).sum(dim=(1, 2, 3))
+        return true, made, divergence
+
+    def adapter(self) -> dict[str, torch.Tensor]:
+        """Return the adapter's tensors under the names of the translator's autoencoder."""
+        return adapter_tensors(self.vae)
+
+    def latent(self, images: torch.Tensor) -> torch.Tensor:
+        """Return the mean latents (n, channels, h/8, w/8) of images (n, 1, h, w) in [0, 1]."""
+        return posterior(self.vae, self._native(images), 1.0).mean
+
+    def _native(self, images: torch.Tensor) -> torch.Tensor:
+        return (images if self.zero_one else images * 2 - 1).expand(-1, 3, -1, -1)
+
+
+def load_vae(folder: Path, device: str = "cpu") -> MarkerVae:
+    """Return the marker VAE in a folder, in evaluation mode."""
+    found = read_model_folder(folder, MARKER_VAE)
+    return found.load(MarkerVae(read_vae(base_of(found)), found.settings(VaeSettings)), device)
+
+
+def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
+    """Return the adapter of a trained marker VAE from its folder.
+
+    Args:
+        folder: Run folder of the autoencoder.
+        base: Fingerprint of the published weights that it will be applied to.
+    """
+    found = read_model_folder(Path(folder), MARKER_VAE)
+    require_base(found, base)
+    return vae_adapter_of(found.weights())
+
+
+def vae_adapter_of(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return the autoencoder's adapter in the state of a translator or of an autoencoder.
+
+    If all weights were trained, there is no adapter, and all of the autoencoder's are returned.
+    """
+    own = {
+        name.removeprefix("vae."): tensor
+        for name, tensor in state.items()
+        if name.startswith("vae.")
+    }
+    return {name: tensor for name, tensor in own.items() if is_adapter(name)} or own

@@ -51,9 +51,10 @@ from learning.translation.diffusion.network import (
     NetworkSettings,
     Posterior,
     build,
+    load_vae_adapter,
+    vae_adapter_of,
 )
 from learning.translation.diffusion.train_vae import MarkerVaeSettings, Optimiser, marker_vae_of
-from learning.translation.diffusion.vae import load_vae_adapter, vae_adapter_of
 from learning.translation.diffusion.weights import (
     BASE,
     PerceptualDistance,

@@ -31,8 +31,12 @@ from learning.training.run import (
     generator,
 )
 from learning.training.run import batch as sampled
-from learning.translation.diffusion.network import VaeSettings
-from learning.translation.diffusion.vae import KIND, MarkerVae, load_vae_adapter
+from learning.translation.diffusion.network import (
+    MARKER_VAE,
+    MarkerVae,
+    VaeSettings,
+    load_vae_adapter,
+)
 from learning.translation.diffusion.weights import BASE, fingerprint, read_vae
 from recorder.progress import ItemProgress
 
@@ -281,8 +285,8 @@ def marker_vae_of(
         The adapter; None if the training was stopped.
     """
     own, base = settings.of_marker_vae(), fingerprint(settings.weights.base)
-    folder, writes = session.run.path / KIND, session.run.writes
-    run = RunFolder.open(folder, KIND, own, data, metadata={BASE: base}, writes=writes)
+    folder, writes = session.run.path / MARKER_VAE, session.run.writes
+    run = RunFolder.open(folder, MARKER_VAE, own, data, metadata={BASE: base}, writes=writes)
     with ItemProgress("steps of the marker VAE", sys.stderr) as steps:
         if not run.finished:
             images, validation = read()

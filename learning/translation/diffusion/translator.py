@@ -16,8 +16,8 @@ from learning.translation.diffusion.network import (
     build,
     fuse,
     rank_of,
+    vae_adapter_of,
 )
-from learning.translation.diffusion.vae import vae_adapter_of
 from learning.translation.diffusion.weights import base_of, read_unet, read_vae
 from learning.translation.translator import require_masks, source_reference_of
 
