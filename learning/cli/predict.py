@@ -93,7 +93,7 @@ def predicted(
     from learning.force.folder import model_name
     from learning.force.intervals import read_intervals
     from learning.training.checkpoint import CONFIG, read_config
-    from learning.translation.translator import hash_of
+    from learning.translation.loading import hash_of
 
     name = model_name(model_given)
     folder = Path(name)

@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
 
     from learning.data.splits import read_split
     from learning.translation.archive import Model, draw_sheet, translate_archive
-    from learning.translation.translator import hash_of, load_translator
+    from learning.translation.loading import hash_of, load_translator
     from recorder import MarkerArchive
 
     archive = MarkerArchive(options.archive)

@@ -52,7 +52,8 @@ from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, session_of
 from learning.translation.archive import Model, Pair, translate_archive
 from learning.translation.field import train as field_training
-from learning.translation.translator import FLOW, SensorView, for_pair, hash_of, load_translator
+from learning.translation.loading import hash_of, load_translator
+from learning.translation.translator import FLOW, SensorView, for_pair
 from recorder import MarkerArchive
 from recorder.progress import ItemProgress
 

@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     from learning.force.train import read_force_settings, train_force
     from learning.markers.segment import kept_preset
     from learning.train_command import open_data, run_training
-    from learning.translation.translator import hash_of
+    from learning.translation.loading import hash_of
     from recorder.archive import SHADING
 
     archive, split = open_data(options)

@@ -5,13 +5,13 @@ Three translators share one interface (`translator`): `flow` is classical and ne
 `archive` translates whole archives.
 """
 
+from learning.translation.loading import load_translator
 from learning.translation.translator import (
     FLOW,
     PairTranslator,
     SensorView,
     Translator,
     for_pair,
-    load_translator,
     require_masks,
 )
 

@@ -23,7 +23,7 @@ from learning.force.model import AXES, KIND, ForceModel, load_force_model, prepa
 from learning.force.stream import open_exported
 from learning.force.train import read_force_settings, train_force
 from learning.training.run import RunFolder, Session, accelerator
-from learning.translation.translator import hash_of
+from learning.translation.loading import hash_of
 
 NAMES = ("ours", "alone", "field", "mean-force")
 FOREIGN = "mean-force"

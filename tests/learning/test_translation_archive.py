@@ -18,7 +18,8 @@ from learning.translation import archive as translating
 from learning.translation import load_translator
 from learning.translation.archive import Model, Pair, dice, translate_archive
 from learning.translation.flow import FlowTranslator
-from learning.translation.translator import SensorView, for_pair, hash_of
+from learning.translation.loading import hash_of
+from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive, SessionError
 from recorder.archive import check_archive, location_pairs, write_simulated
 from recorder.store.files import LOCAL

@@ -20,7 +20,7 @@ from learning.training.run import RunFolder
 from learning.translation import SensorView, Translator, for_pair, load_translator
 from learning.translation.diffusion.network import build
 from learning.translation.diffusion.weights import BASE, fingerprint
-from learning.translation.translator import hash_of
+from learning.translation.loading import hash_of
 from recorder import MarkerArchive
 
 NAMES = ("flow", "field", "diffusion", "still")

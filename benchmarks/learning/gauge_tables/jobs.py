@@ -50,7 +50,8 @@ from learning.force.model import ForceModel
 from learning.force.train import PRESETS, ForceSettings, train_force
 from learning.metrics import r_squared
 from learning.training.run import generator
-from learning.translation.translator import SensorView, for_pair, load_translator
+from learning.translation.loading import load_translator
+from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive
 from recorder.store import replace_file
 from sim.dataset.plan import UNSEEN

@@ -68,7 +68,8 @@ from learning.translation.diffusion.train_vae import MarkerVaeSettings, train_va
 from learning.translation.diffusion.weights import BASE, fingerprint, read_unet, read_vae
 from learning.translation.field import train as field
 from learning.translation.field.data import gather_role
-from learning.translation.translator import SensorView, Translator, for_pair, load_translator
+from learning.translation.loading import load_translator
+from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
 from recorder.markers import pack, unpack
