@@ -9,6 +9,7 @@ from datetime import date
 from pathlib import Path
 
 from recorder.catalogue import UNREADABLE, Catalogue, Query, Row
+from recorder.command_line.options import reads
 
 # As `recorder.spec.STATUSES`, which would import NumPy.
 _STATUSES = ("recording", "complete", "stopped", "recovered", UNREADABLE)
@@ -30,10 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--plan", default="", metavar="KIND", help="press_shear or force_depth")
     parser.add_argument("--status", default="", choices=_STATUSES, help="only this status")
+    day = reads(date.fromisoformat, "a day such as 2026-11-24")
     parser.add_argument(
-        "--since", type=_day, metavar="DATE", help="first day, such as 2026-11-24 (UTC)"
+        "--since", type=day, metavar="DATE", help="first day, such as 2026-11-24 (UTC)"
     )
-    parser.add_argument("--until", type=_day, metavar="DATE", help="last day, included (UTC)")
+    parser.add_argument("--until", type=day, metavar="DATE", help="last day, included (UTC)")
     faults = parser.add_mutually_exclusive_group()
     faults.add_argument(
         "--faults",
@@ -128,12 +130,3 @@ def _table(rows: list[Row]) -> list[str]:
             (_COLUMNS, *cells), ("path", *(row.path for row in rows)), strict=True
         )
     ]
-
-
-def _day(text: str) -> date:
-    try:
-        return date.fromisoformat(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"found {text!r}; allowed: a day such as 2026-11-24"
-        ) from None

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import shlex
 from collections.abc import Callable, Iterable
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from recorder.command_line.errors import CommandError
+
+Value = TypeVar("Value")
 
 
 class _Help(argparse.HelpFormatter):
@@ -52,58 +55,46 @@ def next_command(*words: object, **options: object) -> str:
     return shlex.join(line)
 
 
-def positive(text: str) -> float:
-    """Read a finite number above 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: a number above 0")
-    return value
+def reads(
+    convert: Callable[[str], Value],
+    allowed: str,
+    accept: Callable[[Value], bool] = lambda value: True,
+) -> Callable[[str], Value]:
+    """Return a reader of what `convert` makes of a text; it refuses what `accept` does not."""
+
+    def read(text: str) -> Value:
+        with contextlib.suppress(ValueError):
+            if accept(value := convert(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: {allowed}")
+
+    return read
+
+
+# Reader of a finite number above 0.
+positive = reads(float, "a number above 0", lambda value: 0 < value < math.inf)
 
 
 def whole(low: int = 1, high: int | None = None) -> Callable[[str], int]:
     """Return a reader of whole numbers from `low` to `high`."""
     allowed = f"{low} or more" if high is None else f"{low} to {high}"
-
-    def read(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = low - 1
-        if value < low or (high is not None and value > high):
-            raise argparse.ArgumentTypeError(f"found {text!r}; allowed: whole numbers, {allowed}")
-        return value
-
-    return read
+    most = math.inf if high is None else high
+    return reads(int, f"whole numbers, {allowed}", lambda value: low <= value <= most)
 
 
 def numbers(count: int | None = None) -> Callable[[str], tuple[float, ...]]:
     """Return a reader of comma-separated numbers: `count` of them, or one or more."""
     allowed = f"{count} numbers" if count else "numbers"
     example = ",".join(["1.5", "2", "0"][: count or 3])
-
-    def read(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            values = ()
-        if not values or (count is not None and len(values) != count):
-            raise argparse.ArgumentTypeError(
-                f"found {text!r}; allowed: {allowed} between commas, such as {example}"
-            )
-        return values
-
-    return read
+    return reads(
+        lambda text: tuple(float(part) for part in text.split(",")),
+        f"{allowed} between commas, such as {example}",
+        lambda values: len(values) == (count or len(values)),
+    )
 
 
-def names(text: str) -> tuple[str, ...]:
-    """Read comma-separated names."""
-    found = tuple(text.split(","))
-    if not all(found):
-        raise argparse.ArgumentTypeError(f"found {text!r}; allowed: names between commas")
-    return found
+# Reader of comma-separated names.
+names = reads(lambda text: tuple(text.split(",")), "names between commas", all)
 
 
 def names_or_none(text: str) -> tuple[str, ...]:
