@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from recorder.strict_yaml import YamlError, describe, parse, read_mapping
+from recorder.strict_yaml import describe, parse, read_mapping
 
 Value = TypeVar("Value")
 
@@ -105,17 +105,11 @@ class Reader:
 
         That file is also looked for in the folder `library`.
         """
-        try:
-            return read_mapping(path, library=library)
-        except YamlError as error:
-            raise self.error(str(error)) from None
+        return read_mapping(path, self.error, library)
 
     def parse(self, text: str, where: str) -> Any:
         """Return the value of a piece of YAML."""
-        try:
-            return parse(text, where)
-        except YamlError as error:
-            raise self.error(str(error)) from None
+        return parse(text, where, self.error)
 
     def build(self, kind: type[Value], content: Any, where: str) -> Value:
         """Return the frozen dataclass `kind` that a mapping of YAML describes.

@@ -23,12 +23,10 @@ _EXPONENT = (
 _KINDS: dict[type[Any], str] = {str: "text ", list: "the list ", dict: "the mapping "}
 
 
-class YamlError(ValueError):
-    """Error in a file: its place, the value found and the values allowed."""
-
-
 class _StrictLoader(yaml.SafeLoader):
     """Loader that rejects a repeated key; PyYAML would silently keep the second."""
+
+    error: type[ValueError]
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[Any] = set()
@@ -36,7 +34,7 @@ class _StrictLoader(yaml.SafeLoader):
             key = self.construct_object(key_node, deep=True)
             if key in seen:
                 line = key_node.start_mark.line + 1
-                raise YamlError(f"{self.name}: line {line}: key {key!r} is written twice")
+                raise self.error(f"{self.name}: line {line}: key {key!r} is written twice")
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -61,19 +59,19 @@ def yaml_text(content: Mapping[str, Any]) -> str:
     return yaml.dump(content, Dumper=_StrictDumper, sort_keys=False)
 
 
-def parse(text: str, name: str) -> Any:
-    """Return the content of a YAML text; `name` is its origin, for error messages."""
+def parse(text: str, name: str, error: type[ValueError]) -> Any:
+    """Return the content of a YAML text; `name` is its origin, for messages of an `error`."""
     try:
         loader = _StrictLoader(text)
-        loader.name = name
+        loader.name, loader.error = name, error
         try:
             return loader.get_single_data()
         finally:
             loader.dispose()
-    except yaml.MarkedYAMLError as error:
-        raise YamlError(f"{name}: not YAML: {_in_one_line(error)}") from None
-    except yaml.YAMLError as error:
-        raise YamlError(f"{name}: not YAML: {error}") from None
+    except yaml.MarkedYAMLError as fault:
+        raise error(f"{name}: not YAML: {_in_one_line(fault)}") from None
+    except yaml.YAMLError as fault:
+        raise error(f"{name}: not YAML: {fault}") from None
 
 
 def _in_one_line(error: yaml.MarkedYAMLError) -> str:
@@ -85,7 +83,7 @@ def _in_one_line(error: yaml.MarkedYAMLError) -> str:
 
 
 def read_mapping(
-    path: Path, above: tuple[Path, ...] = (), *, library: Path | None = None
+    path: Path, error: type[ValueError], library: Path | None, above: tuple[Path, ...] = ()
 ) -> dict[str, Any]:
     """Return the mapping in a YAML file, merged over the file named by its `extends`.
 
@@ -93,27 +91,27 @@ def read_mapping(
     `library` is searched as well. `above` are the files that led here through `extends`.
     """
     if path.resolve() in above:
-        raise YamlError(f"{path}: extends: the files extend each other in a circle")
+        raise error(f"{path}: extends: the files extend each other in a circle")
     try:
-        content = parse(path.read_text(encoding="utf-8"), str(path))
+        content = parse(path.read_text(encoding="utf-8"), str(path), error)
     except FileNotFoundError:
-        raise YamlError(f"{path}: no such file") from None
-    except UnicodeDecodeError as error:
-        raise YamlError(f"{path}: not YAML: {error}") from None
+        raise error(f"{path}: no such file") from None
+    except UnicodeDecodeError as fault:
+        raise error(f"{path}: not YAML: {fault}") from None
     if not isinstance(content, dict):
-        raise YamlError(f"{path}: found {describe(content)}; allowed: a mapping of keys to values")
+        raise error(f"{path}: found {describe(content)}; allowed: a mapping of keys to values")
     parent = content.pop("extends", None)
     if parent is None:
         return content
     if not isinstance(parent, str):
-        raise YamlError(f"{path}.extends: found {describe(parent)}; allowed: the name of a file")
+        raise error(f"{path}.extends: found {describe(parent)}; allowed: the name of a file")
     extended = path.parent / parent
     if library is not None and not extended.exists() and set(Path(parent).parts[:-1]) <= {".."}:
         shared = library / Path(parent).name
         extended = shared if shared.is_file() else extended
     if not extended.exists():
-        raise YamlError(f"{path}.extends: found {parent!r}; no such file beside it")
-    below = read_mapping(extended, (*above, path.resolve()), library=library)
+        raise error(f"{path}.extends: found {parent!r}; no such file beside it")
+    below = read_mapping(extended, error, library, (*above, path.resolve()))
     return merged(below, content)
 
 

@@ -51,18 +51,21 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     folders = _folders(session)
     if not {"camera", "taxels"} & {session.streams[name].traits.kind for name in folders}:
         raise SessionError(f"{session.name}: has neither camera nor taxels")
-    known, missing = _known(session, folders), 0
+    known, phase, missing = _known(session, folders), session.frames["phase"], 0
     presses = []
     for press in need_presses(session, valid_only=options.valid_only):
         rows = press.rows[known[press.rows]]
         missing += len(press.rows) - len(rows)
-        presses.append(replace(press, rows=rows))
-    found = _whole(session, presses)
+        # The scripts read four folders per point.
+        if len(np.unique(phase[rows])) == len(PHASES):
+            presses.append(replace(press, rows=rows))
+    if not presses:
+        raise SessionError(f"{session.name}: no press has all of {', '.join(PHASES)}")
     base = path / file_name(session.attrs.get("sensor", "sensor"))
-    name = f"{file_name(session.attrs.get('indenter', 'indenter'))}-{_stamp(session, found[0])}"
+    name = f"{file_name(session.attrs.get('indenter', 'indenter'))}-{_stamp(session, presses[0])}"
     for stream, folder in folders.items():
         _reference(session, stream, base / folder / name)
-    _path(session, base / "path" / name, found)
+    _path(session, base / "path" / name, presses)
     lines = []
     if left_out := sorted(set(session.streams) - set(folders)):
         lines.append("Streams of kinds that this layout has no folder for: " + ", ".join(left_out))
@@ -70,10 +73,11 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
         lines.append(f"Rows in which a stream has no sample near enough: {missing}")
     if lines:
         (base / "not-exported.txt").write_text("\n".join(lines) + "\n")
-    total, done = sum(len(press.rows) for press in found), 0
-    for point, press in enumerate(found, start=1):
-        for phase, rows in _phases(session, press):
-            place = Path(name) / str(point) / phase
+    total, done = sum(len(press.rows) for press in presses), 0
+    for point, press in enumerate(presses, start=1):
+        for code, folder_of_phase in enumerate(PHASES):
+            rows = press.rows[phase[press.rows] == code]
+            place = Path(name) / str(point) / folder_of_phase
             for stream, folder in folders.items():
                 _write_rows(session, stream, base / folder / place, rows)
             done += len(rows)
@@ -102,23 +106,6 @@ def _known(session: Session, streams: Iterable[str]) -> NDArray[np.bool_]:
         unknown = np.isnan(values.reshape(len(values), int(np.prod(values.shape[1:]))))
         known &= ~(unknown.any(axis=1) if kind == "taxels" else unknown.all(axis=1))
     return known
-
-
-def _whole(session: Session, found: list[RecordedPress]) -> list[RecordedPress]:
-    """Return the presses with all four phases: the scripts read four folders per point."""
-    phase = session.frames["phase"]
-    whole = [press for press in found if len(np.unique(phase[press.rows])) == len(PHASES)]
-    if not whole:
-        raise SessionError(f"{session.name}: no press has all of {', '.join(PHASES)}")
-    return whole
-
-
-def _phases(session: Session, press: RecordedPress) -> Iterator[tuple[str, Array]]:
-    of_row = session.frames["phase"][press.rows]
-    for code, phase in enumerate(PHASES):
-        rows = press.rows[of_row == code]
-        if len(rows):
-            yield phase, rows
 
 
 def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
@@ -171,7 +158,7 @@ def _resting(session: Session, name: str) -> Array:
     return np.asarray(np.rint(resting), np.int64)
 
 
-def _path(session: Session, folder: Path, found: list[RecordedPress]) -> None:
+def _path(session: Session, folder: Path, presses: Sequence[RecordedPress]) -> None:
     """Write the planned positions (n, 6), one row per point folder, without a header.
 
     The session plans positions but no rotations: those are taken from the first pose of the press.
@@ -179,7 +166,7 @@ def _path(session: Session, folder: Path, found: list[RecordedPress]) -> None:
     folder.mkdir(parents=True)
     planned = session.targets.get("planned")
     lines = []
-    for press in found:
+    for press in presses:
         pose = session.frames["pose"][press.rows[0]].copy()
         if planned is not None and press.target < len(planned):
             pose[:3] = planned[press.target]

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from recorder.strict_yaml import YamlError, merged, parse, read_mapping, yaml_text
+from recorder.settings import Reader
+from recorder.strict_yaml import merged, yaml_text
+
+READER = Reader(ValueError)
 
 
 @pytest.mark.parametrize(
@@ -15,13 +18,13 @@ from recorder.strict_yaml import YamlError, merged, parse, read_mapping, yaml_te
 def test_what_is_written_is_read_back_as_it_was(tmp_path: Path, value: object) -> None:
     path = tmp_path / "config.yaml"
     path.write_text(yaml_text({"code_version": value, "rates": [value]}))
-    assert read_mapping(path) == {"code_version": value, "rates": [value]}
+    assert READER.read(path) == {"code_version": value, "rates": [value]}
 
 
 def test_plain_words_are_those_of_yaml_1_2() -> None:
     text = "{a: 1e-4, b: 2E3, c: no, d: on, e: true, f: 1.5, g: -1}"
     expected = {"a": 1e-4, "b": 2e3, "c": "no", "d": "on", "e": True, "f": 1.5, "g": -1}
-    assert parse(text, "here") == expected
+    assert READER.parse(text, "here") == expected
 
 
 def test_a_file_extends_another_key_by_key_but_for_another_kind(tmp_path: Path) -> None:
@@ -29,7 +32,7 @@ def test_a_file_extends_another_key_by_key_but_for_another_kind(tmp_path: Path) 
     (tmp_path / "below.yaml").write_text(below)
     over = "extends: below.yaml\na: {y: 3}\nb: {kind: two, z: 1}\nc: {y: 2}\nd: [3]\n"
     (tmp_path / "over.yaml").write_text(over)
-    assert read_mapping(tmp_path / "over.yaml") == {
+    assert READER.read(tmp_path / "over.yaml") == {
         "a": {"x": 1, "y": 3},
         "b": {"kind": "two", "z": 1},
         "c": {"kind": "one", "x": 1, "y": 2},
@@ -57,12 +60,12 @@ def test_merging_changes_neither() -> None:
 def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, text: str, describe: str) -> None:
     path = tmp_path / "it.yaml"
     path.write_text(text)
-    with pytest.raises(YamlError, match=describe):
-        read_mapping(path)
+    with pytest.raises(ValueError, match=describe):
+        READER.read(path)
 
 
 def test_bytes_that_are_no_text_are_said_so(tmp_path: Path) -> None:
     path = tmp_path / "it.yaml"
     path.write_bytes(b"a: \xff\n")
-    with pytest.raises(YamlError, match="not YAML"):
-        read_mapping(path)
+    with pytest.raises(ValueError, match="not YAML"):
+        READER.read(path)
