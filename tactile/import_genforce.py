@@ -7,8 +7,10 @@ become the folder of a trained model.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from learning.command import add_unseen, named_number, named_path
@@ -27,42 +29,32 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of GenForce folders and weights."""
     folders = parser.add_argument_group("GenForce folders, which become a marker archive")
     weights = parser.add_argument_group("weights of the GenForce authors, which become a model")
+    by_sensor = partial(folders.add_argument, action="append", default=[])
     folders.add_argument("--preset", metavar="NAME", help="marker detection in raw pictures")
-    folders.add_argument(
-        "--mm-per-px",
-        type=named_number,
-        action="append",
-        default=[],
-        metavar="SENSOR=MM",
-        help="size of a pixel (0.0249)",
+    by_sensor(
+        "--mm-per-px", type=named_number, metavar="SENSOR=MM", help="size of a pixel (0.0249)"
     )
     folders.add_argument(
         "--heights",
         action="store_true",
         help="depth files of uskin, tactip and gelsight hold heights (heterogeneous test)",
     )
-    folders.add_argument(
+    by_sensor(
         "--surface-mm",
         type=named_number,
-        action="append",
-        default=[],
         metavar="SENSOR=MM",
         help="depth files hold heights; this is the surface's",
     )
-    folders.add_argument(
+    by_sensor(
         "--plan",
         type=named_path,
-        action="append",
-        default=[],
         metavar="SENSOR=FILE",
         help="bench file with the trajectory by which a training folder's presses are numbered; "
         "without it their places are unknown, and they cannot be joined with other archives",
     )
-    folders.add_argument(
+    by_sensor(
         "--turn",
         type=named_number,
-        action="append",
-        default=[],
         metavar="SENSOR=DEG",
         help="angle from the robot's x axis to the image's, counter-clockwise, of a raw run; "
         "without it the markers of sheared presses tell the turn, or the run cannot be joined with "
@@ -90,10 +82,8 @@ def layout_among(paths: Sequence[Path]) -> str | None:
     layouts = []
     for path in paths:
         if path.is_dir() and _may_be_genforce(path):
-            try:
+            with contextlib.suppress(LearningError):
                 layouts.append(layout_of(path))
-            except LearningError:
-                continue
     if layouts and len(paths) > 1:
         raise SessionError("found a GenForce folder among others; allowed: one at a time")
     return layouts[0] if layouts else None
