@@ -8,42 +8,33 @@ from recorder.archive.arrays import (
     GIVEN,
     MASKS,
     NO_PHASE,
-    REPRESENTATIONS,
     SHADING,
     SHADING_SIDE,
     SHADING_ZERO,
-    Representation,
 )
 from recorder.archive.check import check_archive, marker_flags
-from recorder.archive.pairs import PRESETS, LocationPairs, location_pairs, press_rows
-from recorder.archive.plan import FORMAT_VERSION, ArchivePlan, MarkerCount, SensorPlan
-from recorder.archive.reader import ArchivedSensor, MarkerArchive, Rows, Simulated, describe_archive
-from recorder.archive.writer import ArchiveWriter, SensorWriter, write_simulated
+from recorder.archive.pairs import location_pairs, press_rows
+from recorder.archive.plan import ArchivePlan, MarkerCount, SensorPlan
+from recorder.archive.reader import ArchivedSensor, MarkerArchive, Rows, Simulated
+from recorder.archive.writer import ArchiveWriter, write_simulated
 
 __all__ = [
     "COLUMNS",
-    "FORMAT_VERSION",
     "GIVEN",
     "MASKS",
     "NO_PHASE",
-    "PRESETS",
-    "REPRESENTATIONS",
     "SHADING",
     "SHADING_SIDE",
     "SHADING_ZERO",
     "ArchivePlan",
     "ArchiveWriter",
     "ArchivedSensor",
-    "LocationPairs",
     "MarkerArchive",
     "MarkerCount",
-    "Representation",
     "Rows",
     "SensorPlan",
-    "SensorWriter",
     "Simulated",
     "check_archive",
-    "describe_archive",
     "location_pairs",
     "marker_flags",
     "press_rows",

@@ -255,7 +255,7 @@ def _check_shard(
     for place in range(len(contents)):
         number = shard * layout.chunks_per_shard + place
         row = number * layout.rows_per_chunk
-        offset, nbytes = (int(value) for value in index.entries[place])
+        offset, nbytes = index.ranges[place]
         if offset == MISSING:
             faults["missing-chunk"].append(f"row {row}")
             continue

@@ -4,25 +4,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recorder.session.accounts import Account, accounts_of, loss_lines
+    from recorder.session.accounts import accounts_of, loss_lines
     from recorder.session.align import EXPOSURE, captured, linear, quaternion
-    from recorder.session.clocks import clock_lines, fit_clocks
-    from recorder.session.columns import Stream
+    from recorder.session.clocks import clock_lines
     from recorder.session.frames import in_frame, surface_heights
     from recorder.session.press_curve import press_curves, save_curves
-    from recorder.session.sheet import contact_sheet, thumbnails
-    from recorder.session.uncertainty import PRIOR, sigmas_of, time_lines
+    from recorder.session.sheet import thumbnails
+    from recorder.session.uncertainty import sigmas_of, time_lines
 
 __all__ = [
     "EXPOSURE",
-    "PRIOR",
-    "Account",
-    "Stream",
     "accounts_of",
     "captured",
     "clock_lines",
-    "contact_sheet",
-    "fit_clocks",
     "in_frame",
     "linear",
     "loss_lines",
@@ -38,14 +32,9 @@ __all__ = [
 # Module of each name; imported on demand, as a reader needs neither tails nor drawings.
 _MODULES = {
     "EXPOSURE": "align",
-    "PRIOR": "uncertainty",
-    "Account": "accounts",
-    "Stream": "columns",
     "accounts_of": "accounts",
     "captured": "align",
     "clock_lines": "clocks",
-    "contact_sheet": "sheet",
-    "fit_clocks": "clocks",
     "in_frame": "frames",
     "linear": "align",
     "loss_lines": "accounts",

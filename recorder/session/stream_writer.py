@@ -103,20 +103,13 @@ def is_unfinished(layout: StreamLayout, path: Path) -> bool:
     return PARTIAL in name and any(column / "c" in path.parents for column in columns)
 
 
-@dataclass(frozen=True, slots=True)
-class OpenStream:
-    """A stream open for appending."""
+def restore(layout: StreamLayout) -> tuple[ColumnLog | None, tuple[ColumnLog, ...], Journal]:
+    """Open a stream after its last complete row. If killed, it can be called again.
 
-    image: ColumnLog | None
-    """Log of the images."""
-    small: tuple[ColumnLog, ...]
-    """Logs of the other columns, up to the start of the journal."""
-    journal: Journal
-    """Journal of the rows after them."""
-
-
-def restore(layout: StreamLayout) -> OpenStream:
-    """Open a stream after its last complete row. If killed, it can be called again."""
+    Returns:
+        The log of the images, those of the other columns up to the start of the journal, and the
+        journal of the rows after them.
+    """
     for path in unfinished_files(layout):
         if path.name.endswith(TEMPORARY) or path.name == _RESERVED:
             path.unlink()
@@ -137,7 +130,7 @@ def restore(layout: StreamLayout) -> OpenStream:
     for column in layout.columns:
         if column.rows() > state.rows:
             column.set_rows(state.rows)
-    return OpenStream(image, small, journal)
+    return image, small, journal
 
 
 def store_block(
@@ -374,10 +367,7 @@ class StreamWriter:
         self._layout = layout
         self._lock = lock
         self._closed = False
-        stream = restore(layout)
-        self._image = stream.image
-        self._small = stream.small
-        self._journal = stream.journal
+        self._image, self._small, self._journal = restore(layout)
         self._pack = RowPacker(layout).pack
         self._time = layout.time.column.name
         if layout.image is not None:

@@ -16,7 +16,6 @@ from typing import Any, ClassVar, Self
 
 import google_crc32c
 import numpy as np
-from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.store import images
@@ -24,8 +23,6 @@ from recorder.store.documents import ROWS_MAX, read_document, write_json
 from recorder.store.files import LOCAL, Files
 
 Array = np.ndarray[Any, Any]
-# (slots, 2): offset and length of each inner chunk; both are MISSING if there is none.
-Index = NDArray[np.uint64]
 
 MISSING = 0xFFFF_FFFF_FFFF_FFFF
 CRC_BYTES = 4
@@ -57,12 +54,16 @@ def ends_with_its_crc(data: bytes) -> bool:
 class ShardIndex:
     """Places of the chunks of a shard."""
 
-    entries: Index
-    """Offset and length of each chunk."""
     ranges: list[tuple[int, int]]
-    """The same as Python's own numbers, which are faster to use one by one."""
+    """Offset and length of each chunk; both are `MISSING` if there is none."""
     crcs: list[int] | None
     """Checksum of each chunk; None if the shard does not list them."""
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks before the first missing one."""
+        places = (place for place, (offset, _) in enumerate(self.ranges) if offset == MISSING)
+        return next(places, len(self.ranges))
 
 
 def packed_index(entries: list[tuple[int, int]], slots: int) -> bytes:
@@ -71,12 +72,6 @@ def packed_index(entries: list[tuple[int, int]], slots: int) -> bytes:
     index[: len(entries)] = np.array(entries, "<u8").reshape(-1, 2)
     data = index.tobytes()
     return data + packed_crc(data)
-
-
-def chunk_count(index: Index) -> int:
-    """Return the number of chunks before the first missing one."""
-    missing = np.flatnonzero(index[:, 0] == MISSING)
-    return int(missing[0]) if missing.size else len(index)
 
 
 @dataclass(frozen=True)
@@ -280,7 +275,7 @@ class ArrayLayout:
         entries = np.frombuffer(index[:-CRC_BYTES], "<u8").reshape(slots, 2)
         ranges = list(zip(*entries.T.tolist(), strict=True))
         crcs = np.frombuffer(end[: CRC_BYTES * slots], "<u4").tolist() if self.lists_crcs else None
-        return ShardIndex(entries, ranges, crcs)
+        return ShardIndex(ranges, crcs)
 
 
 def check_shape(shape: object, data_type: str, where: str) -> None:

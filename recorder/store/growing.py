@@ -15,7 +15,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
-from recorder.store.array import MISSING, ShardIndex, chunk_count
+from recorder.store.array import MISSING, ShardIndex
 from recorder.store.journal import GrowingLog, JournalReader
 from recorder.store.layout import Layout, StreamLayout
 from recorder.store.reader import ColumnReader
@@ -69,7 +69,7 @@ class GrowingReader(ColumnReader):
             self._logs.pop(number, None)
             if not self.layout.shard(number).exists():
                 return 0
-            return chunk_count(self.layout.index(number).entries)
+            return self.layout.index(number).chunks
         self._logs[number] = log
         return len(log.records)
 
@@ -90,7 +90,7 @@ class GrowingReader(ColumnReader):
         ranges = [(record.offset, record.nbytes) for record in log.records]
         ranges += [(MISSING, MISSING)] * (self.layout.chunks_per_shard - len(ranges))
         crcs = [record.crc for record in log.records]
-        return ShardIndex(np.array(ranges, np.uint64), ranges, crcs)
+        return ShardIndex(ranges, crcs)
 
     def _path(self, shard: int) -> Path:
         # The chunks of a growing shard stay in their places when it is sealed.

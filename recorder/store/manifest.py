@@ -120,14 +120,6 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
     return manifest
 
 
-def read_chain(files: Files, session: Path, run: int) -> list[Manifest]:
-    """Return the manifest of a run and those before it, the newest first."""
-    chain, broken = readable_chain(files, session, run)
-    if broken is not None:
-        raise broken
-    return chain
-
-
 def readable_chain(
     files: Files, session: Path, run: int
 ) -> tuple[list[Manifest], SessionError | None]:
@@ -205,8 +197,8 @@ def write_manifest(session: Path, run: int, root: bytes) -> None:
                 key = str(path.relative_to(session))
                 if key in shards:
                     continue
-                entries = column.index(number).entries
-                held, slots = int((entries[:, 0] != MISSING).sum()), len(entries)
+                ranges = column.index(number).ranges
+                held, slots = sum(offset != MISSING for offset, _ in ranges), len(ranges)
                 digest = hashlib.sha256(column.files.tail(path, column.end_bytes)).hexdigest()
                 shards[key] = Shard(path.stat().st_size, held, slots, digest)
     files = {}

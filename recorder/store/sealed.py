@@ -18,7 +18,6 @@ from recorder.store.manifest import (
     Shard,
     manifest_path,
     manifest_runs,
-    read_chain,
     readable_chain,
     run_of,
 )
@@ -111,18 +110,21 @@ def sealed_files(
         attrs: Its attributes.
         unsealed: True to accept that a manifest is lost; the second value then says which one.
     """
-    if attrs["status"] == "recording":
-        closed = [run for run in manifest_runs(session) if run < run_of(attrs)]
+    run, is_open = run_of(attrs), attrs["status"] == "recording"
+    if is_open:
+        closed = [each for each in manifest_runs(session) if each < run]
         if not closed:
             return files, None
-        return SealedFiles(files, session, read_chain(files, session, closed[-1])[0], True), None
-    chain, broken = readable_chain(files, session, run_of(attrs))
-    if broken is not None and not unsealed:
+        run = closed[-1]
+    chain, broken = readable_chain(files, session, run)
+    if broken is not None and (is_open or not unsealed):
         raise broken
     lost = None if broken is None else str(broken)
     if not chain:
         return files, lost
-    sealed = SealedFiles(files, session, chain[0], False)
+    sealed = SealedFiles(files, session, chain[0], is_open)
+    if is_open:
+        return sealed, None
     sealed.read(session / "zarr.json")
     if files.local:
         for message in wrong_sizes(session, sealed.manifest):

@@ -119,7 +119,7 @@ def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
 
 def _copy_records(layout: Layout, number: int, chunks: int) -> None:
     sealed, partial = layout.shard(number), layout.partial(number)
-    end = int(layout.index(number).entries[chunks - 1].sum())
+    end = sum(layout.index(number).ranges[chunks - 1])
     temporary = partial.with_name(partial.name + TEMPORARY)
     with sealed.open("rb") as source, temporary.open("wb") as copy:
         rest = end

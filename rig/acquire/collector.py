@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder import Session, SessionError, SessionWriter
+from recorder import Session, SessionError, SessionWriter, contact_sheet
 from recorder.command_line.errors import (
     EXIT_DEVICE_LOST,
     EXIT_DONE,
@@ -24,7 +24,7 @@ from recorder.command_line.errors import (
 )
 from recorder.command_line.options import next_command
 from recorder.progress import duration
-from recorder.session import accounts_of, clock_lines, contact_sheet, loss_lines, time_lines
+from recorder.session import accounts_of, clock_lines, loss_lines, time_lines
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
 from rig.acquire.progress_line import LiveLine

@@ -506,7 +506,7 @@ def test_a_contact_sheet_counts_targets_from_one(
     """Like the log and the monitoring page, whose target 1 is the first row of `targets`."""
     from PIL import ImageDraw
 
-    from recorder.session import contact_sheet
+    from recorder import contact_sheet
 
     path = make_session(tmp_path / "s.zarr", seconds=2.0)
     drawn: list[str] = []
