@@ -47,12 +47,8 @@ class Aligned:
     """Values (n, ...); NaN outside the samples."""
     age: Floats
     """Distance to the nearest sample used (n,) [s]; NaN outside the samples."""
-    gap: Floats
-    """Distance between the samples around the query (n,) [s]; 0 on a sample."""
     valid: Bools
     """True if all samples used are near enough (n,)."""
-    interpolated: Bools
-    """True if the value was interpolated between two samples (n,); False for a sample or a mean."""
 
 
 def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
@@ -105,7 +101,7 @@ def linear(times: Times, values: Array, query: Times, *, max_age: float = np.inf
     else:
         value = np.empty((len(query), *values.shape[1:]))
     value[~bracket.inside] = np.nan
-    return bracket.aligned(value)
+    return Aligned(value, bracket.age, bracket.valid)
 
 
 def mean(
@@ -113,9 +109,9 @@ def mean(
 ) -> Aligned:
     """Return the mean of the samples inside each interval [start, stop], both ends included.
 
-    If no sample lies inside, the value is interpolated linearly at the middle of the interval and
-    `interpolated` is set. A mean is valid if samples lie within `max_age` of both ends; its age is
-    the time from its last sample to `stop`.
+    If no sample lies inside, the value is interpolated linearly at the middle of the interval. A
+    mean is valid if samples lie within `max_age` of both ends; its age is the time from its last
+    sample to `stop`.
 
     Args:
         times: Sample times (m,) [ns], ascending.
@@ -128,22 +124,14 @@ def mean(
     last = np.searchsorted(times, stop, side="right")
     some = last > first
     result = linear(times, values, start + (stop - start) // 2, max_age=max_age)
-    value, age, gap, valid, interpolated = (
-        result.value,
-        result.age,
-        result.gap,
-        result.valid,
-        ~some & result.interpolated,
-    )
     if some.any():
         low, high = first[some], last[some]
         count = (high - low).reshape(-1, *(1 for _ in values.shape[1:]))
-        value[some] = _sums(values, low, high) / count
-        age[some] = (stop[some] - times[high - 1]) * NS
+        result.value[some] = _sums(values, low, high) / count
+        result.age[some] = (stop[some] - times[high - 1]) * NS
         lead = (times[low] - start[some]) * NS
-        gap[some] = 0.0
-        valid[some] = (age[some] <= max_age) & (lead <= max_age)
-    return Aligned(value, age, gap, valid, interpolated)
+        result.valid[some] = (result.age[some] <= max_age) & (lead <= max_age)
+    return result
 
 
 def pose(times: Times, poses: Array, query: Times, *, max_age: float = np.inf) -> Aligned:
@@ -199,16 +187,6 @@ def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
     return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))
 
 
-def exposure_window(capture: Times, exposure: float) -> tuple[Times, Times]:
-    """Return the start and end of exposure of images captured at `capture` (n,) [ns].
-
-    Args:
-        capture: End of the exposure [ns].
-        exposure: Length of the exposure [s].
-    """
-    return capture - round(exposure / NS), capture
-
-
 @dataclass(frozen=True, slots=True)
 class _Bracket:
     """The samples around each query."""
@@ -218,11 +196,7 @@ class _Bracket:
     weight: Floats
     inside: Bools
     age: Floats
-    gap: Floats
     valid: Bools
-
-    def aligned(self, value: Floats) -> Aligned:
-        return Aligned(value, self.age, self.gap, self.valid, self.inside & (self.gap > 0))
 
 
 def _bracket(times: Times, query: Times, max_age: float) -> _Bracket:
@@ -230,7 +204,7 @@ def _bracket(times: Times, query: Times, max_age: float) -> _Bracket:
         none = np.zeros(len(query), np.int64)
         nan = np.full(len(query), np.nan)
         no = np.zeros(len(query), np.bool_)
-        return _Bracket(none, none, nan, no, nan, nan.copy(), no.copy())
+        return _Bracket(none, none, nan, no, nan, no.copy())
     behind = np.searchsorted(times, query, side="right").astype(np.int64)
     before = np.clip(behind - 1, 0, len(times) - 1)
     inside = (query >= times[0]) & (query <= times[-1])
@@ -243,9 +217,7 @@ def _bracket(times: Times, query: Times, max_age: float) -> _Bracket:
     age = np.minimum(to_before, to_after) * NS
     valid = inside & (np.maximum(to_before, to_after) * NS <= max_age)
     age[~inside] = np.nan
-    gap = np.asarray(gap_ns * NS, np.float64)
-    gap[~inside] = np.nan
-    return _Bracket(before, after, weight, inside, age, gap, valid)
+    return _Bracket(before, after, weight, inside, age, valid)
 
 
 def _picked(times: Times, query: Times, index: NDArray[np.int64], max_age: float) -> Picked:

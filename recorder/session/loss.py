@@ -1,7 +1,7 @@
 """Count and place the samples that a stream lost. Pure functions, numpy only.
 
-Three witnesses tell of a loss, the best of which is used: the device's sequence numbers, its
-clock, and the arrival at the host. The first two count exactly. Arrivals are first freed of
+A loss shows in three places, the best of which is used: the device's sequence numbers, its clock,
+and the arrival at the host. The first two count exactly. Arrivals are first freed of
 delays: a late sample that later ones catch up with is not lost. Everything is compared with the
 declared rate; a median of what arrived would hide that every second sample is missing.
 """
@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,11 @@ class Losses:
     """Time of the last sample before each gap (g,) [ns]."""
     end_ns: Times
     """Time of the first sample after each gap (g,) [ns]."""
+
+    @classmethod
+    def none(cls, source: str) -> Self:
+        """Return no gap."""
+        return cls(source, *(np.zeros(0, np.int64) for _ in range(4)))
 
     @property
     def total(self) -> int:
@@ -137,9 +142,7 @@ def find_losses(
         timed: False if the arrivals say nothing, as in a replay at another speed.
     """
     if len(t_ns) < 2:
-        none = np.zeros(0, np.int64)
-        source = SEQUENCE if seq is not None else ARRIVAL if timed else NOTHING
-        return Losses(source, none, none, none, none)
+        return Losses.none(SEQUENCE if seq is not None else ARRIVAL if timed else NOTHING)
     lost, source = _lost(t_ns, rate_hz, seq, device_t, timed)
     gaps = np.flatnonzero(lost > 0)
     count = np.minimum(lost[gaps], _MOST).astype(np.int64)
@@ -407,8 +410,7 @@ def stream_losses(stream: Columns, rows: slice, *, timed: bool = True) -> Losses
     """
     t_ns = stream.t_ns[rows]
     if not is_regular(stream):
-        none = np.zeros(0, np.int64)
-        return Losses(EVENTS, none, none, none, none)
+        return Losses.none(EVENTS)
     return find_losses(t_ns, stream.rate_hz, timed=timed, **witnesses(stream, rows))
 
 

@@ -58,10 +58,8 @@ class TimeSigma:
     """Part of the clock [s]."""
     queue: Floats
     """Part of the waiting of each sample (m,) [s]."""
-    calibrated: bool
-    """True if the latency was measured."""
-    prior: float
-    """Longest latency assumed [s]; NaN if it was measured."""
+    prior: float | None
+    """Longest latency assumed [s]; None if it was measured."""
 
     @property
     def each(self) -> Floats:
@@ -77,8 +75,8 @@ class TimeSigma:
             "clock_s": self.clock,
             "queue_rms_s": float(np.sqrt(np.mean(queue**2))),
             "queue_longest_s": float(queue.max()),
-            "calibrated": self.calibrated,
-            **({} if self.calibrated else {"assumed_latency_s": [0.0, self.prior]}),
+            "calibrated": self.prior is None,
+            **({} if self.prior is None else {"assumed_latency_s": [0.0, self.prior]}),
         }
 
 
@@ -90,9 +88,8 @@ def time_sigma(stream: Columns, rows: slice, source: Source) -> TimeSigma:
         rows: Rows of the run.
         source: The same rows, prepared for alignment.
     """
-    period = 1.0 / stream.rate_hz
     stamped = stream.traits.clock == "monotonic"
-    latency, prior = _latency(stream, period, stamped)
+    latency, prior = _latency(stream)
     queue, clock = np.zeros(len(source.times)), 0.0
     if not stamped and is_regular(stream):
         device_t = witnesses(stream, rows).get("device_t")
@@ -101,13 +98,12 @@ def time_sigma(stream: Columns, rows: slice, source: Source) -> TimeSigma:
     exposure = 0.0
     if stream.traits.kind == "camera":
         stated = stream.attrs.get("exposure") is not None
-        exposure = source.exposure if stated else max(period, EXPOSURE)
+        exposure = source.exposure if stated else max(1.0 / stream.rate_hz, EXPOSURE)
         if stamped and not stated:
             # The end of the exposure lies anywhere from the stamp to a whole exposure after it.
             fraction = STAMPS[stream.traits.stamp]
             latency = float(np.hypot(latency, fraction * exposure / np.sqrt(3.0)))
-    calibrated = bool(np.isnan(prior))
-    return TimeSigma(latency, exposure / float(np.sqrt(12.0)), clock, queue, calibrated, prior)
+    return TimeSigma(latency, exposure / float(np.sqrt(12.0)), clock, queue, prior)
 
 
 def row_sigma(
@@ -152,11 +148,11 @@ def uncalibrated(stream: Columns) -> str | None:
     """Return a note for a signal whose latency was not measured; None for any other stream."""
     if "signal" not in stream.traits.roles:
         return None
-    stamped = stream.traits.clock == "monotonic"
-    prior = _latency(stream, 1.0 / stream.rate_hz, stamped)[1]
-    if np.isnan(prior):
+    prior = _latency(stream)[1]
+    if prior is None:
         return None
     moment = f" at the {stream.traits.stamp} of exposure" if stream.traits.stamp != "end" else ""
+    stamped = stream.traits.clock == "monotonic"
     own = f"; its driver stamps its frames{moment}" if stamped else ""
     return (
         f"{stream.name} latency not calibrated: 0 to {1e3 * prior:.0f} ms assumed{own} "
@@ -182,11 +178,12 @@ def time_lines(session: Session) -> list[str]:
     return lines
 
 
-def _latency(stream: Columns, period: float, stamped: bool) -> tuple[float, float]:
-    """Return the standard uncertainty of the latency, and the longest assumed; NaN if measured."""
+def _latency(stream: Columns) -> tuple[float, float | None]:
+    """Return the standard uncertainty of the latency, and the longest assumed; None if measured."""
+    period, stamped = 1.0 / stream.rate_hz, stream.traits.clock == "monotonic"
     interval = stream.attrs.get("latency_calibration", {}).get("interval_s")
     if stream.attrs.get("latency") is not None and interval is not None and not stamped:
-        return (float(interval[1]) - float(interval[0])) / (2 * _T_95), float("nan")
+        return (float(interval[1]) - float(interval[0])) / (2 * _T_95), None
     periods, least = PRIOR.get(stream.traits.kind, _PRIOR_OTHERS)
     longest = _PRIOR_STAMPED * period if stamped else max(periods * period, least)
     # Of a latency evenly distributed from 0 to the longest, about the recorded time.

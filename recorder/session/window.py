@@ -290,7 +290,7 @@ def _aligned(source: Source, method: str, capture: Times, exposure: float) -> Al
         return _taken(source, pick(source.times, capture, max_age=source.max_age), capture)
     found: Aligned
     if method == "mean":
-        start, stop = align.exposure_window(capture, exposure)
+        start, stop = capture - round(exposure / NS), capture
         found = align.mean(source.times, source.values, start, stop, max_age=source.max_age)
         lost = source.losses.touch(start, stop)
     else:

@@ -28,7 +28,7 @@ Image = NDArray[Any]
 # compress; at a negative level zstd stores such pixels as they are (docs/results/recording.md).
 ZSTD_LEVEL = 1
 PIXELS_LEVEL = -1
-# Used only if pixels are written through Zarr: the recorder never encodes a JPEG.
+# Stated with images kept as JPEG, for writers of other programs: the recorder encodes none.
 JPEG_QUALITY = 95
 
 # Largest header of a zstd frame [bytes].
@@ -210,7 +210,7 @@ class JpegCodec(ArrayBytesCodec):
     is_fixed_size = False
 
     level: int = JPEG_QUALITY
-    """Quality of images written through Zarr; not used for reading."""
+    """Quality for writers of other programs."""
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Self:
@@ -230,15 +230,8 @@ class JpegCodec(ArrayBytesCodec):
         pixels = decode_jpeg(chunk.to_bytes(), tuple(spec.shape[-3:]))
         return spec.prototype.nd_buffer.from_numpy_array(pixels.reshape(spec.shape))
 
-    def _encode_sync(self, chunk: NDBuffer, spec: ArraySpec) -> Buffer:
-        pixels = chunk.as_numpy_array().reshape(spec.shape[-3:])
-        return spec.prototype.buffer.from_bytes(encode_jpeg(pixels, self.level))
-
     async def _decode_single(self, chunk_data: Buffer, chunk_spec: ArraySpec) -> NDBuffer:
         return await asyncio.to_thread(self._decode_sync, chunk_data, chunk_spec)
-
-    async def _encode_single(self, chunk_data: NDBuffer, chunk_spec: ArraySpec) -> Buffer:
-        return await asyncio.to_thread(self._encode_sync, chunk_data, chunk_spec)
 
 
 # zarr-python uses this codec for the name, even if others provide it too, and without this setting

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from recorder.session.align import (
-    exposure_window,
     held,
     linear,
     mean,
@@ -80,7 +79,6 @@ def test_linear_lies_on_the_line_between_its_neighbours(
         expected = values[lower] + weight * (values[upper] - values[lower])
         np.testing.assert_allclose(result.value[place], expected, rtol=1e-12, atol=1e-12)
         sides = int(moment - times[lower]), int(times[upper] - moment)
-        assert result.gap[place] == pytest.approx(gap * 1e-9, abs=1e-15)
         assert result.age[place] == pytest.approx(min(sides) * 1e-9, abs=1e-15)
         assert result.valid[place] == (max(sides) * 1e-9 <= max_age)
 
@@ -101,11 +99,9 @@ def test_mean_is_that_of_the_samples_inside_or_else_the_line(
             lead = int(times[inside[0]] - start[place]) * 1e-9
             assert result.age[place] == pytest.approx(age, abs=1e-15)
             assert result.valid[place] == (max(age, lead) <= max_age)
-            assert not result.interpolated[place]
         else:
             np.testing.assert_array_equal(result.value[place], middle.value[place])
             assert result.valid[place] == middle.valid[place]
-            assert result.interpolated[place] == bool(np.isfinite(middle.value[place]).all())
 
 
 def test_one_nan_reaches_no_further_than_the_means_it_lies_in() -> None:
@@ -117,11 +113,6 @@ def test_one_nan_reaches_no_further_than_the_means_it_lies_in() -> None:
     np.testing.assert_array_equal(
         np.isnan(result.value[:, 0]), (stop >= times[50]) & (stop - 5 <= times[50])
     )
-
-
-def test_exposures_end_at_the_capture() -> None:
-    start, stop = exposure_window(np.array([LATE]), 1 / 60)
-    assert (int(stop[0]), int(stop[0] - start[0])) == (LATE, 16_666_667)
 
 
 vectors = hnp.arrays(np.float64, 3, elements=st.floats(-3, 3)).filter(
