@@ -56,10 +56,6 @@ _PAGES = [_PAGE] * (STEP // len(_PAGE))
 class JournalRecord:
     """Position of one complete record in a log."""
 
-    index: int
-    """Number of the payload, modulo 2**32."""
-    t_ns: int
-    """Time of the last sample in it [ns]."""
     offset: int
     """First byte of the payload in the file."""
     nbytes: int
@@ -170,7 +166,7 @@ class GrowingLog:
         if start > size:
             return False
         head = os.pread(fd, HEADER.size, start - HEADER.size)
-        magic, nbytes, crc, t_ns, index = HEADER.unpack(head)
+        magic, nbytes, crc, _, index = HEADER.unpack(head)
         if start + nbytes > size:  # torn, or no record; nothing is allocated for it
             return False
         number = self._first + len(self.records)
@@ -184,7 +180,7 @@ class GrowingLog:
             return False
         if magic == CHUNK_MAGIC:
             crc = int.from_bytes(payload[-CRC_BYTES:], "little")
-        self.records.append(JournalRecord(index, t_ns, start, nbytes, crc))
+        self.records.append(JournalRecord(start, nbytes, crc))
         if self._keeps:
             self.payloads.append(payload)
         self._last_head = head
