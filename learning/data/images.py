@@ -19,7 +19,7 @@ from torch import Tensor
 
 from learning.errors import LearningError
 from recorder.archive import ArchivedSensor, Rows
-from recorder.markers import HEIGHT, PACKED, WIDTH, Lattice, unpack
+from recorder.markers import HEIGHT, WIDTH, Lattice, unpack
 
 # Rows and columns of an image [px].
 SIDE = 256
@@ -43,7 +43,6 @@ def unit(images: Tensor) -> Tensor:
 
 def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Shrink packed masks (n, 38400) to images (n, 256, 256); 255 is a pixel full of marker."""
-    _require(packed, np.dtype(np.uint8), (PACKED,), "packed masks")
     images = np.empty((len(packed), SIDE, SIDE), np.uint8)
     for first in range(0, len(packed), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
@@ -54,7 +53,6 @@ def shrink(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def shrink_masks(masks: Tensor) -> Tensor:
     """Shrink masks (n, 480, 640) bool to images (n, 256, 256) uint8, as `shrink` does."""
-    _require(masks, torch.bool, (HEIGHT, WIDTH), "masks")
     images = torch.empty((len(masks), SIDE, SIDE), dtype=torch.uint8, device=masks.device)
     levels = torch.from_numpy(_grey_levels()).to(masks.device)
     for first in range(0, len(masks), _AT_ONCE):
@@ -69,7 +67,6 @@ def enlarge_images(images: Tensor) -> Tensor:
     The result is that of Pillow's Lanczos with the authors' threshold of 128, except for pixels
     within rounding of the threshold.
     """
-    _require(images, torch.uint8, (SIDE, SIDE), "images")
     masks = torch.empty((len(images), HEIGHT, WIDTH), dtype=torch.bool, device=images.device)
     across, down = (
         torch.from_numpy(_lanczos(side)).to(images.device, torch.float32)
@@ -87,7 +84,6 @@ def enlarge_images(images: Tensor) -> Tensor:
 
 def unpack_masks(packed: Tensor) -> Tensor:
     """Unpack masks (n, 38400) uint8 to (n, 480, 640) bool, on their device."""
-    _require(packed, torch.uint8, (PACKED,), "packed masks")
     bits = packed.unsqueeze(-1) & _bits(packed.device)
     return (bits != 0).view(len(packed), HEIGHT, WIDTH)
 
@@ -136,14 +132,6 @@ def _lanczos(side: int) -> NDArray[np.float64]:
     weights /= weights.sum(axis=1, keepdims=True)
     rounded: NDArray[np.float64] = np.round(weights * 2**_BITS) / 2**_BITS
     return rounded
-
-
-def _require(values: Any, dtype: Any, shape: tuple[int, ...], what: str) -> None:
-    if values.dtype != dtype or tuple(values.shape[1:]) != shape or values.ndim != len(shape) + 1:
-        raise LearningError(
-            f"{what}: found {values.dtype} {tuple(values.shape)}; allowed: {dtype} "
-            f"(n, {', '.join(map(str, shape))})"
-        )
 
 
 # Displacement fields on the lattice of archives, and images warped by them.

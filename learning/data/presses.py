@@ -165,7 +165,12 @@ def press_table(sensor: ArchivedSensor, rows: Any) -> Presses:
     data, and torch raises an error if they are read.
     """
     table = sensor.table
-    chosen = _checked_rows(sensor, rows)
+    chosen = np.asarray(rows, np.int64)
+    if (missing := chosen[~table["valid"][chosen]]).size:
+        why = sensor.sources[int(table["source"][missing[0]])]
+        raise LearningError(
+            f"{sensor.name}: row {missing[0]} is not valid ({why}); allowed: rows with a frame"
+        )
     key = np.stack(
         [table[name][chosen].astype(np.int64) for name in ("location", "indenter", "target")]
     )
@@ -266,25 +271,6 @@ def _read_fields(
         progress=progress,
     )
     return torch.from_numpy(fields)
-
-
-def _checked_rows(sensor: ArchivedSensor, rows: Any) -> NDArray[np.int64]:
-    chosen = np.asarray(rows)
-    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
-        raise LearningError(f"rows: found {chosen.dtype} {chosen.shape}; allowed: integers (n,)")
-    chosen = chosen.astype(np.int64)
-    if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(sensor):
-        wrong = chosen[(chosen < 0) | (chosen >= len(sensor))][0]
-        raise LearningError(f"{sensor.name}: no row {wrong}, the sensor has {len(sensor)}")
-    if len(np.unique(chosen)) != len(chosen):
-        raise LearningError(f"{sensor.name}: found rows that repeat; allowed: each one once")
-    invalid = chosen[~sensor.table["valid"][chosen]]
-    if invalid.size:
-        why = sensor.sources[int(sensor.table["source"][invalid[0]])]
-        raise LearningError(
-            f"{sensor.name}: row {invalid[0]} is not valid ({why}); allowed: rows with a frame"
-        )
-    return chosen
 
 
 def _require_one_press(

@@ -25,7 +25,6 @@ from learning.errors import LearningError
 from learning.markers.track import GATE, SPEED
 from recorder.markers import (
     HEIGHT,
-    PACKED,
     SMALLEST_PX,
     WIDTH,
     Blobs,
@@ -395,7 +394,7 @@ class FieldReader:
             reference: The mask without contact (480, 640).
             smoothing: Weight of bending against misfit at the markers (`Spline`).
         """
-        self._matcher = Matcher(_required(reference, "reference", 2), smoothing=smoothing)
+        self._matcher = Matcher(reference, smoothing=smoothing)
         self._operators: dict[tuple[float, float], Floats] = {}
 
     @property
@@ -412,7 +411,7 @@ class FieldReader:
         """
         self._matcher.restart()
         matches = []
-        for mask in _each(frames):
+        for mask in unpack(frames) if frames.dtype == np.uint8 else frames:
             matches.append(self._matcher.step(mask))
             if not ordered:
                 self._matcher.restart()
@@ -485,24 +484,6 @@ def _scale(source: SensorView | None, target: SensorView | None) -> Floats:
     return np.array(
         [target.mm_per_column / source.mm_per_column, target.mm_per_row / source.mm_per_row]
     )
-
-
-def _each(frames: NDArray[Any]) -> NDArray[np.bool_]:
-    if frames.dtype == np.uint8 and frames.shape[1:] == (PACKED,):
-        return unpack(frames)
-    return _required(frames, "frames", 3)
-
-
-def _required(masks: NDArray[Any], what: str, dimensions: int) -> Masks:
-    if (
-        masks.dtype != np.bool_
-        or masks.ndim != dimensions
-        or masks.shape[-2:] != (HEIGHT, WIDTH)
-        or not len(masks)
-    ):
-        due = ("n, " if dimensions == 3 else "") + f"{HEIGHT}, {WIDTH}"
-        raise LearningError(f"{what}: found {masks.dtype} {masks.shape}; allowed: bool ({due})")
-    return masks
 
 
 # Fields of many presses, computed by several processes to feed a GPU.

@@ -191,21 +191,6 @@ def test_a_frame_without_markers_repeats_the_one_before(presses, no_contact):
     assert not alone.any()
 
 
-@pytest.mark.parametrize(
-    "frames",
-    [
-        np.zeros((2, 240, 320), np.bool_),
-        np.zeros((2, HEIGHT, WIDTH), np.float32),
-        np.zeros((HEIGHT, WIDTH), np.bool_),
-        np.zeros((0, HEIGHT, WIDTH), np.bool_),
-        np.zeros((2, 100), np.uint8),
-    ],
-)
-def test_frames_that_are_no_masks_are_refused(no_contact, frames):
-    with pytest.raises(LearningError, match=r"frames: found .*; allowed: bool \(n, 480, 640\)"):
-        FieldReader(no_contact["grid"]).maps(frames, ordered=True)
-
-
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 40])
 def test_a_spline_goes_through_its_markers_and_repeats_a_shift(count):
     knots = np.random.default_rng(count).uniform(0, 600, (count, 2))
