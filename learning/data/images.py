@@ -161,11 +161,9 @@ def read_fields(
 
 
 def filled(field: Tensor, known: Tensor) -> Tensor:
-    """Fill the unknown values of fields (n, 2, h, w) from their surroundings.
+    """Fill the unknown values of fields (n, 2, h, w) from their surroundings; `known` is (n, h, w).
 
-    Args:
-        field: Fields, with any value where unknown.
-        known: (n, h, w) bool. A field without known values becomes 0.
+    A field without known values becomes 0.
     """
     there = known.unsqueeze(1).to(field.dtype)
     values = torch.where(known.unsqueeze(1), field, torch.zeros_like(field))
@@ -183,11 +181,7 @@ def filled(field: Tensor, known: Tensor) -> Tensor:
 def sampled(field: Tensor, columns: Tensor, rows: Tensor, lattice: Lattice = LATTICE) -> Tensor:
     """Sample fields (n, 2, h, w) bilinearly, constant beyond their borders: (n, 2, H, W).
 
-    Args:
-        field: The fields.
-        columns: Columns of the sample points (n or 1, H, W) [px of the 640 x 480 image].
-        rows: Rows of the sample points, same shape.
-        lattice: Lattice of the fields.
+    Columns and rows of the sample points are (n or 1, H, W) [px of the 640 x 480 image].
     """
     height, width = field.shape[-2:]
     if (height, width) != lattice.shape[:2]:
@@ -208,15 +202,9 @@ def inverse(
 ) -> Tensor:
     """Return e (n, 2, H, W) [px]: a point at q in the frame was at q + e before contact.
 
-    It is the fixed point of e <- -d(q + e). The iteration converges if the field stretches or
-    shrinks lengths by less than 100 %.
-
-    Args:
-        field: d (n, 2, h, w) [px of the 640 x 480 image].
-        columns: Columns of the points q ((1,) H, W) [px of the 640 x 480 image].
-        rows: Rows of the points, same shape.
-        lattice: Lattice of the field.
-        steps: Iterations.
+    It is the fixed point of e <- -d(q + e), of a field d (n, 2, h, w) [px] at points q, whose
+    columns and rows are ((1,) H, W) [px of the 640 x 480 image]. The iteration converges if the
+    field stretches or shrinks lengths by less than 100 %.
     """
     back = field.new_zeros(len(field), 2, *columns.shape[-2:])
     for _ in range(steps):
@@ -225,14 +213,10 @@ def inverse(
 
 
 def warp(reference: Tensor, field: Tensor, lattice: Lattice = LATTICE) -> Tensor:
-    """Warp images without contact by fields to images (n, 1, H, W).
+    """Warp images without contact by fields (n, 2, h, w) [px of 640 x 480]: (n, 1, H, W).
 
-    Areas that enter the view from outside of the reference have no markers.
-
-    Args:
-        reference: Images without contact (n or 1, 1, H, W) float, of any size, of the whole view.
-        field: Displacements (n, 2, h, w) [px of the 640 x 480 image].
-        lattice: Lattice of the fields.
+    The images (n or 1, 1, H, W) are of any size and show the whole view. Areas that enter it from
+    outside of the reference have no markers.
     """
     shape = reference.shape[-2], reference.shape[-1]
     few = max(2, -(-shape[0] // _COARSE)), max(2, -(-shape[1] // _COARSE))
@@ -258,10 +242,8 @@ def _centres(
 ) -> tuple[Tensor, Tensor]:
     """Return columns and rows (1, h, w) [px of 640 x 480] from the first pixel to the last.
 
-    Args:
-        shape: Rows and columns of an image of the whole view.
-        like: Tensor with the device and dtype of the result.
-        places: Numbers of evenly spaced rows and columns.
+    The image of the whole view has `shape`; `places` are the numbers of evenly spaced rows and
+    columns. Device and dtype are those of `like`.
     """
 
     def along(pixels: int, side: int, count: int) -> Tensor:

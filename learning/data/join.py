@@ -151,13 +151,10 @@ def join(
     unseen: tuple[str, ...] | None = None,
     wrenches: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> Joined:
-    """Find which presses of some sensors match; nothing is written.
+    """Find which presses of some sensors, with different names, match; nothing is written.
 
-    Args:
-        sensors: Sensors of any archives, with different names.
-        tolerances: Largest differences of presses that match.
-        unseen: Indenters that models may not be trained on; None: as in the archives.
-        wrenches: Wrenches of all rows (n, 6) of sensors, in place of those of their archives.
+    Without `unseen`, models may be trained on the indenters as in the archives; `wrenches` of all
+    rows (n, 6) of sensors replace those of their archives.
     """
     chosen = tolerances or Tolerances()
     _require_names(sensors)

@@ -72,15 +72,10 @@ def paired_rows(
     every: int = 0,
     preset: str = "supplement",
 ) -> dict[str, Rows]:
-    """Return the rows, ascending, of the frames of each sensor that have a role.
+    """Return the rows, ascending, of the frames of each sensor that have a role and can be paired.
 
-    Args:
-        archive: Archive to read.
-        split: Split of its presses.
-        sensors: Names of the sensors.
-        role: Role of the presses.
-        every: Take every n-th frame of a press, and all that can occur in pairs; 0: only these.
-        preset: Rule for pairing frames of a press (`recorder.archive.PRESETS`).
+    With `every`, every n-th frame of a press is in them as well. `preset` is the rule for pairing
+    frames of a press (`recorder.archive.PRESETS`).
     """
     rows = {}
     for name in sensors:
@@ -104,15 +99,7 @@ def read_paired(
     device: torch.device | str = "cpu",
     progress: Progress = lambda done, total: None,
 ) -> PairedFrames:
-    """Return frames of some sensors (`paired_rows`) with their pairs in both directions.
-
-    Args:
-        archive: Archive to read.
-        rows: Rows of each sensor.
-        preset: Rule for pairing frames of a press.
-        device: Device for the frames.
-        progress: Called with the number of frames read and the total.
-    """
+    """Return frames of some sensors (`paired_rows`) with their pairs in both directions."""
     sensors = [archive[name] for name in rows]
     images = read_frames_of(sensors, [*rows.values()], device, progress)
     begins = dict(zip(rows, np.cumsum([0, *map(len, rows.values())]), strict=False))

@@ -160,11 +160,7 @@ def training_split(
     """Return the split of a training: that of a file, or one made of the archive's presses.
 
     The one that is made depends on the presses alone, so all trainings on an archive have the same.
-
-    Args:
-        archive: A complete archive.
-        path: File of a split; None: make one.
-        unseen: Indenters that no model may be trained on; None: the archive's list.
+    `unseen` replaces the archive's list of indenters that no model may be trained on.
     """
     if path is None:
         return make_split(archive, unseen=unseen)

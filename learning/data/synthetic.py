@@ -135,16 +135,9 @@ def sample_patterns(count: int, generator: np.random.Generator, device: torch.de
 
 
 def pixel_grid(side: int, device: torch.device) -> Tensor:
-    """Return the column and row of the pixels of a small image [px of 640 x 480].
+    """Return column and row of the pixels of a small image (1, 2, side, side) [px of 640 x 480].
 
     Pixel centres of both images are at whole numbers, and both cover the same scene.
-
-    Args:
-        side: Side of the small image [its pixels].
-        device: Device of the result.
-
-    Returns:
-        Places (1, 2, side, side).
     """
     steps = torch.arange(side, device=device, dtype=torch.float32) + 0.5
     columns, rows = steps * (WIDTH / side) - 0.5, steps * (HEIGHT / side) - 0.5
@@ -155,9 +148,7 @@ def pixel_grid(side: int, device: torch.device) -> Tensor:
 def _within(pitches: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return a mask of the cells (n, CELLS * CELLS) within ellipses around the lattice's origin.
 
-    Args:
-        pitches: Pitches of the lattices [px], (n, 2).
-        half: Semi-axes of the ellipses [px], (n, 2).
+    Pitches of the lattices and semi-axes of the ellipses are (n, 2) [px].
     """
     steps = (np.arange(CELLS) + CELLS // 2) % CELLS - CELLS // 2 + 0.5
     rows, columns = np.meshgrid(steps, steps, indexing="ij")

@@ -62,10 +62,8 @@ class Ridge:
 def fit_ridge(features: Floats, wanted: Floats, groups: Sequence[int]) -> Ridge:
     """Return the ridge regression whose penalty predicts groups that were left out best.
 
-    Args:
-        features: (n, m), without NaN.
-        wanted: Numbers to predict (n,); rows with NaN are left out.
-        groups: Group of each row (n,), such as its press.
+    Of features (n, m) without NaN; rows whose number to predict (n,) is NaN are left out. A group
+    is for instance a press.
     """
     known = np.isfinite(wanted)
     rows, numbers, of = features[known], wanted[known], np.asarray(groups)[known]

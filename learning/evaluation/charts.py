@@ -20,12 +20,8 @@ Floats = NDArray[np.float64]
 def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[str, str]) -> bytes:
     """Draw radar plots of the errors of all pairs: all axes above, shear alone below.
 
-    Plots side by side have the same scale, so that a smaller star is a smaller error.
-
-    Args:
-        before: A row for each pair, source-only.
-        after: A row for each pair, transferred.
-        names: Names of the two columns.
+    Plots side by side, before and after, have the same scale, so that a smaller star is a smaller
+    error.
     """
     png = io.BytesIO()
     with chart(png, 9, 8.4) as figure:
@@ -64,12 +60,8 @@ def heatmaps(
 ) -> bytes:
     """Draw a heat map of source against target for each variant, with a common scale.
 
-    Args:
-        by_variant: A row for each pair, by method and translator.
-        measure: One of `predictions.MEASURES`.
-        title: Name of the measure, with its unit.
-        good: `low` or `high`: the good end of the scale.
-        own: A row for each sensor with a model from its own labels, drawn below the pairs.
+    `measure` is one of `predictions.MEASURES`, `good` the end of the scale that is good, `low` or
+    `high`; `own` are rows of models from a sensor's own labels, drawn below the pairs.
     """
     rows = [row for some in by_variant.values() for row in some]
     sources = sorted({row.source for row in rows}, key=natural_key)
@@ -116,12 +108,9 @@ def heatmaps(
 
 
 def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
-    """Plot true and predicted forces of some whole presses, one after another.
+    """Plot true and predicted forces of some whole presses of one pair, one after another.
 
-    Args:
-        shown: Predictions of one pair, before and after; all show the same presses.
-        presses: Number of presses.
-        seed: Seed of their choice.
+    All predictions show the same presses, which are chosen by the seed.
     """
     different = np.unique(np.concatenate([one.location for one in shown]))
     for one in shown:
@@ -151,10 +140,8 @@ def embeddings(
 ) -> bytes:
     """Plot features of two sets on a plane, a panel for each pair.
 
-    Args:
-        panels: Title, and points of both sets (n, 2), (m, 2).
-        columns: Number of panels in a row.
-        names: Names of the two sets of each panel.
+    A panel has a title and the points of both sets (n, 2), (m, 2), which `names` gives the names
+    of.
     """
     rows = -(-len(panels) // columns)
     png = io.BytesIO()

@@ -248,12 +248,7 @@ class Inception(nn.Module):
 def load_inception(
     path: Path, device: str = "cpu"
 ) -> Callable[[NDArray[np.uint8]], NDArray[np.float64]]:
-    """Return a function that computes features (n, 2048) of images (n, 256, 256) uint8.
-
-    Args:
-        path: The file of the weights.
-        device: Device of the computation.
-    """
+    """Return a function that computes features (n, 2048) of images (n, 256, 256) uint8."""
     try:
         weights = torch.load(path, map_location="cpu", weights_only=True)
         kept = {name: value for name, value in weights.items() if not name.startswith("fc.")}
@@ -417,17 +412,11 @@ def frechet_distance(one: Floats, other: Floats) -> float:
 def kernel_distance(
     one: Floats, other: Floats, *, size: int, subsets: int, seed: int
 ) -> tuple[float, float]:
-    """Return mean and standard deviation of the squared kernel distance over random subsets.
+    """Return mean and standard deviation of the squared kernel distance of features (n, d), (m, d).
 
-    Each is the unbiased estimate with kernel (x y / d + 1)^3 (Binkowski et al., 2018): for sets of
-    the same kind it is near zero, and negative as often as positive.
-
-    Args:
-        one: Features (n, d).
-        other: Features (m, d).
-        size: Samples of each set in a subset; limited to half of the set.
-        subsets: Number of subsets.
-        seed: Seed of the draws.
+    It is taken over random subsets of `size` samples of each set, half of the set at most. Each is
+    the unbiased estimate with kernel (x y / d + 1)^3 (Binkowski et al., 2018): for sets of the same
+    kind it is near zero, and negative as often as positive.
     """
     _require_samples(one, other)
     size = max(min(size, len(one) // 2, len(other) // 2), 2)

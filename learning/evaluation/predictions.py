@@ -165,17 +165,8 @@ def predictions_of(
 ) -> Predictions:
     """Combine predicted forces of rows of an archive with the archive's labels, if it has any.
 
-    Args:
-        sensor: The target.
-        indenters: Names of the archive's indenters, by code.
-        rows: Rows of its table (n,).
-        role: Role of each (n,).
-        predicted: Forces (n, 3) [N].
-        source: Sensor whose labels the model was trained with.
-        method: One of `METHODS`.
-        translator: Translator of its training images; empty if none.
-        model: Hash of its weights.
-        interval: Lower and upper ends (n, 3) [N] of its intervals; None: it has none.
+    `indenters` are the archive's by code; rows and roles are (n,), forces (n, 3) [N], and
+    `interval` has their lower and upper ends. The others are fields of `Predictions`.
     """
     table = sensor.table
     labels = table["wrench"][:, :3]
@@ -366,12 +357,7 @@ def variant_name(variant: tuple[str, str]) -> str:
 
 
 def gain_line(rows: Iterable[ForceRow], role: str = UNSEEN) -> str:
-    """Return R2 of variants, means over measured axes and pairs: `source-only R2 a  ...`.
-
-    Args:
-        rows: Errors of any pairs.
-        role: Role of the rows to use.
-    """
+    """Return R2 of variants, means over axes and pairs of a role: `source-only R2 a  ...`."""
     some = of_role(rows, role)
     reported = []
     for variant in variants(some):

@@ -160,16 +160,11 @@ _BASELINES_AT_ONCE = 2**22  # distances computed at once
 
 
 def nearest_frames(table: Table, wanted: Rows, known: Rows) -> Rows:
-    """Return, for each wanted row, the known row with the nearest motion (n,).
+    """Return, for each wanted row (n,), the known row (m,) with the nearest motion (n,).
 
     Nearest is by Euclidean distance of commanded depth and position, among frames of the same
     phase, or of all phases if that phase is unknown. The indenter is ignored: the wanted one may be
     unseen.
-
-    Args:
-        table: Table of the target sensor: columns `depth`, `position`, `phase`.
-        wanted: Rows to find a frame for (n,).
-        known: Rows to choose from, e.g. those of training (m,).
     """
     if not len(known):
         raise LearningError("nearest frame: found no frames to choose from; allowed: one or more")
@@ -474,17 +469,10 @@ def score_translation(
     seed: int = 0,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> TranslationScores:
-    """Score translated frames, the baselines and the lower bound.
+    """Score translated frames `A-to-B`, the baselines and the lower bound, by role.
 
-    Args:
-        archive: Archive with the source and target of the frames.
-        translated: The translated sensor, `A-to-B`.
-        split: Roles of presses.
-        roles: Roles to score.
-        extractor: Extractor of features for distances.
-        frames: Maximum number of location pairs of a role.
-        seed: Seed of random draws.
-        progress: Called with the number of frames scored and in total.
+    At most `frames` location pairs of a role are scored, drawn by the seed; features for distances
+    come from the extractor.
     """
     from learning.data.images import shrink
 

@@ -125,12 +125,10 @@ class Spline:
     """Splines with knots at one set of markers."""
 
     def __init__(self, knots: Floats, *, smoothing: float = 0.0) -> None:
-        """Prepare the matrices.
+        """Prepare the matrices for knots: column and row (m, 2) [px] without contact.
 
-        Args:
-            knots: Column and row of the markers without contact (m, 2) [px], m 1 or more.
-            smoothing: Weight of bending against misfit at the markers, relative to the kernel at
-                the distance of neighbours; 0 interpolates.
+        `smoothing` is the weight of bending against misfit at the markers, relative to the kernel
+        at the distance of neighbours; 0 interpolates.
         """
         self.knots = np.asarray(knots, np.float64)
         count = len(self.knots)
@@ -147,21 +145,12 @@ class Spline:
         """Bending energy: d^T energy d for displacements d (m,) of the markers (m, m)."""
 
     def at(self, places: Floats) -> Floats:
-        """Return the matrix (q, m) from displacements of the markers to those of places.
-
-        Args:
-            places: Column and row in the image without contact (q, 2) [px].
-        """
+        """Return the matrix (q, m) from displacements of the markers to those of places (q, 2)."""
         plain, line = self._basis(places, self._rank)
         return np.asarray(np.concatenate([plain, line], axis=1) @ self._solved, np.float64)
 
     def filled(self, values: Floats, known: Chosen) -> Floats:
-        """Fill unknown values (m, k) with those that minimise the bending energy.
-
-        Args:
-            values: One row per marker; rows of unknown markers are ignored.
-            known: True for known markers (m,).
-        """
+        """Fill values (m, k) of markers that are not known (m,), with least bending energy."""
         if known.all():
             return values
         lost = ~known
@@ -173,13 +162,10 @@ class Spline:
         return whole
 
     def surprise(self, values: Floats) -> Floats:
-        """Return the leave-one-out error of each value (m,) [unit of values].
+        """Return the leave-one-out error (m,) of values (m, k) of all markers [unit of values].
 
         In closed form: the spline through all other knots differs from the value at a knot by (E
         d)_i / E_ii.
-
-        Args:
-            values: Values of all markers (m, k).
         """
         own = np.maximum(np.diagonal(self.energy), np.finfo(np.float64).tiny)
         return np.asarray(np.linalg.norm((self.energy @ values) / own[:, None], axis=1))
@@ -238,12 +224,7 @@ class Matcher:
     """Finds the markers of one reference in frames; remembers the previous frame."""
 
     def __init__(self, reference: Masks, *, smoothing: float) -> None:
-        """Index the markers by their order in the reference.
-
-        Args:
-            reference: The mask without contact (480, 640).
-            smoothing: Smoothing of the spline.
-        """
+        """Index the markers by their order in the reference (480, 640)."""
         found = find_blobs(reference[None], SMALLEST_PX)
         # Markers at the border are excluded, as their visible centre moves with the cut.
         chosen = found.whole if found.whole.any() else np.ones(len(found), np.bool_)
@@ -388,12 +369,7 @@ class FieldReader:
     """Computes fields from the frames of one sensor and reference; caches matrices."""
 
     def __init__(self, reference: Masks, *, smoothing: float = SMOOTHING) -> None:
-        """Find the markers of the reference.
-
-        Args:
-            reference: The mask without contact (480, 640).
-            smoothing: Weight of bending against misfit at the markers (`Spline`).
-        """
+        """Find the markers of the reference (480, 640); `smoothing` is that of the `Spline`."""
         self._matcher = Matcher(reference, smoothing=smoothing)
         self._operators: dict[tuple[float, float], Floats] = {}
 
@@ -405,9 +381,8 @@ class FieldReader:
     def matches(self, frames: NDArray[Any], *, ordered: bool) -> list[Match]:
         """Find the markers of the reference in each frame.
 
-        Args:
-            frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
-            ordered: True if the frames are one press in order of time; markers are tracked then.
+        Frames are masks, bool (n, 480, 640) or packed uint8 (n, 38400). If `ordered`, they are one
+        press in order of time, and markers are tracked.
         """
         self._matcher.restart()
         matches = []
@@ -427,15 +402,9 @@ class FieldReader:
     ) -> NDArray[np.float32]:
         """Return the displacement on `LATTICE` (n, 57, 73, 2) [px], components column and row.
 
-        With two views, it is the displacement in the target's image: the same motion in mm at the
-        same place of the contact frame, which is at the centre of both images. Beyond the source's
-        view, the values at its border continue.
-
-        Args:
-            frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
-            ordered: True if the frames are one press in order of time; markers are tracked then.
-            source: View of the frames; None: the target's.
-            target: View of the target.
+        Frames are as in `matches`. With two views, it is the displacement in the target's image:
+        the same motion in mm at the same place of the contact frame, which is at the centre of both
+        images. Beyond the source's view, the values at its border continue.
         """
         scale = _scale(source, target)
         operator = self._operator(scale)
@@ -446,11 +415,8 @@ class FieldReader:
     def maps(self, frames: NDArray[Any], *, ordered: bool) -> NDArray[np.float32]:
         """Return displacement and growth (n, 3, 32, 32): columns [px], rows [px], log of area.
 
-        Values are at the centres of 32 x 32 cells of the image without contact.
-
-        Args:
-            frames: Masks, bool (n, 480, 640) or packed uint8 (n, 38400).
-            ordered: True if the frames are one press in order of time; markers are tracked then.
+        Values are at the centres of 32 x 32 cells of the image without contact; frames are as in
+        `matches`.
         """
         matches = self.matches(frames, ordered=ordered)
         values = np.stack(

@@ -49,14 +49,10 @@ def marker_flags(
     references: NDArray[np.uint8],
     count: MarkerCount | None,
 ) -> dict[int, str]:
-    """Return a description of each frame whose markers are wrong, by row.
+    """Return a description of each of a sensor's frames whose markers are wrong, by row.
 
-    Args:
-        name: Name of the sensor.
-        packed: Packed masks (n, 38400).
-        table: Columns `reference` and `valid` of the frames.
-        references: Packed masks of the sensor without contact (K, 38400).
-        count: Settings of the marker count; None: markers are not counted.
+    Frames (n, 38400) and references without contact (K, 38400) are packed masks; `table` has their
+    columns `reference` and `valid`. Without `count`, markers are not counted.
     """
     flags: dict[int, str] = {}
     if count is None:
@@ -237,17 +233,11 @@ class RecordedSensor:
         sam: EfficientSam | None = None,
         irregular: bool = False,
     ) -> None:
-        """Prepare the segmentation of its frames.
+        """Prepare the segmentation of a sensor's frames.
 
-        Args:
-            name: Name of the sensor.
-            recordings: Its sessions.
-            indenters: Names, by code.
-            preset_name: Preset of the marker detection, stored in the archive.
-            mm_per_px: Size of a pixel [mm]; None: the preset's.
-            unseen: Indenters that models may not be trained on.
-            sam: Model that refines the masks of pictures; None: no refinement.
-            irregular: True for markers without a regular pattern; False rejects their references.
+        `preset_name` is stored in the archive, `mm_per_px` [mm] replaces the preset's, `sam`
+        refines masks of pictures, and `irregular` accepts references without a regular pattern of
+        markers.
         """
         found = preset(preset_name)
         self._frames: _Markers | _Taxels | _Shading

@@ -38,12 +38,9 @@ class Lattice:
     """The markers of a picture without contact, found again in others."""
 
     def __init__(self, segmenter: Segmenter, detector: Hat, reference: Picture) -> None:
-        """Index the markers of a reference.
+        """Index the markers of a reference, a view without contact (480, 640, 3).
 
-        Args:
-            segmenter: Detection of markers.
-            detector: Its detector that looks for hidden markers.
-            reference: View without contact (480, 640, 3), of `Segmenter.view`.
+        `detector` looks for hidden markers.
         """
         self._segmenter, self._detector = segmenter, detector
         patches = _Patches(segmenter.mask_of_view(reference))
@@ -147,9 +144,7 @@ class Lattice:
 def with_reference(segmenter: Segmenter, reference: Picture) -> Segmenter | Lattice:
     """Return what makes the masks of pictures of one reference, by the segmenter's preset.
 
-    Args:
-        segmenter: Detection of markers.
-        reference: View without contact (480, 640, 3), of `Segmenter.view`.
+    The reference is a view without contact (480, 640, 3), of `Segmenter.view`.
     """
     for detector in segmenter.preset.detectors:
         if isinstance(detector, Hat) and detector.lattice:

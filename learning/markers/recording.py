@@ -159,12 +159,7 @@ class Recording:
 
 
 def read_recording(path: Path, sensor: str | None = None) -> Recording:
-    """Read the presses of a session.
-
-    Args:
-        path: The session.
-        sensor: Name of its sensor; None: the name in the session.
-    """
+    """Read the presses of a session; `sensor` replaces the name in it."""
     session = Session(path)
     name = Path(str(session.path)).name
     if session.warning:

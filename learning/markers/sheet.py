@@ -36,11 +36,6 @@ def draw_sheet(path: Path, sensors: Mapping[str, Sequence[Recording]], out: Path
     """Write a PNG with a row for each session: its reference, then evenly spaced frames.
 
     Flagged frames, if any, come last, with a red frame.
-
-    Args:
-        path: The archive.
-        sensors: The sessions that it was made from, by sensor.
-        out: File to write.
     """
     archive = MarkerArchive(path)
     rows = []

@@ -126,9 +126,7 @@ class Tracker:
     def _likeliest(self, expected: Sequence[Floats], centres: Floats) -> Indices:
         """Return the centre of each marker (m,), -1 for none, by the likeliest solution.
 
-        Args:
-            expected: Expected displacements (m, 2), the likeliest first.
-            centres: Detections (n, 2).
+        Expected displacements (m, 2) come with the likeliest first; centres are (n, 2).
         """
         solutions: list[Indices] = []
         if not len(centres):

@@ -20,12 +20,10 @@ _TOGETHER = 64
 
 
 def warp_masks(reference: torch.Tensor, fields: torch.Tensor) -> torch.Tensor:
-    """Warp a reference by displacement fields; return masks, bool (n, 480, 640).
+    """Warp a reference (480, 640) by displacement fields; return masks, bool (n, 480, 640).
 
-    Args:
-        reference: The mask without contact, bool (480, 640), on any device.
-        fields: Displacement on the lattice of archives (n, 57, 73, 2) [px], components column, row.
-            The warp runs on their device.
+    Fields (n, 57, 73, 2) [px] have components column and row, on the lattice of archives; the warp
+    runs on their device.
     """
     level = torch.tensor(edge_level(reference.cpu().numpy()), device=fields.device)
     parts = []

@@ -121,18 +121,10 @@ def _require_targets(
 
 
 def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
-    """Write a run folder from one of the authors' checkpoints.
+    """Write a run folder from one of the authors' files; return kind and number of parameters.
 
-    The network is built on the published weights first, so that a checkpoint that does not fit is
-    rejected before anything is written.
-
-    Args:
-        path: The authors' file.
-        base: Folder of SD-Turbo.
-        out: Folder to write, new or empty.
-
-    Returns:
-        Kind of model, and its number of parameters.
+    The network is built on the published weights, SD-Turbo in `base`, first, so that a checkpoint
+    that does not fit is rejected before anything is written. `out` is new or empty.
     """
     found = read_authors(path)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

@@ -62,13 +62,7 @@ class DiscriminatorHeads(nn.Module):
     """Heads on the features; the only trainable part of the discriminator."""
 
     def __init__(self, raster_width: int, vector_width: int, width: int = HEAD_WIDTH) -> None:
-        """Build a head for each level.
-
-        Args:
-            raster_width: Channels of CLIP's blocks (768).
-            vector_width: Width of its projection (512).
-            width: Of the heads.
-        """
+        """Build a head for each level; CLIP's blocks have 768 channels, its projection 512."""
         super().__init__()
         self.rasters = nn.ModuleList(
             nn.Sequential(
@@ -113,9 +107,7 @@ class Blur(nn.Module):
 def multilevel_sigmoid(logits: Sequence[torch.Tensor], *, real: bool) -> torch.Tensor:
     """Return the loss of logits, summed over levels and averaged over positions and images.
 
-    Args:
-        logits: Logits of every level, of any shape.
-        real: True if the label is `REAL` (true images, or the generator's aim), False if it is 0.
+    The label is `REAL` for true images and for the generator's aim, else 0.
     """
     total = torch.zeros((), device=logits[0].device)
     for level in logits:

@@ -44,14 +44,7 @@ class ReferenceTokens(nn.Module):
     def __init__(
         self, kind: Conditioning, *, channels: int, width: int, source_reference: bool
     ) -> None:
-        """Build the layers.
-
-        Args:
-            kind: Encoding of tokens.
-            channels: Channels of the latent.
-            width: Width of the UNet's cross-attention.
-            source_reference: True if the source's reference is also an input.
-        """
+        """Build the layers; `width` is that of the UNet's cross-attention."""
         super().__init__()
         self.kind, self.width, self.source_reference = kind, width, source_reference
         if kind == "patch_tokens":
@@ -200,16 +193,9 @@ ALPHA = 8
 def add_adapter(
     network: Any, name: str, rank: int, targets: tuple[str, ...], *, seed: int = 0
 ) -> None:
-    """Add an adapter to a diffusers network and freeze the rest.
+    """Add an adapter to UNet or autoencoder, to layers by suffixes of their names; freeze the rest.
 
     The first factor is normally distributed and the second 0, so the initial adapter has no effect.
-
-    Args:
-        network: UNet or autoencoder.
-        name: Name of the adapter.
-        rank: Rank of its two factors.
-        targets: Name suffixes of the layers to adapt.
-        seed: Seed of the first factor.
     """
     config = vendor("peft").LoraConfig(
         r=rank, lora_alpha=ALPHA, init_lora_weights="gaussian", target_modules=list(targets)
@@ -239,13 +225,10 @@ def fuse(network: Any) -> None:
 
 
 def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
-    """Restrict the state of a module to some tensors; the others keep their initial values.
+    """Restrict the state of a module to the tensors whose names are kept.
 
-    `state_dict` omits the others, and `load_state_dict` does not require them.
-
-    Args:
-        module: The complete network.
-        kept: Returns True for the name of a tensor to keep.
+    `state_dict` omits the others, which keep their initial values; `load_state_dict` does not
+    require them.
     """
 
     def leave_out(_: nn.Module, state: dict[str, Any], prefix: str, __: Any) -> None:
@@ -282,13 +265,10 @@ def remaining_signal() -> float:
 
 
 def clean_latent(noisy: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
-    """Return the clean latent for a latent at the last time and its predicted noise.
+    """Return the clean latent for a scaled latent at the last time and its predicted noise.
 
-    Always computed in float32, since the two terms are 14.6 times as large as their difference.
-
-    Args:
-        noisy: Latent at the last time (n, channels, h, w), scaled.
-        noise: Predicted noise, of the same shape.
+    Both are (n, channels, h, w). Always computed in float32, since the two terms are 14.6 times as
+    large as their difference.
     """
     signal = remaining_signal()
     # Autocast does not change the type of sums and of products with scalars.
@@ -347,14 +327,8 @@ class MarkerToMarker(nn.Module):
     ) -> None:
         """Combine networks that have adapters; the reference encoder is a copy.
 
-        Args:
-            unet: SD-Turbo's UNet, with an adapter.
-            vae: Its autoencoder, with an adapter.
-            tokens: Converts references to tokens.
-            pixel_range: Values of black and white for the networks.
-            train_vae: True to train the autoencoder's adapter.
-            whole: True if there are no adapters, and all weights of the UNet, and of the
-                autoencoder if it is trained, are.
+        If `whole`, there are no adapters, and all weights of the UNet, and of the autoencoder if it
+        is trained, are trained.
         """
         super().__init__()
         self.unet, self.vae, self.tokens = unet, vae, tokens
@@ -422,10 +396,8 @@ class MarkerToMarker(nn.Module):
 def posterior(half: Any, native: torch.Tensor, scaling: float) -> Posterior:
     """Return the posterior of images (n, 3, h, w) in the networks' range.
 
-    Args:
-        half: Module with an `encoder` and an optional `quant_conv`.
-        native: The images.
-        scaling: Factor from the encoder's latents to the UNet's.
+    `half` has an `encoder` and an optional `quant_conv`; `scaling` leads from its latents to the
+    UNet's.
     """
     moments = half.encoder(native)
     if half.quant_conv is not None:
@@ -444,12 +416,7 @@ def build(
 ) -> MarkerToMarker:
     """Build the network from SD-Turbo's UNet and autoencoder, and add their adapters.
 
-    Args:
-        unet: SD-Turbo's UNet.
-        vae: Its autoencoder.
-        settings: Ranks, tokens, range.
-        vae_adapter: Trained adapter of the autoencoder, or all its weights if all are trained;
-            None: untrained.
+    `vae_adapter` is the autoencoder's trained adapter, or all its weights if all are trained.
     """
     if not settings.whole:
         add_adapter(unet, UNET_ADAPTER, settings.unet_rank, UNET_TARGETS, seed=settings.seed)
@@ -509,10 +476,8 @@ class MarkerVae(nn.Module):
     def __init__(self, vae: Any, settings: VaeSettings, *, decode_scaled: bool = False) -> None:
         """Add the adapter, unless all weights are trained.
 
-        Args:
-            vae: SD-Turbo's autoencoder; becomes part of the network.
-            settings: Settings of the network.
-            decode_scaled: True if the decoder takes the latent times its scaling factor.
+        The autoencoder becomes part of the network. If `decode_scaled`, the decoder takes the
+        latent times its scaling factor.
         """
         super().__init__()
         if not settings.whole:
@@ -530,13 +495,9 @@ class MarkerVae(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return images, their reconstructions and the divergence of their latents.
 
-        Args:
-            images: Images (n, 1, h, w) in [0, 1].
-            noise: Standard normal noise of a latent's shape; None: decode the posterior's mean.
-
-        Returns:
-            Images and their reconstructions (n, 3, h, w) in the network's range, and the
-            divergence of each latent from the normal distribution (n,).
+        Images are (n, 1, h, w) in [0, 1]. Returned are images and reconstructions (n, 3, h, w) in
+        the network's range, and the divergence of each latent from the normal distribution (n,).
+        Without standard normal noise of a latent's shape, the posterior's mean is decoded.
         """
         true = self._native(images)
         found = posterior(self.vae, true, 1.0)
@@ -567,12 +528,7 @@ def load_vae(folder: Path, device: str = "cpu") -> MarkerVae:
 
 
 def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
-    """Return the adapter of a trained marker VAE from its folder.
-
-    Args:
-        folder: Run folder of the autoencoder.
-        base: Fingerprint of the published weights that it will be applied to.
-    """
+    """Return the adapter in a marker VAE's folder, for weights with the fingerprint `base`."""
     found = read_model_folder(Path(folder), MARKER_VAE)
     require_base(found, base)
     return vae_adapter_of(found.weights())

@@ -515,15 +515,9 @@ def train_in(
 ) -> None:
     """Train the paper's translator in a folder.
 
-    Args:
-        out: Folder of the run.
-        archive: Frames of the sensors.
-        split: Roles of its presses.
-        settings: Settings of model and training.
-        sensors: Sensors to learn from; None: all that the split does not hold out.
-        marker_vae: Folder of the marker VAE to start from; None: it is trained first.
-        start_from: Folder of a translator to start from instead.
-        pairing: Rule for pairing frames of a press.
+    It starts from a translator, or from a marker VAE, which is trained first if neither is given.
+    `pairing` is the rule for pairing frames of a press. Without `sensors`, it learns from all that
+    the split does not hold out.
     """
     sensors = trained_on(archive, split, sensors)
     require_base_folder(settings.weights.base)

@@ -275,14 +275,8 @@ def marker_vae_of(
 ) -> dict[str, torch.Tensor] | None:
     """Train or resume the marker VAE of a translator in `marker-vae/` of its run's folder.
 
-    Args:
-        settings: Settings of the translator's training.
-        data: Fingerprint of the images.
-        read: Reads images of training and validation (n, h, w) uint8; called if they are needed.
-        session: Surroundings of the translator's training.
-
-    Returns:
-        The adapter; None if the training was stopped.
+    Returns the adapter; None if the training was stopped. `data` is the images' fingerprint; `read`
+    reads those of training and validation (n, h, w) uint8, if they are needed.
     """
     own, base = settings.of_marker_vae(), fingerprint(settings.weights.base)
     folder, writes = session.run.path / MARKER_VAE, session.run.writes

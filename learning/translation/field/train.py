@@ -146,12 +146,9 @@ _CERTAIN = 8.0
 
 
 def image_loss(level: Tensor, images: Tensor, weights: LossWeights) -> Tensor:
-    """Return the loss of deformed references.
+    """Return the loss of deformed references against images in 0..1, both (n, 1, h, w).
 
-    Args:
-        level: Their signed distance (n, 1, h, w) [px].
-        images: Frames of the sensor, in 0..1 (n, 1, h, w).
-        weights: Weights of the parts.
+    `level` is their signed distance [px].
     """
     logits = _CERTAIN * torch.asinh(level / (_RAMP_PX * _CERTAIN))
     entropy = functional.binary_cross_entropy_with_logits(logits, images)
@@ -168,11 +165,8 @@ def regularity_loss(deformation: Tensor, weights: LossWeights) -> Tensor:
 def truth_error(deformation: Tensor, shift: Tensor) -> Tensor:
     """Return the mean distance (n,) [px] from the true deformation, growth as a third direction.
 
-    A known field is the complete deformation: the true growth is 0.
-
-    Args:
-        deformation: (n, 3, h, w).
-        shift: True shift (n, 2, h, w); NaN where it is unknown and not counted.
+    A known field is the complete deformation: the true growth is 0. The true shift (n, 2, h, w) is
+    NaN where it is unknown and not counted.
     """
     grown = deformation[:, 2:]
     return shift_error(deformation, shift, grown.square().sum(dim=1))
@@ -181,10 +175,8 @@ def truth_error(deformation: Tensor, shift: Tensor) -> Tensor:
 def shift_error(deformation: Tensor, shift: Tensor, more: Tensor | float = 0.0) -> Tensor:
     """Return the mean distance (n,) [px] between a deformation's shift and the true one.
 
-    Args:
-        deformation: (n, 3, h, w).
-        shift: True shift (n, 2, h, w); NaN where it is unknown and not counted.
-        more: Square of other errors to add (n, h, w) [px^2].
+    The true shift (n, 2, h, w) is NaN where it is unknown and not counted; `more` is the square of
+    other errors to add (n, h, w) [px^2].
     """
     known = shift.isfinite().all(dim=1)
     apart = (deformation[:, :2] - shift.nan_to_num()).square().sum(dim=1) + more
@@ -204,9 +196,7 @@ def soft_dice(level: Tensor, images: Tensor) -> Tensor:
 def dice(level: Tensor, images: Tensor) -> Tensor:
     """Return the Dice coefficient (n,) of thresholded images; 1 if both are empty.
 
-    Args:
-        level: Signed distance of the predicted frames (n, 1, h, w) [px].
-        images: True frames, in 0..1 (n, 1, h, w).
+    Predicted frames are signed distances (n, 1, h, w) [px], true ones in 0..1.
     """
     made, due = coverage(level) > 0.5, images > 0.5
     both = (made & due).sum(dim=(1, 2, 3))
@@ -258,16 +248,10 @@ def map_loss(
     patterns: Tensor,
     weights: LossWeights,
 ) -> Tensor:
-    """Return the loss of the map on some pairs.
+    """Return the loss of the map on some pairs, by their indices (n,).
 
-    Args:
-        mapping: The map.
-        frames: Frames of all sensors.
-        found: Deformations of the sources.
-        pairs: Indices of the frames' pairs (n,).
-        patterns: Signed distances (2, m, 1, 256, 256) [px] of two patterns on one gel, for the
-            first m pairs: between them the deformation of the source must not change.
-        weights: Weights of the parts.
+    `patterns` are signed distances (2, m, 1, 256, 256) [px] of two patterns on one gel, for the
+    first m pairs: between them the deformation of the source must not change.
     """
     source, target = frames.pairs[pairs].unbind(dim=1)
     seen, distance = found.of(pairs), frames.distance(target)
@@ -300,17 +284,10 @@ AT_ONCE = 64
 
 @torch.no_grad()
 def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[str, float]:
-    """Score the field net on the sensors' own frames.
+    """Score the field net on at most `most` of the sensors' own frames, chosen by the seed.
 
-    Args:
-        model: Model in evaluation mode.
-        frames: Frames to evaluate on.
-        most: Largest number of frames, chosen by the seed.
-        seed: Seed of the choice.
-
-    Returns:
-        `dice` of the deformed reference with the frame, `dice_still` of the unchanged reference,
-        and the mean `shift_error_px` if the archive has displacement fields.
+    Returns `dice` of the deformed reference with the frame, `dice_still` of the unchanged
+    reference, and the mean `shift_error_px` if the archive has displacement fields.
     """
     rows = _chosen(len(frames), most, seed, frames.device)
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_still": [], "shift_error_px": []}
@@ -330,18 +307,10 @@ def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[
 def map_scores(
     model: FieldModel, frames: Frames, found: Found, most: int, seed: int
 ) -> dict[str, float]:
-    """Score the map on location pairs.
+    """Score the map on at most `most` location pairs, chosen by the seed.
 
-    Args:
-        model: Model in evaluation mode.
-        frames: Frames to evaluate on.
-        found: Deformations of the sources, see `found_in_sources`.
-        most: Largest number of pairs, chosen by the seed.
-        seed: Seed of the choice.
-
-    Returns:
-        `dice` with the target's frame, `dice_transferred` for the source's deformation unchanged in
-        millimetres, `dice_still` for the target's unchanged reference.
+    Returns `dice` with the target's frame, `dice_transferred` for the source's deformation
+    unchanged in millimetres, `dice_still` for the target's unchanged reference.
     """
     chosen = _chosen(len(frames.pairs), most, seed, frames.device)
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_transferred": [], "dice_still": []}
@@ -527,12 +496,7 @@ def train_in(
 ) -> None:
     """Train a field translator in a folder.
 
-    Args:
-        out: Folder of the run.
-        archive: Frames of the sensors.
-        split: Roles of its presses.
-        settings: Settings of model and training.
-        sensors: Sensors to learn from; None: all that the split does not hold out.
+    Without `sensors`, it learns from all that the split does not hold out.
     """
     sensors = trained_on(archive, split, sensors)
 
