@@ -348,16 +348,6 @@ class PtyEmulator(Emulator):
             logger.debug("%d bytes lost: nobody reads", len(content))
 
 
-def check_loopback(host: str) -> None:
-    """Reject every other address, so that no emulator can be mistaken for a lab's device."""
-    try:
-        if ipaddress.ip_address(host).is_loopback:
-            return
-    except ValueError:
-        pass
-    raise ValueError(f"host: found {host!r}; allowed: a loopback address, 127.x.y.z")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EmulatorConfig:
     """Settings common to all emulators of devices.
@@ -376,8 +366,13 @@ class EmulatorConfig:
     """Port for injecting faults; None: none."""
 
     def __post_init__(self) -> None:
-        """Reject an address that other machines can reach."""
-        check_loopback(self.host)
+        """Reject an address that other machines can reach, as a lab's device can be."""
+        try:
+            if ipaddress.ip_address(self.host).is_loopback:
+                return
+        except ValueError:
+            pass
+        raise ValueError(f"host: found {self.host!r}; allowed: a loopback address, 127.x.y.z")
 
 
 @dataclass(frozen=True, slots=True)

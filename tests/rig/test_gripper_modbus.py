@@ -109,13 +109,6 @@ def test_a_refusal_says_why() -> None:
         )
 
 
-def test_requests_that_cannot_be_sent_are_refused() -> None:
-    with pytest.raises(ValueError, match="function"):
-        robotiq_wire.emit_request(Request(9, 7, 0, 1))
-    with pytest.raises(ValueError, match="values"):
-        robotiq_wire.emit_request(Request(9, 16, 0, 2, (1,)))
-
-
 @given(st.booleans(), st.booleans(), bytes_, bytes_, bytes_)
 def test_a_command_survives_its_registers(
     activate: bool, go: bool, position: int, speed: int, force: int

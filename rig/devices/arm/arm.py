@@ -352,9 +352,9 @@ class Arm:
 
 def _move_arm(setup: Setup, pipe: Connection) -> NoReturn:
     """Run the arm's process, which alone loads what moves the arm."""
-    from rig.devices.arm import motion
+    from rig.devices.arm import mover
 
-    motion.run(setup, pipe)
+    mover.run(setup, pipe)
 
 
 @contextlib.contextmanager

@@ -182,8 +182,6 @@ _REASONS = {
 }
 _REFUSED = 0x80
 _POLYNOMIAL = 0xA001
-# Largest number of registers in one written frame.
-_MOST = 123
 
 
 class FrameError(ValueError):
@@ -228,13 +226,6 @@ def emit_request(request: Request) -> bytes:
     head = struct.pack(">BBHH", request.slave, request.function, request.address, request.count)
     if request.function in (READ_HOLDING, READ_INPUT):
         return sealed(head)
-    if request.function != WRITE:
-        raise ValueError(f"function: found {request.function}; allowed: 3, 4, 16")
-    if not 0 < request.count == len(request.values) <= _MOST:
-        raise ValueError(
-            f"values: found {len(request.values)} for {request.count} registers; allowed: 1 to "
-            f"{_MOST}, one for each"
-        )
     values = struct.pack(f">{request.count}H", *request.values)
     return sealed(head + bytes([len(values)]) + values)
 
