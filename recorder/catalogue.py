@@ -141,8 +141,7 @@ class Catalogue:
     def look(self, path: str) -> Row | None:
         """Return the row of one session, read again if it changed; None if there is no session.
 
-        Args:
-            path: Path relative to the folder.
+        Its path is relative to the folder.
         """
         try:
             stamp = _stamp(os.stat(self.folder / path / _METADATA))

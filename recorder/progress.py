@@ -235,11 +235,7 @@ def span_of(
 ) -> Callable[[float], None]:
     """Return a callback that converts the fraction of a part to that of the whole.
 
-    Args:
-        progress: Called with the fraction of the whole.
-        before: Work before the part.
-        part: Work of the part.
-        whole: All work, in the same unit.
+    Work `before` the part, of the part and of the `whole` are in the same unit.
     """
     return lambda fraction: progress((before + part * fraction) / whole)
 

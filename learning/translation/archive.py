@@ -115,14 +115,7 @@ class TranslatedSensor:
     """Frames of one sensor, translated to another sensor on demand."""
 
     def __init__(self, archive: MarkerArchive, pair: Pair, model: Model, rows: Rows) -> None:
-        """Prepare both sensors; nothing is translated yet.
-
-        Args:
-            archive: Archive with both sensors.
-            pair: Source and target.
-            model: The translator.
-            rows: Rows of the source to translate.
-        """
+        """Prepare both sensors and the rows of the source; nothing is translated yet."""
         self._source, self._target = _sensor(archive, pair.source), _sensor(archive, pair.target)
         self._table = self._source.table
         self._presses = _press_of(self._table)
@@ -282,13 +275,7 @@ ONLY_MADE, ONLY_TRUE = (255, 150, 30), (70, 150, 255)
 
 
 def draw_sheet(archive: MarkerArchive, translated: MarkerArchive, out: Path) -> None:
-    """Write a PNG contact sheet with evenly spaced presses of each pair.
-
-    Args:
-        archive: The original archive.
-        translated: The archive translated from it.
-        out: Path of the picture.
-    """
+    """Write a PNG contact sheet with evenly spaced presses of each pair of a translated archive."""
     rows = [row for sensor in translated.values() for row in _chosen(archive, sensor)]
     write_sheet(rows, out, columns=4, size=(256, 192))
 

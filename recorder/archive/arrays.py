@@ -202,13 +202,9 @@ class Limits:
 def checked_columns(
     table: Mapping[str, Any], rows: int, limits: Limits, where: str
 ) -> dict[str, Array]:
-    """Return the given columns as arrays of the table's types.
+    """Return the columns of `GIVEN`, one value per row, as arrays of the table's types.
 
-    Args:
-        table: The columns of `GIVEN`, one value per row.
-        rows: Required number of rows.
-        limits: Upper limits of the codes.
-        where: Prefix of error messages.
+    `where` is the prefix of messages.
     """
     if set(table) != set(GIVEN):
         raise SessionError(
@@ -250,13 +246,9 @@ def allowed(name: str, limits: Limits) -> str:
 def column_array(
     path: Path, rows: int, names: Sequence[str] = (), attrs: Mapping[str, Any] | None = None
 ) -> ArchiveArray:
-    """Return the array of a column: one shard, one file.
+    """Return the array of a column of `COLUMNS` or `SIMULATED`, named by its path: one file.
 
-    Args:
-        path: Its directory, which has the name of one of `COLUMNS` or `SIMULATED`.
-        rows: Length of the table.
-        names: Names of the codes, in order.
-        attrs: Further attributes.
+    `rows` is the length of the table, `names` are those of the codes, in order.
     """
     column = {**COLUMNS, **SIMULATED}[path.name]
     return ArchiveArray(

@@ -78,13 +78,7 @@ class Ledger:
         return self._entry(unit).exists()
 
     def enter(self, unit: int, columns: Mapping[str, Array], lines: Sequence[str]) -> None:
-        """Record a unit as finished, durably.
-
-        Args:
-            unit: Number of the unit.
-            columns: Its rows of the table, without `source`.
-            lines: One provenance line per row.
-        """
+        """Record a unit as finished, durably: its rows of the table, a source line per row."""
         different = tuple(dict.fromkeys(lines))
         numbers = {line: number for number, line in enumerate(different)}
         source = np.array([numbers[line] for line in lines], "<i4")

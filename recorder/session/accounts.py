@@ -129,13 +129,7 @@ def unseen(account: Account) -> str:
 
 
 def by_target(losses: Losses, segments: Mapping[str, Array], run: int) -> dict[int, int]:
-    """Return the samples lost in the phases of each target, of those that lost some.
-
-    Args:
-        losses: Losses of one run of a stream.
-        segments: Columns of the session's segments.
-        run: The run.
-    """
+    """Return the samples lost in the phases of each target in one run, of those that lost some."""
     of_run = np.flatnonzero(np.asarray(segments["run"]) == run)
     if not losses.total or not len(of_run):
         return {}

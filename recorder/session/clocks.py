@@ -210,11 +210,7 @@ def _resets(host: Floats, offset: Floats) -> list[int]:
 def _fit_piece(device: Floats, offset: Floats, first_row: int, base: float) -> ClockPiece | None:
     """Return the fit of the rows between two resets; None for too few or too short a time.
 
-    Args:
-        device: Unwrapped device times (n,) [s].
-        offset: Host times minus those, less `base` (n,) [s].
-        first_row: First row.
-        base: Origin of the host's times [s].
+    `offset` is the host's times less the unwrapped device times and less `base` (n,) [s].
     """
     first, last = float(device.min()), float(device.max())
     if len(device) < _LEAST_SAMPLES or last - first < _LEAST_SPAN:

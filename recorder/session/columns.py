@@ -31,10 +31,7 @@ class Stream:
     def __init__(self, path: Path, files: Files = LOCAL, *, live: bool = False) -> None:
         """Open a stream; use `Session.streams` instead.
 
-        Args:
-            path: Group of the stream.
-            files: Access to its files.
-            live: True to include the rows that are not sealed yet, up to this moment.
+        `live` includes the rows that are not sealed yet, up to this moment.
         """
         self.layout = StreamLayout.load(path, files)
         self.name = path.name

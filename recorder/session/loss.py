@@ -159,15 +159,10 @@ def numbers(count: int, losses: Losses) -> NDArray[np.int64]:
 def lateness(
     t_ns: Times, rate_hz: float, losses: Losses, device_t: Floats | None = None
 ) -> tuple[Floats, float]:
-    """Return how long each sample waited longer than the promptest around it (n,) [s].
+    """Return how long each sample (n,) waited longer than the promptest around it (n,) [s].
 
     The second value is how far the promptest ones themselves wander within `HORIZON` [s].
-
-    Args:
-        t_ns: Times of arrival (n,) [ns].
-        rate_hz: Declared rate.
-        losses: Losses of these rows.
-        device_t: The device's own times (n,) [s], if its clock is usable.
+    `device_t` (n,) [s] is given if the device's clock is usable.
     """
     if len(t_ns) < 2:
         return np.zeros(len(t_ns)), 0.0
@@ -254,10 +249,7 @@ def _lost(
 def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
     """Return the samples lost before each row but the first (n - 1,), by a clock's times (n,) [s].
 
-    Args:
-        at: Times [s].
-        rate_hz: Declared rate.
-        delayed: True if samples may arrive late.
+    Samples that may be `delayed` are first freed of it.
     """
     rows = np.arange(len(at))
     period = 1.0 / rate_hz
@@ -276,14 +268,10 @@ def _by_clock(at: Floats, rate_hz: float, *, delayed: bool) -> Floats:
 
 
 def _stride(seq: NDArray[np.int64], span: float, rate_hz: float) -> int:
-    """Return the step of the numbers of consecutive samples.
+    """Return the step of the numbers (n,) of consecutive samples.
 
-    It is 1, unless all steps have a common divisor and the samples came at the declared rate.
-
-    Args:
-        seq: Numbers (n,).
-        span: Time from the first to the last sample [s]; NaN if no clock tells.
-        rate_hz: Declared rate.
+    It is 1, unless all steps have a common divisor and the samples came at the declared rate in
+    `span`, from the first to the last [s]; NaN if no clock tells.
     """
     divisor = int(np.gcd.reduce(np.diff(seq)))
     sent = (int(seq[-1]) - int(seq[0])) / max(divisor, 1)

@@ -113,10 +113,8 @@ def thumbnails(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
 def _taxel_picture(change: NDArray[Any], full_scale: float) -> Image.Image:
     """Return a taxel pad as discs: shifted by shear, larger and warmer under pressure.
 
-    Args:
-        change: Counts relative to rest (taxels, axes), row by row of the squarest grid; the last
-            axis is pressure, those before it are shear along x and y.
-        full_scale: Counts that give the largest displacement and size.
+    `change` (taxels, axes) is counts relative to rest, row by row of the squarest grid: shear along
+    x and y, and last pressure. `full_scale` counts give the largest displacement and size.
     """
     width, height = _THUMB[0] * _SMOOTH, _THUMB[1] * _SMOOTH
     picture = Image.new("RGB", (width, height), (30, 34, 42))

@@ -81,13 +81,7 @@ class TimeSigma:
 
 
 def time_sigma(stream: Columns, rows: slice, source: Source) -> TimeSigma:
-    """Return the uncertainty of the times in one run of a stream.
-
-    Args:
-        stream: The stream.
-        rows: Rows of the run.
-        source: The same rows, prepared for alignment.
-    """
+    """Return the uncertainty of the times in one run of a stream, prepared as `source`."""
     stamped = stream.traits.clock == "monotonic"
     latency, prior = _latency(stream)
     queue, clock = np.zeros(len(source.times)), 0.0
@@ -112,12 +106,7 @@ def row_sigma(
     """Return the standard uncertainty of the alignment of each row (n,) [s].
 
     It is that of the signal's capture and that of the least certain stream with a role, added in
-    squares; NaN where there is no signal.
-
-    Args:
-        window: The rows.
-        sources: The streams that were aligned, by name.
-        parts: Their uncertainties, by name.
+    squares; NaN where there is no signal. Streams and their uncertainties are by name.
     """
     signal = np.zeros(len(window.t_ns))
     if window.signal is not None:

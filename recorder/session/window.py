@@ -234,10 +234,7 @@ def align_window(
 ) -> Window:
     """Return the synchronised rows at ascending `ticks` (n,) [ns], without the images' pixels.
 
-    Args:
-        ticks: Ticks (n,) [ns], ascending.
-        sources: Streams of a run.
-        methods: Methods by stream, in place of its own alignment.
+    `methods` are by stream, in place of its own alignment.
     """
     methods = methods or {}
     for name in methods:

@@ -308,15 +308,7 @@ def _check_runs(runs: object, name: str) -> None:
 def read_attrs(
     path: Path, files: Files, *, what: str, format_: str, version: int
 ) -> dict[str, Any]:
-    """Return the attributes of a session or an archive.
-
-    Args:
-        path: Its directory.
-        files: File access for the directory.
-        what: Kind of object, for messages.
-        format_: Expected value of `format`.
-        version: The `format_version` that can be read.
-    """
+    """Return the attributes of a session or an archive (`what`) of one format and version."""
     name = files.name(path)
     if files.local and path.is_file():
         raise SessionError(f"{name}: found a file; allowed: the folder of a session or an archive")

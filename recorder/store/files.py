@@ -140,13 +140,9 @@ class RemoteFiles(Files):
     local = False
 
     def __init__(self, protocol: str, options: Mapping[str, Any], prefix: str) -> None:
-        """Name a store.
+        """Name a store by fsspec's protocol and options, and the part of the URL before a path.
 
-        Args:
-            protocol: Protocol of the store, as named by fsspec.
-            options: Options that fsspec needs to open it; never printed, since they may contain
-                secrets.
-            prefix: Part of the URL before a path.
+        The options are never printed, since they may contain secrets.
         """
         self.protocol, self.options, self.prefix = protocol, options, prefix
         # zarr.json files: a finished session does not change.
@@ -327,10 +323,7 @@ def sync_tree(path: Path) -> None:
 def replace_file(path: Path, data: bytes, *, several: bool = False) -> None:
     """Write `data` to `path` atomically: a reader sees the old or the new content.
 
-    Args:
-        path: The file.
-        data: Its content.
-        several: True if several writers may write the same file at the same time.
+    `several` writers may write the same file at the same time.
     """
     own = f".{os.getpid()}-{secrets.token_hex(4)}" if several else ""
     temporary = path.with_name(f"{path.name}{own}{TEMPORARY}")

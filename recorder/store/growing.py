@@ -31,9 +31,7 @@ class GrowingReader(ColumnReader):
     def __init__(self, layout: Layout, *, sums: bool = True) -> None:
         """Find the first shard that is not sealed; the chunks are counted by `update`.
 
-        Args:
-            layout: The column.
-            sums: False to verify the bytes of a chunk only when it is read.
+        Without `sums` the bytes of a chunk are verified only when it is read.
         """
         super().__init__(layout)
         self.held = 0

@@ -113,15 +113,10 @@ class GrowingLog:
     def __init__(
         self, path: Path, *, first_index: int, limit: int, payloads: bool = False, sums: bool = True
     ) -> None:
-        """Read nothing yet.
+        """Read nothing yet of a log of at most `limit` records, the first of which has a number.
 
-        Args:
-            path: The log.
-            first_index: Number of its first record.
-            limit: Largest number of records.
-            payloads: True to keep the payloads.
-            sums: False to leave the bytes of a chunk to whoever reads it: only the header and the
-                checksum at the end of a record are verified.
+        `payloads` keeps the payloads. Without `sums` the bytes of a chunk are left to its reader:
+        only the header and the checksum at the end of a record are verified.
         """
         self.path = path
         self.records: list[JournalRecord] = []

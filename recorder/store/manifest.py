@@ -171,12 +171,9 @@ def seal(session: Path, **attrs: Any) -> None:
 
 
 def write_manifest(session: Path, run: int, root: bytes) -> None:
-    """Write the manifest of a session whose streams are closed.
+    """Write the manifest of a session whose streams are closed; `run` is its last one.
 
-    Args:
-        session: The session.
-        run: Number of its last run.
-        root: Content that the session's own `zarr.json` has when it is closed.
+    `root` is the content that the session's own `zarr.json` has when it is closed.
     """
     manifest_path(session, run).parent.mkdir(parents=True, exist_ok=True)
     earlier = [number for number in manifest_runs(session) if number < run]

@@ -54,9 +54,7 @@ class Recent:
     def keep(self, value: Any, nbytes: int) -> None:
         """Keep an object alive, as the one used last; those not used for longest are released.
 
-        Args:
-            value: The object; the same object may be given again.
-            nbytes: Its size [bytes]; an object larger than the limit is not kept.
+        The same object may be given again; one larger than the limit is not kept.
         """
         if nbytes > self.limit:
             return
@@ -89,9 +87,7 @@ class Kept(Generic[T]):
     def get(self, key: Hashable, nbytes: int | None = None) -> T | None:
         """Return the value of a key, or None if it has to be read again.
 
-        Args:
-            key: The key.
-            nbytes: Size of the value [bytes]; that of the array if None.
+        Its size [bytes] is that of the array if None is given.
         """
         value = self._found.get(key)
         if value is not None:

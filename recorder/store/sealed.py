@@ -102,13 +102,8 @@ def sealed_files(
 ) -> tuple[Files, str | None]:
     """Return the files of a session as its manifest verifies them.
 
-    The files of a session in its first run are returned as they are.
-
-    Args:
-        files: Access to the files.
-        session: The session.
-        attrs: Its attributes.
-        unsealed: True to accept that a manifest is lost; the second value then says which one.
+    The files of a session in its first run are returned as they are. `unsealed` accepts that a
+    manifest is lost; the second value then says which one.
     """
     run, is_open = run_of(attrs), attrs["status"] == "recording"
     if is_open:

@@ -46,13 +46,9 @@ def write_table(
     units: Mapping[str, tuple[str, str]],
     attrs: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a new group with one array per column, durably.
+    """Write a new group with one array (n, ...) of equal length per column, durably.
 
-    Args:
-        path: The group; must not exist.
-        columns: Arrays (n, ...) of equal length.
-        units: Units and description by column.
-        attrs: Attributes of the group.
+    `units` holds units and description by column, `attrs` the attributes of the group.
     """
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
