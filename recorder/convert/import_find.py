@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert import import_bags, import_lerobot
+from recorder.convert import import_bags
 from recorder.convert.import_numbers import (
     POSE_AXES,
     counts_of,
@@ -66,8 +66,14 @@ def find_takes(
         if _is_bag(path):
             takes.append(import_bags.read_bag(path, answers))
             continue
-        if path.is_dir() and import_lerobot.is_lerobot(path):
-            takes += import_lerobot.read_lerobot(path, answers)
+        if _is_lerobot(path):
+            try:
+                from recorder.convert.lerobot_format import read_lerobot
+            except ImportError:
+                raise SessionError(
+                    f"{path.name}: reading LeRobot takes pyarrow: pip install 'tactile-rig[export]'"
+                ) from None
+            takes += read_lerobot(path, answers)
             continue
         kind = answers.kind(path.name)
         if kind == "skip":
@@ -119,13 +125,17 @@ def _leaves(paths: Sequence[Path]) -> Iterator[Path]:
 
 def _is_whole(path: Path) -> bool:
     images = any(each.suffix.lower() in IMAGE_SUFFIXES for each in path.iterdir())
-    return images or _is_bag(path) or import_lerobot.is_lerobot(path)
+    return images or _is_bag(path) or _is_lerobot(path)
 
 
 def _is_bag(path: Path) -> bool:
     if path.is_dir():
         return (path / "metadata.yaml").is_file()
     return path.suffix.lower() in import_bags.SUFFIXES
+
+
+def _is_lerobot(path: Path) -> bool:
+    return (path / "meta" / "info.json").is_file() and (path / "data").is_dir()
 
 
 def _is_film(path: Path) -> bool:
