@@ -33,7 +33,7 @@ class Progress:
     not touched.
     """
 
-    _wiped = True
+    _wiped = _starts_at_once = True
 
     def __init__(
         self,
@@ -53,7 +53,8 @@ class Progress:
         self._stream, self._clock, self._kernels = stream, clock, kernels
         # A dumb terminal cannot move its cursor.
         self._terminal = stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown")
-        self._begun, self._known = clock(), self._compiled()
+        self._begun = clock() if self._starts_at_once else math.inf
+        self._known = self._compiled()
         self._said = -math.inf
         self._share = 0.0
         self._origin: tuple[float, float] | None = None
@@ -185,18 +186,8 @@ class ItemProgress(Progress):
     """
 
     _wiped = False
-
-    def __init__(
-        self,
-        name: str,
-        stream: TextIO,
-        *,
-        threaded: bool = True,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        super().__init__(name, stream, threaded=threaded, clock=clock)
-        self._begun = math.inf
-        self._done = self._total = 0
+    _starts_at_once = False
+    _done = _total = 0
 
     def __call__(self, done: int, total: int) -> None:  # type: ignore[override]
         """Store the counts."""
