@@ -6,7 +6,7 @@ docs/how-to/export-and-import.md describes the content of each format.
 
 from recorder.convert.export import FORMATS, Options, export
 from recorder.convert.genforce_format import DEPTH_UNKNOWN, FORCE_COLUMNS, POSE_COLUMNS
-from recorder.convert.import_numbers import in_order, told_order
+from recorder.convert.import_numbers import in_order, order_at_rest
 from recorder.convert.import_page import write_page
 from recorder.convert.import_session import Draft, draft_recordings, write_sessions
 from recorder.convert.import_tracks import (
@@ -33,8 +33,8 @@ __all__ = [
     "export",
     "in_order",
     "option_flag",
+    "order_at_rest",
     "rate_option",
-    "told_order",
     "write_page",
     "write_sessions",
 ]

@@ -337,7 +337,7 @@ _TAXELS: dict[tuple[int, ...], TaxelOrder | None] = {
 # Spread of the resting counts within an axis in the wrong order, over that in the right order, from
 # which the order counts as known. In three logs of a uSkin it is 9.6 (x and y rest near 33,000
 # counts, z near 20,000 or 45,000); without such a difference between the axes it is about 1.
-_TOLD_APART = 2.5
+_APART = 2.5
 # Spread below which counts say nothing: a tared log has only noise [counts].
 _SPREAD_LEAST = 100.0
 # Rows of which the stillest ones in a row serve as the resting counts.
@@ -384,7 +384,7 @@ def in_order(rows: Floats, order: TaxelOrder) -> Floats:
     return rows.reshape(-1, 3, count).transpose(0, 2, 1)
 
 
-def told_order(rows: Floats) -> tuple[TaxelOrder | None, str]:
+def order_at_rest(rows: Floats) -> tuple[TaxelOrder | None, str]:
     """Return the order of rows (n, 3 m), None if it cannot be told, and the counts that tell it.
 
     A uSkin's taxels rest at similar counts along an axis, and far apart along different axes.
@@ -394,12 +394,12 @@ def told_order(rows: Floats) -> tuple[TaxelOrder | None, str]:
     likely = min(ORDERS, key=lambda one: spread[one])
     within, across = spread[likely], max(spread.values())
     counts = f"resting counts spread {within:.0f} within an axis, {across:.0f} in the other order"
-    return (likely if across >= _TOLD_APART * max(within, _SPREAD_LEAST) else None), counts
+    return (likely if across >= _APART * max(within, _SPREAD_LEAST) else None), counts
 
 
 def _order_of(name: str, rows: Floats, by_shape: TaxelOrder | None) -> tuple[TaxelOrder, str]:
     """Return the order of rows (n, 48), and a message on how it is known."""
-    by_values, counts = told_order(rows)
+    by_values, counts = order_at_rest(rows)
     if by_values is None:
         if by_shape is not None:
             return by_shape, f"{name}: order '{by_shape}' by its shape"

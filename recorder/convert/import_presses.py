@@ -30,7 +30,7 @@ _AS_FREE = 0.02
 # in contact: images and taxels cannot tell which.
 _RETURNED = 0.4
 # Change during contact over that without, from which a contact differs from noise.
-_TOLD = 4.0
+_CLEAR = 4.0
 # A press begins where the change exceeds `_BEGIN` of its largest value or twice its noise, and
 # reaches to where it falls below `_REACH`; interruptions shorter than `_GAP_S` are part of it.
 _BEGIN, _REACH, _GAP_S, _PRESS_S = 0.10, 0.03, 0.15, 0.1
@@ -116,7 +116,7 @@ def find_no_contact(signal: Signal, recording: str) -> Span:
     largest = float(change.max())
     apart = float(np.abs(end.mean(axis=0) - begin.mean(axis=0)).mean())
     noise = max(float(change[:length].max()), 1e-12)
-    if largest > _TOLD * noise and apart > _RETURNED * largest:
+    if largest > _CLEAR * noise and apart > _RETURNED * largest:
         spans = (_span(t_ns, at, length) for at in (0, count - length))
         raise MissingAnswer(
             "no_contact",
@@ -147,7 +147,7 @@ def find_presses(trace: Trace, no_contact: Span) -> list[Press]:
     inside = (t_ns >= no_contact[0]) & (t_ns < no_contact[1])
     noise = float(value[inside].max()) if inside.any() else 0.0
     largest = float(value.max())
-    if largest <= _TOLD * max(noise, 1e-12):
+    if largest <= _CLEAR * max(noise, 1e-12):
         return []
     high = value > max(2 * noise, _BEGIN * largest)
     reach = value > max(1.2 * noise, _REACH * largest)
@@ -229,25 +229,25 @@ class Lag:
         )
 
 
-def find_lag(shown: Trace, force: Trace, where: str) -> Lag:
+def find_lag(sensed: Trace, force: Trace, where: str) -> Lag:
     """Return how much later images or taxels show contacts than the force does.
 
-    The change that is shown is compared with the force, shifted; residuals are correlated in time,
+    The change of these is compared with the force, shifted; residuals are correlated in time,
     so the interval counts only the independent ones.
     """
 
     def refuse(why: str) -> MissingAnswer:
         return MissingAnswer(
             "lag",
-            f"{where}: the lag of {shown.name} behind {force.name} cannot be found: {why}",
+            f"{where}: the lag of {sensed.name} behind {force.name} cannot be found: {why}",
             ("SECONDS", "0 if they started together"),
         )
 
     lags = np.arange(-_LAG_MOST_S, _LAG_MOST_S + _LAG_STEP_S / 2, _LAG_STEP_S)
-    t, at = shown.t_ns * NS, force.t_ns * NS
+    t, at = sensed.t_ns * NS, force.t_ns * NS
     if len(t) < 8 or len(at) < 8:
         raise refuse(f"{min(len(t), len(at))} samples are too few")
-    if not float(np.ptp(force.value)) > 0 or not float(np.ptp(shown.value)) > 0:
+    if not float(np.ptp(force.value)) > 0 or not float(np.ptp(sensed.value)) > 0:
         raise refuse("one of them is flat")
     errors, correlations = np.full(len(lags), np.inf), np.zeros(len(lags))
     residuals: dict[int, Floats] = {}
@@ -255,16 +255,16 @@ def find_lag(shown: Trace, force: Trace, where: str) -> Lag:
         there = (t - lag >= at[0]) & (t - lag <= at[-1])
         if there.sum() < max(8, 0.6 * len(t)):
             continue
-        known = np.interp(t[there] - lag, at, force.value)
-        seen = shown.value[there]
-        if not np.ptp(known) > 0 or not np.ptp(seen) > 0:
+        pressing = np.interp(t[there] - lag, at, force.value)
+        change = sensed.value[there]
+        if not np.ptp(pressing) > 0 or not np.ptp(change) > 0:
             continue
-        design = np.stack([np.ones_like(known), known], axis=1)
-        fit: Any = np.linalg.lstsq(design, seen, rcond=None)[0]
-        residual = seen - design @ fit
+        design = np.stack([np.ones_like(pressing), pressing], axis=1)
+        fit: Any = np.linalg.lstsq(design, change, rcond=None)[0]
+        residual = change - design @ fit
         # Per sample, as fewer overlap at a large lag.
-        errors[index] = float(np.mean(residual**2)) / float(np.var(shown.value))
-        correlations[index] = float(np.corrcoef(known, seen)[0, 1])
+        errors[index] = float(np.mean(residual**2)) / float(np.var(sensed.value))
+        correlations[index] = float(np.corrcoef(pressing, change)[0, 1])
         residuals[index] = residual
     best = int(np.argmin(errors))
     if not np.isfinite(errors[best]) or correlations[best] < _CORRELATED:

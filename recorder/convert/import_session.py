@@ -117,21 +117,21 @@ def _draft(take: Take, answers: Answers) -> Draft:
     assumed = [*take.assumed]
     for track in take.tracks:
         assumed += track.content.assumed
-    shown = _shown(take)
-    take, lag, messages = _on_one_clock(take, shown, answers)
+    sensed = _sensor_signal(take)
+    take, lag, messages = _on_one_clock(take, sensed, answers)
     assumed += messages
-    if shown is not None and (seen := _seen(take)) is not None:
-        shown = replace(shown, t_ns=seen.content.t_ns)
+    if sensed is not None and (sensor := _sensor_track(take)) is not None:
+        sensed = replace(sensed, t_ns=sensor.content.t_ns)
     seconds = {track.source: track.seconds for track in take.tracks}
     end = _common_end(seconds, answers.trim)
     if end < max(seconds.values()):
         assumed.append(f"{take.name}: all cut to {end:.3f} s, the length of the shortest")
     end_ns = round(end * 1e9)
     film = take.film
-    if film is not None and film.names and shown is not None:
-        no_contact, presses, trace = _stills(film, shown, answers)
+    if film is not None and film.names and sensed is not None:
+        no_contact, presses, trace = _stills(film, sensed, answers)
     else:
-        no_contact, presses, trace = _contacts(take, shown, answers, end_ns)
+        no_contact, presses, trace = _contacts(take, sensed, answers, end_ns)
     forces = take.first("force")
     if forces is not None and presses:
         _require_sign(forces, no_contact, presses)
@@ -157,14 +157,14 @@ def _shrunk(image: Any) -> NDArray[np.uint8]:
     return np.asarray(picture.resize(_SMALL[::-1], Image.Resampling.BOX), np.uint8)
 
 
-def _seen(take: Take) -> Track | None:
+def _sensor_track(take: Take) -> Track | None:
     """Return the first camera, else the first taxels."""
     return take.first("video") or take.first("taxels")
 
 
-def _shown(take: Take) -> Signal | None:
+def _sensor_signal(take: Take) -> Signal | None:
     """Return the signal of images, else of taxels; None without either."""
-    if (track := _seen(take)) is None:
+    if (track := _sensor_track(take)) is None:
         return None
     content = track.content
     if isinstance(content, Film):
@@ -185,25 +185,25 @@ def _force(take: Take) -> Signal | None:
 
 
 def _on_one_clock(
-    take: Take, shown: Signal | None, answers: Answers
+    take: Take, sensed: Signal | None, answers: Answers
 ) -> tuple[Take, Lag | None, list[str]]:
     """Return the recording with the lag of another clock taken out, that lag, and messages."""
     clocks = list(dict.fromkeys(track.clock for track in take.tracks))
-    forces, force, seen = take.first("force"), _force(take), _seen(take)
-    if len(clocks) == 1 or forces is None or seen is None or seen.clock == forces.clock:
+    forces, force, track = take.first("force"), _force(take), _sensor_track(take)
+    if len(clocks) == 1 or forces is None or track is None or track.clock == forces.clock:
         several = len(clocks) > 1
         return take, None, [f"{take.name}: all files start together"] if several else []
     if answers.lag is not None:
-        moved = _shifted(take, seen.clock, answers.lag)
+        moved = _shifted(take, track.clock, answers.lag)
         return moved, None, [f"{take.name}: lag of {answers.lag:+.3f} s by --lag"]
-    if shown is None or force is None:
+    if sensed is None or force is None:
         raise MissingAnswer("lag", f"{take.name}: the lag between its files is unknown")
     pressed = force.change(find_no_contact(force, take.name))
-    lag = find_lag(shown.change(_rest(shown)), pressed, take.name)
+    lag = find_lag(sensed.change(_rest(sensed)), pressed, take.name)
     if lag.low <= 0 <= lag.high:
         return take, lag, [f"{take.name}: lag {lag}: its files start together, to within that"]
-    message = f"{take.name}: lag {lag}: all but {seen.source} was moved by it"
-    return _shifted(take, seen.clock, lag.seconds), lag, [message]
+    message = f"{take.name}: lag {lag}: all but {track.source} was moved by it"
+    return _shifted(take, track.clock, lag.seconds), lag, [message]
 
 
 def _rest(signal: Signal) -> Span:
@@ -237,12 +237,12 @@ def _common_end(seconds: dict[str, float], trim: bool) -> float:
 
 
 def _contacts(
-    take: Take, shown: Signal | None, answers: Answers, end_ns: int
+    take: Take, sensed: Signal | None, answers: Answers, end_ns: int
 ) -> tuple[Span, list[Press], Trace]:
     """Return the time without contact, the contacts, and the change that shows them."""
     signal = _force(take)
     if signal is None or not float(np.ptp(signal.rows)) > 0:
-        signal = shown or signal
+        signal = sensed or signal
     if signal is None:
         raise SessionError(f"{take.name}: found neither images nor taxels nor forces")
     pressed = answers.spans("press", take.name)
@@ -262,7 +262,7 @@ def _contacts(
             "explains, so no contact is found",
             ("START:END in seconds",),
         )
-    around = shown or signal
+    around = sensed or signal
     step = float(np.median(np.diff(around.t_ns))) if len(around.t_ns) > 1 else 0.0
     start = max(int(track.content.t_ns[0]) for track in take.tracks)
     last = min(int(track.content.t_ns[-1]) for track in take.tracks) + 1
@@ -270,7 +270,7 @@ def _contacts(
     return no_contact, [each for each in wide if each.start_ns < each.peak_ns < each.end_ns], trace
 
 
-def _stills(film: Film, shown: Signal, answers: Answers) -> tuple[Span, list[Press], Trace]:
+def _stills(film: Film, sensed: Signal, answers: Answers) -> tuple[Span, list[Press], Trace]:
     """Return the picture without contact, and every other as a contact of its own."""
     names = [name.rpartition(".")[0] for name in film.names]
     no_contact = [text.rpartition("=")[2] for text in answers.no_contact]
@@ -290,7 +290,7 @@ def _stills(film: Film, shown: Signal, answers: Answers) -> tuple[Span, list[Pre
     if not presses:
         raise SessionError("found no picture of a contact beside those without")
     span = (starts[rest[0]], starts[rest[0]] + period)
-    return span, presses, shown.change(span)
+    return span, presses, sensed.change(span)
 
 
 def _span(option: str, text: str) -> Span:
@@ -474,13 +474,13 @@ def _specs(drafts: Sequence[Draft]) -> list[StreamSpec]:
             (each.name, each.columns) for each in first
         ]:
             raise SessionError(
-                f"{draft.take.name}: found {_told(own)}; {drafts[0].take.name} of the same object "
-                f"has {_told(first)}; allowed: recordings with the same streams"
+                f"{draft.take.name}: found {_text(own)}; {drafts[0].take.name} of the same object "
+                f"has {_text(first)}; allowed: recordings with the same streams"
             )
     return first
 
 
-def _told(specs: Sequence[StreamSpec]) -> str:
+def _text(specs: Sequence[StreamSpec]) -> str:
     return ", ".join(
         f"{spec.name} {'x'.join(map(str, spec.value.shape)) if spec.value else ''}".strip()
         for spec in specs
@@ -551,11 +551,11 @@ def _reference(
         row[column.name] = np.full(column.shape, np.nan) if number else -1
     row |= {"point": 0, "run": run, "t_ns": draft.no_contact[0]}
     row |= {"wrench": np.zeros(6), "wrench_std": np.zeros(6)}
-    seen: set[str] = set()
+    filled: set[str] = set()
     for track, spec in zip(draft.take.tracks, specs, strict=True):
         kind, content = spec.traits.defaults, track.content
-        name = kind.column if kind.column and kind.column not in seen else spec.name
-        seen.add(name)
+        name = kind.column if kind.column and kind.column not in filled else spec.name
+        filled.add(name)
         inside = _inside(content.t_ns, draft.no_contact)
         if name not in row or not inside.size:
             continue

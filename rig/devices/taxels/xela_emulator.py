@@ -245,12 +245,12 @@ def load_log(path: Path) -> Log:
 
     A file with x of all taxels, then y, then z, is reordered; its resting counts show that.
     """
-    from recorder.convert import in_order, told_order  # not needed to play the World
+    from recorder.convert import in_order, order_at_rest  # not needed to play the World
 
     log: Log = np.load(path, allow_pickle=False).astype(np.float64)
     if log.ndim != 2 or len(log) == 0 or log.shape[1] == 0 or log.shape[1] % 3:
         raise ValueError(f"{path.name}: shape {log.shape}; expected (T, 3 x taxels)")
-    order, _counts = told_order(log)
+    order, _counts = order_at_rest(log)
     return in_order(log, order or "taxel").reshape(log.shape)
 
 
