@@ -124,7 +124,7 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
     from learning.data.genforce.format import read_compensation
     from learning.data.genforce.importing import SURFACES_MM, Choices, read_plan
     from learning.data.genforce.importing import import_folder as import_published
-    from learning.markers.frames import summary
+    from learning.markers.build import summary
     from recorder import MarkerArchive
 
     surfaces = dict(SURFACES_MM) if options.heights else {}

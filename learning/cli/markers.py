@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from learning.markers.frames import archive_sessions
+    from learning.markers.build import archive_sessions
 
     _require_sessions(options.sessions)
     sam = _sam(options)

@@ -1,7 +1,7 @@
 """Binary marker images from the pictures and taxels of sessions.
 
 A preset configures the detection (`preset`). `Segmenter` makes masks, `track.Tracker` follows
-markers. `frames.archive_sessions` processes whole sessions.
+markers. `build.archive_sessions` processes whole sessions.
 """
 
 from learning.markers.segment import (

@@ -29,7 +29,7 @@ from learning.data.genforce.turns import fitted_turn, turn_of
 from learning.data.matching import Chosen, read_presses
 from learning.errors import LearningError
 from learning.indenters import NAMES
-from learning.markers.frames import archive_sessions
+from learning.markers.build import archive_sessions
 from recorder import MarkerArchive, SessionError, check
 from recorder.archive import location_pairs
 from recorder.convert import export

@@ -27,7 +27,7 @@ from learning.data.join import join
 from learning.data.matching import Chosen, Presses, Tolerances, match
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.markers.frames import archive_sessions
+from learning.markers.build import archive_sessions
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs, write_simulated
 from recorder.session import press_curves, surface_heights

@@ -12,8 +12,8 @@ from support.learning_sessions import altered, record
 
 from learning.errors import LearningError
 from learning.markers import Segmenter, preset
+from learning.markers.build import archive_sessions
 from learning.markers.efficient_sam import EfficientSam
-from learning.markers.frames import archive_sessions
 from recorder import MarkerArchive, Session, SessionError
 from tests.support.few import few
 

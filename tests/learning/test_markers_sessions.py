@@ -19,7 +19,8 @@ import sim.indenters
 from learning.errors import LearningError
 from learning.indenters import NAMES
 from learning.markers import Segmenter, preset
-from learning.markers.frames import FLAG, INVALID, archive_sessions, taxel_masks
+from learning.markers.build import archive_sessions
+from learning.markers.frames import FLAG, INVALID, taxel_masks
 from learning.markers.recording import read_group
 from recorder import MarkerArchive, Session, check
 from recorder.archive import location_pairs

@@ -1,0 +1,122 @@
+"""Conversion of sessions to a marker archive: `tactile markers`."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from learning.archive_writer import fill_archive
+from learning.errors import LearningError
+from learning.indenters import UNSEEN
+from learning.markers.frames import FLAG, INVALID, RecordedSensor, one_thread
+from learning.markers.recording import Recording, read_group
+from learning.markers.segment import names, preset_of_sensor
+from recorder import MarkerArchive
+from recorder.archive import MASKS
+
+if TYPE_CHECKING:
+    from learning.markers.efficient_sam import EfficientSam
+
+# Maximum number of frames, and of reasons, that are listed individually.
+NAMED = 5
+
+
+def archive_sessions(
+    sessions: Sequence[Path],
+    out: Path,
+    *,
+    preset_name: str | None = None,
+    sensor: str | None = None,
+    mm_per_px: float | None = None,
+    unseen: tuple[str, ...] = UNSEEN,
+    sam: EfficientSam | None = None,
+    irregular: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[int, tuple[str, ...]]:
+    """Make or resume the marker archive of sessions.
+
+    Returns the number of frames made by this call, and lines of summary: frames, flags, omissions.
+
+    Args:
+        sessions: One for each indenter on each sensor.
+        out: The archive.
+        preset_name: Preset of marker detection for all sensors; None: the preset for each.
+        sensor: Name of the sensor, instead of the names in the sessions.
+        mm_per_px: Size of a pixel [mm], instead of the preset's.
+        unseen: Indenters that models may not be trained on.
+        sam: Model that refines masks of pictures; None: no refinement.
+        irregular: True for markers without a regular pattern, which are rejected otherwise.
+        progress: Called with the number of frames that exist and the total.
+
+    Raises:
+        LearningError: Sessions are incompatible, or a preset does not fit.
+        SessionError: A session is corrupt, or another archive exists at `out`.
+        OSError: The disk is full, or not writable.
+    """
+    one_thread()
+    recordings, indenters = read_group(sessions, sensor)
+    sensors = [
+        RecordedSensor(
+            name,
+            some,
+            indenters,
+            preset_name or _preset_for(name),
+            mm_per_px=mm_per_px,
+            unseen=unseen,
+            sam=sam,
+            irregular=irregular,
+        )
+        for name, some in recordings.items()
+    ]
+    attrs = {"made_from": "sessions"}
+    made = fill_archive(out, sensors, indenters, attrs, progress)
+    omitted = (line for some in recordings.values() for one in some for line in _omitted(one))
+    return made, (*omitted, *summary(out))
+
+
+def _preset_for(sensor: str) -> str:
+    found = preset_of_sensor(sensor)
+    if found is None:
+        raise LearningError(
+            f"{sensor}: no preset is assigned to it; allowed: {', '.join(names())}, or a .yaml file"
+        )
+    return found
+
+
+def summary(path: Path) -> tuple[str, ...]:
+    """Return lines that summarise an archive: frames, flags and missing frames of each sensor."""
+    lines = []
+    for name, sensor in MarkerArchive(path).items():
+        of = sensor.table["source"]
+        reported = [json.loads(line) for line in sensor.sources]
+        flagged = [row for row, one in enumerate(of) if FLAG in reported[one]]
+        invalid = Counter(reported[one][INVALID] for one in of if INVALID in reported[one])
+        text = f"{name}: {len(sensor):,} frames, {len(sensor.reference_frames)} references"
+        if sensor.attrs["marker_check"] is None:
+            text += (
+                "; markers are not counted"
+                if sensor.representation == MASKS
+                else f"; {sensor.representation.name}: train with --preset shading"
+            )
+        else:
+            fraction = len(flagged) / max(len(sensor), 1)
+            text += f"; marker count: {len(flagged)} flagged ({100 * fraction:.2f} %)"
+        lines.append(text)
+        lines += [f"  row {row}: {reported[of[row]][FLAG]}" for row in flagged[:NAMED]]
+        if len(flagged) > NAMED:
+            lines.append(f"  and {len(flagged) - NAMED} more: {FLAG} in their sources")
+        lines += [f"  {count} frames are not there: {why}" for why, count in _sorted(invalid)]
+    return tuple(lines)
+
+
+def _sorted(reasons: Mapping[str, int]) -> list[tuple[str, int]]:
+    return sorted(reasons.items(), key=lambda one: -one[1])
+
+
+def _omitted(recording: Recording) -> Iterator[str]:
+    yield from (f"{recording.name}: {text}" for text in recording.omitted[:NAMED])
+    if (more := len(recording.omitted) - NAMED) > 0:
+        yield f"{recording.name}: and {more} more of the kind"
