@@ -127,17 +127,10 @@ def load_presses(
     processes: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> Presses:
-    """Load presses of an archive's sensor; a press is a location.
+    """Load presses of rows of an archive's sensor, in any order; a press is a location.
 
-    Frames without a location, e.g. of force-depth presses, are grouped by their target.
-
-    Args:
-        sensor: The sensor.
-        rows: Rows of its table, in any order; `Split.rows` gives those of a role.
-        device: Device of images, references and wrench.
-        form: Form of the frames.
-        processes: Number of processes that track markers.
-        progress: Called with the number of frames read and in total.
+    Frames without a location, e.g. of force-depth presses, are grouped by their target. Markers of
+    fields are tracked by some processes.
     """
     if (form == "shading") != (sensor.representation == SHADING):
         needed = "--preset shading" if sensor.representation == SHADING else "another preset"

@@ -336,13 +336,8 @@ def write_report(
 ) -> Report:
     """Write the report of predictions and translation scores, either of which may be empty.
 
-    Args:
-        predictions: Predicted forces, of any pairs, methods and translators.
-        scores: Scores of translated frames.
-        out: Folder of the report; files of an earlier report are replaced.
-        title: Title of the page.
-        seed: Seed of t-SNE, and of the choice of presses to plot.
-        progress: Called with the number of parts done and in total.
+    Files of an earlier report are replaced. `seed` is that of t-SNE, and of the choice of presses
+    to plot.
     """
     if not predictions and not scores:
         raise LearningError("evaluate: found neither predictions nor translation scores")

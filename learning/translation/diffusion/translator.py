@@ -37,13 +37,9 @@ class DiffusionTranslator:
         batch: int = BATCH,
         precision: torch.dtype = torch.float32,
     ) -> None:
-        """Wrap a network that is already on its device.
+        """Wrap a network that is already on its device; it is set to evaluation mode.
 
-        Args:
-            network: The network; it is set to evaluation mode.
-            name: Name in reports.
-            batch: Batch size.
-            precision: Precision of the network; the step to the clean latent is always float32.
+        The step to the clean latent is always float32, whatever the precision.
         """
         self._network, self._name = network.eval().requires_grad_(False), name
         self._batch, self._precision = batch, precision

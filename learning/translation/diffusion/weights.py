@@ -54,11 +54,7 @@ class PerceptualDistance(nn.Module):
     """LPIPS distance (n,) of images in [-1, 1], 0 for equal ones. Frozen."""
 
     def __init__(self, widths: Sequence[int] = WIDTHS) -> None:
-        """Build trunk and heads with random weights.
-
-        Args:
-            widths: Channels of the five stages.
-        """
+        """Build trunk and heads with random weights; `widths` are the channels of its stages."""
         super().__init__()
         layers: list[nn.Module] = []
         self.taps: list[int] = []

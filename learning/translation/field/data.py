@@ -101,14 +101,7 @@ def gather_role(
 ) -> Frames | None:
     """Return the frames of some sensors that have a role; None if no press has it.
 
-    Args:
-        archive: Archive to read.
-        split: Split of its presses.
-        sensors: Names of the sensors.
-        role: Role of the presses.
-        every: Take every n-th frame of a press, and all paired frames.
-        device: Device for the frames.
-        progress: Called with the number of frames read and the total.
+    They are every n-th frame of a press, and all paired frames.
     """
     rows, device = paired_rows(archive, split, sensors, role, every=every), torch.device(device)
     count = sum(map(len, rows.values()))

@@ -69,13 +69,7 @@ class ResidualBlock(nn.Module):
     """Residual block of two 3 x 3 convolutions with a conditional scale and offset between them."""
 
     def __init__(self, before: int, width: int, condition: int) -> None:
-        """Build a block.
-
-        Args:
-            before: Input channels.
-            width: Output channels.
-            condition: Length of the condition vector; 0: unconditional.
-        """
+        """Build a block for a condition of some length, 0: unconditional."""
         super().__init__()
         self.norm_in = nn.GroupNorm(GROUPS, before)
         # No bias, as the normalisation would remove it.
@@ -117,14 +111,7 @@ class Contraction(nn.Module):
     """Encodes a field into features at full, half, ... resolution; the coarsest see all of it."""
 
     def __init__(self, channels: int, widths: Sequence[int], side: int, condition: int = 0) -> None:
-        """Build it.
-
-        Args:
-            channels: Input channels.
-            widths: Channels at the full side, half of it, and so on.
-            side: Side of the input field.
-            condition: Length of the condition vector; 0: unconditional.
-        """
+        """Build it for a field of `side`, with channels at the full side, half of it, and so on."""
         super().__init__()
         self.begin = nn.Conv2d(channels, widths[0], 3, padding=1)
         self.blocks = nn.ModuleList(ResidualBlock(width, width, condition) for width in widths)
@@ -168,12 +155,7 @@ class FieldUnet(nn.Module):
             nn.init.zeros_(weights)
 
     def forward(self, field: Tensor, condition: Tensor | None = None) -> Tensor:
-        """Return the output field (n, out, side, side).
-
-        Args:
-            field: Input field (n, channels, side, side).
-            condition: Condition (n, condition), if the net was built for one.
-        """
+        """Return the output field (n, out, side, side) of a field (n, channels, side, side)."""
         scales = self.contraction(field, condition)
         features = scales.pop()
         for block in self.blocks:
@@ -211,14 +193,11 @@ def image_grid(height: int, width: int, device: torch.device) -> Tensor:
 
 
 def render(distance: Tensor, deformation: Tensor) -> Tensor:
-    """Return signed distances (n, 1, h, w) [px] of deformed references.
+    """Return signed distances (n, 1, h, w) [px] of deformed references (n or 1, 1, h, w).
 
-    A reference is unknown outside its image. A marker cut by the border is assumed to extend beyond
-    it as far as it reaches into the image, and no other markers are assumed there.
-
-    Args:
-        distance: Signed distance of references, (n, 1, h, w), or (1, 1, h, w) for all.
-        deformation: (n, 3, any, any).
+    Deformations are (n, 3, any, any). A reference is unknown outside its image. A marker cut by the
+    border is assumed to extend beyond it as far as it reaches into the image, and no other markers
+    are assumed there.
     """
     height, width = distance.shape[-2:]
     deformation = deformation.to(distance.dtype)
@@ -309,12 +288,7 @@ class FieldNet(nn.Module):
     """
 
     def __init__(self, widths: Sequence[int], refinements: int) -> None:
-        """Build it; the untrained deformation is zero.
-
-        Args:
-            widths: Channels at 128, 64, 32, ... cells.
-            refinements: Number of passes.
-        """
+        """Build it with channels at 128, 64, 32, ... cells; the untrained deformation is zero."""
         super().__init__()
         self.refinements = refinements
         self.look = nn.Conv2d(2, widths[0], 5, stride=2, padding=2)
@@ -324,9 +298,8 @@ class FieldNet(nn.Module):
     def forward(self, frames: Tensor, distance: Tensor) -> list[Tensor]:
         """Return deformations (n, 3, 64, 64) [px], one per pass; the last is the result.
 
-        Args:
-            frames: Frames in 0..1 (n, 1, 256, 256).
-            distance: Signed distance of the references (n|1, 1, 256, 256) [px].
+        Frames are (n, 1, 256, 256) in 0..1, signed distances of the references (n|1, 1, 256, 256)
+        [px].
         """
         deformation = frames.new_zeros(len(frames), CHANNELS, SIDE, SIDE)
         found: list[Tensor] = []
@@ -364,11 +337,7 @@ class LayoutEncoder(nn.Module):
         self.whole = nn.Linear(2 * width * 16, numbers)
 
     def forward(self, distance: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the layout (n, 8, 64, 64) and the sensor's vector (n, numbers).
-
-        Args:
-            distance: Signed distance of references (n, 1, 256, 256) [px].
-        """
+        """Return layouts (n, 8, 64, 64), sensors' vectors (n, numbers) of signed distances [px]."""
         features = functional.silu(self.look(distance / UNIT_PX))
         features = functional.silu(self.look_closer(features))
         far = functional.silu(self.norm(self.farther(features)))
@@ -386,12 +355,7 @@ class FieldMap(nn.Module):
     """
 
     def __init__(self, widths: Sequence[int], numbers: int) -> None:
-        """Build it.
-
-        Args:
-            widths: Channels at 64, 32, 16, ... cells.
-            numbers: Length of the vector that describes a sensor.
-        """
+        """Build it with channels at 64, 32, 16, ... cells; `numbers` describe a sensor."""
         super().__init__()
         condition = 2 * numbers + _SCALES
         self.source = LayoutEncoder(2 * GROUPS, numbers)
@@ -412,14 +376,10 @@ class FieldMap(nn.Module):
         source_scale: Tensor,
         target_scale: Tensor,
     ) -> Tensor:
-        """Return the target's deformation (n, 3, 64, 64) [px of its image].
+        """Return the target's deformation (n, 3, 64, 64) [px of its image] for the source's.
 
-        Args:
-            deformation: The source's deformation (n, 3, 64, 64) [px of its image].
-            source_distance: Signed distance of the source references (n, 1, 256, 256) [px].
-            target_distance: Signed distance of the target references, likewise.
-            source_scale: Millimetres per pixel of the source (column, row) (n, 2).
-            target_scale: Millimetres per pixel of the target, likewise.
+        Signed distances of the references are (n, 1, 256, 256) [px], scales (column, row) (n, 2)
+        [mm / px].
         """
         source_layout, source_numbers = self.source(source_distance)
         target_layout, target_numbers = self.target(target_distance)
@@ -543,12 +503,7 @@ class FieldModel(nn.Module):
     ) -> Tensor:
         """Return the target's deformation (n, 3, 64, 64) [px of its image] for source frames.
 
-        Args:
-            frames: Source frames, in 0..1 (n, 1, 256, 256).
-            source_distance: Signed distance of the source references (n, 1, 256, 256) [px].
-            target_distance: Signed distance of the target references, likewise.
-            source_scale: Millimetres per pixel of the source (column, row) (n, 2).
-            target_scale: Millimetres per pixel of the target, likewise.
+        Frames are (n, 1, 256, 256) in 0..1, the others as in `FieldMap`.
         """
         deformation = self.net(frames, source_distance)[-1]
         mapped: Tensor = self.map(
