@@ -279,39 +279,6 @@ def layer_may_do(scene: Scene, wanted: Tolerance) -> bool:
     )
 
 
-def _solved_by_layer(
-    scene: Scene, wanted: Tolerance, progress: Progress | None
-) -> tuple[Result, float, str]:
-    """Solve the scene by `layer`; return its error in the tolerance's unit, and both in words.
-
-    The error is inf if the tier states none that is comparable with the tolerance;
-    `record["error"]` also has the largest one as `newton` [N], if there is one.
-    """
-    result = simulate_one(scene, Layer(), progress=progress)
-    error = result.record["error"]
-    if error["status"] != "estimated":
-        return result, np.inf, f"layer: error not known, {error['why']}"
-    newton = float((np.array(error["force"]) * force_scale(result.force)).max(initial=0.0))
-    result = replace(result, record={**result.record, "error": {**error, "newton": newton}})
-    if wanted.kind == "marker":
-        return result, np.inf, "layer: error of markers not known, only that of the force"
-    value = error["percent"] / 100 if wanted.kind == "fraction" else newton
-    return result, value, f"layer: {with_unit(wanted.kind, value)}, estimated"
-
-
-def _outside_checked(result: Result) -> str | None:
-    """Return why a `layer` result is outside the checked range of its estimate; None if inside."""
-    if not result.force.any():
-        return "layer: no force at all"
-    width = float(result.quality.contact_width.max()) / result.scene.body.thickness
-    if width > WIDEST:
-        return (
-            f"layer: the contact is {width:.3g} thicknesses wide, its estimate was checked up to "
-            f"{WIDEST:g}"
-        )
-    return None
-
-
 def _why_trusted(result: Result) -> str:
     """Return the basis of the estimate of a `layer` result, in a sentence for the user."""
     thickness = result.scene.body.thickness
@@ -340,22 +307,38 @@ def _of_layer(
     if device != "cpu":
         ready_device(device)  # rejects an unknown device, as meshes would
     try:
-        found, error, message = _solved_by_layer(scene, wanted, progress)
+        result = simulate_one(scene, Layer(), progress=progress)
     except SimulationDiverged as diverged:
         if tier == "layer":
             raise
         tried.append(f"layer: {diverged}")
         return None
-    unfit = None if tier == "layer" else _outside_checked(found)
-    tried.append(unfit or message)
-    if unfit is None and error <= wanted.value:
-        return found
-    if tier == "layer":
+    error, value = result.record["error"], np.inf
+    width = float(result.quality.contact_width.max()) / scene.body.thickness
+    if error["status"] != "estimated":
+        message = f"layer: error not known, {error['why']}"
+    elif wanted.kind == "marker":
+        message = "layer: error of markers not known, only that of the force"
+    else:
+        newton = float((np.array(error["force"]) * force_scale(result.force)).max(initial=0.0))
+        result = replace(result, record={**result.record, "error": {**error, "newton": newton}})
+        value = error["percent"] / 100 if wanted.kind == "fraction" else newton
+        message = f"layer: {with_unit(wanted.kind, value)}, estimated"
+    if tier == "layer" and value > wanted.value:
         allowed = "tier 'fem'"
-        if np.isfinite(error):
-            allowed = f"{with_unit(wanted.kind, 1.001 * error)} or more, or {allowed}"
+        if np.isfinite(value):
+            allowed = f"{with_unit(wanted.kind, 1.001 * value)} or more, or {allowed}"
         raise SceneError(f"tolerance: '{wanted}' with tier 'layer'; {message}; allowed: {allowed}")
-    return None
+    if tier is None and not result.force.any():
+        message, value = "layer: no force at all", np.inf
+    elif tier is None and width > WIDEST:
+        message, value = (
+            f"layer: the contact is {width:.3g} thicknesses wide, its estimate was checked up to "
+            f"{WIDEST:g}",
+            np.inf,
+        )
+    tried.append(message)
+    return result if value <= wanted.value else None
 
 
 def extrapolated(

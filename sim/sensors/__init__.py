@@ -8,7 +8,7 @@ Every signal is computed from the displacement of the top alone, so that sensors
 deformation. Assumptions and sources are in docs/reference/sensors.md.
 """
 
-from sim.sensors.field import EVEN_STEP, SurfaceField, cubic_weights
+from sim.sensors.field import SurfaceField
 from sim.sensors.pins import Pins
 from sim.sensors.posterior import Posterior
 from sim.sensors.readout import CameraReadout, TaxelReadout, readout
@@ -36,7 +36,6 @@ from sim.sensors.variation import (
 )
 
 __all__ = [
-    "EVEN_STEP",
     "HETEROGENEOUS",
     "HOMOGENEOUS",
     "MATERIAL",
@@ -58,7 +57,6 @@ __all__ = [
     "TaxelPad",
     "TaxelReadout",
     "TaxelSignal",
-    "cubic_weights",
     "read_sensor",
     "readout",
     "sensor",

@@ -9,12 +9,9 @@ current pose and the one before.
 """
 
 from sim.stream.outlines import LiveMarkers
-from sim.stream.stream import GRID, TOLERANCE, Answer, LivePress, LiveSensor, Slope
+from sim.stream.stream import LivePress, LiveSensor, Slope
 
 __all__ = [
-    "GRID",
-    "TOLERANCE",
-    "Answer",
     "LiveMarkers",
     "LivePress",
     "LiveSensor",

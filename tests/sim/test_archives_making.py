@@ -24,9 +24,10 @@ from support.simulated_archives import (
 from recorder import MarkerArchive, SessionError, check
 from recorder.archive import ArchivedSensor, location_pairs
 from sim import Fem, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate
-from sim.dataset import DatasetPlan, Solving, begin, families, found, gel
+from sim.dataset import DatasetPlan, Solving, begin, found, gel
 from sim.dataset import plan as solving
 from sim.dataset.generate import reader
+from sim.dataset.plan import families
 from sim.dataset.summary import summary
 from sim.errors import PassesThrough
 from sim.indenters import named

@@ -14,9 +14,20 @@ import pytest
 from rig.bench.bench import BenchFile
 from rig.core.packaged import BENCHES
 from sim import SceneError
-from sim.dataset import DatasetPlan, Solving, chosen_targets, families, gel, units
+from sim.dataset import DatasetPlan, Solving, gel
 from sim.dataset.generate import creep
-from sim.dataset.plan import STATES, code, differing, force_scale, indenter_names, names, scenes
+from sim.dataset.plan import (
+    STATES,
+    chosen_targets,
+    code,
+    differing,
+    families,
+    force_scale,
+    indenter_names,
+    names,
+    scenes,
+    units,
+)
 from sim.dataset.run import most_of_poisson
 from sim.indenters import NAMES
 from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor

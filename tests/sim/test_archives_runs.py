@@ -25,8 +25,8 @@ from support.simulated_archives import SKINS, UNITS, digests, make, own_grid, so
 from benchmarks.sim.pictures.states import draw_sheet
 from recorder import MarkerArchive, check
 from recorder.processes import WorkerLost
-from sim.dataset import DatasetPlan, OpenArchive, Unit, begin, fill, found, units
-from sim.dataset.plan import UNIT_PRESSES
+from sim.dataset import DatasetPlan, OpenArchive, Unit, begin, fill, found
+from sim.dataset.plan import UNIT_PRESSES, units
 from sim.dataset.run import make_here, make_in_processes
 from sim.layer.batch import simulate_layers
 from tactile.__main__ import main
