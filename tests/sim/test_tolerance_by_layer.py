@@ -130,7 +130,7 @@ def test_scenes_that_it_was_not_held_against_are_not_tried(
     def mesh(*_arguments: Any, **_options: Any) -> Any:
         raise SimulationDiverged("a mesh was tried")
 
-    monkeypatch.setattr(module, "_solved_by_layer", solved)
+    monkeypatch.setattr(module, "_of_layer", solved)
     monkeypatch.setattr(module._Meshes, "solved", mesh)
     tolerance = "30 %" if scene.motion.depth_max > 1e-3 else "8 %"
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
