@@ -76,18 +76,6 @@ def with_estimate(result: Result) -> Result:
     return replace(result, record={**result.record, "error": error})
 
 
-def measured(result: Result, fraction: Array, by: str, **more: Any) -> dict[str, Any]:
-    """Return the entry `record["error"]` if a second mesh was solved.
-
-    Args:
-        result: Result that the error belongs to.
-        fraction: Error of the force of each frame (F,), over the force.
-        by: Method of the measurement, in words.
-        more: Further entries.
-    """
-    return {**_told(result, "measured", fraction, by), **more}
-
-
 def fineness_of(result: Result) -> Array:
     """Return how finely each frame of a `fem` result resolves its own contact (F,).
 
@@ -130,7 +118,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
     fraction = fraction + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
-    error = _told(
+    error = error_entry(
         result, "estimated", _weighed(result, fraction), "how finely the contact is meshed"
     )
     missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)
@@ -151,7 +139,7 @@ def _of_layer(result: Result) -> dict[str, Any]:
     pixels = LAYER_PER_PIXEL * pixel_of(result) / width
     fraction = fraction + np.where(result.force.any(axis=1), pixels, 0.0)
     fraction = np.maximum(_weighed(result, fraction), _missed(result))
-    error = _told(result, "estimated", fraction, "depth over thickness, and pixels")
+    error = error_entry(result, "estimated", fraction, "depth over thickness, and pixels")
     if body.rim < RIM_UNEVEN * body.thickness:
         return {
             "status": "none",
@@ -206,13 +194,25 @@ def _weighed(result: Result, fraction: Array) -> Array:
     return np.where(force >= least, found, found * np.maximum(force, 1e-3 * least) / least)
 
 
-def _told(result: Result, status: str, fraction: Array, by: str) -> dict[str, Any]:
+def error_entry(
+    result: Result, status: str, fraction: Array, by: str, **more: Any
+) -> dict[str, Any]:
+    """Return the entry `record["error"]` of a result.
+
+    Args:
+        result: Result that the error belongs to.
+        status: `measured` or `estimated`.
+        fraction: Error of the force of each frame (F,), over the force.
+        by: Method, in words.
+        more: Further entries.
+    """
     fraction = np.minimum(np.maximum(fraction, vanishing_share(result)), 1.0)
     return {
         "status": status,
         "by": by,
         "percent": float(100 * fraction.max(initial=0.0)),
         "force": [float(f"{one:.4g}") for one in fraction],
+        **more,
     }
 
 

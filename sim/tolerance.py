@@ -29,8 +29,8 @@ from recorder.progress import part_of
 from sim.error_estimate import (
     LAYER_LEAST,
     LAYER_PER_DEPTH,
+    error_entry,
     fineness_of,
-    measured,
     pixel_of,
     side_distance,
     unknown_at_side,
@@ -367,8 +367,9 @@ def extrapolated(
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
     pixels = MARKERS * left * float(np.sqrt(np.mean(moved**2, axis=1)).max(initial=0.0))
     by = f"two meshes, elements {ratio:.2g} times as long in the coarser one"
-    error = measured(
+    error = error_entry(
         found,
+        "measured",
         fraction,
         by,
         newton=float(np.maximum(newton, floor * size).max(initial=0.0)),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 # Names of the phases; the index is the stored code.
 PHASES = ("normal_inc", "shear_inc", "shear_dec", "normal_dec")
@@ -55,9 +55,8 @@ class Move:
 class Plan(Protocol):
     """Interface of a frozen spec, which yields its targets and the moves of each target."""
 
-    @property
-    def kind(self) -> str:
-        """Name of the spec's type in bench files and sessions."""
+    KIND: ClassVar[str]
+    """Name of the spec's type in bench files and sessions."""
 
     def __len__(self) -> int:
         """Return the number of targets."""

@@ -97,11 +97,6 @@ class PressShear:
             )
 
     @property
-    def kind(self) -> str:
-        """`press_shear`."""
-        return self.KIND
-
-    @property
     def depth_count(self) -> int:
         """Number of depths."""
         return round(self.depth_max / self.depth_step)

@@ -27,13 +27,6 @@ class StraightPresses:
 
     __slots__ = ()
 
-    KIND: ClassVar[str]
-
-    @property
-    def kind(self) -> str:
-        """Name of the spec's type in bench files and sessions."""
-        return self.KIND
-
     def moves(self, target: Target) -> tuple[Move, ...]:
         """Return the move down and the move up."""
         return down_and_up(target)

@@ -19,7 +19,7 @@ def plan_to_json(plan: Plan) -> dict[str, Any]:
     """Return the spec as plain JSON values in SI units, with its `kind`."""
     if not dataclasses.is_dataclass(plan) or isinstance(plan, type):
         raise TypeError(f"plan: {plan!r}; allowed: {sorted(KINDS)}")
-    return {"kind": plan.kind, **dataclasses.asdict(plan)}
+    return {"kind": plan.KIND, **dataclasses.asdict(plan)}
 
 
 def plan_from_json(stored: dict[str, Any]) -> Plan:

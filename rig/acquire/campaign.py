@@ -153,7 +153,7 @@ def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
     bench_path = find_bench(entry.sensor, benches, f"{where}.sensor")
     bench = BenchFile.read(bench_path).bench
     plan: Plan | None = bench.trajectory if entry.plan == "press_shear" else bench.force_depth
-    if plan is None or plan.kind != entry.plan:
+    if plan is None or entry.plan != plan.KIND:
         raise ConfigError(f"{where}.plan: found {entry.plan!r}; {bench_path} has none")
     walked = bench.dry_run(plan)
     if walked.broken:

@@ -51,7 +51,7 @@ def draw(bench: Bench, walked: DryRun) -> Image.Image:
     title = ImageFont.load_default(24)
     small = ImageFont.load_default(14)
     bench_kind = "mock bench" if bench.mock else "lab bench"
-    canvas.text((40, 24), f"{bench.sensor}: {bench.trajectory.kind}", _INK, font=title)
+    canvas.text((40, 24), f"{bench.sensor}: {bench.trajectory.KIND}", _INK, font=title)
     canvas.text((40, 58), f"{bench.description}  ({bench_kind})", _INK, font=small)
     depths = sorted({target.depth for target in targets})
     colours = {depth: _colour(k, len(depths)) for k, depth in enumerate(depths)}

@@ -58,7 +58,8 @@ def run(options: argparse.Namespace) -> int:
     from sim.device import ready_device
     from sim.errors import SceneError
     from sim.sensors import sensor_of
-    from sim.twin.labels import DEEP, made_from, simulated_forces, tier_of
+    from sim.sensors.posterior import CERTAIN
+    from sim.twin.labels import DEEP, made_from, simulated_forces
 
     ready_device(options.device)
     twin = sensor_of(options.twin)
@@ -94,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
         )
     write_simulated(archived, found.force, found.spread, told)
     deepest = float(archived.table["depth"].max(initial=0.0)) / twin.body.thickness
-    if deepest > DEEP and tier_of(twin) == "layer":
+    if deepest > DEEP and (twin.posterior or CERTAIN).tier == "layer":
         print(
             f"note: presses reach {100 * deepest:.0f} % of the thickness; from {100 * DEEP:.0f} % "
             "on, forces of tier layer are off by 5 % and more",

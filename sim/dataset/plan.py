@@ -14,7 +14,7 @@ from sim.fem import FOR_EDGES, Fem, Grading, further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
-from sim.result import ContactTier, Outcome, Result, from_json, to_json
+from sim.result import ContactTier, Outcome, Result
 from sim.scene import Body, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.simulate import plan as within
@@ -282,19 +282,6 @@ class DatasetPlan:
         _check_names(
             "names in the archive", [name for each in self.sensors for name in names(each)]
         )
-
-    def document(self) -> dict[str, Any]:
-        """Return the plan as plain JSON values."""
-        return to_json(self)
-
-    @classmethod
-    def of(cls, document: Any, where: str = "plan") -> DatasetPlan:
-        """Return the plan that `document()` stored; `where` names it in errors.
-
-        Raises:
-            SceneError: The document is not a plan.
-        """
-        return from_json(cls, document, where)
 
 
 def names(sensor: SimulatedSensor) -> tuple[str, ...]:

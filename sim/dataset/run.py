@@ -31,7 +31,7 @@ from sim.dataset.plan import (
 from sim.device import ready_device
 from sim.errors import SceneError
 from sim.markers import named as pattern_named
-from sim.result import to_json
+from sim.result import from_json, to_json
 from sim.sensors import CameraReadout, CameraSignal, SimulatedSensor
 from sim.tiers import FEWER
 
@@ -75,7 +75,7 @@ def begin(path: Path, plan: DatasetPlan, device: str = "cpu") -> OpenArchive:
     """
     if path.exists():
         opened = found(path)
-        keys = differing(opened.plan.document(), plan.document())
+        keys = differing(to_json(opened.plan), to_json(plan))
         if keys:
             resume = next_command("sim", "archive", path)
             raise SceneError(
@@ -98,7 +98,7 @@ def found(path: Path) -> OpenArchive:
     attrs = MarkerArchive(path).attrs
     if PLAN not in attrs:
         raise SceneError(f"{path}: attribute {PLAN!r} is missing; allowed: a simulated archive")
-    plan = DatasetPlan.of(attrs[PLAN], f"{path}.plan")
+    plan = from_json(DatasetPlan, attrs[PLAN], f"{path}.plan")
     changed = [
         name
         for name, stored in attrs.get("patterns", {}).items()
@@ -128,7 +128,7 @@ def archive_plan(plan: DatasetPlan, device: str = "cpu") -> ArchivePlan:
     )
     attrs: dict[str, Any] = {
         "made_by": MADE_BY,
-        PLAN: plan.document(),
+        PLAN: to_json(plan),
         "patterns": {name: to_json(pattern_named(name)) for name in patterns},
     }
     return ArchivePlan(tuple(by_name[name] for name in order), indenter_names(plan), attrs)

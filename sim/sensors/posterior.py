@@ -93,6 +93,10 @@ class Posterior:
         return cls(tuple(names), tuple(spread.tolist()), correlations, *told)
 
 
+# Of a sensor whose quantities are known.
+CERTAIN = Posterior((), (), ())
+
+
 def is_log(name: str) -> bool:
     """Return True if a quantity is distributed, and fitted, by its logarithm."""
     return name.partition("_")[0] in LOGARITHMS

@@ -14,8 +14,9 @@ from recorder.processes import results, several
 from recorder.progress import span_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
-from sim.result import ContactTier, Result
+from sim.result import Result
 from sim.sensors import SimulatedSensor
+from sim.sensors.posterior import CERTAIN
 from sim.sensors.quantities import draw_sensor
 from sim.stream import LivePress
 from sim.tiers import simulate_many
@@ -90,7 +91,7 @@ def forces(
     """
     found = by_layer(sensors, press, grid)
     twin = sensors[0]
-    if tier_of(twin) == "layer":
+    if (twin.posterior or CERTAIN).tier == "layer":
         return found
     if true is None:
         true = by_fem(twin, indenter_of(press.indenter), *_from_above(twin, press))[1:]
@@ -179,10 +180,9 @@ def simulated_forces(
             f"{twin.name}: no posterior; allowed: a twin (tactile twin fit), or 0 draws"
         )
     random = np.random.default_rng(seed)
-    sensors = [twin]
-    if twin.posterior is not None:
-        sensors += [draw_sensor(twin, twin.posterior, random) for _ in range(draws)]
-    above = height_of(twin) if height is None else height
+    sensors = [twin, *(draw_sensor(twin, twin.posterior or CERTAIN, random) for _ in range(draws))]
+    posterior = twin.posterior or CERTAIN
+    above = posterior.height if height is None else height
     presses = [
         replace(press, tip=press.tip - [0.0, 0.0, above])
         for press in archived_presses(archived, indenters)
@@ -190,7 +190,7 @@ def simulated_forces(
     force, spread = (np.full((len(archived), 3), np.nan) for _ in range(2))
     failed: list[str] = []
     true: Sequence[Array | SimulationDiverged | None] = [None] * len(presses)
-    if device != "cpu" and tier_of(twin) == "fem":
+    if device != "cpu" and posterior.tier == "fem":
         true = [*by_fem_at_once(twin, presses, device, span_of(progress, 0.0, BY_FEM))]
         progress = span_of(progress, BY_FEM, 1 - BY_FEM)
     due = [(sensors, press, grid, known) for press, known in zip(presses, true, strict=True)]
@@ -205,7 +205,7 @@ def simulated_forces(
             force[press.rows] = each[0]
             if draws:
                 drawn = np.sqrt(np.mean(np.square(each[1:] - each[0]), axis=0))
-                unexplained = law_of(twin) * np.linalg.norm(each[0], axis=1, keepdims=True)
+                unexplained = posterior.law * np.linalg.norm(each[0], axis=1, keepdims=True)
                 spread[press.rows] = np.hypot(drawn, unexplained)
             else:
                 spread[press.rows] = 0.0
@@ -229,28 +229,14 @@ def _tried(
         return str(diverged)
 
 
-def height_of(twin: SimulatedSensor) -> float:
-    """Return the height of the surface that belongs to a twin's quantities [m]."""
-    return 0.0 if twin.posterior is None else twin.posterior.height
-
-
-def law_of(twin: SimulatedSensor) -> float:
-    """Return the error of forces that a twin's fit does not explain, over the whole force."""
-    return 0.0 if twin.posterior is None else twin.posterior.law
-
-
 def made_from(
     twin: SimulatedSensor, draws: int, seed: int, grid: int, height: float | None = None
 ) -> str:
     """Return a line that tells forces of one twin and its settings from those of others."""
-    height = height_of(twin) if height is None else height
+    posterior = twin.posterior or CERTAIN
+    height = posterior.height if height is None else height
     known = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
     told = f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
     told += f", height {1e6 * height:g} um" if height else ""
-    told += f", law {law_of(twin):.2%}" if draws and law_of(twin) else ""
-    return told if tier_of(twin) == "layer" else f"{told}, tier {tier_of(twin)}"
-
-
-def tier_of(twin: SimulatedSensor) -> ContactTier:
-    """Return the tier whose forces a twin's quantities explain."""
-    return "layer" if twin.posterior is None else twin.posterior.tier
+    told += f", law {posterior.law:.2%}" if draws and posterior.law else ""
+    return told if posterior.tier == "layer" else f"{told}, tier {posterior.tier}"

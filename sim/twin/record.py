@@ -184,7 +184,7 @@ def plan_files(planned: Sequence[Presses], bench: str) -> dict[str, str]:
         name = f"twin-{number}"
         plan = each.plan
         trajectory = {
-            "kind": plan.kind,
+            "kind": plan.KIND,
             "points": list(plan.points),
             "depth_step_mm": _round(1e3 * plan.depth_step),
             "depth_max_mm": _round(1e3 * plan.depth_max),

@@ -30,6 +30,7 @@ from sim.dataset.plan import (
 )
 from sim.dataset.run import most_of_poisson
 from sim.indenters import NAMES
+from sim.result import from_json, to_json
 from sim.sensors import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, sensor
 from tests.support.few import few
 from trajectories import PressShear
@@ -196,7 +197,7 @@ def test_drawn_indenters_follow_the_18_and_change_nothing_of_them() -> None:
     assert code("drawn-3") == 21
     numbers = [one.number for press in after for one in press.recordings]
     assert len(set(numbers)) == len(numbers)
-    assert DatasetPlan.of(json.loads(json.dumps(more.document()))) == more
+    assert from_json(DatasetPlan, json.loads(json.dumps(to_json(more))), "plan") == more
     few, many = (creep(sensor("array-i"), 0, count) for count in (18, 22))
     np.testing.assert_array_equal(few, many[: len(few)])
 
@@ -210,27 +211,27 @@ def test_drawn_indenters_follow_the_18_and_change_nothing_of_them() -> None:
     ],
 )
 def test_a_plan_survives_json(plan: DatasetPlan) -> None:
-    stored = json.loads(json.dumps(plan.document()))
-    assert DatasetPlan.of(stored) == plan
-    assert differing(stored, plan.document()) == []
+    stored = json.loads(json.dumps(to_json(plan)))
+    assert from_json(DatasetPlan, stored, "plan") == plan
+    assert differing(stored, to_json(plan)) == []
 
 
 def test_plans_say_in_which_keys_they_differ() -> None:
     one = group(("gelsight", "uskin"))
     harder = replace(one.sensors[1], body=replace(one.sensors[1].body, modulus=1e6))
     other = replace(one, seed=1, sensors=(one.sensors[0], harder))
-    assert differing(one.document(), other.document()) == ["seed", "sensors[1].body.modulus"]
-    stored = one.document()
+    assert differing(to_json(one), to_json(other)) == ["seed", "sensors[1].body.modulus"]
+    stored = to_json(one)
     stored["steps"] = 2.5
     with pytest.raises(SceneError, match=r"plan.steps: found 2.5; allowed: a whole number"):
-        DatasetPlan.of(stored)
-    stored = one.document()
+        from_json(DatasetPlan, stored, "plan")
+    stored = to_json(one)
     stored["sensors"][1]["signal"]["kind"] = "ears"
     with pytest.raises(SceneError, match=r"signal.kind: found 'ears'; allowed: camera, taxels"):
-        DatasetPlan.of(stored)
+        from_json(DatasetPlan, stored, "plan")
     del stored["sensors"]
     with pytest.raises(SceneError, match=r"plan: missing sensors; known: "):
-        DatasetPlan.of(stored)
+        from_json(DatasetPlan, stored, "plan")
 
 
 @pytest.mark.parametrize(
