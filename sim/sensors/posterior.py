@@ -63,7 +63,7 @@ class Posterior:
         count = len(self.names)
         check_range("posterior", "height", self.height, -1e-3, 1e-3, unit="m")
         check_range("posterior", "law", self.law, 0.0, 1.0)
-        matrix = np.array(self.correlations, float)
+        matrix = np.array(self.correlations, float) if self.correlations else np.zeros((0, 0))
         if len(self.spreads) != count or matrix.shape != (count, count):
             raise SceneError(
                 f"posterior: {count} names, {len(self.spreads)} spreads, correlations of shape "
