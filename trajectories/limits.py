@@ -44,8 +44,6 @@ class DryRun:
     """Smallest and largest y [m]."""
     depth: float
     """Deepest indentation [m]."""
-    height: float
-    """Highest z [m]."""
     force: float
     """Expected largest normal force, stiffness x depth [N]."""
     duration: float
@@ -121,7 +119,6 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
         x=(low[0], high[0]),
         y=(low[1], high[1]),
         depth=depth,
-        height=high[2],
         force=force,
         duration=duration,
         recorded=recorded,

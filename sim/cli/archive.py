@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from sim.cli.options import STEPS_MAX, metres
 from sim.errors import SceneError
 
 if TYPE_CHECKING:
-    from sim.dataset import DatasetPlan, OpenArchive, Solving, Unit
+    from sim.dataset import OpenArchive, Solving
     from sim.result import ContactTier
     from sim.sensors import SimulatedSensor
 
@@ -106,7 +106,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make or continue an archive and return the exit code."""
-    from sim.dataset import DatasetPlan, found, gel
+    from sim.dataset import DatasetPlan, begin, found, gel
+    from sim.device import ready_device
 
     contents: str = options.contents
     if contents.endswith(ARCHIVE_SUFFIX):
@@ -131,17 +132,11 @@ def run(options: argparse.Namespace) -> int:
             fraction=fraction,
         )
     name = kind if kind in (STATES, *GROUPS) else "sensors"
-    return _make(options, options.out or Path(f"data/{name}{ARCHIVE_SUFFIX}"), plan)
-
-
-def _make(options: argparse.Namespace, out: Path, plan: DatasetPlan) -> int:
-    from sim.dataset import begin
-    from sim.device import ready_device
-
     ready_device(options.device)
     if options.device != "cpu":
         solving = replace(plan.solving, one_topology=plan.solving.tier == "fem")
         plan = replace(plan, batch_size=BATCH_SIZE_GPU, solving=solving)
+    out = options.out or Path(f"data/{name}{ARCHIVE_SUFFIX}")
     return _fill(options, begin(out, plan, options.device))
 
 
@@ -151,13 +146,15 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     from recorder.processes import WorkerLost
     from recorder.progress import Progress
     from sim.dataset import fill
-    from sim.dataset.run import contents
+    from sim.dataset.run import contents, make_here, make_in_processes
     from sim.dataset.summary import summary
     from sim.device import ready_device
 
     go_on = f"to continue: {next_command('sim', 'archive', opened.path)}"
     kernels = ready_device(options.device)
-    maker = _maker(options, opened)
+    # Units in processes on a CPU, else in this one.
+    make = make_in_processes if options.device == "cpu" else make_here
+    maker = partial(make, opened, device=options.device, processes=_processes(options))
     missing = opened.missing()
     told = contents(opened.plan, missing) if missing else "nothing is missing"
     print(f"{opened.path}: {told}", flush=True)
@@ -180,14 +177,6 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
         print(f"stopped: {error}; written files are kept; {go_on}", file=sys.stderr)
         return EXIT_WRONG_INPUT
     return 0
-
-
-def _maker(options: argparse.Namespace, opened: OpenArchive) -> partial[Iterator[tuple[Unit, int]]]:
-    """Return the function that makes units: in processes on a CPU, else in this one."""
-    from sim.dataset.run import make_here, make_in_processes
-
-    make = make_in_processes if options.device == "cpu" else make_here
-    return partial(make, opened, device=options.device, processes=_processes(options))
 
 
 def _processes(options: argparse.Namespace) -> int:

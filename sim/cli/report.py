@@ -44,6 +44,7 @@ def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
     scene, frames = result.scene, slice(1, None)
     tip = np.array(scene.motion.tip, float)[frames] * 1e3
     force, torque = result.wrench[frames, :3], result.wrench[frames, 3:]
+    effects = result.record.get("effects")
     quality = {
         one.name: _plain(getattr(result.quality, one.name)[frames]) for one in fields(Quality)
     }
@@ -69,14 +70,9 @@ def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
         "seconds_by_stage": result.record["seconds"],
         "quality": quality,
         "notes": notes(result),
-        **_plan_of_effects(result),
+        # If only needed effects were simulated, the estimates of all.
+        **({"effects_plan": effects} if isinstance(effects, dict) else {}),
     }
-
-
-def _plan_of_effects(result: Result) -> dict[str, Any]:
-    """Return the estimates of the requested effects, if only needed ones were simulated."""
-    found = result.record.get("effects")
-    return {"effects_plan": found} if isinstance(found, dict) else {}
 
 
 def table(result: Result) -> list[str]:
