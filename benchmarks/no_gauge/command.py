@@ -148,16 +148,13 @@ def _collect(file: BenchFile, stages: Stages) -> None:
 class _Thinned(Plan):
     """Some targets of a plan, evenly spread, with the last and deepest."""
 
+    KIND = "thinned"
+
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         targets = list(plan.targets())
         kept = targets[:: -max(len(targets) // _TARGETS, 1)][::-1]
         self._targets = [replace(target, index=k) for k, target in enumerate(kept)]
-
-    @property
-    def kind(self) -> str:
-        """Name of the kind."""
-        return "thinned"
 
     def __len__(self) -> int:
         return len(self._targets)
