@@ -13,7 +13,6 @@ import os
 import shutil
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -49,16 +48,6 @@ _LINES = "source_lines"
 _SUFFIX = ".npz"
 
 
-@dataclass(frozen=True, slots=True)
-class UnitEntry:
-    """Rows of one unit."""
-
-    columns: Mapping[str, Array]
-    """Columns of the table; `source` indexes `lines`."""
-    lines: tuple[str, ...]
-    """Provenance lines of the unit."""
-
-
 class Ledger:
     """Ledger of one sensor."""
 
@@ -88,18 +77,17 @@ class Ledger:
         np.savez(data, **arrays)
         replace_file(self._entry(unit), data.getvalue(), several=True)
 
-    def read(self, unit: int) -> UnitEntry:
-        """Return the rows of a unit."""
+    def read(self, unit: int) -> tuple[dict[str, Array], list[str]]:
+        """Return the rows of a unit by column, and its provenance lines, which `source` indexes."""
         path = self._entry(unit)
         try:
             with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
                 columns = {name: stored[name] for name in stored.files}
-            lines = columns.pop(_LINES).tobytes().decode().split("\n")
+            return columns, columns.pop(_LINES).tobytes().decode().split("\n")
         except (zipfile.BadZipFile, ValueError, KeyError, EOFError) as error:
             raise SessionError(
                 f"{path}: damaged ({error}); remove it and write its unit again"
             ) from error
-        return UnitEntry(columns, tuple(lines))
 
     def remove(self) -> None:
         """Remove all entries, once the table contains them. May be called twice."""
@@ -267,15 +255,15 @@ class SensorWriter:
         entries = [self.ledger.read(unit) for unit in range(self.units)]
         lines: dict[str, int] = {}
         sources = []
-        for entry in entries:
-            rows = [lines.setdefault(line, len(lines)) for line in entry.lines]
-            sources.append(np.array(rows, "<i4")[entry.columns[SOURCE]])
+        for columns, own in entries:
+            rows = [lines.setdefault(line, len(lines)) for line in own]
+            sources.append(np.array(rows, "<i4")[columns[SOURCE]])
         path = self.path / "table"
         path.mkdir(exist_ok=True)
         write_group(path, {})
         names = {"indenter": indenters, "phase": PHASES}
         for name in COLUMNS:
-            parts = [e.columns[name] for e in entries] if name != SOURCE else sources
+            parts = [columns[name] for columns, _ in entries] if name != SOURCE else sources
             array = column_array(path / name, self.rows, names.get(name, ()))
             array.write_whole(np.concatenate(parts))
         _write_sources(self.path / "sources", list(lines))

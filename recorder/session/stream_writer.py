@@ -24,7 +24,6 @@ from recorder.store.journal import (
     HEADER,
     Journal,
     JournalReader,
-    remove_journals,
     row_time,
     write_journal,
 )
@@ -126,7 +125,11 @@ def restore(layout: StreamLayout) -> tuple[ColumnLog | None, tuple[ColumnLog, ..
     journal = Journal(layout, start, rows[start - first_row :])
     journal.sync()
     if state.journalled is not None:
-        remove_journals(state.journalled.paths, keep=journal.path)
+        # In order of their rows: after a crash the remaining journals are still without a gap, and
+        # start no later than the end of the chunks.
+        for path in state.journalled.paths:
+            if path != journal.path:
+                path.unlink(missing_ok=True)
     for column in layout.columns:
         if column.rows() > state.rows:
             column.set_rows(state.rows)

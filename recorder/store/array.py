@@ -60,6 +60,11 @@ class ShardIndex:
     """Checksum of each chunk; None if the shard does not list them."""
 
     @property
+    def nbytes(self) -> int:
+        """Memory that it takes, as Python's numbers [bytes]."""
+        return 200 * len(self.ranges)
+
+    @property
     def chunks(self) -> int:
         """Number of chunks before the first missing one."""
         places = (place for place, (offset, _) in enumerate(self.ranges) if offset == MISSING)

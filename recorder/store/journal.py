@@ -394,14 +394,3 @@ def write_journal(layout: StreamLayout, first_row: int, rows: list[bytes]) -> No
 def row_time(row: bytes) -> int:
     """Return the time of a packed row [ns]: its last eight bytes."""
     return int.from_bytes(row[-8:], "little", signed=True)
-
-
-def remove_journals(paths: tuple[Path, ...], *, keep: Path | None = None) -> None:
-    """Delete journals, in order of their rows, whose rows are stored elsewhere.
-
-    This order ensures that after a crash the remaining journals are still without a gap, and start
-    no later than the end of the chunks.
-    """
-    for path in paths:
-        if path != keep:
-            path.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 from weakref import WeakValueDictionary
 
 import google_crc32c
@@ -33,7 +33,13 @@ from recorder.store.array import (
 # A reader finds what it read through a weak reference; only `RECENT` keeps it alive. So the memory
 # of a program does not grow with the sessions that it opens.
 
-T = TypeVar("T")
+
+class _Sized(Protocol):
+    @property
+    def nbytes(self) -> int: ...
+
+
+T = TypeVar("T", bound=_Sized)
 
 # Largest size of everything kept [bytes].
 LIMIT = 64 << 20
@@ -84,36 +90,25 @@ class Kept(Generic[T]):
     def __init__(self) -> None:
         self._found: WeakValueDictionary[Hashable, T] = WeakValueDictionary()
 
-    def get(self, key: Hashable, nbytes: int | None = None) -> T | None:
-        """Return the value of a key, or None if it has to be read again.
-
-        Its size [bytes] is that of the array if None is given.
-        """
+    def get(self, key: Hashable) -> T | None:
+        """Return the value of a key, or None if it has to be read again."""
         value = self._found.get(key)
-        if value is not None:
-            _keep(value, nbytes)
-        return value
+        return None if value is None else self.put(key, value)
 
-    def put(self, key: Hashable, value: T, nbytes: int | None = None) -> T:
-        """Remember a value, which must support weak references, and return it."""
+    def put(self, key: Hashable, value: T) -> T:
+        """Remember a value that has `nbytes` and supports weak references, and return it."""
         self._found[key] = value
-        _keep(value, nbytes)
+        RECENT.keep(value, _OBJECT_BYTES + value.nbytes)
         return value
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (Kept, ())
 
 
-def _keep(value: Any, nbytes: int | None) -> None:
-    RECENT.keep(value, _OBJECT_BYTES + (value.nbytes if nbytes is None else nbytes))
-
-
 # Chunks and rows of one array.
 
 # Chunks fetched concurrently from a remote store: hides latency and limits memory.
 _BATCH = 16
-# Memory of one entry of a shard's index, as Python's numbers [bytes].
-_ENTRY_BYTES = 200
 
 
 class ColumnReader:
@@ -249,11 +244,8 @@ class ColumnReader:
         return offset, nbytes
 
     def _shard_index(self, shard: int) -> ShardIndex:
-        nbytes = _ENTRY_BYTES * self.layout.chunks_per_shard
-        index = self._indices.get(shard, nbytes)
-        if index is None:
-            index = self._indices.put(shard, self.layout.index(shard), nbytes)
-        return index
+        index = self._indices.get(shard)
+        return self._indices.put(shard, self.layout.index(shard)) if index is None else index
 
     def _verified(self, index: ShardIndex, data: Any, nbytes: int, number: int) -> Any:
         if len(data) != nbytes:
