@@ -324,11 +324,7 @@ _WIDTHS = (8, 6, 5, 7, 9, 7, 12, 13, 13, 14)
 
 
 def describe_archive(path: str | os.PathLike[str]) -> str:
-    """Return a summary of an archive, with one line per sensor.
-
-    Raises:
-        SessionError: Not an archive, or a corrupt table.
-    """
+    """Return a summary of an archive, with one line per sensor."""
     archive = MarkerArchive(path)
     lines = [f"{archive.name}  status {archive.status}, {len(archive)} sensor(s)"]
     if archive.warning:

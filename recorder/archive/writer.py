@@ -183,11 +183,7 @@ class SensorWriter:
         return self._frames.shards
 
     def rows_of(self, unit: int) -> slice:
-        """Return the rows of a unit.
-
-        Raises:
-            SessionError: No such unit.
-        """
+        """Return the rows of a unit."""
         if not 0 <= unit < self.units:
             raise SessionError(f"{self.path}: no unit {unit}, the sensor has {self.units}")
         return self._frames.rows_of_shard(unit)
@@ -246,12 +242,7 @@ class SensorWriter:
                 raise
 
     def write_table(self, indenters: Sequence[str]) -> None:
-        """Assemble the table from the ledger, which must contain every unit.
-
-        Raises:
-            SessionError: An entry is corrupt.
-            FileNotFoundError: An entry is missing.
-        """
+        """Assemble the table from the ledger, which must contain every unit."""
         entries = [self.ledger.read(unit) for unit in range(self.units)]
         lines: dict[str, int] = {}
         sources = []

@@ -314,9 +314,6 @@ def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | 
 
     Returns:
         Attribute `clock_fit` by stream: one entry per run, None if too little was recorded.
-
-    Raises:
-        SessionError: Not a session, a corrupt one, or one whose manifest was written.
     """
     session = Session(path)
     if session.status != "recording":

@@ -213,30 +213,24 @@ _STRUCT_CODES = {
 Packer = Callable[[Any], bytes]
 
 
-class RowPacker:
-    """Packer for the small columns of one row, in the stream's order."""
+def row_packer(layout: StreamLayout) -> Callable[[Mapping[str, Any]], bytes]:
+    """Return the function that packs the small columns of one row, in the stream's order."""
+    names = tuple(column.column.name for column in layout.columns)
+    packers = tuple(
+        (column.column.name, _packer(column, f"{layout.name}.{column.column.name}"))
+        for column in layout.small
+    )
 
-    def __init__(self, layout: StreamLayout) -> None:
-        """Prepare one packer per column."""
-        self._stream = layout.name
-        self._names = tuple(column.column.name for column in layout.columns)
-        self._packers = tuple(
-            (column.column.name, _packer(column, f"{layout.name}.{column.column.name}"))
-            for column in layout.small
-        )
-
-    def pack(self, columns: Mapping[str, Any]) -> bytes:
-        """Return the packed row."""
-        if len(columns) != len(self._names) or self._names[0] not in columns:
-            raise self._wrong_names(columns)
+    def pack_row(columns: Mapping[str, Any]) -> bytes:
         try:
-            return b"".join([pack(columns[name]) for name, pack in self._packers])
+            if len(columns) == len(names) and names[0] in columns:
+                return b"".join([pack(columns[name]) for name, pack in packers])
         except KeyError:
-            raise self._wrong_names(columns) from None
+            pass
+        wrong = f"found columns {', '.join(columns)}; expected {', '.join(names)}"
+        raise SessionError(f"{layout.name}: {wrong}")
 
-    def _wrong_names(self, columns: Mapping[str, Any]) -> SessionError:
-        found, expected = ", ".join(columns), ", ".join(self._names)
-        return SessionError(f"{self._stream}: found columns {found}; expected {expected}")
+    return pack_row
 
 
 def _packer(layout: Layout, where: str) -> Packer:
@@ -371,7 +365,7 @@ class StreamWriter:
         self._lock = lock
         self._closed = False
         self._image, self._small, self._journal = restore(layout)
-        self._pack = RowPacker(layout).pack
+        self._pack = row_packer(layout)
         self._time = layout.time.column.name
         if layout.image is not None:
             image = layout.image.column
