@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -79,15 +80,14 @@ def account_of(session: Session, name: str) -> Account:
     """Return the samples of a stream that a session has and lost, run by run."""
     stream = session.streams[name]
     runs: list[Losses] = []
-    targets: dict[int, int] = {}
+    targets = Counter[int]()
     steps, seconds, longest = 0, 0.0, 0.0
     for run in range(max(len(session.runs), 1)):
         rows = session.rows_of_run(name, run)
         t_ns = stream.t_ns[rows]
         losses = session.losses(name, run)
         runs.append(losses)
-        for target, count in by_target(losses, session.segments, run).items():
-            targets[target] = targets.get(target, 0) + count
+        targets += by_target(losses, session.segments, run)
         if len(t_ns) > 1:
             steps += len(t_ns) - 1
             seconds += max(int(t_ns[-1]) - int(t_ns[0]), 1) * NS
@@ -128,14 +128,12 @@ def unseen(account: Account) -> str:
     return "drops cannot be seen: the device gives neither numbers nor usable times"
 
 
-def by_target(losses: Losses, segments: Mapping[str, Array], run: int) -> dict[int, int]:
+def by_target(losses: Losses, segments: Mapping[str, Array], run: int) -> Counter[int]:
     """Return the samples lost in the phases of each target in one run, of those that lost some."""
     of_run = np.flatnonzero(np.asarray(segments["run"]) == run)
-    if not losses.total or not len(of_run):
-        return {}
-    inside = losses.inside(segments["start_ns"][of_run], segments["end_ns"][of_run])
-    found: dict[int, int] = {}
-    for target, count in zip(segments["target"][of_run].tolist(), inside.tolist(), strict=True):
-        if count:
-            found[target] = found.get(target, 0) + count
-    return found
+    lost = Counter[int]()
+    if losses.total and len(of_run):
+        inside = losses.inside(segments["start_ns"][of_run], segments["end_ns"][of_run])
+        for target, count in zip(segments["target"][of_run].tolist(), inside.tolist(), strict=True):
+            lost[target] += count
+    return +lost
