@@ -341,4 +341,4 @@ def says_it_is(path: Path, files: Files, format_: str) -> bool:
         attrs = read_document(files, path / "zarr.json").get("attributes", {})
     except SessionError:
         return False
-    return isinstance(attrs, dict) and attrs.get("format") == format_
+    return bool(attrs.get("format") == format_)

@@ -164,7 +164,7 @@ class StreamLayout:
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
         """Return the layout of a stream on disk."""
         attrs = read_document(files, path / "zarr.json").get("attributes", {})
-        names = attrs.get("columns") if isinstance(attrs, dict) else None
+        names = attrs.get("columns")
         if not isinstance(names, list) or not names:
             raise SessionError(f"{path}: found no attrs columns, expected a stream")
         for name in map(str, names):
