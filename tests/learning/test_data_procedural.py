@@ -58,9 +58,9 @@ def test_some_of_the_patterns_are_drawn_as_they_are_among_all() -> None:
 
 def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
     patterns = sample_patterns(2, _chance(5), CPU)
-    field = torch.tensor([20.0, 15.0]).view(1, 2, 1, 1).expand(2, 2, 24, 32)
+    field = torch.tensor([20.0, 15.0]).view(1, 2, 1, 1).expand(2, 2, 57, 73)
     # One pixel is 2.5 columns by 1.875 rows: 8 pixels each.
-    moved = patterns.draw(pixel_grid(256, CPU) + inverse(field, (256, 256), None))
+    moved = patterns.draw(pixel_grid(256, CPU) + inverse(field, *pixel_grid(256, CPU)[0]))
     rest = patterns.draw(pixel_grid(256, CPU))
     assert torch.allclose(moved[..., 8:, 8:], rest[..., :-8, :-8], atol=1e-3)
 
@@ -68,11 +68,11 @@ def test_an_even_displacement_shifts_a_pattern_by_as_much() -> None:
 def test_a_deformed_pattern_is_its_image_warped() -> None:
     patterns = sample_patterns(2, _chance(6), CPU)
     rows, columns = torch.meshgrid(
-        torch.linspace(0, 3, 24), torch.linspace(0, 4, 32), indexing="ij"
+        torch.linspace(0, 3, 57), torch.linspace(0, 4, 73), indexing="ij"
     )
-    field = 12 * torch.stack([torch.sin(columns), torch.cos(rows)]).expand(2, 2, 24, 32)
-    drawn = patterns.draw(pixel_grid(256, CPU) + inverse(field, (256, 256), None))
-    warped = warp(patterns.draw(pixel_grid(256, CPU)), field, None)
+    field = 12 * torch.stack([torch.sin(columns), torch.cos(rows)]).expand(2, 2, 57, 73)
+    drawn = patterns.draw(pixel_grid(256, CPU) + inverse(field, *pixel_grid(256, CPU)[0]))
+    warped = warp(patterns.draw(pixel_grid(256, CPU)), field)
     middle = (..., slice(32, -32), slice(32, -32))
     assert float((drawn - warped)[middle].abs().mean()) < 0.02
     still = patterns.draw(pixel_grid(256, CPU))
