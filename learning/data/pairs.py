@@ -75,7 +75,7 @@ def paired_rows(
     """Return the rows, ascending, of the frames of each sensor that have a role and can be paired.
 
     With `every`, every n-th frame of a press is in them as well. `preset` is the rule for pairing
-    frames of a press (`recorder.archive.PRESETS`).
+    frames of a press (the presets of `recorder.archive.location_pairs`).
     """
     rows = {}
     for name in sensors:
