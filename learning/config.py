@@ -8,6 +8,7 @@ dataclasses, `kind` selects one by its `KIND`.
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any, TypeVar
 
 from learning.errors import LearningError
 from recorder.settings import Reader
+from recorder.store import replace_file
 from recorder.strict_yaml import merged
 
 Settings = TypeVar("Settings")
@@ -116,6 +118,24 @@ def differing_keys(one: Any, other: Any, where: str = "") -> list[str]:
         else:
             different.append(below)
     return different
+
+
+def require_same(path: Path, content: Mapping[str, Any]) -> None:
+    """Write what the results of a folder are made of to a JSON file, or check that it is the same.
+
+    Values become those of JSON, in which tuples are lists.
+    """
+    plain: dict[str, Any] = json.loads(json.dumps(content))
+    if not path.exists():
+        replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
+        return
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    for key, value in plain.items():
+        if stored.get(key) != value:
+            raise LearningError(
+                f"{path}.{key}: found {stored.get(key)!r}, asked for {value!r}; allowed: the same, "
+                "or another folder"
+            )
 
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:

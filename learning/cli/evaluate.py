@@ -126,11 +126,11 @@ def _of_model(given: Given, options: argparse.Namespace) -> int:
     """Compare the forces of a model with labels."""
     from learning.cli.predict import predicted
     from learning.force.intervals import read_intervals
-    from learning.transfer.score import score
+    from learning.transfer.score import new_frames, score_of
 
     model, sensor = str(given.model), _only(given.sensors)
     if read_intervals(Path(model)) is not None:
-        lines = [*score(Path(model), sensor).lines()]
+        lines = [*score_of(new_frames(Path(model), sensor)).lines()]
     else:
         _, lines = predicted(
             model, sensor.archive, sensor.sensor, options.split, options.role, options.device

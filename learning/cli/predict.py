@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -98,8 +98,8 @@ def predicted(
     name = model_name(model_given)
     folder = Path(name)
     metadata = read_config(folder).metadata if (folder / CONFIG).is_file() else {}
-    origin = _origin(metadata, archive, sensor_name)
-    sensor = archive[origin.target]
+    target, origin = _origin(metadata, archive, sensor_name)
+    sensor = archive[target]
     own = folder / SPLIT
     split = training_split(archive, split_file or (own if own.is_file() else None))
     rows = np.sort(np.concatenate([split.rows(sensor.table, role) for role in roles]))
@@ -119,9 +119,7 @@ def predicted(
         rows,
         split.role(sensor.table["location"][rows]),
         forces,
-        source=origin.source,
-        method=origin.method,
-        translator=origin.translator,
+        **origin,
         model=hash_of(name),
         interval=None if intervals is None else intervals.of(forces),
     )
@@ -167,21 +165,13 @@ def _covered(made: Predictions) -> str:
     return f"90 % intervals, in the mean: {', '.join(shares)}"
 
 
-class Origin(NamedTuple):
-    """Where the labels of a model come from, and the sensor that it predicts."""
+def _origin(
+    metadata: Mapping[str, Any], archive: MarkerArchive, sensor: str | None
+) -> tuple[str, dict[str, str]]:
+    """Return the sensor that a model predicts, and the model's source, method and translator.
 
-    source: str
-    """Sensors of its training labels."""
-    target: str
-    """Sensor whose forces are predicted."""
-    method: str
-    """Kind of its training, one of `METHODS`."""
-    translator: str
-    """Translator of its training images; empty if none."""
-
-
-def _origin(metadata: Mapping[str, Any], archive: MarkerArchive, sensor: str | None) -> Origin:
-    """Return the origin of a model, by what its training or transfer wrote of it."""
+    They are as its training or transfer wrote of it.
+    """
     sensors = metadata.get("sensors", [])
     source, to, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
     source = source or "+".join(sensors) or "another package"
@@ -200,4 +190,5 @@ def _origin(metadata: Mapping[str, Any], archive: MarkerArchive, sensor: str | N
     made = {**metadata, **metadata.get("transfer", {})}
     usual_method = "transferred" if to else "target" if source == sensor else "source-only"
     method, translator = made.get("method", usual_method), made.get("translator", "")
-    return Origin(source, sensor, method, translator or ("unknown" if to else ""))
+    translator = translator or ("unknown" if to else "")
+    return sensor, {"source": source, "method": method, "translator": translator}

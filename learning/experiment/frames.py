@@ -59,12 +59,7 @@ def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair,
 
 
 def labelled_sensors(archive: MarkerArchive, split: Split | None = None) -> frozenset[str]:
-    """Return the sensors with a label of Fx, Fy or Fz in a located press.
-
-    Args:
-        archive: The archive.
-        split: Only its training presses count; None: all located presses.
-    """
+    """Return the sensors with a label of Fx, Fy or Fz in a located, or training, press."""
     found = set()
     for name, sensor in archive.items():
         table = sensor.table
@@ -177,14 +172,8 @@ def translate_presses(
 ) -> Presses:
     """Translate presses to another sensor, as images.
 
-    Frames are grouped by references, not by press, so the translator must depend on single frames
-    and their reference only.
-
-    Args:
-        presses: Presses of the source, packed.
-        look: References of the target.
-        translator: Translator for this pair of sensors.
-        progress: Called with the number of frames done and in total.
+    Frames of packed presses are grouped by references, not by press, so the translator of the pair
+    must depend on single frames and their reference only.
     """
 
     def seen(rows: Tensor, own: int, other: int) -> Tensor:
@@ -202,13 +191,9 @@ def warp_presses(
     *,
     progress: Progress = lambda done, total: None,
 ) -> Presses:
-    """Translate presses to another sensor by known displacement fields.
+    """Translate packed presses to another sensor by displacement (N, 57, 73, 2) [px], on the CPU.
 
-    Args:
-        presses: Presses of the source, packed.
-        look: References of the target.
-        fields: Displacement in the target's image (N, 57, 73, 2) [px], on the CPU.
-        progress: Called with the number of frames done and in total.
+    The displacement is that in the target's image.
     """
 
     def seen(rows: Tensor, own: int, other: int) -> Tensor:
@@ -228,12 +213,7 @@ def flow_fields(
 ) -> Tensor:
     """Compute displacements (N, 57, 73, 2) float16 [px of the target's image] from tracked markers.
 
-    Args:
-        presses: Presses of the source, packed, each from its first frame on.
-        source: View of its images.
-        target: View of the target's images.
-        processes: Number of processes.
-        progress: Called with the number of frames done and in total.
+    Presses are packed, each from its first frame on.
     """
     images = presses.images.cpu().numpy()
     found = fields_of_presses(

@@ -5,17 +5,15 @@ Existing results are reused: an interrupted experiment continues where it stoppe
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from learning.archive_writer import archive_fingerprint
-from learning.config import settings_to_dict
+from learning.config import require_same, settings_to_dict
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
 from learning.evaluation.predictions import UNSEEN, ForceRow, after
@@ -33,7 +31,6 @@ from learning.experiment.stages import (
 )
 from recorder import MarkerArchive
 from recorder.processes import Workers
-from recorder.store import replace_file
 
 Say = Callable[[str], None]
 
@@ -119,20 +116,8 @@ def _begin(experiment: Experiment, archive: MarkerArchive) -> None:
         "pairs": [f"{pair.source}:{pair.target}" for pair in experiment.pairs],
         **settings_to_dict(settings),
     }
-    # Convert by JSON, in which tuples become lists.
-    plain: dict[str, Any] = json.loads(json.dumps(content))
-    path = places.out / "experiment.json"
-    if path.exists():
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        for key in plain:
-            if stored.get(key) != plain[key]:
-                raise LearningError(
-                    f"{path}.{key}: found {stored.get(key)!r}, asked for {plain[key]!r}; allowed: "
-                    "the same experiment, or another folder"
-                )
-    else:
-        places.predictions.mkdir(parents=True, exist_ok=True)
-        replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
+    places.predictions.mkdir(parents=True, exist_ok=True)
+    require_same(places.out / "experiment.json", content)
     if places.split.exists():
         read_split(places.split).check(archive)
         return

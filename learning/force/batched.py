@@ -73,6 +73,7 @@ def train_batched(
     frames = torch.stack([_prepared(each, settings) for each in presses])  # (k, n, planes, h, w)
 
     weights, buffers = stack_module_state(models)
+    in_bf16 = settings.launch.mixed_precision == "bf16"
     total = total_steps(presses[:1], settings)
     done = passed = 0
     for stage in settings.stages:
@@ -94,8 +95,8 @@ def train_batched(
             labelled = forces[:, rows] * signs(sequences.flips, device)
             seen, labelled = (superposed(each, sequences, axis=1) for each in (seen, labelled))
             wanted = (labelled - low) / (high - low)
-            with torch.autocast(device.type, torch.bfloat16, enabled=_in_bf16(settings)):
-                normalised = _forward(models[0], weights, buffers, seen, lengths, settings)
+            with torch.autocast(device.type, torch.bfloat16, enabled=in_bf16):
+                normalised = _forward(models[0], weights, buffers, seen, lengths)
             sure = torch.ones_like(wanted)
             if variances:
                 unsure = torch.stack(variances)[:, rows]
@@ -157,23 +158,17 @@ def _prepared(presses: Presses, settings: ForceSettings) -> Tensor:
     )
 
 
-def _in_bf16(settings: ForceSettings) -> bool:
-    return settings.launch.mixed_precision == "bf16"
-
-
 def _forward(
     model: ForceModel,
     weights: dict[str, Any],
     buffers: dict[str, Any],
     frames: Tensor,
     lengths: Sequence[int] | None,
-    settings: ForceSettings,
 ) -> Tensor:
     """Return forces (k, b, s, 3), 0 to 1, for frames (k, b, s, planes, h, w) of k models."""
 
     def one(own: dict[str, Tensor], fixed: dict[str, Tensor], seen: Tensor) -> Tensor:
-        how = {"lengths": lengths, "truncate": settings.sequences.truncate_frames}
-        normalised: Tensor = functional_call(model, (own, fixed), (seen,), how)[0]
+        normalised: Tensor = functional_call(model, (own, fixed), (seen,), {"lengths": lengths})[0]
         return normalised
 
     normalised: Tensor = torch.vmap(one, randomness="different")(weights, buffers, frames)

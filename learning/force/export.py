@@ -55,18 +55,14 @@ class OneFrame(nn.Module):
         return self.model.denormalise(normalised), after.float()
 
 
-def torch_stream(model: ForceModel) -> ForceStream:
-    """Return a stream that runs on torch, on the device of the model."""
-    return stepped_by(OneFrame(model).eval(), model)
-
-
-def stepped_by(one: nn.Module, model: ForceModel) -> ForceStream:
-    """Return a stream that runs a module such as `OneFrame`."""
+def torch_stream(model: ForceModel, one: nn.Module | None = None) -> ForceStream:
+    """Return a stream that runs on the model's device by torch; `one` is in place of `OneFrame`."""
+    run = OneFrame(model).eval() if one is None else one
 
     def step(given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         with torch.inference_mode():
             tensors = {name: torch.from_numpy(value) for name, value in given.items()}
-            force, after = one(**{n: t.to(model.device) for n, t in tensors.items()})
+            force, after = run(**{n: t.to(model.device) for n, t in tensors.items()})
         return force.cpu().numpy(), after.cpu().numpy()
 
     inputs = model.inputs

@@ -144,9 +144,7 @@ class Intervals:
     def is_outside(self, forces: Floats, shapes: Floats) -> NDArray[np.bool_]:
         """Return True for frames (n,) outside of what the model learned from.
 
-        Args:
-            forces: Predicted forces (n, 3) [N].
-            shapes: Shapes of the frames (n, 7), of `shapes_of`.
+        They are given by predicted forces (n, 3) [N] and shapes (n, 7).
         """
         largest = np.array([np.inf if one is None else one for one in self.largest])
         beyond = (np.abs(np.asarray(forces).reshape(-1, 3)) > largest).any(axis=1)
@@ -243,12 +241,7 @@ def fit_errors(
 
 
 def _conformal(values: Floats, weights: Floats) -> float:
-    """Return the value below which 90 % of the weights are, counting one more that is larger.
-
-    Args:
-        values: Values (n,).
-        weights: Weight of each (n,).
-    """
+    """Return the value below which 90 % of the weights are, counting one more that is larger."""
     order = np.argsort(values)
     below = np.cumsum(weights[order])
     wanted = COVERAGE * below[-1] * (1.0 + 1.0 / len(values))
@@ -317,8 +310,8 @@ def measured_scale(
 
     Args:
         held: Known forces.
-        prior: What is known of the factor so far.
-        source: What the factor is then known from.
+        prior: Factor as known so far.
+        source: Source of the knowledge, then.
         independent: Number of presses with an error of their own. Weights on one indenter have the
             same error, which does not average out: 1.
     """

@@ -132,10 +132,9 @@ class Contact:
     """Majority of the masks without contact (480, 640), or shading without change."""
 
     def __init__(self, no_contact: NDArray[Any]) -> None:
-        """Compute the mask without contact and its noise from frames without contact.
+        """Compute the mask without contact and its noise.
 
-        Args:
-            no_contact: Masks (n, 480, 640), or shading (n, 3, 128, 128) uint8, one or more.
+        They are of masks (n, 480, 640), or shading (n, 3, 128, 128) uint8, one or more.
         """
         self._is_shading = no_contact.dtype == np.uint8
         least, most = LEAST_PX, NOISE_PX

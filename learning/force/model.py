@@ -318,7 +318,6 @@ class ForceModel(nn.Module):
         state: Tensor | None = None,
         *,
         lengths: Sequence[int] | None = None,
-        truncate: int | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return forces (b, s, 3), 0 to 1, and the state after the last frame of each sequence.
 
@@ -329,7 +328,6 @@ class ForceModel(nn.Module):
             frames: Prepared frames (b, s, planes, h, w).
             state: Final state of the preceding sequences (b, channels, h, w); None: initial state.
             lengths: Number of frames of each sequence (b,); None: all.
-            truncate: Gradients stop at frames whose index is a multiple of this.
         """
         batch, steps = frames.shape[:2]
         length = [steps] * batch if lengths is None else lengths
@@ -344,8 +342,6 @@ class ForceModel(nn.Module):
         seen, begin = [], 0
         for time in range(max(length)):
             running = sum(time < each for each in length)
-            if truncate and time and time % truncate == 0:
-                hidden = hidden.detach()
             now = self.memory(features[begin : begin + running], hidden[:running])
             hidden = torch.cat((now, hidden[running:])) if running < batch else now
             seen.append(now)

@@ -93,8 +93,6 @@ class SequenceSettings:
     """Frames after a shorter sequence: masked, or its last frame repeated (authors' code)."""
     presses: int = 1
     """Number of presses of one sensor that form a sequence."""
-    truncate_frames: int | None = None
-    """Interval at which backpropagation through time is truncated; none: not truncated."""
     flips: bool = False
     """True to mirror images at random, together with the shear."""
     superpose: float = 0.0
@@ -104,7 +102,7 @@ class SequenceSettings:
 
     def __post_init__(self) -> None:
         """Reject empty sequences."""
-        require(self, "batch", "presses", "truncate_frames", least=1)
+        require(self, "batch", "presses", least=1)
         if not 0.0 <= self.superpose <= 1.0:
             raise LearningError(f"superpose: found {self.superpose}; allowed: 0 to 1")
 
@@ -489,9 +487,7 @@ def train_force(
             frames = superposed(frames, sequences)
             forces = superposed(forces_of(labels, sequences, device), sequences)
             targets = model.normalised(forces)  # (b, s, 3)
-            normalised, _ = network(
-                frames, lengths=lengths, truncate=settings.sequences.truncate_frames
-            )
+            normalised, _ = network(frames, lengths=lengths)
             weights = None
             if variances:
                 unsure = superposed(_gathered(variances, sequences, device), sequences)

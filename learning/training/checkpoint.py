@@ -37,12 +37,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def save_weights(model: nn.Module | Mapping[str, Tensor], path: Path) -> None:
-    """Write the state of a module atomically.
-
-    Args:
-        model: The module, not wrapped by Accelerate, or its state.
-        path: The file, `.safetensors`.
-    """
+    """Write a module, not wrapped by Accelerate, or its state to a `.safetensors`, atomically."""
     state = model.state_dict() if isinstance(model, nn.Module) else model
     # Copied, as safetensors rejects tensors that share memory, e.g. tied weights.
     plain = {name: value.detach().cpu().clone().contiguous() for name, value in state.items()}
@@ -185,12 +180,7 @@ class ModelFolder:
 
 
 def read_model_folder(path: Path, kind: str | None = None) -> ModelFolder:
-    """Return the model in a folder.
-
-    Args:
-        path: A finished run, or a checkpoint of one.
-        kind: Required kind; None: any.
-    """
+    """Return the model of a kind, or any, in the folder of a finished run, or a checkpoint."""
     config = read_config(path)
     if kind is not None and config.kind != kind:
         raise LearningError(f"{path / CONFIG}: found kind {config.kind!r}; allowed: {kind!r}")

@@ -80,7 +80,7 @@ class RunFolder:
         keep: int = 2,
         writes: bool = True,
     ) -> Self:
-        """Begin or resume a run.
+        """Begin or resume a run; other settings or data than it was begun with are refused.
 
         Args:
             path: Folder of the run.
@@ -121,12 +121,7 @@ class RunFolder:
         return (self.path / f"{MODEL}.safetensors").is_file()
 
     def log(self, step: int, values: Mapping[str, float | str]) -> None:
-        """Add measured values to the log.
-
-        Args:
-            step: Number of steps done.
-            values: Numbers by name (`train/loss`); numbers that are not finite are stored as null.
-        """
+        """Add values by name (`train/loss`) to the log; not finite ones are stored as null."""
         if not self.writes:
             return
         plain = {name: _plain(value) for name, value in values.items()}
@@ -226,13 +221,9 @@ class RunFolder:
         metadata: Mapping[str, Any] | None = None,
         score: float | None = None,
     ) -> None:
-        """Write the model, which marks the run as finished.
+        """Write networks by name, of which `model` marks the run as finished.
 
-        Args:
-            step: Number of steps done.
-            models: Networks by name; `model` is the one to use.
-            metadata: Further plain values that belong to the model.
-            score: Validation score.
+        `metadata` are further plain values that belong to the model.
         """
         if not self.writes:
             return
@@ -396,12 +387,7 @@ def described(launched: Accelerator) -> str:
 
 
 def generator(seed: int, *words: str | int) -> np.random.Generator:
-    """Return the generator of a choice.
-
-    Args:
-        seed: Seed of the training.
-        words: Identity of the choice: names, and numbers such as step and rank.
-    """
+    """Return the generator of a choice, identified by names, and numbers such as step and rank."""
     return np.random.default_rng(np.random.SeedSequence(_entropy(seed, words)))
 
 
@@ -416,16 +402,8 @@ def batch(
     """Return the items of `count` that a process sees in a step (size,), without repeats in a pass.
 
     Each pass covers all items, in its own order, before the next begins; a batch may span two
-    passes. The processes of one step see different parts of the same order.
-
-    Args:
-        seed: Seed of the training.
-        step: Number of the step, from 0.
-        size: Batch size of one process.
-        count: Number of items.
-        rank: Number of the process.
-        ranks: Number of processes.
-        what: Name of the choice, if there are several.
+    passes. The processes (`rank` of `ranks`) of one step see different parts of the same order.
+    `what` names the choice, if there are several.
     """
     if count < 1 or size < 1:
         raise LearningError(f"batch: found {size} of {count}; allowed: 1 and more of 1 and more")

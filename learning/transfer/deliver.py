@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.config import settings_to_dict
 from learning.errors import LearningError
 from learning.force.calibrate import Calibration
 from learning.force.export import export_onnx
@@ -50,15 +51,10 @@ class Card:
 def deliver(
     model_folder: Path, out: Path, card: Card, factor: float | Sequence[float] = 1.0
 ) -> ForceModel:
-    """Write a folder with a model, its ONNX, intervals and card; return the model.
+    """Write a folder with a trained model, its ONNX, intervals and card; return the model.
 
-    An existing folder is replaced once the new one is complete.
-
-    Args:
-        model_folder: Folder of the trained model.
-        out: Folder to write.
-        card: Content of the card, whose intervals are those of the model times the factor.
-        factor: Factor on the model's forces, or one for each axis.
+    Its forces are multiplied by a factor, or one for each axis, as the intervals of the card are
+    already. An existing folder is replaced once the new one is complete.
     """
     folder = read_model_folder(model_folder)
     model = load_force_model(model_folder)
@@ -68,12 +64,10 @@ def deliver(
     new = out.with_name(f"{out.name}.new")
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir(parents=True)
+    content = settings_to_dict(card)
+    del content["intervals"]
     sensors = [f"{card.source}-to-{card.target}"]
-    metadata = {
-        **folder.config.metadata,
-        "sensors": sensors,
-        "transfer": card_content(card),
-    }
+    metadata = {**folder.config.metadata, "sensors": sensors, "transfer": content}
     replace(folder.config, metadata=metadata).write(new)
     card.intervals.write(new)
     replace_file(new / CARD, render(Path(__file__).with_name(CARD), **card_values(card)).encode())
@@ -84,19 +78,6 @@ def deliver(
     return model
 
 
-def card_content(card: Card) -> dict[str, Any]:
-    """Return the card, without the intervals, as plain values."""
-    return {
-        "source": card.source,
-        "target": card.target,
-        "method": card.method,
-        "translator": card.translator,
-        "seen": list(card.seen),
-        "pairs": card.pairs,
-        "history": list(card.history),
-    }
-
-
 def read_card(model_folder: Path, intervals: Intervals) -> Card:
     """Return the card of a delivered model."""
     content = read_model_folder(model_folder).config.metadata.get("transfer")
@@ -105,14 +86,8 @@ def read_card(model_folder: Path, intervals: Intervals) -> Card:
             f"{model_folder}: found a model without a card; allowed: RUN/model of "
             "`tactile transfer`"
         )
-    return Card(
-        **{
-            **content,
-            "seen": tuple(content["seen"]),
-            "history": tuple(content["history"]),
-            "intervals": intervals,
-        }
-    )
+    texts = {key: tuple(content[key]) for key in ("seen", "history")}
+    return Card(**{**content, **texts, "intervals": intervals})
 
 
 def card_values(card: Card) -> dict[str, Any]:
@@ -144,10 +119,10 @@ def write_report(
     pictures: Sequence[tuple[str, bytes]],
     curve: Sequence[Mapping[str, Any]],
 ) -> None:
-    """Write the report of a transfer.
+    """Write the report of a transfer to a file.
 
     Args:
-        out: File to write.
+        out: The file.
         card: The model's card.
         matches: Table of the presses that match.
         pictures: Captions and PNGs.
@@ -192,13 +167,9 @@ def calibration_picture(calibration: Calibration) -> bytes:
 def forces_picture(
     predicted: Floats, before: Floats, intervals: Intervals, starts: Sequence[int]
 ) -> bytes:
-    """Draw the forces of some presses with intervals, and those of the source's model.
+    """Draw the forces (n, 3) [N] of some presses with intervals, and those of the source's model.
 
-    Args:
-        predicted: Forces (n, 3) [N], press by press.
-        before: Forces that the source's model predicts, likewise.
-        intervals: The model's intervals.
-        starts: First frames of the presses.
+    `starts` are the first frames of the presses.
     """
     low, high = intervals.of(predicted)
     png = io.BytesIO()

@@ -46,7 +46,7 @@ def join_pair(
 
     Args:
         source: Sensor with labels.
-        target: Sensor without; its labels, if it has any, are left out.
+        target: Sensor without.
         out: Archive to write, or to continue.
         tolerances: Largest differences of presses that match.
         unseen: Indenters that models may not be trained on; None: as in the archives.
@@ -81,14 +81,8 @@ def split_pair(
 ) -> tuple[Split, tuple[str, ...]]:
     """Write the roles of presses, or read them; return them with the indenters that calibrate.
 
-    Neither these nor the archive's unseen indenters are trained on.
-
-    Args:
-        archive: Presses of both sensors.
-        source: Sensor with labels.
-        path: File of the split.
-        calibrate_on: Indenters that calibrate; None: a quarter, from soft to hard contacts.
-        seed: Seed of the split.
+    Neither these nor the archive's unseen indenters are trained on. Where `calibrate_on` names no
+    indenters, a quarter calibrates, from soft to hard contacts.
     """
     sensor = archive[source]
     seen = _peaks(archive, sensor)
@@ -147,10 +141,7 @@ def labels_by_place(
     distance over the longest while shearing; labels between two frames are interpolated. A phase
     of the source begins with the last frame of the one before.
 
-    Args:
-        source: Table of the source.
-        labels: Forces of its rows (m, 3) [N].
-        target: Table of the target.
+    Labels are of all rows of the source's table (m, 3) [N].
     """
     found = np.full((len(target["location"]), 3), np.nan)
     mine, its = _phases(source, begun=True), _phases(target, begun=False)
@@ -174,9 +165,7 @@ def _phases(
 ) -> dict[tuple[int, int], tuple[NDArray[np.int64], Floats]]:
     """Return rows and progress, 0 to 1, of each location and phase.
 
-    Args:
-        table: Table of a sensor.
-        begun: True to begin each phase with the last frame of the one before.
+    With `begun`, each phase begins with the last frame of the one before.
     """
     found: dict[tuple[int, int], tuple[NDArray[np.int64], Floats]] = {}
     for (location,), location_rows in press_rows(table).items():

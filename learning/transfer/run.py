@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
@@ -20,6 +19,7 @@ from learning.compensation.fit import (
     write_compensation,
 )
 from learning.compensation.simulated import SIMULATED, twin_forces
+from learning.config import require_same
 from learning.data.labels import read_labels
 from learning.data.matching import Chosen, Tolerances
 from learning.errors import LearningError
@@ -47,7 +47,6 @@ from learning.transfer.scale import error_curve, gains_of_labels
 from learning.translation.archive import Pair
 from recorder import MarkerArchive
 from recorder.processes import cores
-from recorder.store import replace_file
 
 Say = Callable[[str], None]
 
@@ -213,17 +212,7 @@ def _begin(asked: Request) -> None:
         "tolerances": asdict(asked.tolerances),
         "twins": _twins(asked),
     }
-    path = asked.out / "transfer.json"
-    if not path.exists():
-        replace_file(path, (json.dumps(plain, indent=1) + "\n").encode())
-        return
-    found = json.loads(path.read_text(encoding="utf-8"))
-    for key, value in plain.items():
-        if found.get(key) != value:
-            raise LearningError(
-                f"{path}.{key}: found {found.get(key)!r}, asked for {value!r}; allowed: the same, "
-                "or another folder"
-            )
+    require_same(asked.out / "transfer.json", plain)
 
 
 def _twins(asked: Request) -> list[str] | None:

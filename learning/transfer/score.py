@@ -113,33 +113,22 @@ def new_frames(model_folder: Path, truth: Chosen) -> NewFrames:
     )
 
 
-def score(model_folder: Path, truth: Chosen) -> Score:
-    """Return errors and coverage on indenters that the model neither saw nor was calibrated on."""
-    new = new_frames(model_folder, truth)
-    return score_of(new.predicted, new.true, new.intervals, new.shapes, new.indenters)
-
-
-def score_of(
-    predicted: Floats,
-    true: Floats,
-    intervals: Intervals,
-    shapes: Floats,
-    indenters: tuple[str, ...],
-) -> Score:
-    """Return errors and coverage of predicted forces (n, 3) [N]."""
+def score_of(new: NewFrames) -> Score:
+    """Return errors and coverage on frames that are new to a model."""
+    predicted, true = new.predicted, new.true
     if not can_be_scored(true, predicted):
         raise LearningError("found no label to compare with; allowed: true forces of the target")
-    low, high = intervals.of(predicted)
+    low, high = new.intervals.of(predicted)
     known = np.isfinite(true) & np.isfinite(low)
     inside = (low <= true) & (true <= high)
-    outside = intervals.is_outside(predicted, shapes)
+    outside = new.intervals.is_outside(predicted, new.shapes)
     return Score(
         errors=force_errors(true, predicted, spread_and_range(true)[0]),
         covered=_shares(inside, known),
         covered_inside=_shares(inside, known & ~outside[:, None]),
         outside=float(outside.mean()),
         width=axis_means(0.5 * (high - low)),
-        indenters=indenters,
+        indenters=new.indenters,
     )
 
 

@@ -81,7 +81,7 @@ def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) 
 def test_sgd_and_many_frames_are_shared_too() -> None:
     settings = toy(
         optimiser=OptimiserSettings(name="sgd", momentum=0.9, weight_decay=1e-3),
-        sequences=SequenceSettings(batch=2, presses=2, truncate_frames=3, padding="last_frame"),
+        sequences=SequenceSettings(batch=2, presses=2, padding="last_frame"),
     )
     presses = _shown()[:2]
     batched = train_batched(presses, settings)

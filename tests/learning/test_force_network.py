@@ -128,16 +128,6 @@ def test_gradients_of_a_padded_batch_are_those_of_its_sequences() -> None:
     assert torch.allclose(batched, (2 * alone[0] + 5 * alone[1]) / 7, atol=1e-6)
 
 
-def test_truncation_keeps_forces_and_stops_gradients() -> None:
-    model = _model()
-    frames = torch.randn(1, 5, 2, 32, 32, requires_grad=True)
-    whole, _ = model(frames)
-    cut, _ = model(frames, truncate=2)
-    assert torch.equal(whole, cut)
-    (grown,) = torch.autograd.grad(cut[0, 3].sum(), frames)
-    assert [bool(grown[0, time].any()) for time in range(5)] == [False, False, True, True, False]
-
-
 def test_newtons_and_shares_are_inverse() -> None:
     model = _model()
     model.low.copy_(torch.tensor([-4.0, -3.0, -18.0]))

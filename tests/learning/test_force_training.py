@@ -42,7 +42,7 @@ EVERYTHING = toy(
         StageSettings(epochs=3, learning_rate=1e-2, schedule="cosine", warm_up_steps=2),
     ),
     network=replace(TOY.network, encoder_norm="batch", tail_norm="batch", dropout=0.1),
-    sequences=SequenceSettings(batch=2, flips=True, presses=2, truncate_frames=3),
+    sequences=SequenceSettings(batch=2, flips=True, presses=2),
     patience_epochs=2,
 )
 SEVERAL = [noise_presses(4, seed=1), noise_presses(5, seed=2)]

@@ -29,7 +29,7 @@ from learning.force.intervals import (
 )
 from learning.transfer.pairs import join_pair, labels_by_place, split_pair
 from learning.transfer.scale import error_curve, forces_of_holds, gains_of_labels
-from learning.transfer.score import score_of
+from learning.transfer.score import NewFrames, score_of
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
 from recorder.spec import PHASES
@@ -356,7 +356,7 @@ def test_labels_of_five_presses_give_each_measured_axis_its_own_factor() -> None
 def test_unmeasured_axes_are_neither_scored_nor_covered() -> None:
     predicted = np.array([[0.5, 0.3, -4.0], [0.1, 0.2, -1.0], [0.0, 0.0, -2.0]])
     true = np.array([[np.nan, np.nan, -4.1], [np.nan, 0.0, -9.0], [np.nan, 0.1, np.nan]])
-    found = score_of(predicted, true, INTERVALS, shapes(1, 1, 9), ("cone",))
+    found = score_of(NewFrames(predicted, true, shapes(1, 1, 9), ("cone",), INTERVALS))
     assert found.covered[2] == 0.5
     assert np.isnan(found.covered[:2]).all()
     assert found.coverage == 0.5

@@ -17,7 +17,6 @@ from learning.force.export import (
     OneFrame,
     export_onnx,
     made_up_frames,
-    stepped_by,
     torch_stream,
 )
 from learning.force.model import ForceModel
@@ -160,7 +159,7 @@ def _stream(
         if variant.runtime == "torch.compile":
             torch.compiler.reset()
             one.compile(dynamic=False)
-        return stepped_by(one, model)
+        return torch_stream(model, one)
     runtime = "onnx" if variant.runtime == "onnxruntime" else variant.runtime
     if variant.precision == "bf16":
         runtime += "-bf16"

@@ -11,7 +11,7 @@ demo's frames and scaled forces are those of the other skin.
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -125,11 +125,12 @@ def skin_of(
 ) -> Skin:
     """Return the scores on a skin whose true forces are `scaled` times the demo's."""
     true = scaled * frames.true
-    without = score_of(frames.predicted, true, frames.intervals, frames.shapes, frames.indenters)
+    without = score_of(replace(frames, true=true))
     row = int(np.argmin(np.abs(scaled * presses.true - weight)))
     known, predicted = scaled * float(presses.true[row]), float(presses.predicted[row])
     value, intervals = weighed(frames.intervals, known, predicted)
-    found = score_of(value * frames.predicted, true, intervals, frames.shapes, frames.indenters)
+    predicted_then = value * frames.predicted
+    found = score_of(replace(frames, predicted=predicted_then, true=true, intervals=intervals))
     return Skin(ratio, without, found, intervals.scale.factor)
 
 
