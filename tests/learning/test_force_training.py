@@ -189,10 +189,8 @@ def test_a_loss_that_is_no_number_ends_training_and_leaves_the_last_checkpoint(
 ) -> None:
     wild = toy(stages=(StageSettings(epochs=4, learning_rate=1e38),))
     wild = replace(wild, optimiser=replace(wild.optimiser, name="sgd", clip=None))
-    with (
-        _open(tmp_path / "run", wild) as run,
-        pytest.raises(LearningError, match="loss: found nan"),
-    ):
+    run = _open(tmp_path / "run", wild)
+    with pytest.raises(LearningError, match="loss: found nan"):
         train_force(noise_presses(4), wild, session(wild, run))
     assert not run.finished
 
