@@ -13,7 +13,7 @@ def add_inputs(parser: argparse.ArgumentParser) -> None:
     """Add the inputs and the output folder of a training."""
     parser.add_argument("archive", type=Path, metavar="ARCHIVE", help="X.markers.zarr")
     add_split(parser)
-    add_run(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder of the run")
 
 
 def add_split(parser: argparse.ArgumentParser) -> None:
@@ -31,11 +31,6 @@ def add_split(parser: argparse.ArgumentParser) -> None:
         metavar="NAME,...",
         help="indenters excluded from training, if a split is made (the archive's list; none: '')",
     )
-
-
-def add_run(parser: argparse.ArgumentParser) -> None:
-    """Add the output folder of a training."""
-    parser.add_argument("--out", type=Path, required=True, metavar="RUN", help="folder of the run")
 
 
 def add_settings(

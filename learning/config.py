@@ -133,8 +133,8 @@ def require_same(path: Path, content: Mapping[str, Any]) -> None:
     for key, value in plain.items():
         if stored.get(key) != value:
             raise LearningError(
-                f"{path}.{key}: found {stored.get(key)!r}, asked for {value!r}; allowed: the same, "
-                "or another folder"
+                f"{path}.{key}: found {stored.get(key)!r}, asked for {value!r}; allowed: the same "
+                f"{path.stem}, or another folder"
             )
 
 

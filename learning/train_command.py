@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,6 @@ def open_data(options: argparse.Namespace) -> tuple[MarkerArchive, Split]:
     """Open the archive that the options name, and the split that they name or the archive's own."""
     archive = MarkerArchive(options.archive)
     return archive, training_split(archive, options.split, options.unseen)
-
-
-def trained_on(
-    archive: MarkerArchive, split: Split, sensors: Sequence[str] | None = None
-) -> list[str]:
-    """Return these sensors, or all that the split does not hold out."""
-    return [*(sensors or split.trained_sensors(archive))]
 
 
 def run_training(

@@ -142,8 +142,6 @@ _AT_ONCE = 256
 class TargetView:
     """References of the target for the frames of a source."""
 
-    sensor: str
-    """Name of the target."""
     view: SensorView
     """View of the target's images."""
     references: Tensor
@@ -156,7 +154,6 @@ def look_of(target: ArchivedSensor, presses: Presses, device: torch.device) -> T
     """Return a target's references at the locations of a source's presses."""
     of_press = target_references(presses.location.numpy(), target.table).astype(np.int64)
     return TargetView(
-        target.name,
         SensorView.of(target),
         torch.from_numpy(target.references).to(device),
         torch.from_numpy(of_press)[presses.of_frame],
@@ -244,7 +241,7 @@ def _shown(
         progress(done, presses.frames)
     return replace(
         presses,
-        sensor=f"{presses.sensor}-to-{look.sensor}",
+        sensor=f"{presses.sensor}-to-{look.view.name}",
         mm_per_px=look.view.mm_per_column,
         form="images",
         images=images,

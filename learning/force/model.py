@@ -507,12 +507,9 @@ def require_form(presses: Presses, inputs: InputSettings) -> None:
 
 
 def prepared_rows(presses: Presses, rows: Tensor, inputs: InputSettings) -> Tensor:
-    """Return frames (n, planes, side, side) of presses as network inputs.
+    """Return frames (n, planes, side, side) of some rows (n,) of presses, as network inputs.
 
-    Args:
-        presses: Images or marker fields.
-        rows: Frame indices (n,), on the device of the presses.
-        inputs: Settings of the network input.
+    The rows are on the device of the presses.
     """
     references = presses.references[presses.reference[rows]] if inputs.needs_reference else None
     return prepare(presses.images[rows], references, inputs)

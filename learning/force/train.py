@@ -131,14 +131,13 @@ class ForceSettings:
     """True if the untrained model predicts the mean label, False if the centre of the box."""
     patience_epochs: int | None = 10
     """Number of validations without improvement after which a stage ends; none: no early end."""
-    validate_every_epochs: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Reject training without stages, or invalid values."""
         if not self.stages:
             raise LearningError("stages: found none; allowed: one or more")
-        require(self, "patience_epochs", "validate_every_epochs", least=1)
+        require(self, "patience_epochs", least=1)
         require(self, "range_margin", least=0)
         if self.sequences.superpose and self.input.form != "field":
             raise LearningError(
@@ -517,7 +516,7 @@ def train_force(
         line: dict[str, float] = {"stage": state.stage, "loss": state.summed / steps}
         state = replace(state, epoch=state.epoch + 1, step=0, summed=0.0, epochs=state.epochs + 1)
         score = None
-        if held and state.epoch % settings.validate_every_epochs == 0:
+        if held:
             # Reduced over processes, so that all of them end a stage at the same time.
             off = runs_on.reduce(_validated(model, held), "mean")
             score = float(off.nanmean())

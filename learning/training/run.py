@@ -182,17 +182,17 @@ class RunFolder:
         self,
         models: Mapping[str, nn.Module],
         training: Mapping[str, Any] | None = None,
-        *,
-        checkpoint: Path | None = None,
     ) -> int:
-        """Load a checkpoint into networks and optimisers; return the number of steps done.
+        """Load the newest checkpoint into networks and optimisers; return the number of steps done.
 
         Args:
             models: Networks by the names that they were saved under, not wrapped by Accelerate.
             training: Objects to restore by `load_state_dict`, by name; others are ignored.
-            checkpoint: Path; None: the newest. Without any, nothing changes and 0 is returned.
+
+        Returns:
+            0 without a checkpoint; nothing changes then.
         """
-        folder = checkpoint or self.latest()
+        folder = self.latest()
         if folder is None:
             return 0
         for name, model in models.items():

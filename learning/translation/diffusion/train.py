@@ -33,7 +33,7 @@ from learning.data.pairs import PairedFrames, paired_rows, read_paired
 from learning.data.presses import read_frames_of
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
-from learning.train_command import open_data, run_training, trained_on
+from learning.train_command import open_data, run_training
 from learning.training.checkpoint import load_weights, read_model_folder
 from learning.training.optim import set_rate
 from learning.training.run import Session, accelerator
@@ -519,7 +519,7 @@ def train_in(
     `pairing` is the rule for pairing frames of a press. Without `sensors`, it learns from all that
     the split does not hold out.
     """
-    sensors = trained_on(archive, split, sensors)
+    sensors = [*(sensors or split.trained_sensors(archive))]
     require_base_folder(settings.weights.base)
     base = fingerprint(settings.weights.base)
     roles: tuple[Role, ...] = ("train", "validation")

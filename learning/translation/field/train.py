@@ -28,7 +28,7 @@ from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
 from learning.data.splits import Split
 from learning.errors import LearningError
-from learning.train_command import open_data, run_training, trained_on
+from learning.train_command import open_data, run_training
 from learning.training.optim import Cosine, set_rate
 from learning.training.run import LaunchSettings, Session, accelerator, generator
 from learning.translation.field.data import (
@@ -498,7 +498,7 @@ def train_in(
 
     Without `sensors`, it learns from all that the split does not hold out.
     """
-    sensors = trained_on(archive, split, sensors)
+    sensors = [*(sensors or split.trained_sensors(archive))]
 
     def train(session: Session) -> None:
         frames, validation = (
