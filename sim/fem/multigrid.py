@@ -261,64 +261,6 @@ class Factors:
         )
 
 
-class ColumnPreconditioner:
-    """Preconditioner of vertical columns for B environments on one grid; it owns its factors."""
-
-    def __init__(
-        self, mesh: Mesh, real, environments: int, device: str, *, parallel: bool | None = None
-    ) -> None:
-        """Allocate the factors: 72 bytes per node and environment in float32.
-
-        Args:
-            mesh: Grid with its fixed nodes.
-            real: Warp's scalar type.
-            environments: Number of environments, B.
-            device: Device of the factors.
-            parallel: Store the factors with column numbers running fastest; by default only on a
-                GPU.
-        """
-        self._device = device
-        on_gpu = self._on_gpu = wp.get_device(device).is_cuda
-        self._step, self._sweep = _column_kernels(real, on_gpu)
-        parallel = on_gpu if parallel is None else parallel
-        levels = mesh.cells[2] + 1
-        self.factors = Factors(mesh.free, levels, real, environments, device, parallel=parallel)
-        """Factors of the columns."""
-        columns = self.factors.columns
-        self.parts = -(-columns // BLOCK) if on_gpu else columns
-        """Number of partial sums that `advance` writes for each sum."""
-
-    def factor(self, active, matrix) -> None:
-        """Factor the columns of active environments, from the blocks (B, N, 27) of the tangent."""
-        self.factors.make(active, matrix)
-
-    def advance(self, which, scalars, along, vectors, sums) -> None:
-        """Take a step of conjugate gradients, and precondition the new residual.
-
-        Args:
-            which: Indices of environments, int32 (R,); -1: none.
-            scalars: Length of the step in column 2 (B, 3 or more), float64.
-            along: Search direction and the tangent times it, two (B, N).
-            vectors: Solution and residual, which the step changes, and output of the preconditioned
-                residual, three (B, N).
-            sums: Output of the partial sums of r.z and r.r (B, `parts`, 2), float64.
-        """
-        solution, r, z = vectors
-        inputs = [which, scalars, *along]
-        if self._on_gpu:
-            wp.launch(
-                self._step, (len(which), r.shape[1]), inputs, [solution, r], device=self._device
-            )
-        wp.launch(
-            self._sweep,
-            dim=(len(which), self.parts * (BLOCK if self._on_gpu else 1)),
-            inputs=[self.factors.arrays, *inputs],
-            outputs=[solution, r, z, sums],
-            device=self._device,
-            block_dim=BLOCK,
-        )
-
-
 # Multigrid: columns on the mesh, corrected on ever coarser grids in plan.
 #
 # Columns leave the couplings between them to the conjugate gradients. These couplings are strong
@@ -675,7 +617,9 @@ def _weights(fine: Array, kept: NDArray[np.int64]) -> tuple[Array, Array, Array]
 
 
 class Multigrid:
-    """Columns, with coarser grids for hard environments; interface of `ColumnPreconditioner`.
+    """Columns of B environments, with coarser grids for hard ones; it owns their factors.
+
+    Those of the columns take 72 bytes per node and environment in float32.
 
     Args:
         meshes: Meshes with the same numbers of nodes, M.
@@ -699,11 +643,14 @@ class Multigrid:
         self._parallel = on_gpu if parallel is None else parallel
         self._meshes, self._real, self._device = meshes, real, device
         environments = self._environments = len(variant)
-        self._columns = ColumnPreconditioner(
-            meshes[0], real, environments, device, parallel=self._parallel
-        )
+        self._on_gpu = on_gpu
+        self._step, self._sweep = _column_kernels(real, on_gpu)
+        levels = meshes[0].cells[2] + 1
+        self._factors = self._factors_of(meshes[0].free, levels)
+        columns = self._factors.columns
+        self._column_parts = -(-columns // BLOCK) if on_gpu else columns
         self._hard_from = HARD_FROM["cuda" if on_gpu else "cpu"]
-        self.parts = self._columns.parts + self._columns.factors.columns
+        self.parts = self._column_parts + columns
         """Number of partial sums that `advance` writes for each sum."""
         self.hard = np.zeros(environments, bool)
         """True for environments that use coarser grids (B,)."""
@@ -715,6 +662,10 @@ class Multigrid:
         self.grids = 1
         """Number of grids that `advance` uses."""
         self._kernels = _kernels(real, self._parallel)
+
+    def _factors_of(self, free, levels: int) -> Factors:
+        of = self._real, self._environments, self._device
+        return Factors(free, levels, *of, parallel=self._parallel)
 
     def choose(self, running: NDArray[np.int64]) -> int:
         """Set and return `grids`: 1 if none of the running environments (R,) is hard."""
@@ -769,9 +720,9 @@ class Multigrid:
         cells = counts[0] - 1, counts[1] - 1, counts[2] - 1
         offsets = self._array(slot_offsets(cells))
         if weights is None:
-            return _Grid(counts, offsets, self._columns.factors, None, None, None, vector(), None)
+            return _Grid(counts, offsets, self._factors, None, None, None, vector(), None)
         free = np.ones(nodes, bool)
-        factors = Factors(free, counts[2], real, environments, device, parallel=self._parallel)
+        factors = self._factors_of(free, counts[2])
         matrix = zero_blocks(environments, nodes, matrix_of(real), device, parallel=self._parallel)
         return _Grid(counts, offsets, factors, matrix, vector(), vector(), vector(), weights)
 
@@ -782,7 +733,7 @@ class Multigrid:
             active: Mask of environments, int32 (B,).
             matrix: Blocks (B, N, 27) of the tangent; `advance` reads them as well.
         """
-        self._columns.factor(active, matrix)
+        self._factors.make(active, matrix)
         if not self._grids:
             return
         self._grids[0].matrix = matrix
@@ -807,15 +758,37 @@ class Multigrid:
             coarse.factors.make(chosen, coarse.matrix)
 
     def advance(self, which, scalars, along, vectors, sums) -> None:
-        """Step along p, and precondition with coarser grids for hard environments."""
-        self._columns.advance(which, scalars, along, vectors, sums)
+        """Take a step of conjugate gradients, and precondition the new residual.
+
+        Args:
+            which: Indices of environments, int32 (R,); -1: none.
+            scalars: Length of the step in column 2 (B, 3 or more), float64.
+            along: Search direction and the tangent times it, two (B, N).
+            vectors: Solution and residual, which the step changes, and output of the preconditioned
+                residual, three (B, N).
+            sums: Output of the partial sums of r.z and r.r (B, `parts`, 2), float64.
+        """
+        solution, r, z = vectors
+        inputs = [which, scalars, *along]
+        if self._on_gpu:
+            wp.launch(
+                self._step, (len(which), r.shape[1]), inputs, [solution, r], device=self._device
+            )
+        wp.launch(
+            self._sweep,
+            dim=(len(which), self._column_parts * (BLOCK if self._on_gpu else 1)),
+            inputs=[self._factors.arrays, *inputs],
+            outputs=[solution, r, z, sums],
+            device=self._device,
+            block_dim=BLOCK,
+        )
         if self.grids == 1:
             return
         scale, _smooth, residual, restrict, prolong, _coarsen = self._kernels
         finest, grids = self._grids[0], self._grids
-        _solution, finest.rhs, finest.z = vectors
+        finest.rhs, finest.z = r, z
         nodes = finest.rest.shape[1]
-        self._launch(scale, nodes, which, [self._columns.parts], [finest.z, sums])
+        self._launch(scale, nodes, which, [self._column_parts], [finest.z, sums])
         for fine, coarse in pairwise(grids):
             rest = [fine.offsets, fine.matrix, fine.rhs, fine.z]
             self._launch(residual, fine.rest.shape[1], which, rest, [fine.rest])
@@ -831,7 +804,7 @@ class Multigrid:
 
     def _smooth(self, which, grid: _Grid, rhs, sums) -> None:
         """Solve a grid's columns for `rhs`: its right-hand side at first, its residual later."""
-        first = self._columns.parts if grid is self._grids[0] else -1
+        first = self._column_parts if grid is self._grids[0] else -1
         self._launch(
             self._kernels[1],
             grid.factors.columns,

@@ -11,7 +11,7 @@ from support.fem_oracles import Array
 from support.fem_tangents import COUNT, FILLED, GRID, Tangents, columns_of, flat_tangent, spread_out
 from support.few import few
 
-from sim.fem.multigrid import ColumnPreconditioner
+from sim.fem.multigrid import Multigrid
 
 FREE = np.repeat(GRID.free, 3)
 REALS = [
@@ -20,7 +20,7 @@ REALS = [
 ]
 
 
-def _apply(columns: ColumnPreconditioner, active: Any, r: Array, real: Any) -> Array:
+def _apply(columns: Multigrid, active: Any, r: Array, real: Any) -> Array:
     """Return the preconditioner times r (B, N, 3), from a step of zero length."""
     count = len(r)
     nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
@@ -35,7 +35,7 @@ def _apply(columns: ColumnPreconditioner, active: Any, r: Array, real: Any) -> A
 
 def _inverse(tangents: Tangents, real: Any, env: int) -> Array:
     """Return the preconditioner as a dense matrix, by applying it to unit vectors."""
-    columns = ColumnPreconditioner(GRID, real, 3, "cpu")
+    columns = Multigrid([GRID], np.zeros(3, int), real, "cpu")
     active = oracle.integers(tangents.active)
     columns.factor(active, tangents.block_matrix(real).matrix)
     dense = np.empty((3 * COUNT, 3 * COUNT))
@@ -52,7 +52,7 @@ def test_columns_are_solved_as_a_dense_matrix_would_be(
 ) -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
     block_matrix = tangents.block_matrix(real)
-    columns = ColumnPreconditioner(GRID, real, 3, "cpu", parallel=parallel)
+    columns = Multigrid([GRID], np.zeros(3, int), real, "cpu", parallel=parallel)
     active = oracle.integers(tangents.active)
     columns.factor(active, block_matrix.matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
@@ -89,7 +89,7 @@ def test_lifting_a_pivot_keeps_its_size() -> None:
     inside, across = kept[: 3 * top, : 3 * top], kept[: 3 * top, 3 * top :]
     pivot = kept[3 * top :, 3 * top :] - across.T @ np.linalg.solve(inside, across)
     matrix[0, top, 13] -= 2 * pivot
-    columns = ColumnPreconditioner(GRID, wp.float64, 3, "cpu")
+    columns = Multigrid([GRID], np.zeros(3, int), wp.float64, "cpu")
     active = oracle.integers(tangents.active)
     columns.factor(active, oracle.matrices(matrix, wp.float64))
     r = np.zeros((3, COUNT, 3))
@@ -103,7 +103,7 @@ def test_lifting_a_pivot_keeps_its_size() -> None:
 def test_flat_elements_need_less_than_half_the_iterations_of_single_nodes() -> None:
     """Elements 6 times as wide as high: the couplings along a column are the strong ones."""
     block_matrix = flat_tangent(6.0)
-    columns = ColumnPreconditioner(GRID, wp.float64, 1, "cpu")
+    columns = Multigrid([GRID], np.zeros(1, int), wp.float64, "cpu")
     active = oracle.integers([1])
     columns.factor(active, block_matrix.matrix)
     dense = spread_out(block_matrix.matrix.numpy()[0])
@@ -119,7 +119,7 @@ def test_flat_elements_need_less_than_half_the_iterations_of_single_nodes() -> N
 
 def test_a_step_moves_solution_and_residual_and_adds_up_the_products() -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
-    columns = ColumnPreconditioner(GRID, wp.float64, 3, "cpu")
+    columns = Multigrid([GRID], np.zeros(3, int), wp.float64, "cpu")
     active = oracle.integers(tangents.active)
     columns.factor(active, tangents.block_matrix(wp.float64).matrix)
     p, product, solution, r = np.random.default_rng(7).normal(0, 1, (4, 3, COUNT, 3))

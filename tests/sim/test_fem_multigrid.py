@@ -13,7 +13,7 @@ from support.few import few
 
 from sim import simulate
 from sim.fem import Fem, multigrid
-from sim.fem.multigrid import SMOOTHING, ColumnPreconditioner, Multigrid, grid_counts, thinned
+from sim.fem.multigrid import SMOOTHING, Multigrid, grid_counts, thinned
 from sim.indenters import shapes
 from sim.scene import Body, Scene, press
 
@@ -47,8 +47,7 @@ def _apply(one: Any, active: Array, r: Array, real: Any) -> tuple[Array, Array]:
     nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
     scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
     sums = wp.zeros((count, one.parts, 2), dtype=wp.float64, device="cpu")
-    if isinstance(one, Multigrid):
-        one.choose(np.flatnonzero(active))
+    one.choose(np.flatnonzero(active))
     vectors = nothing, oracle.vectors(r, real), z
     one.advance(oracle.rows(active), scalars, (nothing, nothing), vectors, sums)
     return np.array(z.numpy()), sums.numpy().sum(1)[:, 0]
@@ -107,7 +106,7 @@ def test_it_is_the_cycle_of_dense_matrices(real: Any, error: float, parallel: bo
 def test_an_environment_that_is_not_hard_has_columns_alone() -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
     made = _made(tangents, wp.float64)
-    columns = ColumnPreconditioner(GRID, wp.float64, 3, "cpu")
+    columns = Multigrid([GRID], np.zeros(3, int), wp.float64, "cpu")
     columns.factor(oracle.integers(tangents.active), tangents.block_matrix(wp.float64).matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
     (z, rz), (alone, alone_rz) = (
