@@ -242,10 +242,7 @@ class Graphs:
     """Launches of one device that are repeated with the same arrays, recorded as graphs.
 
     To launch a kernel costs Python 50 us or more, a graph of many of them about as much as one.
-
-    Args:
-        device: Device of the launches.
-        record: Record them; else they are launched one by one.
+    Without `record` they are launched one by one.
     """
 
     def __init__(self, device, *, record: bool = True) -> None:

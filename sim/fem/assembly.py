@@ -541,12 +541,9 @@ class Assembly:
     def overlap(self, active, *, samples: int, states: int = 1) -> Array:
         """Return the overlap of skin with indenter and base plane (B, `OVERLAPS`).
 
-        See `overlap_kernel`; the last column is 1 if the skin may overlap itself.
-
-        Args:
-            active: Mask of environments.
-            samples: Samples along each side of a face.
-            states: Number of states from the last accepted one to the current one, which counts.
+        See `overlap_kernel`; the last column is 1 if the skin may overlap itself. Each side of a
+        face has `samples`, and `states` go from the last accepted one to the current one, which
+        counts.
         """
         self.measure_overlap(active, samples=samples, states=states)
         if self.crossing is None:
@@ -568,17 +565,10 @@ class Assembly:
         )
 
     def read(self, environments: Sequence[int], tip: Array) -> tuple[NDArray, Array]:
-        """Return what frames of the last evaluated state are made of, for K environments.
+        """Return `READ` of K environments in the last evaluated state, with tips at (B, 3).
 
-        Overlaps are those that were measured last.
-
-        Args:
-            environments: Their indices.
-            tip: Tip of every environment (B, 3).
-
-        Returns:
-            A row for each (K,), of type `READ`; displacement and force of the nodes of the top
-            (K, X, Y, `TOP`).
+        Overlaps are those that were measured last. Also displacement and force of the nodes of the
+        top (K, X, Y, `TOP`).
         """
         state, count, top = self.state, len(environments), self.mesh.top
         which = self._array(list(environments), wp.int32)

@@ -155,8 +155,8 @@ class ConjugateGradient:
 
     Args:
         real: Warp's scalar type.
-        environments: Number of environments, B.
-        nodes: Number of nodes, N.
+        environments: B.
+        nodes: N.
         device: Device of the vectors.
         matrix: Tangent: `product(which, p, product, sums)` writes tangent p and the partial sums
             of p . tangent p, (B, `matrix.parts`, 1), for the environments `which` (R,).
@@ -259,9 +259,7 @@ class ConjugateGradient:
     def _gather(self, running: np.ndarray, *, renew: bool = False) -> None:
         """Launch at most twice as many rows as are running, if rows are gathered at all.
 
-        Args:
-            running: Indices of environments.
-            renew: True if they are not those of the previous call.
+        `running` are indices of environments; `renew` them if there are others than before.
         """
         rows = self._shape[0]
         while self._gathers and rows > 1 and len(running) <= rows // 2:

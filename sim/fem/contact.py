@@ -443,14 +443,7 @@ def _crossing_kernels(real):
 
 
 class Crossing:
-    """The test, with its work array; meshes and states are those of an assembly.
-
-    Args:
-        real: Warp's scalar type.
-        environments: Number of environments, B.
-        faces: Corners of the surface's faces (S, 4).
-        device: Device.
-    """
+    """The test for B environments with the same surface, faces (S, 4); it owns a work array."""
 
     def __init__(self, real, environments: int, faces: np.ndarray, device: str) -> None:
         self._device, (self._surround, self._cross) = device, _crossing_kernels(real)
@@ -463,12 +456,7 @@ class Crossing:
     def mark(self, mesh, active, u, face_overlap, most_overlap) -> None:
         """Write `MAY_CROSS` into the last column of `most_overlap` (B, 4) where a look is needed.
 
-        Args:
-            mesh: Meshes on the device.
-            active: Mask of environments (B,).
-            u: Displacements (B, N) [T].
-            face_overlap: Columns of each face, of which the last is 1 if it is folded (B, S, 4).
-            most_overlap: As measured by `overlap_kernel`.
+        Both overlaps are as measured by `overlap_kernel`, those of faces (B, S, 4).
         """
         wp.copy(self._box, self._none)
         wp.launch(

@@ -738,14 +738,9 @@ def _volume_kernels(real):
 
 
 class VolumePressure:
-    """Pressure of the elements of B environments at the last settled state, and its fraction kept.
+    """Pressure of E elements in B environments at the last settled state, and its fraction kept.
 
-    Args:
-        real: Warp's scalar type.
-        poisson: Poisson's ratios (B,).
-        elements: Number of elements, E.
-        device: Device of the arrays.
-        history: Pressure by viscosity that does not change within a step (B, E) [E]; None: none.
+    `history` is the pressure by viscosity that does not change within a step (B, E) [E].
     """
 
     def __init__(

@@ -23,12 +23,7 @@ Array = NDArray[np.float64]
 
 
 class Round:
-    """Side wall of a round body, which cuts through elements and is no contact face.
-
-    Args:
-        scene: Scene with the body.
-        mesh: Mesh of the body.
-    """
+    """Side wall of a round body, which cuts through elements and is no contact face."""
 
     def __init__(self, scene: Scene, mesh: Mesh) -> None:
         self._scene, self._mesh = scene, mesh
@@ -146,14 +141,10 @@ class Collector:
     def keep(
         self, frame: int, read: np.void, surface: Array, traction: Array, told: tuple[Any, ...]
     ) -> None:
-        """Store a frame.
+        """Store what was read of a frame, `READ`, and of the nodes of its top.
 
-        Args:
-            frame: Number of the frame.
-            read: What was read of its state, of type `READ`.
-            surface: Displacement of the nodes of the top (X, Y, 3) [m].
-            traction: Traction on them (X, Y, 3) [Pa].
-            told: Values of `TOLD` up to those of the steps to the frame, and its cost.
+        These have displacements (X, Y, 3) [m] and tractions (X, Y, 3) [Pa]. `told` has the values
+        of `TOLD` up to those of the steps to the frame, and its cost.
         """
         if not frame:
             self._work = self._work_most = 0.0
@@ -183,11 +174,7 @@ class Collector:
     def keep_round(self, frame: int, u: Array, touched: NDArray[np.int32], tip: Array) -> None:
         """Store what a frame of a round body has beside `keep`; nothing for other bodies.
 
-        Args:
-            frame: Number of the frame.
-            u: Displacement of the nodes (N, 3) [T].
-            touched: Number of touched points of each face (S,).
-            tip: Position of the tip (3,) [T].
+        It has displacements (N, 3) [T], touched points of each face (S,) and a tip (3,) [T].
         """
         body = self.round
         if body is None:

@@ -300,7 +300,7 @@ class BlockMatrix:
         Args:
             mesh: Grid and its neighbour tables; the geometry is an argument of every assembly.
             real: Warp's scalar type.
-            environments: Number of environments, B.
+            environments: B.
             device: Device of the matrix.
             viscous: True if stresses have a history.
             split: True if pressures have one (`sim.fem.element.VolumePressure`).

@@ -444,12 +444,7 @@ def following_mesh(
 ) -> Mesh:
     """Return the mesh as fine as `sizes` times `fineness`, or coarser if it has too many elements.
 
-    Args:
-        scene: Scene with the body to mesh.
-        sizes: Element sizes that its contacts require.
-        fineness: See `Fem`.
-        elements_max: See `Fem`.
-        at_least: Least numbers of elements along x and y.
+    `at_least` is the least numbers of elements along x and y.
     """
     body, unit = scene.body, scene.body.thickness
     effects = scene.effects
@@ -507,11 +502,8 @@ def meshes_of(
 ) -> list[Mesh]:
     """Return the meshes for scenes; `Fem.one_topology` makes their element counts agree.
 
-    Args:
-        scenes: Scenes to simulate.
-        numerics: Settings of the meshes.
-        sizes: Element sizes that the contacts of each scene require, if the mesh follows them;
-            None: estimated here.
+    `sizes` are those that the contacts of each scene require, if the mesh follows them; without
+    them they are estimated here.
     """
     if numerics.follows:
         sizes = sizes or [stages_of(scene)[0].sizes for scene in scenes]

@@ -225,15 +225,9 @@ def _column_kernels(real, on_gpu: bool):
 
 
 class Factors:
-    """Factors of the columns of B environments on one grid.
+    """Factors of the columns of B environments on one grid; `levels` is the nodes of a column.
 
-    Args:
-        free: True for nodes that move (N,).
-        levels: Number of nodes of a column, Z.
-        real: Warp's scalar type.
-        environments: Number of environments, B.
-        device: Device of the factors.
-        parallel: Store the factors with column numbers running fastest.
+    `free` is True for nodes that move (N,); if `parallel`, column numbers run fastest.
     """
 
     def __init__(
@@ -675,9 +669,7 @@ class Multigrid:
     def learn(self, used: NDArray[np.int64], accuracy: Array) -> None:
         """Decide from the last solves which environments need coarser grids, or new ones.
 
-        Args:
-            used: Iterations (B,); 0: not solved.
-            accuracy: Residual that was asked for over that at the start (B,).
+        They took iterations (B,), 0 if there was none, to a residual over that at the start (B,).
         """
         solved = used > 0
         rate = used / np.log10(1 / np.minimum(accuracy, 0.5))
@@ -729,9 +721,7 @@ class Multigrid:
     def factor(self, active, matrix) -> None:
         """Factor the columns, and make and factor the coarser grids of hard environments.
 
-        Args:
-            active: Mask of environments, int32 (B,).
-            matrix: Blocks (B, N, 27) of the tangent; `advance` reads them as well.
+        `matrix` has the blocks (B, N, 27) of the tangent; `advance` reads them as well.
         """
         self._factors.make(active, matrix)
         if not self._grids:

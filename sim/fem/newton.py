@@ -536,10 +536,7 @@ class Path:
 def path_of(scene: Scene, numerics: Fem, finest: float = np.inf) -> Path:
     """Return the path of a scene's tip, in units of the body's thickness.
 
-    Args:
-        scene: Scene with the tip's motion.
-        numerics: Settings that limit the steps.
-        finest: Side of the smallest elements, if the mesh follows the contact.
+    `finest` is the side of the smallest elements, if the mesh follows the contact.
     """
     unit = scene.body.thickness
     tip = np.asarray(scene.motion.tip) / unit

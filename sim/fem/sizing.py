@@ -293,13 +293,8 @@ def places_of(
 ) -> tuple[Array, Array]:
     """Return cumulative element counts from `low` (N,), rising from 0, and their places (N,).
 
-    Args:
-        spans: Required sizes.
-        low: Start of the axis.
-        high: End of the axis.
-        growth: Increase of element length, per distance from a span.
-        longest: Longest element.
-        fineness: Divides every size.
+    Element length grows by `growth`, per distance from a span, up to `longest`; `fineness` divides
+    every size.
     """
     sites = [np.linspace(low, high, SITES)]
     for span in spans:
@@ -349,11 +344,7 @@ FLATTER = 2.5
 def coarser_than_required(sizes: Sizes, x: Array, y: Array, fineness: float = 1.0) -> float:
     """Return the largest ratio of element length to required size; 1 or less is fine enough.
 
-    Args:
-        sizes: Required sizes.
-        x: Positions of the nodes (X,).
-        y: The same along y (Y,).
-        fineness: As in `places_of`.
+    Nodes are at x (X,) and y (Y,); `fineness` is as in `places_of`.
     """
     worst = 0.0
     for spans, nodes in ((sizes.x, x), (sizes.y, y)):
@@ -368,11 +359,7 @@ def coarser_than_required(sizes: Sizes, x: Array, y: Array, fineness: float = 1.
 def finer_at(place: Sequence[float], x: Array, y: Array, fineness: float) -> Sizes:
     """Return sizes that halve the length of the elements around a point (x, y, ...) [m].
 
-    Args:
-        place: Point.
-        x: Positions of the nodes (X,).
-        y: The same along y (Y,).
-        fineness: As in `places_of`.
+    Nodes are at x (X,) and y (Y,); `fineness` is as in `places_of`.
     """
     spans = []
     for nodes, middle in ((x, place[0]), (y, place[1])):

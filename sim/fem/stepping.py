@@ -328,12 +328,7 @@ class Batch:
     ) -> Passed | None:
         """Return what to say of an overlap, or None if it is small for the contact.
 
-        Args:
-            env: Environment.
-            deep: Depth of the overlap [T].
-            place: Undeformed place of it (3,) [T].
-            touched: Nodes of the top that touch (X, Y).
-            kind: What overlaps.
+        It is `deep` [T] at an undeformed place (3,) [T], where nodes of the top touch (X, Y).
         """
         mesh, unit = self._meshes[env], self._scenes[env].body.thickness
         x, y, place = mesh.x * unit, mesh.y * unit, place * unit

@@ -141,12 +141,7 @@ def diverged_at(
 ) -> SimulationDiverged:
     """Return the error of a step from the tip at (3,) [m] that failed, with the state in a file.
 
-    Args:
-        scene: Scene.
-        tip: Position of the tip before the step (3,) [m].
-        traction: Traction there (3, nx, ny) [Pa].
-        displacement: Displacement there (3, nx, ny) [m].
-        tried: What was tried, in words.
+    That has the traction (3, nx, ny) [Pa] and the displacement (3, nx, ny) [m] before the step.
     """
     dump: Path | None = None
     try:

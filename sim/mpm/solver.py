@@ -161,6 +161,8 @@ def _tip_velocity(pace: Pace, cell: float) -> np.ndarray:
 
 Progress = Callable[[float], None]
 
+# What a record has of the pace.
+PACE = "mass_scaling", "wave_speed", "tip_speed", "speed_ratio", "time_step", "courant", "steps"
 # Particles per cell and dimension below which the material falls apart into loose columns.
 COUPLED = 1.0
 # Fraction of the work of a frictionless press above which its loss is a warning: spheres lose 0.05.
@@ -224,7 +226,8 @@ def simulate_mpm(
         or frames[env].result(
             {
                 **shared,
-                **_of_pace(pace),
+                **{name: getattr(pace, name) for name in PACE},
+                "window_steps": pace.window,
                 "warnings": _warnings(scene, pace, numerics, frames[env].lost),
             }
         )
@@ -281,19 +284,6 @@ def _diverged(state, env: int, pace: Pace, scene: Scene) -> SimulationDiverged:
         f"the wave speed, body {scene.body.thickness * 1e3:.3g} mm thick",
         tried=(f"step {step}: {reason}",),
     )
-
-
-def _of_pace(pace: Pace) -> dict:
-    return {
-        "mass_scaling": pace.mass_scaling,
-        "wave_speed": pace.wave_speed,
-        "tip_speed": pace.tip_speed,
-        "speed_ratio": pace.speed_ratio,
-        "time_step": pace.time_step,
-        "courant": pace.courant,
-        "steps": pace.steps,
-        "window_steps": pace.window,
-    }
 
 
 def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]:
