@@ -26,8 +26,7 @@ from recorder.command_line.options import next_command
 from recorder.progress import duration
 from recorder.session import accounts_of, clock_lines, loss_lines, time_lines
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
-from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
-from rig.acquire.progress_line import LiveLine
+from rig.acquire.plan_runner import LiveLine, PlanRunner, require_arrival, zero_stand_ins
 from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import (
     Streams,

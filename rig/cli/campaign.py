@@ -25,9 +25,16 @@ from rig.acquire.campaign import (
 from rig.acquire.control import apart
 from rig.bench.bench import BENCHES_FOLDER, read_content, with_simulated_world
 from rig.cli import collect, force_depth
-from rig.cli.options import banner, bench_file, benches_option, calibration_options
+from rig.cli.options import (
+    answer,
+    banner,
+    bench_file,
+    benches_option,
+    calibration_options,
+    deepest,
+    motion_lines,
+)
 from rig.cli.recording import Recording
-from rig.cli.terminal import answer, deepest, motion_lines
 from rig.core.errors import ConfigError
 
 

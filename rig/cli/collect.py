@@ -17,12 +17,13 @@ from rig.bench.bench import Bench
 from rig.cli.options import (
     add_page,
     check_page,
+    confirm,
     log_to,
     recording_options,
+    require_terminal,
     sources_of,
 )
 from rig.cli.recording import Recording, record, recording_of, stage, started_bench
-from rig.cli.terminal import confirm, require_terminal
 from rig.core.errors import ConfigError
 from rig.core.sources import Sources
 from rig.monitor.access import AccessPolicy

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 
 from rig.bench.bench import BenchFile
-from rig.cli.options import banner, bench_options, bench_path
-from rig.cli.terminal import confirm
+from rig.cli.options import banner, bench_options, bench_path, confirm
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.gripper.settings import RobotiqConfig

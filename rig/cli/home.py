@@ -12,9 +12,8 @@ from recorder.command_line.errors import EXIT_DONE
 from rig.acquire.calibration import home, store
 from rig.acquire.calibration.store import require_gauge
 from rig.acquire.request import CollectRequest, StageStopped
-from rig.cli.options import recording_options
+from rig.cli.options import recording_options, require_terminal
 from rig.cli.recording import Recording, measured, record, recording_of, stage, started_bench
-from rig.cli.terminal import require_terminal
 from rig.core.config import to_si
 
 

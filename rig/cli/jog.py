@@ -24,9 +24,8 @@ from rig.acquire.setup_checks import origin_text
 from rig.acquire.streams import Streams, check_devices, take_tares, tip_position
 from rig.bench.bench import Bench
 from rig.bench.guards import gauge_guards
-from rig.cli.options import banner, bench_options, chosen_bench
+from rig.cli.options import banner, bench_options, chosen_bench, confirm, motion_lines
 from rig.cli.recording import started_bench
-from rig.cli.terminal import confirm, motion_lines
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop

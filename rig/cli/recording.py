@@ -18,8 +18,17 @@ from rig.acquire.calibration.store import Calibration
 from rig.acquire.collector import Collector
 from rig.acquire.request import CollectRequest, StageStopped
 from rig.bench.bench import Bench, BenchFile
-from rig.cli.options import banner, bench_choice, chosen_bench, free_path, log_to, opened_page
-from rig.cli.terminal import confirm, deepest, motion_lines
+from rig.cli.options import (
+    banner,
+    bench_choice,
+    chosen_bench,
+    confirm,
+    deepest,
+    free_path,
+    log_to,
+    motion_lines,
+    opened_page,
+)
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
 from rig.core.sources import Sources

@@ -29,14 +29,15 @@ from rig.cli import collect, doctor, force_depth
 from rig.cli.calibrate_latency import calibrate
 from rig.cli.home import find_by_force, find_by_signal
 from rig.cli.options import (
+    answer,
     banner,
     bench_command,
     bench_options,
     calibration_options,
     chosen_bench,
+    require_terminal,
 )
 from rig.cli.recording import Recording, started_bench
-from rig.cli.terminal import answer, require_terminal
 from rig.core import emulation
 from rig.core.clock import SystemClock, file_stamp
 from rig.core.config import from_si, to_si

@@ -33,10 +33,10 @@ from rig.core.geometry import invert, transform
 from rig.core.guard import AXES
 from rig.core.shared_memory import AwaitedRecord
 from rig.monitor.access import AccessPolicy
-from rig.monitor.lab import ADDRESS, LETTERS, Folders
-from rig.monitor.live_view import SAMPLE_RATE_HZ, Backlog, LiveView, number
+from rig.monitor.lab import ADDRESS, LETTERS, Folders, number
 from rig.monitor.page_process import PageProcess
 from rig.monitor.quality import LiveQuality, Quality
+from rig.monitor.server import SAMPLE_RATE_HZ, Backlog, LiveView
 from trajectories import PressShear, Target, dome_height
 
 # Time that traces reach back [s].

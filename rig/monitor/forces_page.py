@@ -11,9 +11,9 @@ import numpy as np
 
 from rig.core.clock import SECOND_NS, Clock
 from rig.monitor.access import AccessPolicy
-from rig.monitor.lab import Folders
-from rig.monitor.live_view import Backlog, LiveView, number
+from rig.monitor.lab import Folders, number
 from rig.monitor.page_process import PageProcess
+from rig.monitor.server import Backlog, LiveView
 
 if TYPE_CHECKING:
     from rig.monitor.predictor import LiveForce

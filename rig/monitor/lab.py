@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from datetime import date
@@ -33,7 +34,6 @@ from rig.core.clock import SECOND_NS, Clock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS
-from rig.monitor.live_view import number
 from trajectories import Plan, PressShear, plan_from_json
 
 # Sessions of one answer to a search, frames of a session that is shown, points of its curves.
@@ -539,3 +539,9 @@ def _indenters(names: tuple[str, ...]) -> list[dict[str, Any]]:
             {"name": name, "tip": indenter.tip, "size": f"{size} mm", "drawing": drawing}
         )
     return indenters
+
+
+def number(value: Any, digits: int = 3) -> float | None:
+    """Return a rounded float for JSON; None if it is not finite."""
+    number = float(value)
+    return round(number, digits) if math.isfinite(number) else None

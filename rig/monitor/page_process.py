@@ -19,8 +19,7 @@ from rig.core.clock import Clock, SystemClock
 from rig.core.errors import ConfigError
 from rig.monitor.access import AccessPolicy, urls_of
 from rig.monitor.lab import Folders
-from rig.monitor.live_view import LiveView
-from rig.monitor.server import LINGER, PageServer
+from rig.monitor.server import LINGER, LiveView, PageServer
 
 # Interval between messages to the page [s]; commands are received immediately.
 _PERIOD = 0.2

@@ -16,12 +16,12 @@ import logging
 import os
 import signal
 import socket
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Generic, TypeVar
 from urllib.parse import unquote, urlsplit
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -33,7 +33,71 @@ from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
 from rig.monitor.access import AccessPolicy, Site, headers_of, single_header, text_of
 from rig.monitor.lab import Folders, Lab
-from rig.monitor.live_view import SAMPLE_RATE_HZ, LiveView
+
+Item = TypeVar("Item")
+# Rate at which a view reads the newest samples, for display only [Hz].
+SAMPLE_RATE_HZ = 40.0
+
+
+class Backlog(Generic[Item]):
+    """The newest `most` items of a stream; each client gets those that it does not have."""
+
+    def __init__(self, most: int) -> None:
+        self._items: deque[Item] = deque(maxlen=most)
+        self._total = 0
+
+    def add(self, item: Item) -> None:
+        """Add an item."""
+        self._items.append(item)
+        self._total += 1
+
+    def clear(self) -> None:
+        """Forget all items."""
+        self._items.clear()
+
+    def news(self, sent: Counter[str], name: str) -> list[Item]:
+        """Return the items that a client does not have, and note under `name` that it has them."""
+        new = min(self._total - sent[name], len(self._items))
+        sent[name] = self._total
+        return [self._items[k] for k in range(len(self._items) - new, len(self._items))]
+
+
+class LiveView:
+    """The live view of a page."""
+
+    commands: tuple[str, ...] = ()
+    """Commands that clients may send."""
+    ended = False
+    """True once the last state is known."""
+
+    def hello(self) -> dict[str, Any]:
+        """Return the constant data, with the name of the view as `live`."""
+        raise NotImplementedError
+
+    def news(self, sent: Counter[str], clients: Mapping[str, int]) -> list[dict[str, Any] | bytes]:
+        """Return the state and pictures for a client, and note in `sent` that it has them.
+
+        `clients` are counts of clients, by name.
+        """
+        raise NotImplementedError
+
+    def receive(self, message: Any) -> None:
+        """Receive what the command has sent."""
+        raise NotImplementedError
+
+    def lose(self) -> None:
+        """Receive that the command's process is gone."""
+        raise NotImplementedError
+
+    def start(self) -> None:
+        """Start what runs beside the server."""
+
+    def sample(self) -> None:
+        """Read the newest samples; called at `SAMPLE_RATE_HZ`."""
+
+    def close(self) -> None:
+        """Release all files; may be called twice."""
+
 
 # Path of the lab's data.
 DATA = "/data/"

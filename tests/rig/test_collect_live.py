@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.acquire.progress_line import LiveLine
+from rig.acquire.plan_runner import LiveLine
 from rig.acquire.stream_process import COUNTERS
 from rig.acquire.streams import Streams
 from rig.core.clock import FakeClock

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.no_gauge import press_in_steps
-from rig.cli.terminal import confirm
+from rig.cli.options import confirm
 from rig.acquire.control import Interrupted
 from rig.bench.bench import bench_from
 from rig.core.config import read_yaml

@@ -13,7 +13,7 @@ from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
 from rig.bench.bench import Bench, BenchFile
-from rig.cli.terminal import motion_lines
+from rig.cli.options import motion_lines
 from rig.core.clock import FakeClock
 from rig.core.config import READER
 from rig.core.errors import ConfigError

@@ -153,7 +153,7 @@ def test_only_the_word_accepts_a_fault(
 WIZARD = """
 import sys
 from pathlib import Path
-from rig.cli.terminal import answer
+from rig.cli.options import answer
 print("ready", flush=True)
 sys.stdin.readline()
 typed = answer("a fault was found; accept: accept it: ")
