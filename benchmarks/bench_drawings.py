@@ -112,7 +112,7 @@ ARM = "192.168.1.10  (arm.host)\nremote control on the pendant\nTCP 29999 and 30
 GAUGE = "192.168.1.1  (force.host)\npage TCP 80, samples UDP 49152\nor: NI card"
 COMPUTER = "192.168.1.100\ntactile doctor, then setup\ngroups dialout and video"
 GRIPPER = "RS-485 to USB, 24 V\n/dev/serial/by-id/...\n(gripper.port)"
-HID = "udev rule by\ntactile doctor --fix\n(pedal.device, jog.device)"
+HID = "udev rule as\ntactile doctor says\n(pedal.device, jog.device)"
 CAMERA = "USB port of its own\n/dev/v4l/by-id/...\n(camera.address)"
 TAXELS = "uSkin only\nws://192.168.1.20:5000\n(taxels.address)"
 

@@ -104,7 +104,7 @@ SESSIONS = (
 )
 SIMULATE = (
     Command("sim press", "sim.cli.press", "press, hold and shear: force, surface, pressure"),
-    Command("sim archive", "sim.cli.archive", "write or draw marker archives of simulated sensors"),
+    Command("sim archive", "sim.cli.archive", "write marker archives of simulated sensors"),
     Command("sim labels", "sim.cli.labels", "add the forces of a sensor's twin to an archive"),
     Command("twin plan", "sim.cli.twin_plan", "choose the presses that identify a twin best"),
     Command("twin fit", "sim.cli.twin_fit", "identify a simulated twin of a sensor from presses"),
