@@ -17,8 +17,8 @@ from recorder.archive.arrays import (
     allowed,
     misplaced,
 )
-from recorder.archive.plan import COMPLETE
-from recorder.archive.reader import ArchivedSensor, read_archive_attrs
+from recorder.archive.plan import COMPLETE, read_archive_attrs
+from recorder.archive.reader import ArchivedSensor
 from recorder.archive.writer import Ledger
 from recorder.errors import SessionError
 from recorder.findings import Finding

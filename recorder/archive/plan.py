@@ -16,8 +16,9 @@ from recorder.archive.arrays import MASKS, ArchiveArray, Representation
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice
 from recorder.spec import ARCHIVE_FORMAT
-from recorder.store.documents import read_document, write_group
-from recorder.store.files import LOCAL, sync_directory
+from recorder.store.documents import read_attrs, read_document, write_group
+from recorder.store.files import LOCAL, Files, sync_directory
+from recorder.store.reader import ColumnReader
 
 FORMAT_VERSION = 1
 WRITING, COMPLETE = "writing", "complete"
@@ -260,3 +261,34 @@ def _refuse_own(where: str, attrs: Mapping[str, Any], own: tuple[str, ...]) -> N
     taken = sorted(set(attrs) & set(own))
     if taken:
         raise SessionError(f"{where}.attrs: found {', '.join(taken)}, which the format sets itself")
+
+
+def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
+    """Return the attributes of an archive."""
+    attrs = read_attrs(path, files, what="archive", format_=ARCHIVE_FORMAT, version=FORMAT_VERSION)
+    for key, kind in (("status", str), ("sensors", list), ("indenters", list)):
+        if not isinstance(attrs.get(key), kind):
+            raise SessionError(
+                f"{files.name(path)}: found attrs {key} {attrs.get(key)!r}, expected a "
+                f"{kind.__name__}"
+            )
+    for name in attrs["sensors"]:
+        require_plain_name(name)
+    return attrs
+
+
+def require_plain_name(name: object) -> str:
+    """Return the name of a sensor after checking that it does not lead out of the archive."""
+    if not isinstance(name, str) or Path(name).name != name:
+        raise SessionError(f"found sensor {name!r}, expected a plain name")
+    return name
+
+
+def read_whole(archive: Path, files: Files, group: str, name: str) -> NDArray[Any]:
+    """Return an array that is written last, from a group of the archive such as `SENSOR/table`."""
+    if read_archive_attrs(archive, files)["status"] != COMPLETE:
+        raise SessionError(
+            f"{group}/{name}: exists only once all units are written; the archive is still being "
+            "written"
+        )
+    return ColumnReader(ArchiveArray.load(archive / group / name, files)).read()

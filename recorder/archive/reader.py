@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.archive.arrays import COLUMNS, MASKS, REPRESENTATIONS, SIMULATED, ArchiveArray
-from recorder.archive.plan import COMPLETE, FORMAT_VERSION
+from recorder.archive.plan import COMPLETE, read_archive_attrs, read_whole, require_plain_name
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
-from recorder.spec import ARCHIVE_FORMAT
-from recorder.store.documents import read_attrs, read_document
+from recorder.store.documents import read_document
 from recorder.store.files import LOCAL, Files, locate
 from recorder.store.reader import ColumnReader
 from recorder.store.tables import Table
@@ -80,7 +79,9 @@ class ArchivedSensor:
         self._frames = ColumnReader(self.layout)
         self._references = ColumnReader(ArchiveArray.load(path / "references", files))
         self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
-            path / "table", tuple(COLUMNS), self._column
+            path / "table",
+            tuple(COLUMNS),
+            partial(read_whole, path.parent, files, f"{self.name}/table"),
         )
         """Columns (n, ...) by name, read on first access."""
 
@@ -198,7 +199,7 @@ class ArchivedSensor:
         Raises:
             SessionError: A chunk is missing or corrupt, or the archive is still being written.
         """
-        text = self._whole("sources")
+        text = read_whole(self.path.parent, self.files, self.name, "sources")
         return [line.tobytes().rstrip(b"\0").decode() for line in text]
 
     @cached_property
@@ -211,7 +212,10 @@ class ArchivedSensor:
         kept = {place.name for place in self.files.groups(self.path / "table")}
         if not kept.issuperset(SIMULATED):
             return None
-        force, spread = (self._whole(f"table/{name}") for name in SIMULATED)
+        force, spread = (
+            read_whole(self.path.parent, self.files, f"{self.name}/table", name)
+            for name in SIMULATED
+        )
         layout = ArchiveArray.load(self.path / "table" / "simulated", self.files)
         return Simulated(force, spread, str(layout.attrs.get("made_from", "")))
 
@@ -219,17 +223,6 @@ class ArchivedSensor:
         if self.fields is None:
             raise SessionError(f"{self.name}: keeps no displacement")
         return self.fields
-
-    def _column(self, name: str) -> np.ndarray[Any, Any]:
-        return self._whole(f"table/{name}")
-
-    def _whole(self, name: str) -> np.ndarray[Any, Any]:
-        if read_archive_attrs(self.path.parent, self.files)["status"] != COMPLETE:
-            raise SessionError(
-                f"{self.name}/{name}: exists only once all units are written; the archive is still "
-                "being written"
-            )
-        return ColumnReader(ArchiveArray.load(self.path / name, self.files)).read()
 
 
 class MarkerArchive(Mapping[str, ArchivedSensor]):
@@ -294,27 +287,6 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
     def __len__(self) -> int:
         """Return the number of sensors."""
         return len(self._sensors)
-
-
-def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
-    """Return the attributes of an archive."""
-    attrs = read_attrs(path, files, what="archive", format_=ARCHIVE_FORMAT, version=FORMAT_VERSION)
-    for key, kind in (("status", str), ("sensors", list), ("indenters", list)):
-        if not isinstance(attrs.get(key), kind):
-            raise SessionError(
-                f"{files.name(path)}: found attrs {key} {attrs.get(key)!r}, expected a "
-                f"{kind.__name__}"
-            )
-    for name in attrs["sensors"]:
-        require_plain_name(name)
-    return attrs
-
-
-def require_plain_name(name: object) -> str:
-    """Return the name of a sensor after checking that it does not lead out of the archive."""
-    if not isinstance(name, str) or Path(name).name != name:
-        raise SessionError(f"found sensor {name!r}, expected a plain name")
-    return name
 
 
 # Text summary of an archive.

@@ -28,8 +28,8 @@ from recorder.archive.arrays import (
     checked_columns,
     column_array,
 )
-from recorder.archive.plan import COMPLETE, LEDGER, ArchivePlan, begin
-from recorder.archive.reader import ArchivedSensor, read_archive_attrs
+from recorder.archive.plan import COMPLETE, LEDGER, ArchivePlan, begin, read_archive_attrs
+from recorder.archive.reader import ArchivedSensor
 from recorder.errors import SessionError
 from recorder.spec import PHASES
 from recorder.store.array import Array

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.session.align import Sources
 from recorder.session.columns import Stream
-from recorder.session.loss import Losses, is_compressed, stream_losses
+from recorder.session.loss import Losses, is_compressed
 from recorder.session.window import (
     RunStreams,
     Window,
@@ -81,7 +81,7 @@ class Session:
         self.segments = _table(self.path / "segments", self.files, live)
         self.reference = _table(self.path / "reference", self.files, live)
         self.frames = Table.of_group(self.path / "frames", self.files)
-        self._losses: dict[tuple[str, int], Losses] = {}
+        self._losses: dict[int, dict[str, Losses]] = {}
         self._spans: dict[int, tuple[int, int] | None] = {}
 
     def __repr__(self) -> str:
@@ -177,11 +177,9 @@ class Session:
     def run_streams(self, run: int) -> RunStreams:
         """Return the streams in order, with their rows and losses of one run."""
         rows = {name: self.rows_of_run(name, run) for name in self.order}
-        return RunStreams(
-            {name: self.streams[name] for name in self.order},
-            rows,
-            lambda name: self.losses(name, run),
-        )
+        streams = {name: self.streams[name] for name in self.order}
+        counted = self._losses.setdefault(run, {})
+        return RunStreams(streams, rows, not is_compressed(self.attrs), counted)
 
     def sources(self, run: int) -> Sources:
         """Return the streams of one run, ready to be aligned."""
@@ -189,12 +187,7 @@ class Session:
 
     def losses(self, name: str, run: int) -> Losses:
         """Return the samples that a stream lost in a run; kept in memory."""
-        key = (name, run)
-        if key not in self._losses:
-            timed = not is_compressed(self.attrs)
-            rows = self.rows_of_run(name, run)
-            self._losses[key] = stream_losses(self.streams[name], rows, timed=timed)
-        return self._losses[key]
+        return self.run_streams(run).losses(name)
 
     def run_at(self, t_ns: int) -> int:
         """Return the latest run whose samples enclose a time, or else the last run."""

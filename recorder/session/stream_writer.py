@@ -19,7 +19,6 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.files import TEMPORARY
-from recorder.store.growing import GrowingReader
 from recorder.store.journal import (
     HEADER,
     Journal,
@@ -28,6 +27,7 @@ from recorder.store.journal import (
     write_journal,
 )
 from recorder.store.layout import PARTIAL, Layout, StreamLayout
+from recorder.store.reader import GrowingReader
 from recorder.store.shard import ColumnLog, OpenShard, scan_partial
 
 # State of a stream after its writer stopped, however that happened, and how to resume it.

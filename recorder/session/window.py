@@ -6,7 +6,7 @@ that sample, because a label must match its image, not the tick.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from recorder.errors import SessionError
 from recorder.session import align
 from recorder.session.align import NS, Aligned, Bools, Floats, Picked, Source, Sources, Times
 from recorder.session.columns import Stream, StreamPart
-from recorder.session.loss import Losses
+from recorder.session.loss import Losses, stream_losses
 from recorder.spec import Traits, frame_columns, signal_of
 
 # Streams of one run, ready to be aligned: all of it, or what a window near some ticks needs.
@@ -34,18 +34,27 @@ class RunStreams:
     """Streams by name, in the session's order."""
     rows: Mapping[str, slice]
     """Rows of each that belong to the run."""
-    losses: Callable[[str], Losses]
-    """Returns the losses in these rows of a stream."""
+    timed: bool
+    """True if missing samples show in the times of a stream."""
+    counted: dict[str, Losses]
+    """Losses that were counted so far, by stream; kept in memory."""
+
+    def losses(self, name: str) -> Losses:
+        """Return the samples that a stream lost in these rows."""
+        if name not in self.counted:
+            losses = stream_losses(self.streams[name], self.rows[name], timed=self.timed)
+            self.counted[name] = losses
+        return self.counted[name]
 
     @property
     def columns(self) -> dict[str, str]:
         """Column of `frames` by stream, of those that are aligned."""
-        return frame_columns((name, stream.traits) for name, stream in self.streams.items())
+        return frame_columns([(name, stream.traits) for name, stream in self.streams.items()])
 
     @property
     def signal(self) -> str | None:
         """Name of the stream that the others are aligned to."""
-        return signal_of((name, stream.traits) for name, stream in self.streams.items())
+        return signal_of([(name, stream.traits) for name, stream in self.streams.items()])
 
     def part(self, name: str, first: int, last: int) -> Source:
         """Return rows [first, last) of a stream, numbered as in the stream."""

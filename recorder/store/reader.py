@@ -27,6 +27,8 @@ from recorder.store.array import (
     ArrayLayout,
     ShardIndex,
 )
+from recorder.store.journal import GrowingLog
+from recorder.store.layout import Layout
 
 # Memory for what was read last, shared by all readers of a process and limited in bytes.
 #
@@ -262,3 +264,108 @@ class ColumnReader:
         shard, place = divmod(number, self.layout.chunks_per_shard)
         name = self.layout.files.name(self.layout.shard(shard))
         return f"{name}: chunk {place} (row {number * self.layout.rows_per_chunk})"
+
+
+class GrowingReader(ColumnReader):
+    """Reader of a column that is being written; it holds the complete chunks so far."""
+
+    layout: Layout
+
+    def __init__(self, layout: Layout, *, sums: bool = True) -> None:
+        """Find the first shard that is not sealed; the chunks are counted by `update`.
+
+        Without `sums` the bytes of a chunk are verified only when it is read.
+        """
+        super().__init__(layout)
+        self.held = 0
+        """Number of chunks without a gap at the last update."""
+        self._sums = sums
+        numbers = layout.shard_numbers()
+        # No shard is begun before the previous one is full, so the others need not be read.
+        ends = [n for n in numbers if layout.partial(n).exists()] + numbers[-1:]
+        gaps = [place for place, number in enumerate(numbers) if number != place]
+        self._number = min([*ends, *gaps], default=0)
+        self._logs: dict[int, GrowingLog] = {}
+        self._growing: dict[int, ShardIndex] = {}
+
+    def update(self) -> int:
+        """Read what was added and return the number of chunks without a gap."""
+        self._growing.clear()
+        for number in [n for n in self._logs if not self.layout.partial(n).exists()]:
+            del self._logs[number]
+        slots = self.layout.chunks_per_shard
+        while True:
+            held = self._held(self._number)
+            self.held = self._number * slots + held
+            if held < slots:
+                return self.held
+            self._number += 1
+
+    def _held(self, number: int) -> int:
+        """Return the number of complete chunks of a shard."""
+        log = self._logs.get(number) or self._log(number)
+        try:
+            log.update()
+        except FileNotFoundError:  # sealed, or not begun
+            self._logs.pop(number, None)
+            if not self.layout.shard(number).exists():
+                return 0
+            return self.layout.index(number).chunks
+        self._logs[number] = log
+        return len(log.records)
+
+    def _log(self, number: int) -> GrowingLog:
+        slots = self.layout.chunks_per_shard
+        path = self.layout.partial(number)
+        return GrowingLog(path, first_index=number * slots, limit=slots, sums=self._sums)
+
+    def _shard_index(self, shard: int) -> ShardIndex:
+        log = self._logs.get(shard)
+        if log is None:
+            return super()._shard_index(shard)
+        if shard not in self._growing:
+            self._growing[shard] = self._index_of(log)
+        return self._growing[shard]
+
+    def _index_of(self, log: GrowingLog) -> ShardIndex:
+        ranges = [(record.offset, record.nbytes) for record in log.records]
+        ranges += [(MISSING, MISSING)] * (self.layout.chunks_per_shard - len(ranges))
+        crcs = [record.crc for record in log.records]
+        return ShardIndex(ranges, crcs)
+
+    def _path(self, shard: int) -> Path:
+        # The chunks of a growing shard stay in their places when it is sealed.
+        partial = self.layout.partial(shard)
+        return partial if partial.exists() else self.layout.shard(shard)
+
+    def _read(self, shard: int, numbers: list[int]) -> Iterator[Any]:
+        for number in numbers:
+            try:
+                yield next(super()._read(shard, [number]))
+            except (SessionError, FileNotFoundError):
+                yield self._moved(shard, number)
+
+    def _moved(self, shard: int, number: int) -> Any:
+        """Read a chunk of a shard that its writer has replaced since its index was read.
+
+        A resumed stream takes its last, short chunk out of the growing shard until the chunk is
+        full. The sealed shard has it until the growing one takes its place.
+        """
+        layout, fault = self.layout, SessionError(f"{self._where(number)} is missing")
+        for path in 2 * (layout.partial(shard), layout.shard(shard)):  # one may become the other
+            try:
+                if path == layout.shard(shard):
+                    index = layout.index(shard)
+                else:
+                    log = self._log(shard)
+                    log.update()
+                    index = self._index_of(log)
+                offset, nbytes = self._range(index, number)
+                with path.open("rb") as file:
+                    data = np.frombuffer(os.pread(file.fileno(), nbytes, offset), np.uint8)
+                return self._verified(index, data, nbytes, number)
+            except FileNotFoundError:
+                continue
+            except SessionError as error:
+                fault = error if path.exists() else fault
+        raise fault

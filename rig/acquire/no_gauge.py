@@ -21,7 +21,7 @@ from PIL import Image
 
 from recorder import OUTCOMES, Session
 from rig.acquire.calibration import onset, store
-from rig.acquire.calibration.home import home_calibration
+from rig.acquire.calibration.home import home_calibration, truth_lines
 from rig.acquire.calibration.onset import TouchedSurface
 from rig.acquire.calibration.store import (
     Calibration,
@@ -167,8 +167,8 @@ def check_home(bench: Bench, calibration: Calibration, hint: str) -> None:
         )
 
 
-def lines_of(found: TouchedSurface, home: HomeCalibration) -> list[str]:
-    """Return the result as lines."""
+def lines_of(found: TouchedSurface, home: HomeCalibration, bench: Bench) -> list[str]:
+    """Return the result as lines; on a mock bench with the World's truth."""
     low, high = (1e3 * value for value in home.interval)
     lines = [
         f"home: surface {1e3 * home.shift:+.3f} mm along z of the bench file's contact frame "
@@ -182,7 +182,7 @@ def lines_of(found: TouchedSurface, home: HomeCalibration) -> list[str]:
             + ", ".join(f"{point}: {1e3 * z:+.3f}" for point, z in found.heights.items())
             + " mm"
         )
-    return lines
+    return [*lines, *truth_lines(bench, home.shift)]
 
 
 class Record(Protocol):
@@ -276,7 +276,7 @@ def find_surface(file: BenchFile, record: Record) -> HomeCalibration:
     )
     surface = onset.touched_by_signal(session, touches)
     home = home_calibration(onset.SIGNAL_METHOD, surface, file, raised=rough)
-    print("\n".join(lines_of(surface, home)), flush=True)
+    print("\n".join(lines_of(surface, home, bench)), flush=True)
     check_surface(surface, home.shift)
     return home
 

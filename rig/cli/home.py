@@ -76,7 +76,7 @@ def find_by_force(
 
     def stored(session: Session) -> Path:
         approaches = home.evaluate(session, plan)
-        print("\n".join(home.lines_of(approaches)))
+        print("\n".join(home.lines_of(approaches, bench)))
         surface = home.home_calibration(home.METHOD, approaches, recording.file)
         return store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
 

@@ -265,6 +265,7 @@ world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
     low, high = stored["interval_mm"]
     assert low <= -0.3 <= high
     assert high - low < 0.05
+    assert "difference" in ran.stdout
 
     ran = _rig("collect", *kept, "--targets", "1", "--out", str(tmp_path / "s.zarr"))
     assert ran.returncode == 0, ran.stdout + ran.stderr

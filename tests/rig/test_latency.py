@@ -15,7 +15,6 @@ from support.collecting import ROOT
 from recorder import Session
 from rig.acquire.calibration import latency
 from rig.acquire.calibration.latency import Lag, find_lag
-from rig.acquire.calibration.store import tip_heights
 from rig.bench.bench import BenchFile
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
@@ -194,7 +193,7 @@ world: {{markers: {{delay_ms: {delay_ms}}}}}
     session = Session(session_path)
     camera = session.streams["camera"]
     assert frame_stamp(camera.jpeg(0) or b"") is not None
-    truth = true_lag(session)
+    truth = latency.true_lag(session)
     assert truth is not None
     # Drawing and sending take a few milliseconds more than the requested delay.
     assert 0 <= truth - 1e-3 * delay_ms < 0.05
@@ -204,20 +203,3 @@ world: {{markers: {{delay_ms: {delay_ms}}}}}
     assert found.lag == pytest.approx(truth, abs=1e-3)
     stored = yaml.safe_load((tmp_path / "tacpalm.yaml").read_text())["latency"]
     assert stored["latency_ms"] == pytest.approx(1e3 * found.latency, abs=1e-6)
-
-
-def true_lag(session: Session) -> float | None:
-    """Return the mean time from the state shown in an emulated camera's images to arrival [s].
-
-    Only images that show contact count; they take the emulator longer to draw.
-    """
-    camera, (moved_ns, height) = session.streams["camera"], tip_heights(session)
-    late = []
-    for row, t_ns in enumerate(camera.t_ns):
-        stamp = frame_stamp(camera.jpeg(row) or b"")
-        if stamp is None:
-            continue
-        at = int(np.searchsorted(moved_ns, stamp[1]))
-        if at < len(height) and height[at] < 0:
-            late.append((int(t_ns) - stamp[1]) * 1e-9)
-    return float(np.mean(late)) if late else None

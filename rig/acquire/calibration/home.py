@@ -26,6 +26,7 @@ from rig.acquire.calibration.store import (
 )
 from rig.bench.bench import Bench, BenchFile
 from rig.core.errors import ConfigError, SafetyStop
+from rig.core.geometry import invert, transform
 from trajectories import Touch
 
 METHOD = "onset of force, k d^p (1 + c d), profile likelihood"
@@ -131,8 +132,8 @@ def home_calibration(
     )
 
 
-def lines_of(found: TouchedSurface) -> list[str]:
-    """Return the result as lines."""
+def lines_of(found: TouchedSurface, bench: Bench) -> list[str]:
+    """Return the result as lines; on a mock bench with the World's truth."""
     surface = found.surface
     low, high = (1e3 * value for value in surface.interval)
     lines = [
@@ -151,7 +152,19 @@ def lines_of(found: TouchedSurface) -> list[str]:
             f"home: the surface tilts by {across:+.2f} deg along x, {along:+.2f} deg along y "
             "(reported; correct contact_frame's rotation_deg if it matters)"
         )
-    return lines
+    return [*lines, *truth_lines(bench, surface.z)]
+
+
+def truth_lines(bench: Bench, height: float) -> list[str]:
+    """Return the comparison of a surface's height [m] with the true one; empty on a lab bench."""
+    if not bench.mock:
+        return []
+    origin = np.array((bench.world_frame or bench.contact_frame)[:3])
+    truth = float(transform(invert(bench.contact_frame), origin)[2])
+    return [
+        f"home: the mock bench's true surface is at {1e3 * truth:+.3f} mm: "
+        f"difference {1e3 * (height - truth):+.3f} mm"
+    ]
 
 
 def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequence[int]) -> Touch:

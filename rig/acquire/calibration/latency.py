@@ -14,6 +14,7 @@ from rig.acquire.calibration.onset import student_t
 from rig.acquire.calibration.store import require_gauge, stream_of, tip_heights
 from rig.bench.bench import Bench
 from rig.core.errors import ConfigError, SafetyStop
+from rig.devices.camera.jpeg import frame_stamp
 from trajectories import Taps
 
 # Lag of a second signal (image, indentation) behind the force in the same taps.
@@ -339,8 +340,25 @@ def _blocks(images: NDArray[np.uint8]) -> Floats:
     return np.asarray(cut.mean(axis=(2, 4), dtype=np.float32), np.float64).reshape(count, -1)
 
 
+def true_lag(session: Session, stream: str = "camera") -> float | None:
+    """Return the mean time from the state shown in an emulated camera's images to arrival [s].
+
+    Only images that show contact count; they take the emulator longer to draw.
+    """
+    camera, (moved_ns, height) = session.streams[stream], tip_heights(session)
+    late = []
+    for row, t_ns in enumerate(camera.t_ns):
+        stamp = frame_stamp(camera.jpeg(row) or b"")
+        if stamp is None:
+            continue
+        at = int(np.searchsorted(moved_ns, stamp[1]))
+        if at < len(height) and height[at] < 0:
+            late.append((int(t_ns) - stamp[1]) * 1e-9)
+    return float(np.mean(late)) if late else None
+
+
 def lines_of(found: Latency, session: Session) -> list[str]:
-    """Return the result as lines."""
+    """Return the result as lines; on a mock bench with the emulator's timestamps."""
     low, high = (1e3 * (found.lag + sign * found.half) for sign in (-1, 1))
     lines = [
         f"{found.stream} lags the indentation by {1e3 * found.lag:.2f} ms (95 % {low:.2f} to "
@@ -352,6 +370,14 @@ def lines_of(found: Latency, session: Session) -> list[str]:
         f"latency {1e3 * found.latency:.2f} ms from the end of a {1e3 * found.exposure:.1f} ms "
         "exposure: subtracted by the alignment",
     ]
+    kind = session.streams[found.stream].traits.kind
+    drawn = kind == "camera" and session.attrs["mock"]
+    truth = true_lag(session, found.stream) if drawn else None
+    if truth is not None:
+        lines.append(
+            f"by the emulator's timestamps it is {1e3 * truth:.2f} ms: "
+            f"difference {1e3 * (found.lag - truth):+.2f} ms"
+        )
     if session.streams[found.stream].traits.clock == "monotonic":
         lines.append("its driver timestamps captures itself: alignment uses those, not this")
     return lines
