@@ -1,5 +1,7 @@
 """Settings of a mock bench's World: sensor, indenter, and the signals of the sensor.
 
+`Sources` are recordings that its emulators play in place of the World.
+
 The closed-form contact of the analytic World is here too, because its settings are checked against
 the range of its formulas: Hayes' table for a flat circular punch, Dimitriadis' series for a sphere,
 and for shear a rigid disc on a layer over rock. Nothing here has a state or depends on time.
@@ -9,9 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from pathlib import Path
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+
+from rig.core.errors import ConfigError
 
 # Stiffening of a bonded layer under a flat punch, rows a/h, columns Poisson's ratio (Hayes et al.
 # 1972, recomputed from the integral equation; a/h = 0 is the half-space).
@@ -304,3 +309,30 @@ class SimulatedSpec:
     def camera_delay(self) -> float:
         """Latency of the emulated camera [s]."""
         return self.delay
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Recordings to play; None: the World's data instead."""
+
+    camera: Path | None = None
+    """A folder of images or a video file."""
+    camera_motion: str = "moving"
+    """`moving`: one source frame per camera frame; `still`: each image held for seconds."""
+    taxels: Path | None = None
+    """A .npy file of raw counts (T, 48)."""
+
+    def __post_init__(self) -> None:
+        """Reject a missing path before anything is started."""
+        for name, path in (("--camera", self.camera), ("--taxels", self.taxels)):
+            if path is not None and not path.exists():
+                raise ConfigError(f"{name}: {path}: no such file or folder")
+
+    def description(self) -> dict[str, Any]:
+        """Return the entries for the session's metadata: file names without local paths."""
+        description: dict[str, Any] = {}
+        if self.camera is not None:
+            description["camera"] = {"name": self.camera.name, "motion": self.camera_motion}
+        if self.taxels is not None:
+            description["taxels"] = {"name": self.taxels.name}
+        return description

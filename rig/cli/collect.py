@@ -14,6 +14,7 @@ from rig.acquire.calibration.store import Calibration
 from rig.acquire.request import CollectRequest, StageStopped
 from rig.bench import guards
 from rig.bench.bench import Bench
+from rig.bench.worlds import Sources
 from rig.cli.options import (
     add_page,
     check_page,
@@ -25,7 +26,6 @@ from rig.cli.options import (
 )
 from rig.cli.recording import Recording, record, recording_of, stage, started_bench
 from rig.core.errors import ConfigError
-from rig.core.sources import Sources
 from rig.monitor.access import AccessPolicy
 
 

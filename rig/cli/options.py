@@ -28,10 +28,9 @@ from rig.bench.bench import (
 )
 from rig.bench.guards import without_gauge
 from rig.bench.indenter import find_indenter
-from rig.bench.worlds import SimulatedSpec
+from rig.bench.worlds import SimulatedSpec, Sources
 from rig.core.config import from_si
 from rig.core.errors import ConfigError
-from rig.core.sources import Sources
 from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
 from trajectories import Plan
 

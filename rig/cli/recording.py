@@ -18,6 +18,7 @@ from rig.acquire.calibration.store import Calibration
 from rig.acquire.collector import Collector
 from rig.acquire.request import CollectRequest, StageStopped
 from rig.bench.bench import Bench, BenchFile
+from rig.bench.worlds import Sources
 from rig.cli.options import (
     banner,
     bench_choice,
@@ -31,7 +32,6 @@ from rig.cli.options import (
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
-from rig.core.sources import Sources
 from rig.monitor.access import AccessPolicy
 from trajectories import Plan, Target
 

@@ -19,8 +19,7 @@ from rig.devices.camera.settings import CameraConfig
 from rig.devices.force.netft_emulator import force_page
 from rig.devices.force.settings import NetFtConfig
 from rig.devices.taxels.settings import XelaConfig
-from rig.mock.bench import free_loopback
-from rig.mock.processes import ProcessGroup
+from rig.mock.bench import ProcessGroup, free_loopback
 from trajectories import ForceDepth
 
 # Emulator that plays a stream, by kind, in the order in which their drivers are opened.

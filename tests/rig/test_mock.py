@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from rig.bench.bench import BenchFile, find_bench
+from rig.bench.worlds import Sources
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
-from rig.core.sources import Sources
 from rig.mock.bench import MockBench, free_loopback
 
 
