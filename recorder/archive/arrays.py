@@ -71,6 +71,8 @@ class ArchiveArray(ArrayLayout):
 
     # All shards are in one directory: one name to make durable, not a path.
     separator = "."
+    # No manifest has a checksum of an archive's metadata.
+    compared = (*ArrayLayout.compared, "zarr_format", "fill_value", "storage_transformers")
 
     @property
     def shards(self) -> int:

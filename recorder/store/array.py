@@ -112,6 +112,13 @@ class ArrayLayout:
     """Separator in the names of shards."""
     sharded: ClassVar[bool] = True
     """False if each chunk is a file of its own."""
+    compared: ClassVar[tuple[str, ...]] = (
+        "node_type",
+        "chunk_grid",
+        "chunk_key_encoding",
+        "codecs",
+    )
+    """Keys of the metadata that must be as this class writes them."""
     lists_crcs: ClassVar[bool] = False
     """True if a shard lists the checksums of its chunks before its index."""
 
@@ -203,8 +210,7 @@ class ArrayLayout:
         try:
             layout = cls._described(path, files, document)
             expected = layout.document()
-            keys = ("node_type", "chunk_grid", "chunk_key_encoding", "codecs")
-            found = {key: document[key] for key in keys}
+            found = {key: document[key] for key in cls.compared}
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise SessionError(f"{where}: not an array of this format: {error!r}") from error
         for key, value in found.items():

@@ -281,6 +281,16 @@ def test_a_changed_byte_is_an_error(copy: Path, place: int) -> None:
         MarkerArchive(copy)["Array1"].packed([0, 1])
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("fill_value", 7), ("zarr_format", 2), ("storage_transformers", ["x"])]
+)
+def test_changed_metadata_of_an_array_is_refused(copy: Path, key: str, value: object) -> None:
+    path = copy / "Array1/markers/zarr.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    with pytest.raises(SessionError, match=f"markers.*found {key}"):
+        MarkerArchive(copy)["Array1"].packed([0])
+
+
 def test_a_file_cut_short_is_an_error(copy: Path) -> None:
     shard = copy / "Array1/markers/c.0.0"
     shard.write_bytes(shard.read_bytes()[:-200])
