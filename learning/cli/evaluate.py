@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "model of `transfer`, are compared with labels, on indenters that it did not learn from."
     )
     parser.add_argument(
-        "given",
+        "inputs",
         nargs="+",
         metavar="PATH",
         help="folder of .npz results, X.markers.zarr or X.markers.zarr:SENSOR, a force model",
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @dataclass(slots=True)
-class Given:
+class Inputs:
     """Paths of a call, by their contents."""
 
     results: Path | None = None
@@ -84,35 +84,35 @@ class Given:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    given = _sorted(options.given)
-    if given.model is not None:
-        return _of_model(given, options)
-    if given.translated or given.results is not None:
-        return _of_results(given, options)
-    return _left_out(_only(given.sensors), options)
+    inputs = _sorted(options.inputs)
+    if inputs.model is not None:
+        return _of_model(inputs, options)
+    if inputs.translated or inputs.results is not None:
+        return _of_results(inputs, options)
+    return _left_out(_only(inputs.sensors), options)
 
 
-def _sorted(texts: Sequence[str]) -> Given:
+def _sorted(texts: Sequence[str]) -> Inputs:
     from learning.plugins import plugin_names
     from learning.training.checkpoint import CONFIG
 
-    given = Given()
+    inputs = Inputs()
     for text in texts:
         if _ARCHIVE.search(text):
             sensors = [*chosen_sensors(text)]
             if all("-to-" in each.sensor for each in sensors):
-                given.translated.append(sensors[0].archive)
+                inputs.translated.append(sensors[0].archive)
             else:
-                given.sensors += sensors
+                inputs.sensors += sensors
         elif (Path(text) / CONFIG).is_file() or text in plugin_names():
-            given.model = text
+            inputs.model = text
         elif Path(text).is_dir():
-            given.results = Path(text)
+            inputs.results = Path(text)
         else:
             raise LearningError(
                 f"{text}: found no folder; allowed: results of `predict`, X.markers.zarr, a model"
             )
-    return given
+    return inputs
 
 
 def _only(sensors: Sequence[Chosen]) -> Chosen:
@@ -122,13 +122,13 @@ def _only(sensors: Sequence[Chosen]) -> Chosen:
     return sensors[0]
 
 
-def _of_model(given: Given, options: argparse.Namespace) -> int:
+def _of_model(inputs: Inputs, options: argparse.Namespace) -> int:
     """Compare the forces of a model with labels."""
     from learning.cli.predict import predicted
     from learning.force.intervals import read_intervals
     from learning.transfer.score import new_frames, score_of
 
-    model, sensor = str(given.model), _only(given.sensors)
+    model, sensor = str(inputs.model), _only(inputs.sensors)
     if read_intervals(Path(model)) is not None:
         lines = [*score_of(new_frames(Path(model), sensor)).lines()]
     else:
@@ -139,28 +139,28 @@ def _of_model(given: Given, options: argparse.Namespace) -> int:
     return 0
 
 
-def _of_results(given: Given, options: argparse.Namespace) -> int:
+def _of_results(inputs: Inputs, options: argparse.Namespace) -> int:
     """Write the report of predictions, and of translated frames, which are scored first."""
     from learning.evaluation.report import read_folder
 
-    folder = given.results or options.out
-    if given.translated:
-        _score_translated(given, folder, options)
+    folder = inputs.results or options.out
+    if inputs.translated:
+        _score_translated(inputs, folder, options)
     _report(*read_folder(folder), options.out, "What was gained")
     return 0
 
 
-def _score_translated(given: Given, folder: Path, options: argparse.Namespace) -> None:
+def _score_translated(inputs: Inputs, folder: Path, options: argparse.Namespace) -> None:
     from learning.data.splits import training_split
     from learning.evaluation.distribution import load_extractor
     from learning.evaluation.translation import score_translation
 
-    if not given.sensors:
+    if not inputs.sensors:
         raise LearningError("ARCHIVE: found none of real frames; allowed: the one translated from")
-    archive = given.sensors[0].archive
+    archive = inputs.sensors[0].archive
     split = training_split(archive, options.split)
     extractor = load_extractor(options.features, options.device)
-    for made in given.translated:
+    for made in inputs.translated:
         for name, sensor in made.items():
             print(f"scoring {name} of {made.name}", file=sys.stderr)
             with ItemProgress("frames", sys.stderr) as progress:

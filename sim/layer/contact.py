@@ -42,7 +42,7 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Descent:
     """Result of a descent."""
 
     x: Array
@@ -54,7 +54,7 @@ class Found:
 
 def descend(
     problem: Problem, x: Array, slope: Array, *, tolerance: float, iterations: int
-) -> Found:
+) -> Descent:
     """Minimise from `x` (within the bounds, with its slope) to a residual of `tolerance`.
 
     Ends earlier after `iterations`. Step lengths are Barzilai and Borwein's (IMA J. Numer. Anal. 8
@@ -76,7 +76,7 @@ def descend(
         slope = slope + fraction * answer
         step = float(np.vdot(move, move)) / curvature if done % 2 else curvature / size
         residual = problem.residual(x, slope)
-    return Found(x, slope, residual, done)
+    return Descent(x, slope, residual, done)
 
 
 # Most iterations of one descent; 10 are usual, 30 without a guess.

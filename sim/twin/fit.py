@@ -18,7 +18,7 @@ from sim.result import ContactTier
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import Posterior, interval_of, is_log
 from sim.sensors.quantities import POISSON, quantities, with_quantities
-from sim.twin.model import STEPS, Linear, Model, Solved
+from sim.twin.model import STEPS, Linear, Model, TrackForces
 from sim.twin.observations import SETTLING, Track
 
 Array = NDArray[np.float64]
@@ -559,7 +559,7 @@ def _errors(
     return float(np.clip(np.nan_to_num(timing), *TIMING)), max(LAW, float(np.nan_to_num(law)))
 
 
-def _latency(tracks: Sequence[Track], solved: Sequence[Solved]) -> float:
+def _latency(tracks: Sequence[Track], solved: Sequence[TrackForces]) -> float:
     """Return the delay that moves the twin's forces nearest to those of the moving points [s]."""
     product = square = 0.0
     for track, each in zip(tracks, solved, strict=True):

@@ -54,7 +54,7 @@ STEP_TIME = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solved:
+class TrackForces:
     """Solution along one track, in the contact frame."""
 
     force: Array
@@ -110,14 +110,14 @@ class Candidate:
             before = time
             yield press
 
-    def solved(self) -> Solved:
+    def solved(self) -> TrackForces:
         """Return the solution along the track."""
         count = len(self.track.time)
         force, elastic = np.zeros((count, 3)), np.zeros((count, 3))
         for row, press in enumerate(self.pressed()):
             if press.touching:
                 force[row], elastic[row] = press.force, press.relaxed_force
-        return Solved(force, elastic, _rates(self.track.time, force))
+        return TrackForces(force, elastic, _rates(self.track.time, force))
 
     def by_fem(self, finer: float, device: str) -> Array:
         """Return the force at each point of the track by tier `fem` (n, 3) [N]."""
@@ -215,7 +215,7 @@ class Model:
         self._tracks = tracks
         self._grid = grid
         self._workers = workers
-        self._solved: dict[Key, list[Solved]] = {}
+        self._solved: dict[Key, list[TrackForces]] = {}
         self._corrections: list[Correction] = []
 
     def readings(self, values: Mapping[str, float]) -> list[Array]:
@@ -322,7 +322,7 @@ class Model:
         pairs = zip(self._tracks, readings, strict=True)
         return sum(float(np.square(track.force - read)[track.rest].sum()) for track, read in pairs)
 
-    def solve(self, values: Mapping[str, float]) -> list[Solved]:
+    def solve(self, values: Mapping[str, float]) -> list[TrackForces]:
         """Return the solution of every track."""
         self.prepare([values])
         found = self._solved[_key(values)]
@@ -375,13 +375,13 @@ class Model:
         moved = values[name] * (1 + step) if is_log(name) else values[name] + step
         return {**values, name: moved}
 
-    def _read(self, solved: Solved, values: Mapping[str, float]) -> Array:
+    def _read(self, solved: TrackForces, values: Mapping[str, float]) -> Array:
         turn = np.array([values.get(f"turn_{axis}", 0.0) for axis in "xyz"])
         found: Array = solved.force + np.cross(turn, solved.force)
         return found
 
     def _cheap(
-        self, name: str, solved: Solved, read: Array, values: Mapping[str, float], track: Track
+        self, name: str, solved: TrackForces, read: Array, values: Mapping[str, float], track: Track
     ) -> Array:
         if name == "modulus":
             return read

@@ -22,9 +22,9 @@ from learning.translation.field.data import Frames, gather_role
 from learning.translation.field.train import (
     PRESETS,
     FieldSettings,
-    found_in_sources,
     map_scores,
     net_scores,
+    source_deformations,
     train_field,
 )
 from learning.translation.field.translator import FieldTranslator
@@ -195,5 +195,5 @@ def test_patterns_and_indenters_never_seen_are_better_than_without_a_warp(tmp_pa
     scores = net_scores(model, unseen, 32, 0)
     assert scores["dice"] > scores["dice_still"] + 0.03
     assert scores["shift_error_px"] < 2.0
-    mapped = map_scores(model, unseen, found_in_sources(model, unseen), 32, 0)
+    mapped = map_scores(model, unseen, source_deformations(model, unseen), 32, 0)
     assert mapped["dice"] > mapped["dice_still"] + 0.03

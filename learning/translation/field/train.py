@@ -211,7 +211,7 @@ _EARLIER_LOOK = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class SourceDeformations:
     """Deformations of the source frames of pairs; a frame is the source of many pairs."""
 
     deformation: Tensor
@@ -243,7 +243,7 @@ def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> T
 def map_loss(
     mapping: nn.Module,
     frames: Frames,
-    found: Found,
+    found: SourceDeformations,
     pairs: Tensor,
     patterns: Tensor,
     weights: LossWeights,
@@ -305,7 +305,7 @@ def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[
 
 @torch.no_grad()
 def map_scores(
-    model: FieldModel, frames: Frames, found: Found, most: int, seed: int
+    model: FieldModel, frames: Frames, found: SourceDeformations, most: int, seed: int
 ) -> dict[str, float]:
     """Score the map on at most `most` location pairs, chosen by the seed.
 
@@ -328,14 +328,14 @@ def map_scores(
 
 
 @torch.no_grad()
-def found_in_sources(model: FieldModel, frames: Frames) -> Found:
+def source_deformations(model: FieldModel, frames: Frames) -> SourceDeformations:
     """Return the field net's deformation of each pair's source."""
     every = torch.unique(frames.pairs[:, 0], return_inverse=True)
     sources, place = every[0], every[1]
     parts = [
         model.net(frames.seen(rows), frames.distance(rows))[-1].half() for rows in _parts(sources)
     ]
-    return Found(torch.cat(parts), place)
+    return SourceDeformations(torch.cat(parts), place)
 
 
 def _chosen(count: int, most: int, seed: int, device: torch.device) -> Tensor:
@@ -413,9 +413,9 @@ def train_field(
         if name == "map":
             # From here the field net is frozen, so it is applied to every source once.
             model.eval()
-            found = found_in_sources(model, frames)
+            found = source_deformations(model, frames)
             if held is not None and len(held.pairs):
-                found_held = found_in_sources(model, held)
+                held_deformations = source_deformations(model, held)
             else:
                 held = None
 
@@ -461,7 +461,7 @@ def train_field(
                 if name == "field":
                     scores = net_scores(model, held, most, seed)
                 else:
-                    scores = map_scores(model, held, found_held, most, seed)
+                    scores = map_scores(model, held, held_deformations, most, seed)
                 run.log(done, {f"{name}/validation_{key}": each for key, each in scores.items()})
             if measured or stop:
                 score = 1 - scores["dice"] if scores and last == steps else None
