@@ -72,7 +72,10 @@ class ArchiveArray(ArrayLayout):
     # All shards are in one directory: one name to make durable, not a path.
     separator = "."
     # No manifest has a checksum of an archive's metadata.
-    compared = (*ArrayLayout.compared, "zarr_format", "fill_value", "storage_transformers")
+    compared = (
+        *ArrayLayout.compared,
+        *("zarr_format", "fill_value", "storage_transformers", "attributes"),
+    )
 
     @property
     def shards(self) -> int:

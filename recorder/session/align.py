@@ -317,9 +317,7 @@ def source(stream: Columns, rows: slice, losses: Losses) -> Source:
         numbers,
         values,
         column is not None and column.is_pose,
-        _number(
-            stream, "max_age", _MAX_AGE_PERIODS / stream.rate_hz if max_age is None else max_age
-        ),
+        _number(stream, "max_age", max_age),
         _number(stream, "exposure", EXPOSURE),
         lost,
     )

@@ -309,9 +309,13 @@ def check_shape(shape: object, data_type: str, where: str) -> None:
 
 
 def _without_level(value: Any) -> Any:
-    """Return codecs without their levels, which matter to writers only."""
+    """Return codecs without their levels, whole numbers that matter to writers only."""
     if isinstance(value, list):
         return [_without_level(each) for each in value]
     if isinstance(value, dict):
-        return {key: _without_level(each) for key, each in value.items() if key != "level"}
+        return {
+            key: _without_level(each)
+            for key, each in value.items()
+            if key != "level" or type(each) is not int
+        }
     return value

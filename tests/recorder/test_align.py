@@ -1,5 +1,6 @@
 """Alignment against its definition, written out one query at a time."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from recorder.session.align import (
+    captured,
     held,
     linear,
     mean,
@@ -16,7 +18,10 @@ from recorder.session.align import (
     pose,
     quaternion,
     rotation_vector,
+    source,
 )
+from recorder.session.loss import Losses
+from recorder.spec import Traits
 
 LATE = 5_000_000_000_000_000  # [ns]; float64 resolves only 1 ns here, in seconds * 1e9
 instants = st.integers(0, 40)
@@ -201,3 +206,70 @@ def test_positions_move_on_straight_lines() -> None:
     result = pose(np.array([0, 1000]), poses, np.array([250]))
     np.testing.assert_allclose(result.value[0, :3], [0.25, 0.5, 1.0])
     assert abs(result.value[0, 5]) > 3
+
+
+# ------------------------------------------------------------------------------------ captures
+
+
+def stream_of(
+    kind: str, clock: str, stamp: str = "end", rate_hz: float = 50.0, **attrs: Any
+) -> Any:
+    """A stream of three rows, which arrive 20 ms apart, 7 ms after the device's own times."""
+    arrived = LATE + np.array([0, 20_000_000, 40_000_000])
+    columns = {
+        "device_t": np.array([arrived[0] * 1e-9 - 0.007, np.nan, arrived[2] * 1e-9 - 0.007]),
+        "value": np.array([[1.0], [2.0], [3.0]]),
+    }
+    return SimpleNamespace(
+        name=kind,
+        traits=Traits(kind, "latest", ("signal",), clock, stamp),
+        t_ns=arrived,
+        names=tuple(columns),
+        array=columns.__getitem__,
+        value_column=SimpleNamespace(is_number=True, is_pose=False),
+        rate_hz=rate_hz,
+        attrs=attrs,
+    )
+
+
+def test_a_capture_is_the_arrival_less_the_latency_of_a_clock_of_its_own() -> None:
+    for clock in ("device", "none"):
+        stream = stream_of("camera", clock, latency=0.003, exposure=0.01)
+        np.testing.assert_array_equal(captured(stream), stream.t_ns - 3_000_000)
+    stream = stream_of("camera", "none")
+    np.testing.assert_array_equal(captured(stream), stream.t_ns)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "attrs", "after_ns"),
+    [
+        ("start", {"exposure": 0.01}, 10_000_000),
+        ("middle", {"exposure": 0.01}, 5_000_000),
+        ("end", {"exposure": 0.01}, 0),
+        ("start", {"exposure": None}, 16_666_667),
+        ("start", {}, 16_666_667),
+    ],
+)
+def test_a_capture_by_the_hosts_clock_is_the_end_of_the_exposure(
+    stamp: str, attrs: dict[str, Any], after_ns: int
+) -> None:
+    stream = stream_of("camera", "monotonic", stamp, latency=0.003, **attrs)
+    due = stream.t_ns - 7_000_000 + after_ns
+    due[1] = stream.t_ns[1] - 3_000_000  # its own time is unknown
+    np.testing.assert_allclose(captured(stream), due, rtol=0, atol=2)
+
+
+def test_a_source_is_in_the_order_of_its_captures_and_holds_a_value_for_two_periods() -> None:
+    stream = stream_of("values", "none", rate_hz=4.0, exposure=0.01)
+    stream.t_ns = stream.t_ns[[1, 0, 2]]
+    rows = source(stream, slice(0, 3), Losses.none("sequence"))
+    np.testing.assert_array_equal(rows.times, np.sort(stream.t_ns))
+    assert rows.rows.tolist() == [1, 0, 2]
+    assert rows.values is not None
+    assert rows.values.ravel().tolist() == [2.0, 1.0, 3.0]
+    assert rows.max_age == pytest.approx(0.5)
+    assert rows.exposure == pytest.approx(0.01)
+    assert not rows.is_pose
+    assert source(stream, slice(1, 3), Losses.none("sequence")).rows.tolist() == [1, 2]
+    limited = stream_of("values", "none", rate_hz=4.0, max_age=0.25)
+    assert source(limited, slice(0, 3), Losses.none("sequence")).max_age == 0.25

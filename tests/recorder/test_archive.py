@@ -282,7 +282,8 @@ def test_a_changed_byte_is_an_error(copy: Path, place: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("fill_value", 7), ("zarr_format", 2), ("storage_transformers", ["x"])]
+    ("key", "value"),
+    [("fill_value", 7), ("zarr_format", 2), ("storage_transformers", ["x"]), ("attributes", {})],
 )
 def test_changed_metadata_of_an_array_is_refused(copy: Path, key: str, value: object) -> None:
     path = copy / "Array1/markers/zarr.json"
