@@ -288,6 +288,25 @@ def test_combined_loads_count_only_when_asked():
 
 
 @pytest.mark.parametrize(
+    ("fractions", "name"),
+    [
+        ((0.24, 0.32, 0, 0, 0, 0.2), "Fxy and Tz together"),  # hypot 0.4, and 0.2
+        ((0, 0, 0.2, 0.32, 0.24, 0), "Fz and Txy together"),
+    ],
+)
+def test_combined_loads_are_sums_of_fractions_over_their_limit(fractions, name):
+    value = [fraction * most for fraction, most in zip(fractions, RATING, strict=True)]
+    stop = GuardLimits(force_rating=RATING, box=BOX, combined_fraction=0.59)
+    violation = check(Guard(stop, FRAME), FakeClock(), value)
+    assert violation.kind == "force_hard"
+    assert f"{name}: 60% of their ratings" in violation.reason
+    end = GuardLimits(force_rating=RATING, box=BOX, combined_fraction=0.69)
+    assert check(Guard(end, FRAME), FakeClock(), value).kind == "force_soft"
+    allow = GuardLimits(force_rating=RATING, box=BOX, combined_fraction=0.72)
+    assert check(Guard(allow, FRAME), FakeClock(), value) is None
+
+
+@pytest.mark.parametrize(
     ("change", "named"),
     [
         ({"force_rating": (1.0,) * 5}, "force_rating"),
