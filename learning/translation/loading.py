@@ -41,6 +41,11 @@ def load_translator(name_or_folder: str | Path, device: torch.device | str = "cp
     if name in plugin_names():
         return _foreign(name, None, device)
     folder = Path(name_or_folder)
+    if not folder.exists():
+        raise LearningError(
+            f"--model: found {name!r}; allowed: {', '.join((FLOW, *plugin_names()))}, or the "
+            "folder of a training run"
+        )
     kind = read_config(folder).kind
     if kind in TRAINED:
         translator: Translator = import_module(TRAINED[kind]).load(folder, device)

@@ -250,7 +250,7 @@ def test_the_command_translates_and_draws(tmp_path, capsys):
         (["--source", "dots", "--target", "grid", "--all"], "--all: found"),
         (["--source", "lost", "--target", "grid"], "found no sensor 'lost'; known: dots, grid"),
         (["--all", "--role", "train"], "--split, --role: found one"),
-        (["--all", "--model", "nowhere"], "nowhere: found no config.yaml"),
+        (["--all", "--model", "nowhere"], "--model: found 'nowhere'; allowed: flow"),
     ],
 )
 def test_wrong_options_are_refused_and_nothing_is_written(archive, tmp_path, given, message):
