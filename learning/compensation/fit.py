@@ -373,8 +373,8 @@ def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:
     )
     for prior in found.priors.values():
         yield (
-            f"{prior.sensor:<14}{1e3 * prior.depth_range:>6.2f} mm  {_said(prior, prior.loading)}"
-            f"  {_said(prior, prior.unloading)}  {prior.source}"
+            f"{prior.sensor:<14}{1e3 * prior.depth_range:>6.2f} mm  {_said(prior.loading)}"
+            f"  {_said(prior.unloading)}  {prior.source}"
         )
     if gathered.without:
         yield f"without a force-depth curve: {', '.join(gathered.without)}"
@@ -427,7 +427,7 @@ def _labels_by_twins(
             yield f"R2 of labels, {pair.source} > {pair.target}: {listed}  simulated {r2:.2f}"
 
 
-def _said(prior: Prior, branch: Branch) -> str:
+def _said(branch: Branch) -> str:
     half, whole = branch.compression(np.array([0.5, 1.0]))
     rms = "-" if branch.residual is None else f"{branch.residual:.3f}"
     return f"{half:>11.2f} {whole:>8.2f}{rms:>8}"

@@ -60,6 +60,7 @@ class ArchivedSensor:
     def __init__(self, path: Path, files: Files = LOCAL) -> None:
         """Open a sensor; use `MarkerArchive` instead."""
         self.name, self.path, self.files = path.name, path, files
+        self._read_whole = partial(read_whole, path.parent, files)
         self.attrs: dict[str, Any] = read_document(files, path / "zarr.json").get("attributes", {})
         if not isinstance(self.attrs.get("mm_per_px"), int | float):
             found = self.attrs.get("mm_per_px")
@@ -81,7 +82,7 @@ class ArchivedSensor:
         self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
             path / "table",
             tuple(COLUMNS),
-            partial(read_whole, path.parent, files, f"{self.name}/table"),
+            partial(self._read_whole, f"{self.name}/table"),
         )
         """Columns (n, ...) by name, read on first access."""
 
@@ -199,7 +200,7 @@ class ArchivedSensor:
         Raises:
             SessionError: A chunk is missing or corrupt, or the archive is still being written.
         """
-        text = read_whole(self.path.parent, self.files, self.name, "sources")
+        text = self._read_whole(self.name, "sources")
         return [line.tobytes().rstrip(b"\0").decode() for line in text]
 
     @cached_property
@@ -212,10 +213,7 @@ class ArchivedSensor:
         kept = {place.name for place in self.files.groups(self.path / "table")}
         if not kept.issuperset(SIMULATED):
             return None
-        force, spread = (
-            read_whole(self.path.parent, self.files, f"{self.name}/table", name)
-            for name in SIMULATED
-        )
+        force, spread = (self._read_whole(f"{self.name}/table", name) for name in SIMULATED)
         layout = ArchiveArray.load(self.path / "table" / "simulated", self.files)
         return Simulated(force, spread, str(layout.attrs.get("made_from", "")))
 

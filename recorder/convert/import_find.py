@@ -169,7 +169,7 @@ def _numbers(
     """Yield the tracks of a file of numbers."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        yield from _csv(path, stated, stream, films, answers)
+        yield from _csv(path, stream, films, answers)
     elif suffix in LOG_SUFFIXES:
         array, times = _uskin_log(path)
         counts = counts_of(path.name, array, times, answers.taxel_order)
@@ -221,9 +221,7 @@ def _times(
     raise MissingAnswer(rate_option(kind), f"{source}: {count} rows say no times")
 
 
-def _csv(
-    path: Path, stated: As | None, stream: str, films: Sequence[Track], answers: Answers
-) -> Iterator[Track]:
+def _csv(path: Path, stream: str, films: Sequence[Track], answers: Answers) -> Iterator[Track]:
     name, lines = path.name, read_lines(path)
     if len(lines[0]) == 48:
         header = not _is_number(lines[0][0])

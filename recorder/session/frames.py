@@ -90,11 +90,11 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
     covers each run from its first sample to its last.
     """
     parts = [
-        _run_table(session, run, ticks, segment, rate_hz)
+        _run_table(session, run, ticks, segment)
         for run, ticks, segment in run_ticks(session, rate_hz)
     ]
     if not parts:
-        parts = [_run_table(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64), rate_hz)]
+        parts = [_run_table(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64))]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -174,9 +174,10 @@ def run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, ND
 
 
 def _run_table(
-    session: Session, run: int, ticks: Times, segment: NDArray[np.int64], rate_hz: float
+    session: Session, run: int, ticks: Times, segment: NDArray[np.int64]
 ) -> dict[str, Array]:
-    rows = align_window(ticks, session.sources(run))
+    sources = session.sources(run)
+    rows = align_window(ticks, sources)
     count = len(ticks)
     target = _of_segment(session, "target", segment)
     signal = None if rows.signal is None else rows.streams[rows.signal]
@@ -192,7 +193,7 @@ def _run_table(
         "phase": _of_segment(session, "phase", segment),
         "depth": np.full(count, np.nan),
         "skew": rows.skew,
-        "time_sigma": row_sigma(rows, session.sources(run).streams, sigmas_of(session, run)),
+        "time_sigma": row_sigma(rows, sources.streams, sigmas_of(session, run)),
         "valid": rows.valid,
     }
     for name, column in rows.columns.items():

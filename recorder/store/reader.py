@@ -1,7 +1,7 @@
 """Read the rows of arrays directly from their files, local or remote.
 
 The checksum of every chunk is verified. A chunk that is declared but missing is an error here; a
-plain Zarr reader returns fill values.
+plain Zarr reader returns fill values. `GrowingReader` reads an array while it is being written.
 """
 
 from __future__ import annotations

@@ -536,7 +536,7 @@ class LayerBatch:
         deep = np.maximum(-self.tip[rows, 2], 0.0)
         kept["contact"][at] = np.divide(overlap, deep, out=np.zeros(len(rows)), where=deep > 0)
         kept["contact_width"][at] = self._widths(rows, which, read)
-        kept["energy_gap"][at] = self._lost(rows, which, read)
+        kept["energy_gap"][at] = self._lost(rows, read)
         if self._rubs:
             pressed = read["pressure"] > 0
             kept["slip_excess"][at] = np.divide(
@@ -565,7 +565,7 @@ class LayerBatch:
         )  # fmt: skip
         return _host(width).astype(np.float64)
 
-    def _lost(self, rows: Whole, which: Any, read: Any) -> Array:
+    def _lost(self, rows: Whole, read: Any) -> Array:
         """Return the energy that is gone, over the most work done so far, of presses (N,)."""
         energy = read["energy"].copy()
         count, pixels = len(rows), self._still.shape[1]

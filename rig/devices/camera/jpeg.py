@@ -18,7 +18,7 @@ import simplejpeg
 
 SOI = b"\xff\xd8"
 EOI = b"\xff\xd9"
-_DHT, _SOS, _COM = 0xC4, 0xDA, 0xFE
+_DHT, _SOS = 0xC4, 0xDA
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _BASELINE = frozenset({0xC0, 0xC1})
 _UNCODED = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
