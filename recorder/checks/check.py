@@ -49,8 +49,7 @@ from recorder.store.documents import read_document, read_session_attrs, says_it_
 from recorder.store.files import Files, locate
 from recorder.store.journal import HEADER, record_matches
 from recorder.store.layout import PARTIAL, Layout, StreamLayout
-from recorder.store.manifest import GROUP
-from recorder.store.sealed import wrong_files
+from recorder.store.manifest import GROUP, wrong_files
 from recorder.store.tables import Table
 
 

@@ -14,10 +14,9 @@ from recorder.session.frames import remove_leftovers, write_frames
 from recorder.session.reader import Session
 from recorder.session.stream_writer import StreamRecovery, recover_streams
 from recorder.store.documents import REBUILDING, read_session_attrs
-from recorder.store.files import LOCAL
+from recorder.store.files import LOCAL, Manifest
 from recorder.store.manifest import (
     GROUP,
-    Manifest,
     manifest_path,
     manifest_runs,
     readable_chain,
@@ -25,8 +24,8 @@ from recorder.store.manifest import (
     reopen,
     run_of,
     seal,
+    wrong_files,
 )
-from recorder.store.sealed import wrong_files
 
 # Faults of what a device sent, which do not mean that a file was lost or changed.
 _OF_DEVICES = {"time-order", "clock-step", "gap", "dropped", "seq-order", "rate", "frozen"}

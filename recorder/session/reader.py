@@ -26,7 +26,7 @@ from recorder.session.window import (
 from recorder.spec import frame_columns, signal_of
 from recorder.store.documents import read_order, read_session_attrs
 from recorder.store.files import Files, locate
-from recorder.store.sealed import sealed_files
+from recorder.store.manifest import sealed_files
 from recorder.store.tables import Table
 
 Array = np.ndarray[Any, Any]

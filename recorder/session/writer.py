@@ -32,8 +32,7 @@ from recorder.store.documents import (
 )
 from recorder.store.files import sync_directory
 from recorder.store.layout import StreamLayout, create_stream
-from recorder.store.manifest import remove_unfinished, seal
-from recorder.store.sealed import hold
+from recorder.store.manifest import hold, remove_unfinished, seal
 from recorder.store.tables import write_table
 
 _CREATING = ".creating"

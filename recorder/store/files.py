@@ -1,16 +1,18 @@
 """Access to the files of a session, on the local disk or in a remote store behind a URL.
 
 Readers access files through `Files` and name them by `Path`; in a remote store, a path is the key
-of an object. Writers always write to a disk, by changes that are atomic and durable, also after a
-power failure.
+of an object. `SealedFiles` verifies what is read by the newest manifest of a session. Writers
+always write to a disk, by changes that are atomic and durable, also after a power failure.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -298,6 +300,125 @@ def _fsspec() -> Any:
     except ModuleNotFoundError:
         raise SessionError("remote stores need fsspec: pip install 'tactile-rig[remote]'") from None
     return fsspec
+
+
+# Files of a session, compared with its manifest (`manifest.py`) when they are read.
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """A sealed shard."""
+
+    size: int
+    """Length of the file [bytes]."""
+    chunks: int
+    """Number of chunks that it holds."""
+    slots: int
+    """Number of chunks that it can hold."""
+    digest: str
+    """SHA-256 of its end: the checksums of its chunks, and its index."""
+
+    @property
+    def end_bytes(self) -> int:
+        """Length of the end [bytes]."""
+        return 20 * self.slots + 4
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """Files of a session at the end of a run; paths are relative to the session."""
+
+    run: int
+    """Number of the run."""
+    previous: dict[str, Any] | None
+    """`run` and `sha256` of the manifest before it; None for the first."""
+    rows: dict[str, int]
+    """Number of rows by stream and table."""
+    files: dict[str, tuple[int, str]]
+    """Size [bytes] and SHA-256 of every file but the shards of streams."""
+    shards: dict[str, Shard]
+    """Shards of streams."""
+    digest: str
+    """SHA-256 of the file of the manifest itself."""
+
+    @property
+    def fixed(self) -> dict[str, Shard]:
+        """Shards that no later run may change: the full ones."""
+        return {key: shard for key, shard in self.shards.items() if shard.chunks == shard.slots}
+
+
+class SealedFiles(Files):
+    """Files of a session whose content is verified by its manifest when it is read.
+
+    While a run is open, only the shards that are `fixed` are verified.
+    """
+
+    def __init__(self, inner: Files, session: Path, manifest: Manifest, is_open: bool) -> None:
+        """Hold the files of a session against a manifest; `is_open` while a run is recorded."""
+        super().__init__()
+        self.inner, self.session, self.manifest, self.is_open = inner, session, manifest, is_open
+        self.local = inner.local
+
+    def name(self, path: Path) -> str:
+        """Return the path or URL for messages."""
+        return self.inner.name(path)
+
+    def read(self, path: Path) -> bytes:
+        """Return a whole file."""
+        data = self.inner.read(path)
+        key = self._key(path)
+        shard = self.manifest.shards.get(key)
+        if shard is not None:
+            self._verify_shard(path, shard, data[-shard.end_bytes :], len(data))
+        elif not self.is_open:
+            found = (len(data), hashlib.sha256(data).hexdigest())
+            if self.manifest.files.get(key) != found:
+                raise self._differs(path)
+        return data
+
+    def tail(self, path: Path, nbytes: int) -> bytes:
+        """Return the last `nbytes` of a file, or all of a shorter one."""
+        data = self.inner.tail(path, nbytes)
+        shard = self.manifest.shards.get(self._key(path))
+        if shard is not None and nbytes == shard.end_bytes:
+            self._verify_shard(path, shard, data, None)
+        elif not self.is_open:
+            raise self._differs(path)
+        return data
+
+    def ranges(self, path: Path, wanted: Sequence[Range]) -> list[bytes]:
+        """Return parts of a shard, whose chunks have their own checksums."""
+        return self.inner.ranges(path, wanted)
+
+    def groups(self, path: Path) -> list[Path]:
+        """Return the directories directly below a path that the manifest gives a `zarr.json`."""
+        if self.is_open:
+            return self.inner.groups(path)
+        keys = (self.session / key for key in self.manifest.files)
+        return sorted(
+            key.parent for key in keys if key.name == "zarr.json" and key.parent.parent == path
+        )
+
+    def listed(self, path: Path) -> list[Path]:
+        """Return all files below a directory."""
+        return self.inner.listed(path)
+
+    def sizes(self, path: Path) -> dict[Path, int]:
+        """Return all files below a directory with their sizes [bytes]."""
+        return self.inner.sizes(path)
+
+    def _key(self, path: Path) -> str:
+        return str(path.relative_to(self.session))
+
+    def _verify_shard(self, path: Path, shard: Shard, end: bytes, size: int | None) -> None:
+        if self.is_open and shard.chunks != shard.slots:
+            return
+        if hashlib.sha256(end).hexdigest() != shard.digest or size not in (None, shard.size):
+            raise self._differs(path)
+
+    def _differs(self, path: Path) -> SessionError:
+        run = self.manifest.run
+        return SessionError(f"{self.name(path)}: differs from the manifest of run {run}")
 
 
 # Changes of files on the disk.

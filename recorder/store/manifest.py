@@ -11,7 +11,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import astuple, dataclass
+from collections.abc import Iterator
+from dataclasses import astuple
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,59 +21,27 @@ from recorder.errors import SessionError
 from recorder.store.array import MISSING
 from recorder.store.documents import (
     REBUILDING,
+    ROWS_MAX,
     check_document_size,
     json_bytes,
     merge_attrs,
     read_document,
     write_group,
 )
-from recorder.store.files import LOCAL, TEMPORARY, Files, replace_file, sync_tree
+from recorder.store.files import (
+    LOCAL,
+    TEMPORARY,
+    Files,
+    Manifest,
+    SealedFiles,
+    Shard,
+    replace_file,
+    sync_tree,
+)
 from recorder.store.layout import StreamLayout
 
 GROUP = "manifest"
 _END = b'"sha256": ""}}'
-
-
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """A sealed shard."""
-
-    size: int
-    """Length of the file [bytes]."""
-    chunks: int
-    """Number of chunks that it holds."""
-    slots: int
-    """Number of chunks that it can hold."""
-    digest: str
-    """SHA-256 of its end: the checksums of its chunks, and its index."""
-
-    @property
-    def end_bytes(self) -> int:
-        """Length of the end [bytes]."""
-        return 20 * self.slots + 4
-
-
-@dataclass(frozen=True, slots=True)
-class Manifest:
-    """Files of a session at the end of a run; paths are relative to the session."""
-
-    run: int
-    """Number of the run."""
-    previous: dict[str, Any] | None
-    """`run` and `sha256` of the manifest before it; None for the first."""
-    rows: dict[str, int]
-    """Number of rows by stream and table."""
-    files: dict[str, tuple[int, str]]
-    """Size [bytes] and SHA-256 of every file but the shards of streams."""
-    shards: dict[str, Shard]
-    """Shards of streams."""
-    digest: str
-    """SHA-256 of the file of the manifest itself."""
-
-    @property
-    def fixed(self) -> dict[str, Shard]:
-        """Shards that no later run may change: the full ones."""
-        return {key: shard for key, shard in self.shards.items() if shard.chunks == shard.slots}
 
 
 def manifest_path(session: Path, run: int) -> Path:
@@ -227,3 +197,110 @@ def _streams(session: Path) -> list[Path]:
 def run_of(attrs: dict[str, Any]) -> int:
     """Return the number of the last run in a session's attributes; 0 without a run."""
     return max(len(attrs["runs"]) - 1, 0)
+
+
+# Sessions as their manifests verify them: what a reader opens, and all files at once.
+
+
+def sealed_files(
+    files: Files, session: Path, attrs: dict[str, Any], *, unsealed: bool = False
+) -> tuple[Files, str | None]:
+    """Return the files of a session as its manifest verifies them.
+
+    The files of a session in its first run are returned as they are. `unsealed` accepts that a
+    manifest is lost; the second value then says which one.
+    """
+    run, is_open = run_of(attrs), attrs["status"] == "recording"
+    if is_open:
+        closed = [each for each in manifest_runs(session) if each < run]
+        if not closed:
+            return files, None
+        run = closed[-1]
+    chain, broken = readable_chain(files, session, run)
+    if broken is not None and (is_open or not unsealed):
+        raise broken
+    lost = None if broken is None else str(broken)
+    if not chain:
+        return files, lost
+    sealed = SealedFiles(files, session, chain[0], is_open)
+    if is_open:
+        return sealed, None
+    sealed.read(session / "zarr.json")
+    if files.local:
+        for message in wrong_sizes(session, sealed.manifest):
+            raise SessionError(message)
+    return sealed, lost
+
+
+def wrong_sizes(session: Path, manifest: Manifest) -> Iterator[str]:
+    """Yield a message per local file that is missing or whose size differs from the manifest."""
+    sizes = {key: size for key, (size, _) in manifest.files.items()}
+    for key, size in (sizes | {key: shard.size for key, shard in manifest.shards.items()}).items():
+        path = session / key
+        try:
+            found = path.stat().st_size
+        except OSError:
+            yield f"{path}: missing; the manifest of run {manifest.run} names it"
+            continue
+        if found != size:
+            yield f"{path}: found {found} bytes, the manifest of run {manifest.run} names {size}"
+
+
+def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield path and message of each file that is missing, added or changed, without reading data.
+
+    For a session in an open run, only the shards of the closed runs are verified.
+    """
+    present = {str(path.relative_to(session)) for path in files.listed(session)}
+    run, is_open = run_of(attrs), attrs["status"] == "recording"
+    if is_open:
+        found = (re.fullmatch(rf"{GROUP}/(\d+)/zarr.json", key) for key in present)
+        closed = [int(match[1]) for match in found if match and int(match[1]) < run]
+        if not closed:
+            return
+        run = max(closed)
+    chain, broken = readable_chain(files, session, run)
+    if broken is not None:
+        yield GROUP, str(broken)
+    if not chain:
+        return
+    sealed = SealedFiles(files, session, chain[0], is_open)
+    for key in sorted([] if is_open else chain[0].files):
+        try:
+            sealed.read(session / key)
+        except FileNotFoundError:
+            yield key, "missing"
+        except (SessionError, OSError) as error:
+            yield key, str(error)
+    sizes = files.sizes(session)
+    for key, shard in sorted((chain[0].fixed if is_open else chain[0].shards).items()):
+        try:
+            sealed.tail(session / key, shard.end_bytes)
+        except FileNotFoundError:
+            yield key, "missing"
+        except (SessionError, OSError) as error:
+            yield key, str(error)
+        else:
+            size = sizes.get(session / key)
+            if size != shard.size:
+                yield key, f"found {size} bytes, expected {shard.size}"
+    for later, earlier in pairwise(chain):
+        for key, shard in earlier.fixed.items():
+            if later.shards.get(key) != shard:
+                yield key, f"run {later.run} changed a full shard of run {earlier.run}"
+        for name, rows in earlier.rows.items():
+            if not rows <= later.rows.get(name, -1) <= ROWS_MAX:
+                yield name, f"run {later.run} removed rows of run {earlier.run}"
+    if is_open:
+        return
+    manifests = {str(manifest_path(session, one.run).relative_to(session)) for one in chain}
+    for key in sorted(present - {*chain[0].files, *chain[0].shards} - manifests):
+        if broken is not None and key.startswith(f"{GROUP}/"):
+            continue
+        yield key, f"added after run {run}: the manifest does not name it"
+
+
+def hold(session: Path, attrs: dict[str, Any]) -> None:
+    """Hold a local session against its manifests."""
+    for key, message in wrong_files(LOCAL, session, attrs):
+        raise SessionError(f"{session / key}: {message}")
