@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.markers import PACKED
 from recorder.spec import PHASES
-from recorder.store.array import Array, ArrayLayout, packed_index
 from recorder.store.files import replace_file
+from recorder.store.layout import Array, ArrayLayout, packed_index
 
 # Side of a shading image, and its value where nothing changed.
 SHADING_SIDE, SHADING_ZERO = 128, 128

@@ -32,9 +32,9 @@ from recorder.archive.plan import COMPLETE, LEDGER, ArchivePlan, begin, read_arc
 from recorder.archive.reader import ArchivedSensor
 from recorder.errors import SessionError
 from recorder.spec import PHASES
-from recorder.store.array import Array
 from recorder.store.documents import merge_attrs, write_group
 from recorder.store.files import TEMPORARY, replace_file, sync_directory
+from recorder.store.layout import Array
 
 _SOURCE_CHUNK = 256
 

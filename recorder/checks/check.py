@@ -27,7 +27,6 @@ from recorder.session.loss import (
     other_rate,
 )
 from recorder.session.reader import Session
-from recorder.session.stream_writer import is_unfinished
 from recorder.session.uncertainty import uncalibrated
 from recorder.spec import (
     ARCHIVE_FORMAT,
@@ -44,11 +43,18 @@ from recorder.spec import (
     reference_spec,
     taxels_spec,
 )
-from recorder.store.array import CRC_BYTES, MISSING, Array, check_shape
 from recorder.store.documents import read_document, read_session_attrs, says_it_is
 from recorder.store.files import Files, locate
 from recorder.store.journal import HEADER, record_matches
-from recorder.store.layout import PARTIAL, Layout, StreamLayout
+from recorder.store.layout import (
+    CRC_BYTES,
+    MISSING,
+    PARTIAL,
+    Array,
+    ColumnLayout,
+    StreamLayout,
+    check_shape,
+)
 from recorder.store.manifest import GROUP, wrong_files
 from recorder.store.tables import Table
 
@@ -199,7 +205,7 @@ def _check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Fi
         return
     if spec is not None:
         yield from _unlike_spec(layout, spec, where)
-    unfinished = [path for path in files.listed(group) if is_unfinished(layout, path)]
+    unfinished = [path for path in files.listed(group) if layout.is_unfinished(path)]
     sizes = files.sizes(group) if unfinished else {}
     for path in sorted(unfinished):
         code = "torn-tail" if PARTIAL in path.name else "journal-left"
@@ -210,7 +216,7 @@ def _check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Fi
         yield Finding("unequal-lengths", where, f"found {lengths}")
 
 
-def _check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray[np.uint32]]:
+def _check_chunks(session: Path, layout: ColumnLayout) -> tuple[list[Finding], NDArray[np.uint32]]:
     """Verify every record of a column; return the findings and each chunk's CRC-32C (n,)."""
     where = str(layout.path.relative_to(session))
     chunks = math.ceil(layout.rows() / layout.rows_per_chunk)
@@ -237,7 +243,7 @@ def _check_chunks(session: Path, layout: Layout) -> tuple[list[Finding], NDArray
     return findings, contents
 
 
-def _last_shard(layout: Layout) -> int:
+def _last_shard(layout: ColumnLayout) -> int:
     """Return the number of the last shard that has a file; -1 without any."""
     root = layout.path / "c"
     names = (path.relative_to(root).parts[0] for path in layout.files.listed(root))
@@ -246,7 +252,7 @@ def _last_shard(layout: Layout) -> int:
 
 
 def _check_shard(
-    layout: Layout, shard: int, contents: NDArray[np.uint32], faults: dict[str, list[str]]
+    layout: ColumnLayout, shard: int, contents: NDArray[np.uint32], faults: dict[str, list[str]]
 ) -> None:
     index = layout.index(shard)
     crcs = index.crcs or []

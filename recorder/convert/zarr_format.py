@@ -12,7 +12,7 @@ from recorder.errors import SessionError
 from recorder.session.reader import Session
 from recorder.store import images
 from recorder.store.files import LOCAL
-from recorder.store.layout import Layout, StreamLayout
+from recorder.store.layout import ColumnLayout, StreamLayout
 from recorder.store.manifest import GROUP, seal
 from recorder.store.reader import ColumnReader
 from recorder.store.shard import ColumnLog
@@ -37,18 +37,18 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     seal(path, profile=profile)
 
 
-def _columns(session: Session) -> list[Layout]:
+def _columns(session: Session) -> list[ColumnLayout]:
     groups = [session.path / name for name in ("segments", "reference")]
     tables = [StreamLayout.load(group, session.files) for group in groups]
     layouts = [*(stream.layout for stream in session.streams.values()), *tables]
     return [column for layout in layouts for column in layout.columns]
 
 
-def _in_copy(layout: Layout, session: Session, path: Path) -> Layout:
+def _in_copy(layout: ColumnLayout, session: Session, path: Path) -> ColumnLayout:
     return replace(layout, path=path / layout.path.relative_to(session.path), files=LOCAL)
 
 
-def _verify(copy: Layout) -> Iterator[int]:
+def _verify(copy: ColumnLayout) -> Iterator[int]:
     """Read every chunk of one column; yield the number of rows done."""
     reader, step = ColumnReader(copy), copy.rows_per_chunk
     chunks = range(-(-reader.rows // step))
@@ -56,7 +56,7 @@ def _verify(copy: Layout) -> Iterator[int]:
         yield min((number + 1) * step, reader.rows)
 
 
-def _decode(source: Layout, copy: Layout) -> Iterator[int]:
+def _decode(source: ColumnLayout, copy: ColumnLayout) -> Iterator[int]:
     """Write the images of one column as lossless pixels; yield the number done."""
     level = images.PIXELS_LEVEL
     pixels = replace(copy, shape=(0, *copy.shape[1:]), codec="zstd", level=level)

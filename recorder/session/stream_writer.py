@@ -26,7 +26,7 @@ from recorder.store.journal import (
     row_time,
     write_journal,
 )
-from recorder.store.layout import PARTIAL, Layout, StreamLayout
+from recorder.store.layout import ColumnLayout, StreamLayout
 from recorder.store.reader import GrowingReader
 from recorder.store.shard import ColumnLog, OpenShard, scan_partial
 
@@ -38,8 +38,6 @@ from recorder.store.shard import ColumnLog, OpenShard, scan_partial
 
 # Number of full journals and shards that wait for the next flush at most.
 _PENDING_MAX = 8
-# Reserved space on disk for a stream being written, so that it can be closed on a full disk.
-_RESERVED = "reserved"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +78,7 @@ def survey(layout: StreamLayout) -> StreamState:
     return StreamState(min(lengths), journal, torn, _spread(lengths), unfinished)
 
 
-def _torn_bytes(column: Layout) -> int:
+def _torn_bytes(column: ColumnLayout) -> int:
     """Return the bytes of the growing shards of a column that belong to no complete record."""
     growing = [number for number in column.shard_numbers() if column.partial(number).exists()]
     return sum(scan_partial(column, number)[1] for number in growing)
@@ -88,18 +86,7 @@ def _torn_bytes(column: Layout) -> int:
 
 def unfinished_files(layout: StreamLayout) -> tuple[Path, ...]:
     """Return the files that exist only while a stream is being written."""
-    return tuple(sorted(p for p in layout.path.rglob("*") if is_unfinished(layout, p)))
-
-
-def is_unfinished(layout: StreamLayout, path: Path) -> bool:
-    """Return True if a path below a stream exists only while the stream is being written."""
-    name, parent = path.name, path.parent
-    if parent == layout.time.path and (name.startswith("journal-") or name == _RESERVED):
-        return True
-    columns = [column.path for column in layout.columns]
-    if name.endswith(TEMPORARY) and parent in (layout.path, *columns):
-        return True
-    return PARTIAL in name and any(column / "c" in path.parents for column in columns)
+    return tuple(sorted(p for p in layout.path.rglob("*") if layout.is_unfinished(p)))
 
 
 def restore(layout: StreamLayout) -> tuple[ColumnLog | None, tuple[ColumnLog, ...], Journal]:
@@ -110,7 +97,7 @@ def restore(layout: StreamLayout) -> tuple[ColumnLog | None, tuple[ColumnLog, ..
         journal of the rows after them.
     """
     for path in unfinished_files(layout):
-        if path.name.endswith(TEMPORARY) or path.name == _RESERVED:
+        if path.name.endswith(TEMPORARY) or path == layout.reserved:
             path.unlink()
     state = survey(layout)
     block = layout.block
@@ -233,11 +220,11 @@ def row_packer(layout: StreamLayout) -> Callable[[Mapping[str, Any]], bytes]:
     return pack_row
 
 
-def _packer(layout: Layout, where: str) -> Packer:
+def _packer(layout: ColumnLayout, where: str) -> Packer:
     return _array_packer(layout, where) if layout.column.shape else _scalar_packer(layout, where)
 
 
-def _scalar_packer(layout: Layout, where: str) -> Packer:
+def _scalar_packer(layout: ColumnLayout, where: str) -> Packer:
     dtype = layout.column.dtype
     pack = struct.Struct(_STRUCT_CODES[dtype]).pack
     exact, kinds = (float, (int, float)) if dtype.startswith("float") else (int, (int,))
@@ -257,7 +244,7 @@ def _scalar_packer(layout: Layout, where: str) -> Packer:
     return pack_scalar
 
 
-def _array_packer(layout: Layout, where: str) -> Packer:
+def _array_packer(layout: ColumnLayout, where: str) -> Packer:
     dtype, shape = layout.dtype, layout.column.shape
     expected = f"{layout.column.dtype} {shape}"
 
@@ -467,7 +454,7 @@ class StreamWriter:
         self._closed = True
         try:
             self._background.stop()
-            (self._layout.time.path / _RESERVED).unlink(missing_ok=True)
+            self._layout.reserved.unlink(missing_ok=True)
             self._background.drain()
             self._settle()
             for spare in self._spares:
@@ -571,11 +558,10 @@ def lock_stream(layout: StreamLayout) -> int:
 def _reserve(layout: StreamLayout) -> None:
     """Reserve the space that sealing will need; a full disk has none to reserve."""
     room = _RESERVED_BYTES + layout.block * (layout.row_dtype.itemsize + HEADER.size)
-    path = layout.time.path / _RESERVED
     try:
-        path.write_bytes(bytes(room))
+        layout.reserved.write_bytes(bytes(room))
     except OSError:
-        path.unlink(missing_ok=True)
+        layout.reserved.unlink(missing_ok=True)
 
 
 # Recovery after the writers were killed or the power failed.

@@ -15,7 +15,7 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.journal import JournalReader
-from recorder.store.layout import Layout, StreamLayout
+from recorder.store.layout import ColumnLayout, StreamLayout
 from recorder.store.reader import GrowingReader
 
 _ATTEMPTS = 50
@@ -82,7 +82,7 @@ class LiveStream:
 class ImageTail:
     """The newest images of a stream that is being written."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: ColumnLayout) -> None:
         """Open the column of the images, one row a chunk; `open_tail` does so by path."""
         self._reader = GrowingReader(layout, sums=False)
 

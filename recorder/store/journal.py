@@ -16,9 +16,8 @@ from typing import Self
 
 import google_crc32c
 
-from recorder.store.array import CRC_BYTES, ends_with_its_crc
 from recorder.store.files import TEMPORARY, replace_file, sync_directory
-from recorder.store.layout import StreamLayout
+from recorder.store.layout import CRC_BYTES, StreamLayout, ends_with_its_crc
 
 # Record format for all data that must survive a crash.
 #

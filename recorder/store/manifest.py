@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from recorder.errors import SessionError
-from recorder.store.array import MISSING
 from recorder.store.documents import (
     REBUILDING,
     ROWS_MAX,
@@ -38,7 +37,7 @@ from recorder.store.files import (
     replace_file,
     sync_tree,
 )
-from recorder.store.layout import StreamLayout
+from recorder.store.layout import MISSING, StreamLayout
 
 GROUP = "manifest"
 _END = b'"sha256": ""}}'

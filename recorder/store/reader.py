@@ -20,15 +20,15 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
-from recorder.store.array import (
+from recorder.store.journal import GrowingLog
+from recorder.store.layout import (
     CRC_BYTES,
     MISSING,
     Array,
     ArrayLayout,
+    ColumnLayout,
     ShardIndex,
 )
-from recorder.store.journal import GrowingLog
-from recorder.store.layout import Layout
 
 # Memory for what was read last, shared by all readers of a process and limited in bytes.
 #
@@ -269,9 +269,9 @@ class ColumnReader:
 class GrowingReader(ColumnReader):
     """Reader of a column that is being written; it holds the complete chunks so far."""
 
-    layout: Layout
+    layout: ColumnLayout
 
-    def __init__(self, layout: Layout, *, sums: bool = True) -> None:
+    def __init__(self, layout: ColumnLayout, *, sums: bool = True) -> None:
         """Find the first shard that is not sealed; the chunks are counted by `update`.
 
         Without `sums` the bytes of a chunk are verified only when it is read.

@@ -14,16 +14,15 @@ import shutil
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.store.array import CRC_BYTES, packed_crc, packed_index
 from recorder.store.files import TEMPORARY, sync_directory
 from recorder.store.journal import HEADER, STEP, GrowingLog, JournalRecord, RecordLog, chunk_header
-from recorder.store.layout import Layout
+from recorder.store.layout import CRC_BYTES, ColumnLayout, packed_crc, packed_index
 
 
 class OpenShard:
     """One growing shard of one column."""
 
-    def __init__(self, layout: Layout, number: int, records: list[JournalRecord]) -> None:
+    def __init__(self, layout: ColumnLayout, number: int, records: list[JournalRecord]) -> None:
         """Open `<key>.partial`, which contains `records`, and drop everything after them."""
         self.number = number
         self._sealed = False
@@ -80,7 +79,7 @@ class OpenShard:
         self._log.close()
 
 
-def _shard_end(layout: Layout, entries: list[tuple[int, int]], crcs: list[int]) -> bytes:
+def _shard_end(layout: ColumnLayout, entries: list[tuple[int, int]], crcs: list[int]) -> bytes:
     """Return the bytes that end a shard: the checksums of its chunks, then the index.
 
     Missing chunks have the checksum 0.
@@ -90,7 +89,7 @@ def _shard_end(layout: Layout, entries: list[tuple[int, int]], crcs: list[int]) 
     return listed.tobytes() + packed_index(entries, layout.chunks_per_shard)
 
 
-def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]:
+def scan_partial(layout: ColumnLayout, number: int) -> tuple[list[JournalRecord], int]:
     """Return the complete records of a growing shard and the number of torn bytes after them."""
     slots = layout.chunks_per_shard
     log = GrowingLog(layout.partial(number), first_index=number * slots, limit=slots)
@@ -102,7 +101,7 @@ def scan_partial(layout: Layout, number: int) -> tuple[list[JournalRecord], int]
     return log.records, 0 if end.startswith(tail) else len(tail)
 
 
-def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
+def reopen(layout: ColumnLayout, number: int, chunks: int) -> OpenShard:
     """Open a shard for appending after its first `chunks` chunks, which must exist.
 
     A sealed shard is not moved; its chunks are copied, and it is replaced when the copy is sealed.
@@ -117,7 +116,7 @@ def reopen(layout: Layout, number: int, chunks: int) -> OpenShard:
     return OpenShard(layout, number, records[:chunks])
 
 
-def _copy_records(layout: Layout, number: int, chunks: int) -> None:
+def _copy_records(layout: ColumnLayout, number: int, chunks: int) -> None:
     sealed, partial = layout.shard(number), layout.partial(number)
     end = sum(layout.index(number).ranges[chunks - 1])
     temporary = partial.with_name(partial.name + TEMPORARY)
@@ -143,7 +142,7 @@ class ColumnLog:
     may access exists.
     """
 
-    def __init__(self, layout: Layout, chunks: int) -> None:
+    def __init__(self, layout: ColumnLayout, chunks: int) -> None:
         """Open the column after its first `chunks` chunks and drop any later ones."""
         self.layout = layout
         self.chunks = chunks

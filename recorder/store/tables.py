@@ -11,9 +11,9 @@ from typing import Any, Self
 import numpy as np
 
 from recorder.errors import SessionError
-from recorder.store.array import CRC_BYTES, Array, ArrayLayout, ends_with_its_crc
 from recorder.store.documents import read_document, write_group
 from recorder.store.files import LOCAL, Files, sync_tree
+from recorder.store.layout import CRC_BYTES, Array, ArrayLayout, ends_with_its_crc
 from recorder.store.reader import Kept
 
 _CHUNK_ROWS = 8192

@@ -15,7 +15,6 @@ from support.sessions import reseal
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
 from recorder.store.documents import merge_attrs
 from recorder.store.images import compress
-from recorder.store.layout import Layout
 from recorder.store.shard import ColumnLog
 from rig.mock.world.picture import MarkerCamera, Surface
 
@@ -117,7 +116,7 @@ def rows_of(name: str, seconds: np.ndarray[Any, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def rewrite(layout: Layout, values: Any) -> None:
+def rewrite(layout: ColumnLayout, values: Any) -> None:
     """Replace the rows of a small column, in shards as the recorder writes them."""
     rows = np.empty((layout.rows(), *layout.column.shape), layout.dtype)
     rows[:] = values
@@ -141,6 +140,6 @@ def altered(source: Path, path: Path, arrays: dict[str, Any] | None = None, **at
             with zarr.config.set({"array.write_empty_chunks": True}):
                 zarr.open_array(path / name, mode="r+")[:] = values
         else:
-            rewrite(Layout.load(path / name), values)
+            rewrite(ColumnLayout.load(path / name), values)
     reseal(path)
     return path
