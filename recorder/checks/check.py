@@ -45,15 +45,16 @@ from recorder.spec import (
 )
 from recorder.store.documents import read_document, read_session_attrs, says_it_is
 from recorder.store.files import Files, locate
-from recorder.store.journal import HEADER, record_matches
 from recorder.store.layout import (
     CRC_BYTES,
+    HEADER,
     MISSING,
     PARTIAL,
     Array,
     ColumnLayout,
     StreamLayout,
     check_shape,
+    record_matches,
 )
 from recorder.store.manifest import GROUP, wrong_files
 from recorder.store.tables import Table

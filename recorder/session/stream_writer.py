@@ -20,13 +20,12 @@ from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.files import TEMPORARY
 from recorder.store.journal import (
-    HEADER,
     Journal,
     JournalReader,
     row_time,
     write_journal,
 )
-from recorder.store.layout import ColumnLayout, StreamLayout
+from recorder.store.layout import HEADER, ColumnLayout, StreamLayout
 from recorder.store.reader import GrowingReader
 from recorder.store.shard import ColumnLog, OpenShard, scan_partial
 

@@ -15,8 +15,15 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store.files import TEMPORARY, sync_directory
-from recorder.store.journal import HEADER, STEP, GrowingLog, JournalRecord, RecordLog, chunk_header
-from recorder.store.layout import CRC_BYTES, ColumnLayout, packed_crc, packed_index
+from recorder.store.journal import STEP, GrowingLog, JournalRecord, RecordLog
+from recorder.store.layout import (
+    CRC_BYTES,
+    HEADER,
+    ColumnLayout,
+    chunk_header,
+    packed_crc,
+    packed_index,
+)
 
 
 class OpenShard:

@@ -20,8 +20,8 @@ from recorder import (
 )
 from recorder.session.columns import Stream
 from recorder.store.growing import LiveStream
-from recorder.store.journal import HEADER, Journal
-from recorder.store.layout import StreamLayout, create_stream
+from recorder.store.journal import Journal
+from recorder.store.layout import HEADER, StreamLayout, create_stream
 
 TARGETS = {
     "point": np.zeros(1, np.int16),

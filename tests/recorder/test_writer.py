@@ -18,7 +18,7 @@ from recorder import Column, SessionError, StreamSpec, StreamWriter, camera_spec
 from recorder.session import stream_writer
 from recorder.session.columns import Stream
 from recorder.store import journal
-from recorder.store.layout import StreamLayout, create_stream
+from recorder.store.layout import StreamLayout, create_stream, header
 from recorder.store.tables import Table, write_table
 
 BLOCK = 64  # rows per journal at camera rates, and frames per image shard
@@ -337,7 +337,7 @@ def records(data: bytes, first_index: int) -> list[journal.JournalRecord]:
 
 @given(data=st.binary(max_size=200), cut=st.integers(0, 300), flip=st.integers(0, 8 * 224 - 1))
 def test_a_record_is_whole_or_does_not_count(data: bytes, cut: int, flip: int) -> None:
-    log = journal.header(data, -5, 7) + data
+    log = header(data, -5, 7) + data
     assert [r.nbytes for r in records(log, 7)] == [len(data)]
     if cut < len(log):
         assert not records(log[:cut], 7)

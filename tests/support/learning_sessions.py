@@ -15,6 +15,7 @@ from support.sessions import reseal
 from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
 from recorder.store.documents import merge_attrs
 from recorder.store.images import compress
+from recorder.store.layout import ColumnLayout
 from recorder.store.shard import ColumnLog
 from rig.mock.world.picture import MarkerCamera, Surface
 
