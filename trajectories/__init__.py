@@ -3,11 +3,25 @@
 A spec is stored as JSON in the session recorded with it; its moves are derived again when needed.
 """
 
-from trajectories.limits import DryRun, Limits, dry_run, move_duration
-from trajectories.moves import PHASES, Move, Plan, Point, Target, dome_height
-from trajectories.press_shear import PressShear
-from trajectories.presses import FirstPress, ForceDepth, Taps, Touch
-from trajectories.stored import plan_from_json, plan_to_json
+from trajectories.plans import (
+    PHASES,
+    DryRun,
+    FirstPress,
+    ForceDepth,
+    Limits,
+    Move,
+    Plan,
+    Point,
+    PressShear,
+    Taps,
+    Target,
+    Touch,
+    dome_height,
+    dry_run,
+    move_duration,
+    plan_from_json,
+    plan_to_json,
+)
 
 __all__ = [
     "PHASES",
