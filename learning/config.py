@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from learning.errors import LearningError
-from recorder.settings import Reader
+from recorder.settings import Reader, merged
 from recorder.store import replace_file
-from recorder.strict_yaml import merged
 
 Settings = TypeVar("Settings")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from benchmarks.endurance.processes import Track, look, role_of
 from benchmarks.faults.processes import family
-from recorder.strict_yaml import yaml_text
+from recorder.settings import yaml_text
 from rig.bench.bench import BenchFile
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from learning.evaluation.predictions import AXES_NAMED, ForceRow, Predictions, variant_name
 from recorder.charts import BAND, INK, chart
-from recorder.strict_yaml import natural_key
+from recorder.natural_order import natural_key
 
 Floats = NDArray[np.float64]
 

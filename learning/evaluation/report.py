@@ -47,9 +47,9 @@ from learning.evaluation.translation import (
     score_line,
 )
 from learning.metrics import axis_means
+from recorder.natural_order import natural_key
 from recorder.pages import render
 from recorder.store import replace_file
-from recorder.strict_yaml import natural_key
 
 # Results of a folder, separated by kind.
 

@@ -26,8 +26,8 @@ from torch import Tensor, nn
 
 from learning.config import READER
 from learning.errors import LearningError
+from recorder.settings import describe, yaml_text
 from recorder.store import replace_file
-from recorder.strict_yaml import describe, yaml_text
 
 # Network weights in safetensors files.
 

@@ -42,8 +42,8 @@ from recorder.convert.import_tracks import (
 )
 from recorder.convert.import_video import IMAGE_SUFFIXES, open_film
 from recorder.errors import SessionError
+from recorder.natural_order import natural_key
 from recorder.spec import AXES
-from recorder.strict_yaml import natural_key
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".m4v", ".mkv", ".mov", ".webm", ".mpg", ".mpeg")
 LOG_SUFFIXES = (".jsonl", ".log", ".txt")

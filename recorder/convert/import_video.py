@@ -18,8 +18,8 @@ from PIL import Image
 
 from recorder.convert.import_tracks import Film, Times, every, rate_of
 from recorder.errors import SessionError
+from recorder.natural_order import natural_key
 from recorder.store import images
-from recorder.strict_yaml import natural_key
 
 # Motion JPEG in an AVI file: the camera's JPEG files are extracted without decoding.
 #

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.charts import BAND, BLUE, INK, ORANGE, RED, SOFT, chart
-from recorder.strict_yaml import yaml_text
+from recorder.settings import yaml_text
 from sim.markers import HEIGHT, WIDTH, Pattern
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorder.strict_yaml import natural_key
+from recorder.natural_order import natural_key
 
 
 def test_natural_order_counts_numbers() -> None:

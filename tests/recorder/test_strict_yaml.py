@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from recorder.settings import Reader
-from recorder.strict_yaml import merged, yaml_text
+from recorder.settings import Reader, merged, yaml_text
 
 READER = Reader(ValueError)
 

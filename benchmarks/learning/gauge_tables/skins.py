@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.sim.twin.command import usual
 from benchmarks.sim.twin.planted import Bench, Forces, observed, random_skin, solved
+from recorder.settings import yaml_text
 from recorder.store import replace_file
-from recorder.strict_yaml import yaml_text
 from sim.dataset.plan import Solving
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem, further_settings

@@ -24,7 +24,7 @@ from learning.evaluation.predictions import (
 from learning.evaluation.report import read_folder
 from learning.evaluation.translation import TRANSLATED, PairedScore, TranslationScores, paired_rows
 from learning.metrics import force_errors, r_squared
-from recorder.strict_yaml import natural_key
+from recorder.natural_order import natural_key
 
 NO_TRANSLATOR = ""
 

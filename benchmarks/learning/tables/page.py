@@ -29,9 +29,9 @@ from learning.evaluation.predictions import (
     variants,
 )
 from learning.evaluation.translation import TRANSLATED, PairedScore, score_line
+from recorder.natural_order import natural_key
 from recorder.pages import render
 from recorder.store.files import replace_file
-from recorder.strict_yaml import natural_key
 
 # Goal for R2 on unseen indenters, mean over axes and pairs.
 GOAL_R2 = {"homogeneous": 0.95, "heterogeneous": 0.9}

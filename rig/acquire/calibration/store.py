@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from recorder import Session, SessionError, Stream
 from recorder.command_line.options import next_command
+from recorder.settings import describe, yaml_text
 from recorder.store import replace_file
-from recorder.strict_yaml import describe, yaml_text
 from rig.bench.bench import Bench
 from rig.core.clock import ClockAnchor
 from rig.core.config import READER, build, from_si, read_yaml

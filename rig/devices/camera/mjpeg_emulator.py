@@ -32,7 +32,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from recorder.strict_yaml import natural_key
+from recorder.natural_order import natural_key
 from rig.core.clock import SECOND_NS, Clock, Pacer
 from rig.core.emulation import (
     DeviceHandler,
