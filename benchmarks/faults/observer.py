@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from rig.acquire.stream_process import COUNTERS
-from rig.bench.stream_kinds import KINDS
+from rig.bench.bench import KINDS
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.config import build, read_yaml

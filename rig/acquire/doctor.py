@@ -21,8 +21,7 @@ from recorder.progress import duration
 from rig.acquire.control import Control, Interlocks
 from rig.acquire.preview import draw
 from rig.acquire.streams import StreamHandle, Streams, rate_window
-from rig.bench.bench import Bench
-from rig.bench.stream_kinds import BenchStream
+from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock, utc_text
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose, invert

@@ -22,7 +22,7 @@ from recorder.spec import frame_columns, reference_spec
 from rig.acquire.control import DeadManReleased, Interlocks
 from rig.acquire.request import CollectRequest
 from rig.acquire.streams import Streams, check_no_contact, no_mean, settling, tip_position
-from rig.bench.stream_kinds import KINDS
+from rig.bench.bench import KINDS
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose

@@ -21,8 +21,7 @@ from recorder.command_line.options import next_command
 from rig.acquire.doctor import Finding, State
 from rig.acquire.no_gauge import CONTACT
 from rig.acquire.signal_level import SignalLevel, reading, shift, whole_grey
-from rig.bench.bench import Bench
-from rig.bench.stream_kinds import BenchStream
+from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.config import from_si
 from rig.core.errors import DeviceLost

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recorder import SessionError, StreamWriter
-from rig.bench.bench import Bench
-from rig.bench.stream_kinds import KINDS
+from rig.bench.bench import KINDS, Bench
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError, DeviceLost

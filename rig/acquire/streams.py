@@ -15,8 +15,7 @@ from recorder import SessionError
 from recorder.command_line.options import next_command
 from rig.acquire.control import Interlocks
 from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
-from rig.bench.bench import Bench
-from rig.bench.stream_kinds import BenchStream
+from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
 from rig.core.geometry import compose, invert

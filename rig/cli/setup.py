@@ -23,8 +23,7 @@ from rig.acquire.calibration import store
 from rig.acquire.control import apart
 from rig.acquire.doctor import Finding, examine
 from rig.acquire.streams import settling
-from rig.bench.bench import Bench
-from rig.bench.stream_kinds import BenchStream
+from rig.bench.bench import Bench, BenchStream
 from rig.cli import collect, doctor, force_depth
 from rig.cli.calibrate_latency import calibrate
 from rig.cli.home import find_by_force, find_by_signal

@@ -20,8 +20,7 @@ from recorder.markers import MarkerCheck, smallest_marker
 from recorder.spec import frame_columns
 from recorder.store import ImageTail, open_tail
 from rig.acquire.signal_level import picture
-from rig.bench.bench import Bench
-from rig.bench.stream_kinds import BenchStream
+from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS
 from rig.core.geometry import invert, transform
 from rig.core.guard import AXES

@@ -15,8 +15,7 @@ import pytest
 
 from rig.acquire import doctor
 from rig.acquire.doctor import Finding, examine
-from rig.bench.bench import Bench, BenchFile, bench_from
-from rig.bench.stream_kinds import BenchStream
+from rig.bench.bench import Bench, BenchFile, BenchStream, bench_from
 from rig.cli.options import bench_command, bench_options
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock

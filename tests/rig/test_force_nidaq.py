@@ -16,7 +16,7 @@ import pytest
 from support.cal_files import emit_calibration
 from support.drivers import FixedWorld, collect, opening, running
 
-from rig.bench.stream_kinds import BenchStream
+from rig.bench.bench import BenchStream
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
