@@ -27,7 +27,7 @@ from rig.acquire.request import CollectRequest
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.streams import check_clear, tip_position
 from rig.bench.bench import Bench
-from rig.bench.guards import guards_of
+from rig.bench.guards import guard_limits, guards_of
 from rig.bench.worlds import AnalyticSpec
 from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.errors import DeviceLost, SafetyStop
@@ -88,7 +88,7 @@ class SimulatedBench(FakeClock):
     def __init__(self, bench: Bench, truth: Truth, folder: Path) -> None:
         super().__init__(SECOND_NS)
         self.bench, self.truth, self.folder = bench, truth, folder
-        start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *bench.tool_rotation))
+        start = bench.tool_pose((0.0, 0.0, _START_HEIGHT))
         self.robot = Robot(start, np.array(bench.arm.tcp))
         place = (0.0, 0.0, truth.surface, *truth.tilt, 0.0)
         frame = compose(bench.contact_frame, place)
@@ -288,7 +288,7 @@ class _Arm:
         setup = Setup(
             bench.arm,
             tuple(bench.contact_frame),
-            bench.guard_limits(),
+            guard_limits(bench),
             None,
             tuple(guards_of(bench, folder, contact=contact).items()),
         )
@@ -511,9 +511,7 @@ class Stages:
         runner = PlanRunner(streams, driven, interlocks, writer, live, request, run=0, zeros={})
         try:
             x, y, z = tip_position(streams)
-            pose = compose(
-                bench.contact_frame, (x, y, max(bench.arm.retract, z), *bench.tool_rotation)
-            )
+            pose = bench.tool_pose((x, y, max(bench.arm.retract, z)))
             arm_config = bench.arm
             result = arm.move(
                 pose,

@@ -37,11 +37,9 @@ from rig.acquire.streams import (
     tip_position,
 )
 from rig.bench.bench import Bench
-from rig.bench.guards import guards_of, statement
-from rig.bench.indenter import find_indenter
+from rig.bench.guards import guard_limits, guards_of, statement
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import DeviceLost, SafetyStop
-from rig.core.geometry import compose, transform
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
 from trajectories import Plan, plan_to_json
@@ -188,7 +186,7 @@ class Collector:
         arm = Arm(
             self._bench.arm,
             self._bench.contact_frame,
-            self._bench.guard_limits(),
+            guard_limits(self._bench),
             pose_path=self._folder / "pose.latest",
             guards=guards_of(self._bench, self._folder, contact=contact_change),
         )
@@ -204,7 +202,7 @@ class Collector:
 
         x, y, z = tip_position(streams)
         height = max(self._bench.arm.retract, z)
-        pose = compose(self._bench.contact_frame, (x, y, height, *self._bench.tool_rotation))
+        pose = self._bench.tool_pose((x, y, height))
         result = arm.move(
             pose,
             speed=self._bench.arm.travel_speed,
@@ -266,7 +264,7 @@ class Collector:
             "mock_sources": request.mock_sources or {},
             "sensor": bench.sensor,
             "indenter": bench.indenter,
-            "indenter_description": find_indenter(bench.indenter).attrs(),
+            "indenter_description": bench.indenter_attrs(),
             "operator": begun["operator"],
             "plan": plan_to_json(request.plan),
             "targets_wanted": request.total,
@@ -373,7 +371,7 @@ def _or_null(values: np.ndarray) -> list[float | None]:
 def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
     """Return a session's `targets`: point, depth [m], direction, planned place in the base [m]."""
     targets = [target for target in plan.targets() if target.index < total]
-    planned = transform(bench.contact_frame, np.array([target.sheared for target in targets]))
+    planned = bench.in_base(np.array([target.sheared for target in targets]))
     return {
         "point": np.array([target.point for target in targets], dtype=np.int16),
         "depth": np.array([target.depth for target in targets]),

@@ -24,7 +24,6 @@ from rig.acquire.streams import StreamHandle, Streams, rate_window
 from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock, utc_text
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.geometry import compose, invert
 from rig.core.realtime import RIG_PRIORITY, may_have_priority
 from rig.devices import registry
 
@@ -235,7 +234,7 @@ def _values(
     if row.kind == "taxels" and "std" in found and not np.asarray(found["std"]).any():
         return ("no value changes: frozen", "restart the vendor's server, plug the sensor in again")
     if row.name == "pose" and latest is not None:
-        tip = compose(invert(bench.contact_frame), latest["value"])[:3]
+        tip = bench.tip(latest["value"])
         if np.linalg.norm(tip) > FAR:
             return (
                 f"the tip is {np.linalg.norm(tip):.2f} m from the sensor",

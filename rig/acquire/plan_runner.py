@@ -21,11 +21,10 @@ from recorder.progress import duration
 from recorder.spec import frame_columns, reference_spec
 from rig.acquire.control import DeadManReleased, Interlocks
 from rig.acquire.request import CollectRequest
-from rig.acquire.streams import Streams, check_no_contact, no_mean, settling, tip_position
+from rig.acquire.streams import Streams, check_no_contact, no_mean, tip_position
 from rig.bench.bench import KINDS
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
-from rig.core.geometry import compose
 from rig.core.guard import Mode
 from rig.core.paced_line import PacedLine
 from rig.devices.arm.arm import Arm, MoveResult
@@ -312,7 +311,7 @@ class PlanRunner:
         if self._bench.no_gauge and not averaged:
             # The pose paces the wait for images without contact.
             averaged = ["pose"]
-        waits = [settling(row) for row in self._bench.rows]
+        waits = [row.settling for row in self._bench.rows]
         window = max(self._bench.preflight.point_window, *waits)
         found = self._streams.measure(window, *averaged) if averaged else {}
         zero_stand_ins(self._streams, found)
@@ -360,7 +359,7 @@ class PlanRunner:
         travelling, pressing = mode == "travel", mode == "guarded"
         self._interlocks.check(pressing=pressing)
         asked_ns = self._clock.now_ns()
-        pose = compose(bench.contact_frame, (*place, *bench.tool_rotation))
+        pose = bench.tool_pose(place)
         try:
             result = self._arm.move(
                 pose,

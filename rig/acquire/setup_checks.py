@@ -25,7 +25,7 @@ from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.config import from_si
 from rig.core.errors import DeviceLost
-from rig.core.geometry import compose, invert
+from rig.core.geometry import compose
 from rig.devices.arm import dashboard
 from rig.devices.arm.reader import RtdeLink
 from trajectories import Point
@@ -429,7 +429,7 @@ def stable_name(address: str, dev: Path = Path("/dev")) -> str | None:
 
 def contact(bench: Bench, pose: Sequence[float] | np.ndarray) -> Finding:
     """Return the finding of a pose (6,) [m, rad] at which the tip just touches the middle."""
-    x, y, z = compose(invert(bench.contact_frame), np.asarray(pose, float))[:3].tolist()
+    x, y, z = bench.tip(pose)
     close = abs(z) <= ALONG and math.hypot(x, y) <= ACROSS
     return _finding(
         "contact",

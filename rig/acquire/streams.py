@@ -18,7 +18,6 @@ from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
 from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
-from rig.core.geometry import compose, invert
 from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SLOTS, SharedLatest
 from trajectories import Point
@@ -358,8 +357,7 @@ def tip_position(streams: Streams) -> Point:
     latest = streams["pose"].latest()
     if latest is None:
         raise DeviceLost("pose: no sample yet")
-    x, y, z = compose(invert(streams.bench.contact_frame), latest["value"])[:3].tolist()
-    return (x, y, z)
+    return streams.bench.tip(latest["value"])
 
 
 def check_clear(streams: Streams) -> None:
@@ -383,21 +381,16 @@ def take_tares(streams: Streams) -> dict[str, dict[str, Any]]:
     bench = streams.bench
     gauges = bench.of_kind("force")
     names = [gauge.name for gauge in gauges]
-    window = max([bench.preflight.tare_window, *(settling(gauge) for gauge in gauges)])
+    window = max([bench.preflight.tare_window, *(gauge.settling for gauge in gauges)])
     tares = streams.measure(window, *names) if names else {}
     for gauge in gauges:
         _check_tare(bench, gauge, tares[gauge.name])
     return tares
 
 
-def settling(row: BenchStream) -> float:
-    """Return the time in which a stream's readings settle [s]; 0 for one without this."""
-    return float(getattr(row.config, "hold", 0.0))
-
-
 def no_mean(gauge: BenchStream) -> str:
     """Return why a gauge has no mean, for an error."""
-    if settling(gauge):
+    if gauge.settling:
         return f"no settled reading ({gauge.key}.settle_ms, settle_within_n)"
     return "no sample"
 

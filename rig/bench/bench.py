@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from recorder import (
     Column,
@@ -34,8 +35,7 @@ from rig.core.config import READER as PLAIN_READER
 from rig.core.config import from_si, read_yaml
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError
-from rig.core.geometry import matrix_from_vector
-from rig.core.guard import GuardLimits
+from rig.core.geometry import Array, compose, invert, matrix_from_vector, transform
 from rig.core.names import unknown_name
 from rig.core.packaged import BENCHES
 from rig.core.samples import latest_dtype
@@ -47,7 +47,7 @@ from rig.devices.force.settings import ForceSettings
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import TaxelSettings
-from trajectories import DryRun, ForceDepth, Limits, Plan, PressShear, dry_run
+from trajectories import DryRun, ForceDepth, Limits, Plan, Point, PressShear, dry_run
 
 # Least cosine between the tool's axis and the direction into the sensor.
 _POINTS_INTO_SENSOR = 0.7
@@ -261,6 +261,11 @@ class BenchStream:
         return float(self.config.rate_hz)
 
     @property
+    def settling(self) -> float:
+        """Time in which its readings settle [s]; 0 for a device without this."""
+        return float(getattr(self.config, "hold", 0.0))
+
+    @property
     def shape(self) -> dict[str, int]:
         """Number of taxels and of their axes of a stream of taxels, for its storage."""
         if self.kind != "taxels":
@@ -381,10 +386,10 @@ class Bench:
         if self.no_gauge:
             _check_no_gauge(self)
         for row in self.of_kind("force"):
-            if self.hold < row.config.hold:
+            if self.hold < row.settling:
                 raise ValueError(
                     f"hold_ms: {1e3 * self.hold:g}; allowed with {row.key}: at least "
-                    f"{1e3 * row.config.hold:.0f}, in which its readings settle"
+                    f"{1e3 * row.settling:.0f}, in which its readings settle"
                 )
         if not self.no_gauge and not self.mock and not self.gauges:
             raise ValueError(
@@ -451,6 +456,22 @@ class Bench:
         name = signal_of([(row.name, row.traits) for row in self.rows])
         return None if name is None else self.row(name)
 
+    def tool_pose(self, tip: Point) -> Array:
+        """Return the pose (6,) of the upright tool in the base frame, its tip at a place [m, rad].
+
+        The place is one of the contact frame [m].
+        """
+        return compose(self.contact_frame, (*tip, *self.tool_rotation))
+
+    def tip(self, pose: ArrayLike) -> Point:
+        """Return the place of the tip in the contact frame [m], of a TCP pose (6,) in the base."""
+        x, y, z = compose(invert(self.contact_frame), pose)[:3].tolist()
+        return (x, y, z)
+
+    def in_base(self, places: ArrayLike) -> Array:
+        """Return places (..., 3) of the contact frame in the base frame [m]."""
+        return transform(self.contact_frame, places)
+
     @property
     def dome_radius(self) -> float | None:
         """Radius of the sensor's spherical top [m], as its plan states it; None: flat."""
@@ -485,34 +506,14 @@ class Bench:
         ratings += [gauge.config.rated for gauge in self.gauges if gauge.config.rated]
         return tuple(map(min, zip(*ratings, strict=True)))
 
+    def indenter_attrs(self) -> dict[str, Any]:
+        """Return the description of the indenter on the arm for the session's metadata."""
+        return find_indenter(self.indenter).attrs()
+
     @property
     def gauges(self) -> tuple[BenchStream, ...]:
         """F/T sensors that stop the arm at the bench's limits, in order."""
         return tuple(row for row in self.of_kind("force") if "guard" in row.traits.roles)
-
-    def guard_limits(self, gauge: BenchStream | None = None) -> GuardLimits:
-        """Return the limits of the guard that watches a gauge; None: only the arm's motion."""
-        limits = self.limits
-        motion = GuardLimits(
-            force_rating=self.force_rating,
-            soft_fraction=limits.soft_fraction,
-            hard_fraction=limits.hard_fraction,
-            horizon=limits.horizon,
-            stale_force=limits.stale_force,
-            stale_pose=limits.stale_pose,
-            box=(
-                (limits.box_x[0], limits.box_y[0], -limits.depth_max),
-                (limits.box_x[1], limits.box_y[1], limits.height_max),
-            ),
-            dome_radius=self.dome_radius,
-        )
-        if gauge is None:
-            return motion
-        return replace(
-            motion,
-            force_status_mask=gauge.config.UNTRUSTED_MASK,
-            axes_measured=gauge.config.axes_measured,
-        )
 
 
 def _check_no_gauge(bench: Bench) -> None:

@@ -20,9 +20,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from rig.bench.bench import NO_GAUGE, Bench
+from rig.bench.bench import NO_GAUGE, Bench, BenchStream
 from rig.core.errors import ConfigError
-from rig.core.guard import ForceGuard, Guard
+from rig.core.guard import ForceGuard, Guard, GuardLimits
 from rig.core.stand_in_guards import CrashGuard, SignalGuard
 from trajectories import Plan, dome_height
 
@@ -51,12 +51,37 @@ def without_gauge(content: dict[str, Any], where: str) -> dict[str, Any]:
     return {**content, "force": NO_GAUGE, "streams": streams}
 
 
+def guard_limits(bench: Bench, gauge: BenchStream | None = None) -> GuardLimits:
+    """Return the limits of the guard that watches a gauge; None: only the arm's motion."""
+    limits = bench.limits
+    motion = GuardLimits(
+        force_rating=bench.force_rating,
+        soft_fraction=limits.soft_fraction,
+        hard_fraction=limits.hard_fraction,
+        horizon=limits.horizon,
+        stale_force=limits.stale_force,
+        stale_pose=limits.stale_pose,
+        box=(
+            (limits.box_x[0], limits.box_y[0], -limits.depth_max),
+            (limits.box_x[1], limits.box_y[1], limits.height_max),
+        ),
+        dome_radius=bench.dome_radius,
+    )
+    if gauge is None:
+        return motion
+    return dataclasses.replace(
+        motion,
+        force_status_mask=gauge.config.UNTRUSTED_MASK,
+        axes_measured=gauge.config.axes_measured,
+    )
+
+
 def gauge_guards(bench: Bench, folder: Path) -> dict[Path, Guard]:
     """Return the guard of each F/T sensor with that role, by its shared record in `folder`."""
     several = len(bench.gauges) > 1
     return {
         folder / f"{row.name}.latest": ForceGuard(
-            bench.guard_limits(row), row.name if several else ""
+            guard_limits(bench, row), row.name if several else ""
         )
         for row in bench.gauges
     }

@@ -23,13 +23,12 @@ from rig.acquire.control import InterruptFlag
 from rig.acquire.setup_checks import origin_text
 from rig.acquire.streams import Streams, check_devices, take_tares, tip_position
 from rig.bench.bench import Bench
-from rig.bench.guards import gauge_guards
+from rig.bench.guards import gauge_guards, guard_limits
 from rig.cli.options import banner, bench_options, chosen_bench, confirm, motion_lines
 from rig.cli.recording import started_bench
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
-from rig.core.geometry import compose
 from rig.devices.arm.arm import Arm, MoveResult
 from rig.devices.hid.drivers import Cap, SpaceMouseDriver
 from rig.devices.hid.reports import Axes
@@ -94,7 +93,7 @@ def _jogged(
     arm = Arm(
         bench.arm,
         bench.contact_frame,
-        bench.guard_limits(),
+        guard_limits(bench),
         pose_path=folder / "pose.latest",
         guards=gauge_guards(bench, folder),
     )
@@ -174,7 +173,7 @@ class Jog:
 
     def run(self) -> Point:
         """Follow the cap until a button sets the origin; return the tip, contact frame [m]."""
-        box = self._bench.guard_limits().box
+        box = guard_limits(self._bench).box
         while True:
             cap = self._look(0.02)
             if TAKE in self._pressed:
@@ -190,7 +189,7 @@ class Jog:
         rising = cap.shift[2] > 0 and not any(cap.shift[:2])
         if self._loaded and not rising:
             return
-        pose = compose(self._bench.contact_frame, (*goal, *self._bench.tool_rotation))
+        pose = self._bench.tool_pose(goal)
         try:
             result = self._arm.move(
                 pose,

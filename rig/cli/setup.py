@@ -22,7 +22,6 @@ from rig.acquire.acceptance import SetupRecord
 from rig.acquire.calibration import store
 from rig.acquire.control import apart
 from rig.acquire.doctor import Finding, examine
-from rig.acquire.streams import settling
 from rig.bench.bench import Bench, BenchStream
 from rig.cli import collect, doctor, force_depth
 from rig.cli.calibrate_latency import calibrate
@@ -140,7 +139,7 @@ class AtBench:
         """Return the values of a stream for a time [s], or longer if its readings must settle."""
         if self.watch is not None:
             self.watch()
-        return checks.read_for(self.ready, row.name, self.clock, max(seconds, 2 * settling(row)))
+        return checks.read_for(self.ready, row.name, self.clock, max(seconds, 2 * row.settling))
 
     def run(self, command: Callable[..., int], *arguments: object) -> int:
         """Run another command on this bench in a process of its own; return its exit code."""

@@ -28,7 +28,6 @@ from rig.bench.worlds import Noise, SimulatedSpec, Sources
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost
-from rig.core.geometry import compose
 from rig.core.mock_names import ARM_FILE, PORTS, PRESS_FILE, WORLD_FILE
 from rig.core.samples import ARM_TRUTH, PRESS_STATE, WORLD_STATE
 from rig.core.shared_memory import SharedLatest
@@ -240,8 +239,7 @@ class MockBench(ProcessGroup):
                 raise ConfigError(f"{process.removesuffix('.device')}.{error}") from None
         noise = (bench.world and bench.world.noise) or Noise()
         if name == "arm":
-            rotation = bench.tool_rotation
-            start = compose(bench.contact_frame, (0.0, 0.0, _START_HEIGHT, *rotation))
+            start = bench.tool_pose((0.0, 0.0, _START_HEIGHT))
             wrist = {"wrist": bool(bench.of_kind("arm_wrench"))}
             return {"state": str(self._folder / ARM_FILE), "pose": start.tolist(), **wrist}
         if name == "force":

@@ -22,6 +22,7 @@ from benchmarks.faults.rows import ROWS
 from benchmarks.faults.run import Results, names
 from recorder import Session
 from rig.bench.bench import BenchFile, bench_from
+from rig.bench.guards import guard_limits
 from rig.core.clock import FakeClock
 from rig.core.guard import ForceGuard, MotionGuard
 from rig.core.packaged import BENCHES
@@ -188,7 +189,7 @@ def test_a_labs_stale_limits_are_50_and_100_ms_and_stop_the_arm_just_past_them()
     for key in ("stale_force_ms", "stale_pose_ms"):
         del content["limits"][key]
     bench = bench_from(content, "a lab's bench")
-    limits = replace(bench.guard_limits(), box=((-9.0,) * 3, (9.0,) * 3))
+    limits = replace(guard_limits(bench), box=((-9.0,) * 3, (9.0,) * 3))
     clock = FakeClock(10 * SECOND)
     force, pose = np.zeros(1, FORCE_LATEST), np.zeros(1, POSE_LATEST)
     pose["safety_status"] = 1

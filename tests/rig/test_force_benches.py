@@ -13,6 +13,7 @@ from support.collecting import Collection, faults_of, quick_bench
 
 from recorder import Session
 from rig.bench.bench import Bench, BenchFile
+from rig.bench.guards import guard_limits
 from rig.cli.options import motion_lines
 from rig.core.clock import FakeClock
 from rig.core.config import READER
@@ -125,7 +126,7 @@ def test_the_lowest_rating_of_sensor_gauge_and_bench_bounds_every_press(
     path.write_text(f"{path.read_text()}limits: {limits}\n")
     bench = BenchFile.read(path).bench
     (gauge,) = bench.gauges
-    assert bench.guard_limits(gauge).force_rating[:3] == pytest.approx(rating)
+    assert guard_limits(bench, gauge).force_rating[:3] == pytest.approx(rating)
     assert bench.plan_limits.force_rating == pytest.approx(0.85 * rating[2])
     ends = ", ".join(f"{0.85 * each:.3g}" for each in rating)
     assert f"a press ends at {ends} N" in "\n".join(motion_lines(bench, 1e-3))
@@ -151,7 +152,7 @@ def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
 
     bench = loaded(tmp_path, FORCES[kind])
     (gauge,) = bench.gauges
-    guard = ForceGuard(bench.guard_limits(gauge))
+    guard = ForceGuard(guard_limits(bench, gauge))
     record = np.zeros(1, FORCE_LATEST)
     record["status"] = status
     violation = guard.check(0, record, "guarded")
@@ -163,7 +164,7 @@ def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz
     from rig.core.guard import ForceGuard
 
     bench = loaded(tmp_path, NIDAQ)
-    limits = bench.guard_limits(*bench.gauges)
+    limits = guard_limits(bench, *bench.gauges)
     guard = ForceGuard(limits)
     soft, speed = limits.soft_fraction * limits.force_rating[2], 100.0
     record = np.zeros(1, FORCE_LATEST)

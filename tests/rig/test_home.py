@@ -18,6 +18,7 @@ from rig.acquire.calibration import home, store
 from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
 from rig.acquire.calibration.store import Calibration, HomeCalibration, LatencyCalibration
 from rig.bench.bench import Bench, BenchFile
+from rig.bench.guards import guard_limits
 from rig.bench.worlds import AnalyticSpec, Sphere
 from rig.core.errors import ConfigError, SafetyStop
 from rig.core.packaged import BENCHES
@@ -125,9 +126,9 @@ def test_touches_and_taps_survive_json_and_touch_nothing_beyond_their_travel() -
 
 def test_the_guard_of_an_approach_is_soft_and_its_hard_limit_stays() -> None:
     bench = _bench("tacpalm")
-    limits = home.touching_bench(bench, 0.3).guard_limits()
+    limits = guard_limits(home.touching_bench(bench, 0.3))
     assert limits.soft_fraction * limits.force_rating[2] == pytest.approx(0.3)
-    assert limits.hard_fraction == bench.guard_limits().hard_fraction
+    assert limits.hard_fraction == guard_limits(bench).hard_fraction
     for force in (0.0, -1.0, 10.0):
         with pytest.raises(ConfigError, match="--force"):
             home.touching_bench(bench, force)

@@ -31,6 +31,7 @@ from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.bench.guards import (
     SURFACE_WIDTH,
     check_plan,
+    guard_limits,
     guards_of,
     planned_depth,
     slowed,
@@ -104,7 +105,7 @@ def test_speeds_and_box_follow_the_rules() -> None:
     bench = slowed(bench_of("tacpalm"), 4.5e-3)
     assert bench.arm.speed == 2e-3
     assert bench.arm.travel_speed == 10e-3
-    assert bench.guard_limits().box[0][2] == pytest.approx(-4.7e-3)
+    assert guard_limits(bench).box[0][2] == pytest.approx(-4.7e-3)
     plan = bench_of("tacpalm").trajectory
     assert planned_depth(bench, plan) == pytest.approx(4.957e-3, abs=1e-6)
 
