@@ -1,13 +1,23 @@
 """Simulator of a rigid indenter that is pressed and sheared into a bonded soft layer."""
 
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import Indenter
 from sim.layer import Layer
 from sim.mpm import Mpm
 from sim.result import Quality, Result
-from sim.scene import Body, Motion, Scene, from_target, press
+from sim.scene import (
+    Body,
+    Effects,
+    Friction,
+    Gravity,
+    Inertia,
+    Motion,
+    Scene,
+    Viscosity,
+    from_target,
+    press,
+)
 from sim.simulate import Plan, plan, plan_effects, simulate, simulate_many
 
 __all__ = [

@@ -15,13 +15,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.effects import Effects, Inertia
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.fem.newton import path_of
 from sim.layer import Layer
 from sim.metrics import Outcome, force_scale, marker_pixels, outcome_of, seen
-from sim.scene import Body, Scene
+from sim.scene import Body, Effects, Inertia, Scene
 from sim.tiers import simulate_one
 
 Array = NDArray[np.float64]

@@ -22,7 +22,6 @@ from benchmarks.sim.stability.chance.scenes import drawn
 from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
 from recorder.command_line.options import add_seed
 from recorder.progress import duration
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.fem.mesh import meshes_of
@@ -31,7 +30,7 @@ from sim.fem.sizing import stages_of
 from sim.metrics import Kind, outcome_of, tolerance_of, with_unit
 from sim.needed import FINENESS, EffectsPlan, plan_many
 from sim.result import Outcome, Result
-from sim.scene import Scene
+from sim.scene import Effects, Friction, Gravity, Inertia, Scene, Viscosity
 from sim.tiers import simulate_many
 
 # Maximum steps of a motion and elements of a probe's mesh, for scenes that take seconds.

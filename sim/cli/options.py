@@ -13,7 +13,6 @@ from typing import cast, get_args
 
 from recorder.command_line.options import add_device, numbers
 from sim.device import ready_device
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.indenters import (
@@ -35,7 +34,7 @@ from sim.indenters import (
 )
 from sim.indenters.solid import REACH, Unit, Up
 from sim.layer import Layer
-from sim.scene import Body, Footprint
+from sim.scene import Body, Effects, Footprint, Friction, Gravity, Inertia, Viscosity
 
 # Readers of option values: numbers, lists of numbers, pairs.
 

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal, get_args
 
-from sim.effects import Friction
 from sim.errors import PassesThrough, SceneError, SimulationDiverged, check_range
 from sim.fem import FOR_EDGES, Fem, Grading, further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
 from sim.result import ContactTier, Outcome, Result
-from sim.scene import Body, Motion, Scene, from_target, press, through
+from sim.scene import Body, Friction, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.simulate import plan as within
 from sim.simulate import simulate_many

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
 from sim.markers import Camera
-from sim.scene import Body
+from sim.scene import Body, Friction, Viscosity
 from sim.sensors.posterior import CAMERA, Posterior, is_log
 from sim.sensors.sensor import SimulatedSensor
 from sim.sensors.taxels import TaxelSignal

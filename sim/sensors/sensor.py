@@ -10,11 +10,10 @@ from typing import ClassVar
 import numpy as np
 
 from recorder.settings import Reader
-from sim.effects import Effects
 from sim.errors import SceneError, check_range
 from sim.indenters import Indenter
 from sim.markers import Camera, Pattern, named
-from sim.scene import Body, Motion, Scene
+from sim.scene import Body, Effects, Motion, Scene
 from sim.sensors.pins import Pins
 from sim.sensors.posterior import Posterior
 from sim.sensors.taxels import TaxelPad, TaxelSignal

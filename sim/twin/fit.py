@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from recorder.processes import several
 from recorder.progress import part_of, span_of
-from sim.effects import Friction, Viscosity
 from sim.errors import SceneError
 from sim.result import ContactTier
+from sim.scene import Friction, Viscosity
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import Posterior, interval_of, is_log
 from sim.sensors.quantities import POISSON, quantities, with_quantities

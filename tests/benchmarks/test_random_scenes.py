@@ -28,13 +28,12 @@ from benchmarks.sim.stability.chance.run import RandomRun, Told, tell
 from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
 from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
 from benchmarks.sim.stability.chance.twins import KINDS, agrees, symmetric, twin_of
-from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of
 from sim.indenters import shapes
 from sim.result import Quality, Result, to_json
-from sim.scene import Body, Motion, Scene, press
+from sim.scene import Body, Effects, Friction, Motion, Scene, press
 
 MM = 1e-3
 BALL = Scene(shapes.sphere(4 * MM), press([0.2 * MM, 0.4 * MM]))

@@ -21,8 +21,8 @@ from benchmarks.sim.sensors.fit import (
 from benchmarks.sim.sensors.picture import COLUMNS, Tile, outlined, sheet
 from benchmarks.sim.sensors.relaxation import hysteresis, relaxed
 from benchmarks.sim.sensors.timing import stages
-from sim.effects import Viscosity
 from sim.layer import Layer
+from sim.scene import Viscosity
 from sim.sensors import SimulatedSensor, TaxelSignal, sensor
 from sim.sensors.field import SurfaceField
 from sim.sensors.taxels import TaxelPad

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
-from sim.effects import Viscosity
 from sim.errors import SceneError
+from sim.scene import Viscosity
 
 DEPTH = np.linspace(0.0, 1e-3, 9)
 FORCE = 4.0 * (DEPTH / 1e-3) ** 1.1

@@ -36,9 +36,9 @@ from benchmarks.sim.speed.timing import counted, spent_with_workers
 from benchmarks.sim.speed.work import PaperWork, TimedPress, paper_work, smoke_work
 from sim import Body, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
 from sim.device import ready_device
-from sim.effects import Effects, Friction
 from sim.fem import Fem
 from sim.indenters import NAMES, sphere
+from sim.scene import Effects, Friction
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)
 SCENES = [

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import warp as wp
 
-from sim.effects import Effects, Friction, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, plane, sphere, torus
 from sim.layer import Layer, batch, batch_kernels
 from sim.layer.batch import simulate_layers
 from sim.layer.solver import simulate_layer
 from sim.result import Outcome, Result
-from sim.scene import Body, Motion, Scene, press
+from sim.scene import Body, Effects, Friction, Motion, Scene, Viscosity, press
 from sim.tiers import simulate_many
 
 # Its kernels are compiled for a GPU or for the CPU, where one thread solves a press.

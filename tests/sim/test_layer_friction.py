@@ -13,14 +13,13 @@ from benchmarks.sim.reference_solutions import (
     mindlin_displacement,
     mindlin_stick_radius,
 )
-from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
 from sim.indenters import flat_punch, sphere
 from sim.layer import Layer, contact
 from sim.layer.solver import LayerPress, simulate_layer
 from sim.layer.spectral import Convolutions, Grid, compliance
 from sim.result import Result
-from sim.scene import Body, Motion, Scene, press, through
+from sim.scene import Body, Effects, Friction, Motion, Scene, press, through
 from tests.support.few import few
 
 

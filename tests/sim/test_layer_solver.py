@@ -7,12 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import named, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
-from sim.scene import Body, Scene, press, through
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Scene, Viscosity, press, through
 
 
 @pytest.mark.parametrize(

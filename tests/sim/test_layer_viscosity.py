@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.sim.reference_solutions import hereditary, layer_sphere
-from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
 from sim.result import Result
-from sim.scene import Body, Motion, Scene, press, through
+from sim.scene import Body, Effects, Friction, Motion, Scene, Viscosity, press, through
 
 RATIOS, TIMES = (1.0, 0.5), (0.05, 0.3)
 RELAXING = Effects(viscosity=Viscosity(RATIOS, TIMES))

@@ -14,13 +14,12 @@ from matplotlib.figure import Figure
 
 from recorder.charts import chart
 from sim import plot
-from sim.effects import Effects, Friction
 from sim.fem import Fem
 from sim.indenters import flat_punch, sphere
 from sim.layer import Layer
 from sim.plot import abscissa, save_picture, shown_frame, surface_of
 from sim.result import Result
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Effects, Friction, Scene, press
 from sim.simulate import simulate
 
 

@@ -7,11 +7,10 @@ from dataclasses import FrozenInstanceError
 
 import pytest
 
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import sphere
 from sim.layer import Layer
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Scene, Viscosity, press
 from sim.simulate import simulate, simulate_many
 
 

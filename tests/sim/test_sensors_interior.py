@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.effects import Effects, Friction
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.fem.assembly import Assembly
 from sim.indenters import named
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Effects, Friction, Scene, press
 from sim.sensors.field import SurfaceField
 from sim.sensors.taxels import Interior
 from sim.simulate import simulate

@@ -10,12 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from recorder.markers import draw_discs, find_blobs
-from sim.effects import Effects, Friction
 from sim.errors import SceneError
 from sim.indenters import named
 from sim.layer import Layer
 from sim.result import Result
-from sim.scene import Body, Scene, through
+from sim.scene import Body, Effects, Friction, Scene, through
 from sim.sensors import SurfaceField, TaxelPad, TaxelSignal, readout, sensor
 from sim.sensors.taxels import flux_density, rotations
 from sim.simulate import simulate

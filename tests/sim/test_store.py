@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 import zarr
 
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.indenters import NAMES, named, plane, rounded_cone, sphere
 from sim.layer import Layer
 from sim.result import Quality, Result, from_json, to_json
-from sim.scene import Body, Motion, Scene, press
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 from sim.simulate import simulate
 from sim.store import ARRAYS, load_result, save_results
 

@@ -11,12 +11,11 @@ import pytest
 import sim.tolerance as module
 from benchmarks.sim.independent.comparison import round_tasks
 from sim import Body, Fem, Layer, Scene, plan, press, simulate
-from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, sphere
 from sim.metrics import force_scale
 from sim.result import Result
-from sim.scene import through
+from sim.scene import Effects, Friction, through
 
 # A contact 33 pixels wide, pressed by a fortieth of the thickness: 5.7 % by its estimate.
 WIDE = Scene(flat_punch(3e-3, 0.5e-3), press([0.05e-3, 0.1e-3]))

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from sim import Body, Effects, Scene, press
-from sim.effects import Viscosity
 from sim.errors import SimulationDiverged
 from sim.fem import Fem, solver
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Required, simulate_fem
 from sim.indenters import sphere
 from sim.result import Outcome, Result
+from sim.scene import Viscosity
 from sim.simulate import simulate
 from sim.tolerance import STATES_MOST, _states, simulate_within
 

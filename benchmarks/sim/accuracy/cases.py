@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sim.effects import Effects, Friction, Viscosity
 from sim.indenters import NAMES, Indenter, flat_punch, named, rounded_cone, sphere, tube
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Effects, Friction, Scene, Viscosity, press
 
 MM = 1e-3
 # Depths of the plain presses [m].

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from sim.effects import Friction, Gravity, Inertia, Viscosity
+from sim.scene import Friction, Gravity, Inertia, Viscosity
 
 Per = Literal[
     "environment", "node", "element", "Gauss point", "contact point",

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.fem import Fem
 from sim.indenters import sphere
-from sim.scene import Body, Motion, Scene
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity
 
 BODY = Body(size_x=12e-3, size_y=12e-3, thickness=4e-3)
 NUMERICS = Fem(spacing=1e-3, precision="float64")

@@ -12,7 +12,6 @@ from benchmarks.sim.independent.cases import CASES, MM, Case
 from benchmarks.sim.independent.foreign_cases import ForeignCase
 from benchmarks.sim.independent.truth import load
 from benchmarks.sim.stability.runner import side_by_side
-from sim.effects import Effects, Friction
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import (
@@ -27,7 +26,7 @@ from sim.indenters import (
     tube,
 )
 from sim.indenters.outline import Part
-from sim.scene import Body, Scene, press, through
+from sim.scene import Body, Effects, Friction, Scene, press, through
 from sim.simulate import plan, simulate
 from sim.tiers import Tier
 

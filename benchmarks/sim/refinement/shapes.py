@@ -6,12 +6,11 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from sim.effects import Effects, Friction
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import NAMES, Indenter, named
 from sim.result import Result
-from sim.scene import Scene, press
+from sim.scene import Effects, Friction, Scene, press
 from sim.simulate import simulate_many
 
 DEPTH, SHEAR, FRICTION = 1.5e-3, 1.0e-3, 0.5

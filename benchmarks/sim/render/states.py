@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.effects import Effects, Friction
 from sim.fem import Fem
 from sim.indenters import named, sphere
 from sim.result import Result
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Effects, Friction, Scene, press
 from sim.simulate import simulate
 
 Array = NDArray[np.float64]

@@ -23,11 +23,10 @@ from numpy.typing import NDArray
 from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
 from recorder.command_line.options import add_device
 from sim.device import ready_device
-from sim.effects import Viscosity
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import named
 from sim.result import Result
-from sim.scene import Motion, Scene, through
+from sim.scene import Motion, Scene, Viscosity, through
 from sim.sensors.field import SurfaceField
 from sim.sensors.sensor import SimulatedSensor, sensor
 from sim.sensors.taxels import TaxelPad, TaxelSignal

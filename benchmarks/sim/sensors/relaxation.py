@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from sim.effects import Viscosity
 from sim.errors import SceneError
+from sim.scene import Viscosity
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.effects import Effects, Friction
 from sim.indenters import NAMES, named
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
-from sim.scene import Scene, press
+from sim.scene import Effects, Friction, Scene, press
 
 # Numbers of places along x and y, between the outermost ones, for 810 presses.
 DENSE_X, DENSE_Y = 9, 5

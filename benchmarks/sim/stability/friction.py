@@ -25,9 +25,8 @@ from benchmarks.sim.stability.laws import (
     swapped,
     validity_laws,
 )
-from sim.effects import Effects, Friction
 from sim.result import Result
-from sim.scene import Motion, Scene, press, through
+from sim.scene import Effects, Friction, Motion, Scene, press, through
 
 LOOP = press([1 * MM], shear=1 * MM, steps=5)
 # Frames of `LOOP` at the end of the shear and of its return.

@@ -25,8 +25,7 @@ from benchmarks.sim.stability.laws import (
     slides,
     validity_laws,
 )
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
-from sim.scene import Body, Motion, Scene, press
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 
 # Stiffness of the only branch over the equilibrium stiffness, and its relaxation time [s].
 RATIO, TIME = 0.5, 0.2

@@ -21,11 +21,10 @@ from benchmarks.sim.stability.laws import (
     swapped,
     validity_laws,
 )
-from sim.effects import Effects, Friction
 from sim.indenters import Indenter, shapes
 from sim.layer import Layer
 from sim.result import Result
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Effects, Friction, Scene, press
 from sim.simulate import simulate
 
 # Tolerance of 1e-7, summed over the nodes.

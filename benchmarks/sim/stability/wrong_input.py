@@ -13,11 +13,10 @@ from benchmarks.sim.stability.bodies import MM, PAD, SPHERE
 from benchmarks.sim.stability.case import Case, Solver
 from benchmarks.sim.stability.divergence import evidence
 from benchmarks.sim.stability.laws import Law, at_least, at_most
-from sim.effects import Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import Part, named, shapes
-from sim.scene import Body, Motion, Scene, press
+from sim.scene import Body, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 from sim.simulate import simulate, simulate_many
 
 # Sets one field of a scene to a number, which must be rejected.

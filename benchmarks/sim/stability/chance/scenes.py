@@ -10,12 +10,11 @@ from typing import Any
 
 from benchmarks.sim.stability.chance.dice import Dice, rounded
 from benchmarks.sim.stability.chance.shapes import blade, draw_shape
-from sim.effects import Effects, Friction, Gravity, Inertia, Viscosity
 from sim.errors import SceneError
 from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of
 from sim.indenters import Indenter, shapes
-from sim.scene import Body, Motion, Scene, through
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, through
 
 # Default folder of STL files and counter-examples.
 FOLDER = Path("runs/hard-cases")

@@ -11,10 +11,9 @@ from typing import Any
 
 from benchmarks.sim.stability.chance.dice import rounded
 from benchmarks.sim.stability.chance.judgement import SceneOutcome, Settings, covered, judge_scene
-from sim.effects import Effects
 from sim.errors import SceneError
 from sim.result import from_json, to_json
-from sim.scene import Body, Motion, Scene, through
+from sim.scene import Body, Effects, Motion, Scene, through
 
 # Maximum number of simplifications to try, and their time limit [s].
 TRIES, SECONDS = 30, 30.0

@@ -18,11 +18,10 @@ from benchmarks.sim.stability.chance.referee import (
     weightless,
 )
 from benchmarks.sim.stability.laws import at_most
-from sim.effects import Effects
 from sim.errors import SceneError
 from sim.indenters import Indenter, Part
 from sim.result import Result
-from sim.scene import Body, Motion, Scene
+from sim.scene import Body, Effects, Motion, Scene
 
 Array = NDArray[np.float64]
 
