@@ -6,14 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError, check_kind, check_range, is_finite
 from sim.indenters import Indenter
-from trajectories import Plan, Point, Target
+
+if TYPE_CHECKING:
+    from trajectories import Plan, Target
 
 # Soft body: an elastomer layer bonded to a rigid base, square or round, flat or domed on top.
 
@@ -168,6 +170,9 @@ def _disc_area(u: Array, v: Array) -> Array:
 
 
 # Motion of the indenter's tip: straight lines between waypoints, with a result at each.
+
+# A position of the tip in the contact frame [m].
+Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

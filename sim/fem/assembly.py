@@ -42,11 +42,9 @@ from sim.fem.balance import (
     work_kernel,
 )
 from sim.fem.contact import (
-    MAY_CROSS,
     OVERLAPS,
     POINTS,
     STICK,
-    Crossing,
     contact_kernels,
     face_rule,
     overlap_kernel,
@@ -449,9 +447,11 @@ class Assembly:
         self.face_overlap = wp.zeros((environments, faces, OVERLAPS), dtype=real, device=device)
         """Overlap of each face, as written by `overlap` (B, S, `OVERLAPS`) [T]."""
         self._most_overlap = wp.zeros((environments, OVERLAPS), dtype=real, device=device)
-        self.crossing: Crossing | None = None
-        """Test of folded skins on the device; None: each of them gets a look on the host."""
+        self.crossing = None
+        """Test of folded skins on the device (`Crossing`); None: each gets a look on the host."""
         if on_gpu:
+            from sim.fem.crossing import Crossing
+
             self.crossing = Crossing(real, environments, mesh.faces, device)
         self._field = wp.zeros((environments, count), dtype=vec3, device=device)
         self.sums = np.zeros(environments, TOTALS)
@@ -550,7 +550,7 @@ class Assembly:
             return self._most_overlap.numpy().astype(float)
         self.crossing.mark(self._mesh, active, self.state.u, self.face_overlap, self._most_overlap)
         found = self._most_overlap.numpy().astype(float)
-        found[:, 3] = found[:, 3] == MAY_CROSS
+        found[:, 3] = self.crossing.marked(found[:, 3])
         return found
 
     def measure_overlap(self, active, *, samples: int, states: int = 1) -> None:

@@ -6,7 +6,7 @@ corner. A node inside one has passed through the skin there. Its depth is its di
 above, or to the side of, the same material point of that element.
 
 Lengths in thicknesses. It runs on the host in a few milliseconds, if a face has folded, and beside
-a GPU only if `sim.fem.contact.Crossing` has found a node to look at.
+a GPU only if `sim.fem.crossing.Crossing` has found a node to look at.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.fem.contact import FOLDED
 from sim.fem.mesh import CORNERS, Mesh
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Cosine of the angle to its rest normal below which a face counts as folded.
-FOLDED = math.cos(math.radians(80))
 # Newton iterations to locate a point in an element; near its middle 3 or 4 are enough.
 NEWTON = 12
 # Last Newton step of a point that is located, in reference coordinates.

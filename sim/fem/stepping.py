@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from recorder.processes import cores
 from sim.contact_size import width_of
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
@@ -31,7 +30,6 @@ from sim.fem.newton import (
     Path,
     path_of,
 )
-from sim.fem.self_overlap import self_overlap
 from sim.fem.sizing import Sizes, finer_at
 from sim.fem.verdict import (
     FOLD,
@@ -78,6 +76,8 @@ def on_host(device: str, function: Callable[..., Any], *items: Iterable[Any]) ->
     """
     if device == "cpu":
         return list(map(function, *items))
+    from recorder.processes import cores
+
     with ThreadPoolExecutor(min(THREADS, cores())) as pool:
         return list(pool.map(function, *items))
 
@@ -286,6 +286,8 @@ class Batch:
         top = assembly.read(some, self._tip)[1]
         touched = dict(zip(some, top[..., 3:].any(axis=-1), strict=True))
         if folded:
+            from sim.fem.self_overlap import self_overlap
+
             displaced = assembly.rows(assembly.state.u, folded).astype(float)
             meshes = [self._meshes[i] for i in folded]
             found = on_host(assembly.device, self_overlap, meshes, displaced)

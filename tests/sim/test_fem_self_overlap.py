@@ -22,7 +22,7 @@ from sim import (
 )
 from sim.fem import FOR_EDGES, Fem, stepping
 from sim.fem.assembly import Assembly
-from sim.fem.contact import Crossing
+from sim.fem.crossing import Crossing
 from sim.fem.mesh import Mesh, build_mesh
 from sim.fem.self_overlap import folded_faces, self_overlap
 from sim.indenters import bar, flat_punch, sphere
@@ -221,12 +221,12 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
         return found
 
     monkeypatch.setattr(Assembly, "overlap", folded)
-    monkeypatch.setattr(stepping, "self_overlap", lambda *_given: (0.05 * depth, 10))
+    monkeypatch.setattr("sim.fem.self_overlap.self_overlap", lambda *_given: (0.05 * depth, 10))
     result = simulate(scene, numerics)
     assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
     message = "25 um inside the skin beside it at waypoint 1, 5 %"
     assert [one for one in result.record["warnings"] if message in one]
-    monkeypatch.setattr(stepping, "self_overlap", lambda *_given: (0.3 * depth, 10))
+    monkeypatch.setattr("sim.fem.self_overlap.self_overlap", lambda *_given: (0.3 * depth, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
         simulate(scene, numerics)
 
@@ -244,7 +244,7 @@ def test_a_fold_above_the_limit_ends_the_path_where_it_grows(
         return found
 
     monkeypatch.setattr(Assembly, "overlap", folded)
-    monkeypatch.setattr(stepping, "self_overlap", lambda *_given: (0.2, 10))
+    monkeypatch.setattr("sim.fem.self_overlap.self_overlap", lambda *_given: (0.2, 10))
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself") as told:
         simulate(scene, Fem(spacing=4e-3 / 3))
     assert len(told.value.tried) <= 3
