@@ -1,24 +1,32 @@
-"""Simulator of a rigid indenter that is pressed and sheared into a bonded soft layer."""
+"""Simulator of a rigid indenter that is pressed and sheared into a bonded soft layer.
 
-from sim.errors import SceneError, SimulationDiverged
-from sim.fem import Fem
-from sim.indenters import Indenter
-from sim.layer import Layer
-from sim.mpm import Mpm
-from sim.result import Quality, Result
-from sim.scene import (
-    Body,
-    Effects,
-    Friction,
-    Gravity,
-    Inertia,
-    Motion,
-    Scene,
-    Viscosity,
-    from_target,
-    press,
-)
-from sim.simulate import Plan, plan, plan_effects, simulate, simulate_many
+A public name is imported when it is first used: a tier that is not needed is not imported.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sim.errors import SceneError, SimulationDiverged
+    from sim.fem import Fem
+    from sim.indenters import Indenter
+    from sim.layer import Layer
+    from sim.mpm import Mpm
+    from sim.planning import Plan, plan, plan_effects
+    from sim.result import Quality, Result
+    from sim.scene import (
+        Body,
+        Effects,
+        Friction,
+        Gravity,
+        Inertia,
+        Motion,
+        Scene,
+        Viscosity,
+        from_target,
+        press,
+    )
+    from sim.tiers import simulate, simulate_many
 
 __all__ = [
     "Body",
@@ -45,3 +53,30 @@ __all__ = [
     "simulate",
     "simulate_many",
 ]
+
+# Module of each name that is not in `scene`.
+_MODULES = {
+    "Fem": "fem",
+    "Indenter": "indenters",
+    "Layer": "layer",
+    "Mpm": "mpm",
+    "Plan": "planning",
+    "Quality": "result",
+    "Result": "result",
+    "SceneError": "errors",
+    "SimulationDiverged": "errors",
+    "plan": "planning",
+    "plan_effects": "planning",
+    "simulate": "tiers",
+    "simulate_many": "tiers",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'scene')}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

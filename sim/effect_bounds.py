@@ -21,7 +21,7 @@ from sim.fem.newton import path_of
 from sim.layer import Layer
 from sim.metrics import Outcome, force_scale, marker_pixels, outcome_of, seen
 from sim.scene import Body, Effects, Inertia, Scene
-from sim.tiers import simulate_one
+from sim.tiers import simulate
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def _layer(scene: Scene) -> _Layer | None:
         return None
     try:
         alone = replace(scene, effects=Effects(friction=scene.effects.friction))
-        result = simulate_one(alone, Layer())
+        result = simulate(alone, Layer())
     except (SceneError, SimulationDiverged):
         return None
     outcome = outcome_of(result)

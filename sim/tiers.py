@@ -14,27 +14,41 @@ from sim.error_estimate import with_estimate
 from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.fem import Fem
 from sim.layer import Layer
-from sim.mpm import Mpm
 from sim.result import Outcome, Result
 from sim.scene import Scene
 
 if TYPE_CHECKING:
     from recorder.processes import Workers
     from sim.fem.mesh import Mesh
+    from sim.mpm import Mpm
 
-# `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm` is
-# the paper's method, costlier and less exact than `fem`, for comparison.
-Tier = Layer | Fem | Mpm
+    # `layer` is linear and takes milliseconds, `fem` is exact and takes seconds to minutes; `mpm`
+    # is the paper's method, costlier and less exact than `fem`, for comparison.
+    Tier = Layer | Fem | Mpm
+
+Progress = Callable[[float], None]
 
 
-def simulate_one(
+def simulate(
     scene: Scene,
     tier: Tier = Fem(),
     *,
     device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Result:
-    """Solve one scene by one tier; arguments as in `simulate`."""
+    """Simulate one scene; see `sim.plan` for a tolerance in place of a tier.
+
+    Args:
+        scene: Scene to simulate.
+        tier: Tier and its settings. `Layer`: spectral bonded layer, small strain, no free sides;
+            `Fem`: finite elements, large strain; `Mpm`: explicit material points.
+        device: `cpu` or `cuda:0` and the like.
+        progress: Called with the fraction done, 0 to 1.
+
+    Raises:
+        SceneError: The tier does not support the scene.
+        SimulationDiverged: No converged state was found; nothing unconverged is returned.
+    """
     outcome = simulate_many([scene], tier, device=device, progress=progress)[0]
     if isinstance(outcome, SimulationDiverged):
         raise outcome
@@ -47,7 +61,7 @@ def simulate_many(
     *,
     device: str = "cpu",
     processes: int | Workers = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Outcome]:
     """Simulate scenes in a batch; return a result for each, or the reason for none.
 
@@ -81,9 +95,12 @@ def _by_tier(
     tier: Tier,
     device: str,
     processes: int | Workers,
-    progress: Callable[[float], None] | None,
+    progress: Progress | None,
 ) -> list[Outcome]:
-    check_kind("tier", tier, Tier, "a Layer, a Fem or an Mpm")
+    if not isinstance(tier, Layer | Fem):
+        from sim.mpm import Mpm
+
+        check_kind("tier", tier, Mpm, "a Layer, a Fem or an Mpm")
     for scene in scenes:
         check_kind("scene", scene, Scene, "a Scene")
     pool = _pool(processes, len(scenes))
@@ -109,13 +126,13 @@ def _by_tier(
             except SimulationDiverged as diverged:
                 outcomes.append(diverged)
         return outcomes
-    if isinstance(tier, Mpm):
-        from sim.mpm.solver import simulate_mpm
+    if isinstance(tier, Fem):
+        from sim.fem.solver import simulate_fem
 
-        return simulate_mpm(scenes, tier, device=device, progress=progress)
-    from sim.fem.solver import simulate_fem
+        return simulate_fem(scenes, tier, device=device, progress=progress)
+    from sim.mpm.solver import simulate_mpm
 
-    return simulate_fem(scenes, tier, device=device, progress=progress)
+    return simulate_mpm(scenes, tier, device=device, progress=progress)
 
 
 # Advice if a worker was killed for lack of memory.
@@ -147,9 +164,7 @@ def submitted(workers: Workers, scenes: Sequence[Scene], tier: Tier, device: str
     }
 
 
-def gathered(
-    workers: Workers, calls: Calls, progress: Callable[[float], None] | None = None
-) -> list[Outcome]:
+def gathered(workers: Workers, calls: Calls, progress: Progress | None = None) -> list[Outcome]:
     """Return the outcomes of calls, in the order of the scenes; arguments as in `simulate_many`."""
     count, done = sum(map(len, calls.values())), 0
     found: dict[int, Outcome] = {}

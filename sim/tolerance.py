@@ -49,7 +49,7 @@ from sim.metrics import (
 from sim.result import ContactTier, Result
 from sim.scene import Scene
 from sim.symmetry import vanishing_share, with_symmetry
-from sim.tiers import simulate_one
+from sim.tiers import simulate
 
 if TYPE_CHECKING:
     from sim.fem import Fem
@@ -307,7 +307,7 @@ def _of_layer(
     if device != "cpu":
         ready_device(device)  # rejects an unknown device, as meshes would
     try:
-        result = simulate_one(scene, Layer(), progress=progress)
+        result = simulate(scene, Layer(), progress=progress)
     except SimulationDiverged as diverged:
         if tier == "layer":
             raise

@@ -29,10 +29,10 @@ from recorder.store import replace_file
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.metrics import force_scale, tolerance_of
+from sim.planning import plan
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import plan
-from sim.tiers import simulate_one
+from sim.tiers import simulate
 from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
 
 # Element size of the answer over that of the reference.
@@ -133,7 +133,7 @@ def _truth(scene: Scene, result: Result, device: str) -> tuple[np.ndarray, np.nd
     most = TRUTH_ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
     fineness = result.record["mesh"].get("fineness", COARSEST)
     finest, middle = (
-        simulate_one(scene, Fem(fineness=one, elements_max=most), device=device)
+        simulate(scene, Fem(fineness=one, elements_max=most), device=device)
         for one in (max(COARSEST, fineness) * FINER, max(COARSEST, fineness))
     )
     ratio = elements_ratio(middle, finest)

@@ -22,9 +22,10 @@ from sim.error_estimate import describe_error
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.layer import Layer
+from sim.planning import plan, plan_effects
 from sim.result import ContactTier, Quality, Result
 from sim.scene import Motion, Scene
-from sim.simulate import plan, plan_effects, simulate
+from sim.tiers import simulate
 
 # Results in millimetres and newtons, as one JSON object or as a table.
 

@@ -13,11 +13,11 @@ from sim.fem import FOR_EDGES, Fem, Grading, further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
 from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
+from sim.planning import plan as within
 from sim.result import ContactTier, Outcome, Result
 from sim.scene import Body, Friction, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
-from sim.simulate import plan as within
-from sim.simulate import simulate_many
+from sim.tiers import simulate_many
 from trajectories import PHASES, ForceDepth, Point, PressShear, Target
 
 # A press that is simulated once, and those of its frames that become rows of an archive.

@@ -22,8 +22,8 @@ from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField
 from sim.sensors.posterior import is_log
 from sim.sensors.quantities import quantities, with_quantities
-from sim.simulate import simulate
 from sim.stream import LivePress
+from sim.tiers import simulate
 from sim.twin.observations import Track
 
 Array = NDArray[np.float64]

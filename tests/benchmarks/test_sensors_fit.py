@@ -26,7 +26,7 @@ from sim.scene import Viscosity
 from sim.sensors import SimulatedSensor, TaxelSignal, sensor
 from sim.sensors.field import SurfaceField
 from sim.sensors.taxels import TaxelPad
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 
 def fitted(sensors: dict[str, SimulatedSensor]) -> list[Line]:

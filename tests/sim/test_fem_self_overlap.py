@@ -26,7 +26,7 @@ from sim.fem.crossing import Crossing
 from sim.fem.mesh import Mesh, build_mesh
 from sim.fem.self_overlap import folded_faces, self_overlap
 from sim.indenters import bar, flat_punch, sphere
-from sim.simulate import simulate_many
+from sim.tiers import simulate_many
 
 Array = NDArray[np.float64]
 

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -15,9 +16,12 @@ from sim import Body, Effects, Friction, Layer, Result, Scene, press, simulate, 
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, box, from_stl, named, sphere
 from sim.mpm import Mpm
-from sim.simulate import Tier
 from sim.store import load_result, save_results
 from tactile.__main__ import main
+
+if TYPE_CHECKING:
+    from sim.tiers import Tier
+
 
 TILT = math.radians(6), math.radians(-4)
 COARSE = Fem(spacing=1.3e-3)

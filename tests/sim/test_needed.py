@@ -18,8 +18,8 @@ from sim.fem import Fem
 from sim.indenters import sphere
 from sim.metrics import outcome_of, tolerance_of
 from sim.needed import EffectsPlan, part_of_tolerance, plan_many
+from sim.planning import plan_effects
 from sim.result import Result
-from sim.simulate import plan_effects
 from sim.tiers import simulate_many
 from tactile.__main__ import main
 

@@ -20,7 +20,7 @@ from sim.layer import Layer
 from sim.plot import abscissa, save_picture, shown_frame, surface_of
 from sim.result import Result
 from sim.scene import Body, Effects, Friction, Scene, press
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 
 @pytest.fixture(scope="module")

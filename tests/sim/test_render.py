@@ -30,7 +30,7 @@ from sim.markers import (
 )
 from sim.markers.top import cubic_taps
 from sim.scene import Body, Scene, press
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 PIXEL = 33.93e-6
 NAMES = ("Array1", "Circle1", "Diamond1", "Array4")

@@ -37,7 +37,7 @@ from sim.result import from_json, to_json
 from sim.scene import through
 from sim.sensors import sensor
 from sim.sensors.taxels import TaxelPad, TaxelSignal
-from sim.simulate import simulate_many
+from sim.tiers import simulate_many
 
 MM = 1e-3
 DISC = Body(12 * MM, 12 * MM, 4 * MM, footprint="ellipse")

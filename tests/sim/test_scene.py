@@ -11,7 +11,7 @@ from sim.errors import SceneError
 from sim.indenters import sphere
 from sim.layer import Layer
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Scene, Viscosity, press
-from sim.simulate import simulate, simulate_many
+from sim.tiers import simulate, simulate_many
 
 
 def test_a_scene_is_a_value() -> None:

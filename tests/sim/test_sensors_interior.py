@@ -16,7 +16,7 @@ from sim.indenters import named
 from sim.scene import Body, Effects, Friction, Scene, press
 from sim.sensors.field import SurfaceField
 from sim.sensors.taxels import Interior
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 Array = NDArray[np.float64]
 

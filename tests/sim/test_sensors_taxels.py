@@ -17,7 +17,7 @@ from sim.result import Result
 from sim.scene import Body, Effects, Friction, Scene, through
 from sim.sensors import SurfaceField, TaxelPad, TaxelSignal, readout, sensor
 from sim.sensors.taxels import flux_density, rotations
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from sim.indenters import NAMES, named, plane, rounded_cone, sphere
 from sim.layer import Layer
 from sim.result import Quality, Result, from_json, to_json
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
-from sim.simulate import simulate
 from sim.store import ARRAYS, load_result, save_results
+from sim.tiers import simulate
 
 EFFECTS = (
     Effects(),

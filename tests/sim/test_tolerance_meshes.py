@@ -17,7 +17,7 @@ from sim.fem.solver import Required, simulate_fem
 from sim.indenters import sphere
 from sim.result import Outcome, Result
 from sim.scene import Viscosity
-from sim.simulate import simulate
+from sim.tiers import simulate
 from sim.tolerance import STATES_MOST, _states, simulate_within
 
 BALL = Scene(sphere(4e-3), press([0.3e-3]))

@@ -47,7 +47,7 @@ from sim.sensors import (
 )
 from sim.sensors.posterior import CAMERA
 from sim.sensors.quantities import camera_quantities, draw_sensor, quantities, with_quantities
-from sim.simulate import simulate
+from sim.tiers import simulate
 from sim.twin import Fit, Track, fitted, model
 from sim.twin.fit import Explanation, _alike, _common, _mixed, _whitened, prior_spread
 from sim.twin.model import Correction, Linear, Model, relaxing

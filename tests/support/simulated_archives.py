@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -17,7 +17,11 @@ from sim.dataset.run import make_here
 from sim.layer import Layer
 from sim.scene import Scene
 from sim.sensors import sensor
-from sim.simulate import Tier, simulate_many
+from sim.tiers import simulate_many
+
+if TYPE_CHECKING:
+    from sim.tiers import Tier
+
 
 LAYER = Solving(tier="layer")
 COARSE = Layer(grid=48)

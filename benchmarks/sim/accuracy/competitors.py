@@ -10,9 +10,10 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.metrics import tolerance_of
 from sim.mpm import Mpm
+from sim.planning import plan
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import plan, simulate_many
+from sim.tiers import simulate_many
 
 Outcomes = list[Result | SimulationDiverged]
 

@@ -17,7 +17,7 @@ from sim.errors import SimulationDiverged
 from sim.metrics import Outcome, outcome_of
 from sim.result import Result
 from sim.scene import Motion, Scene
-from sim.simulate import simulate_many
+from sim.tiers import simulate_many
 
 if TYPE_CHECKING:
     from benchmarks.sim.accuracy.cases import Case

@@ -22,7 +22,7 @@ from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 # Parts of an effect's weak fraction at which its result is compared.
 PARTS = (1.0, 0.5, 0.1)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 from benchmarks.sim.independent import foreign, foreign_cases
 from benchmarks.sim.independent.cases import CASES, MM, Case
@@ -26,9 +27,13 @@ from sim.indenters import (
     tube,
 )
 from sim.indenters.outline import Part
+from sim.planning import plan
 from sim.scene import Body, Effects, Friction, Scene, press, through
-from sim.simulate import plan, simulate
-from sim.tiers import Tier
+from sim.tiers import simulate
+
+if TYPE_CHECKING:
+    from sim.tiers import Tier
+
 
 # Error that counts as good [%].
 WITHIN = 3.0

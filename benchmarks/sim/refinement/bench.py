@@ -14,7 +14,7 @@ from sim.fem import Fem
 from sim.indenters import sphere
 from sim.result import Result
 from sim.scene import Body, Scene, press
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 # Radius outside of the deepest contact, where surfaces are compared [m]: at the contact edge the
 # accuracy is limited to the size of an element.

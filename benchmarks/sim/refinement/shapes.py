@@ -11,7 +11,7 @@ from sim.fem import Fem
 from sim.indenters import NAMES, Indenter, named
 from sim.result import Result
 from sim.scene import Effects, Friction, Scene, press
-from sim.simulate import simulate_many
+from sim.tiers import simulate_many
 
 DEPTH, SHEAR, FRICTION = 1.5e-3, 1.0e-3, 0.5
 # Edge radius given to every shape that has room for it [m]: an element size of the finer meshes,

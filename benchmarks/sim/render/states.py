@@ -11,7 +11,7 @@ from sim.fem import Fem
 from sim.indenters import named, sphere
 from sim.result import Result
 from sim.scene import Body, Effects, Friction, Scene, press
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 Array = NDArray[np.float64]
 

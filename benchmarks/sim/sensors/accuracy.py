@@ -23,8 +23,8 @@ from sim.indenters import Indenter, named
 from sim.layer import Layer
 from sim.scene import Motion, press
 from sim.sensors import HETEROGENEOUS, SimulatedSensor, sensor
-from sim.simulate import simulate
 from sim.stream.stream import GRID, LivePress
+from sim.tiers import simulate
 
 Array = NDArray[np.floating[Any]]
 

@@ -30,7 +30,7 @@ from sim.scene import Motion, Scene, Viscosity, through
 from sim.sensors.field import SurfaceField
 from sim.sensors.sensor import SimulatedSensor, sensor
 from sim.sensors.taxels import TaxelPad, TaxelSignal
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 Array = NDArray[np.float64]
 

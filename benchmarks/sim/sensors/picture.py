@@ -30,7 +30,7 @@ from sim.scene import press
 from sim.sensors.field import SurfaceField
 from sim.sensors.readout import CameraReadout, readout
 from sim.sensors.sensor import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, SimulatedSensor, sensor
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 Colours = NDArray[np.uint8]
 

@@ -20,7 +20,7 @@ from benchmarks.sim.spent import Spent, peak_memory, spent_by
 from sim.errors import SimulationDiverged
 from sim.result import Outcome, Result
 from sim.scene import Body, Scene, press
-from sim.simulate import simulate_many
+from sim.tiers import simulate_many
 
 if TYPE_CHECKING:
     from sim.fem import Fem

@@ -10,7 +10,7 @@ from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.result import Result
 from sim.scene import Scene
-from sim.simulate import simulate_many
+from sim.tiers import simulate_many
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from sim.indenters import Indenter, shapes
 from sim.layer import Layer
 from sim.result import Result
 from sim.scene import Body, Effects, Friction, Scene, press
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 # Tolerance of 1e-7, summed over the nodes.
 BALANCE_TIGHT = 1e-6

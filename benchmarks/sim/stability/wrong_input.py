@@ -17,7 +17,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import Part, named, shapes
 from sim.scene import Body, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
-from sim.simulate import simulate, simulate_many
+from sim.tiers import simulate, simulate_many
 
 # Sets one field of a scene to a number, which must be rejected.
 Make = Callable[[float], object]

@@ -16,7 +16,7 @@ from sim.mpm import AUTHORS_SPACING, AUTHORS_VOLUME, Mpm
 from sim.mpm.solver import simulate_mpm
 from sim.result import Result
 from sim.scene import Body, Scene, press
-from sim.simulate import simulate
+from sim.tiers import simulate
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]

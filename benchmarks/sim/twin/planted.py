@@ -15,8 +15,8 @@ from sim.result import ContactTier
 from sim.scene import Motion
 from sim.sensors import SimulatedSensor, SurfaceField, sensor
 from sim.sensors.quantities import with_quantities
-from sim.simulate import simulate
 from sim.stream import LivePress
+from sim.tiers import simulate
 from sim.twin import Track, track_of
 from sim.twin.model import leaning
 from sim.twin.plan import Presses

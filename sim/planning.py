@@ -1,4 +1,4 @@
-"""Single entry point of the simulator: from a scene to a result with its error."""
+"""Plan of a scene within a tolerance: its tiers and meshes, and the effects that are left out."""
 
 from __future__ import annotations
 
@@ -12,36 +12,12 @@ from sim.layer import Layer
 from sim.metrics import tolerance_of
 from sim.result import ContactTier, Result
 from sim.scene import Scene
-from sim.tiers import Tier, seconds_of, simulate_many, simulate_one
+from sim.tiers import seconds_of
 
 if TYPE_CHECKING:
     from sim.needed import EffectsPlan
 
 Progress = Callable[[float], None]
-
-
-def simulate(
-    scene: Scene,
-    tier: Tier = Fem(),
-    *,
-    device: str = "cpu",
-    progress: Progress | None = None,
-) -> Result:
-    """Simulate one scene; see `plan` for a tolerance in place of a tier.
-
-    Args:
-        scene: Scene to simulate.
-        tier: Tier and its settings. `Layer`: spectral bonded layer, small strain, no free sides;
-            `Fem`: finite elements, large strain; `Mpm`: explicit material points.
-        device: `cpu` or `cuda:0` and the like.
-        progress: Called with the fraction done, 0 to 1.
-
-    Raises:
-        SceneError: The tier does not support the scene.
-        SimulationDiverged: No converged state was found; nothing unconverged is returned.
-    """
-    check_kind("scene", scene, Scene, "a Scene")
-    return simulate_one(scene, tier, device=device, progress=progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,13 +171,3 @@ def plan_effects(
     from sim.needed import plan_many
 
     return plan_many([scene], tolerance=tolerance, device=device, progress=progress)[0]
-
-
-__all__ = [
-    "Plan",
-    "Tier",
-    "plan",
-    "plan_effects",
-    "simulate",
-    "simulate_many",
-]
