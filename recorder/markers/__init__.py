@@ -5,18 +5,22 @@ rows downwards; a sensor's y axis points up, opposite to the rows. A mask is boo
 on a marker.
 """
 
-from recorder.markers.blobs import (
+from recorder.markers.discs import TAXELS, DiscMap, draw_discs, place_discs
+from recorder.markers.displacement import Lattice, moved
+from recorder.markers.marker_check import MarkerCheck, MarkerFlag
+from recorder.markers.masks import (
+    HEIGHT,
+    PACKED,
     SMALLEST_PX,
+    WIDTH,
     Blobs,
     count_markers,
     find_blobs,
     marker_centres,
+    pack,
     smallest_marker,
+    unpack,
 )
-from recorder.markers.discs import TAXELS, DiscMap, draw_discs, place_discs
-from recorder.markers.displacement import Lattice, moved
-from recorder.markers.marker_check import MarkerCheck, MarkerFlag
-from recorder.markers.packing import HEIGHT, PACKED, WIDTH, pack, unpack
 
 __all__ = [
     "HEIGHT",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.markers.packing import HEIGHT, WIDTH, Masks
+from recorder.markers.masks import HEIGHT, WIDTH, Masks
 
 Array = NDArray[np.float64]
 

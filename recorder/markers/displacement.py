@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.markers.packing import HEIGHT, WIDTH
+from recorder.markers.masks import HEIGHT, WIDTH
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,9 +28,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.markers.blobs import SMALLEST_PX, Blobs, find_blobs
 from recorder.markers.displacement import Lattice, moved, on_flanks
-from recorder.markers.packing import HEIGHT, WIDTH, Masks, require_masks
+from recorder.markers.masks import (
+    HEIGHT,
+    SMALLEST_PX,
+    WIDTH,
+    Blobs,
+    Masks,
+    find_blobs,
+    require_masks,
+)
 
 Chosen = NDArray[np.bool_]
 # Returns the displacement (h, w, 2) [px] of a frame; called only if the border is no explanation.
