@@ -28,7 +28,7 @@ from learning.force.intervals import Intervals, edge_length, read_intervals, sha
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
-from learning.markers.lattice import with_reference
+from learning.markers.pattern import with_reference
 from learning.markers.segment import (
     CameraPreset,
     Preset,

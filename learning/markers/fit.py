@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from learning.errors import LearningError
-from learning.markers.lattice import with_reference
-from learning.markers.regular import (
+from learning.markers.pattern import (
     MARKERS_LEAST,
     SPREAD_MOST,
     Spread,
     in_pattern,
     pitch_of,
     spread_of,
+    with_reference,
 )
 from learning.markers.segment import (
     CHANNELS,
@@ -146,7 +146,7 @@ def fit_preset(
         box_px=int(np.clip(0.75 * width, 4, 240)),
     )
     blobs = find_blobs(Segmenter(preset).mask_of_view(view)[None], SMALLEST_PX)
-    own = in_pattern(blobs, best.pitch_px)
+    own = in_pattern(blobs.centre, best.pitch_px)
     if not own.all():
         hull = cv2.convexHull(blobs.centre[own].astype(np.float32))[:, 0]
         preset = replace(preset, region=Region(polygon=_widened(hull, MARGIN * best.pitch_px)))
@@ -234,9 +234,9 @@ def _pattern(view: Picture, size: int, channel: Channel, bright: bool) -> Patter
     low, middle, high = np.percentile(blobs.area, [5, 50, 95])
     return Pattern(
         Hat(size, least, bright, channel),
-        spread_of(blobs),
+        spread_of(blobs.area, blobs.centre),
         (float(low), float(middle), float(high)),
-        float(np.median(pitch_of(blobs))),
+        float(np.median(pitch_of(blobs.centre))),
         typical,
         noise,
     )

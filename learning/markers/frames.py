@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
-from learning.markers.lattice import Lattice, with_reference
+from learning.markers.pattern import ReferenceMarkers, spread_of, with_reference
 from learning.markers.recording import Recording
-from learning.markers.regular import spread_of
 from learning.markers.segment import (
     CameraPreset,
     Picture,
@@ -113,7 +112,7 @@ class _Markers:
     ) -> None:
         self._preset, self._name, self._sam, self._irregular = preset, name, sam, irregular
         self._segmenter = Segmenter(preset)
-        self._finders: dict[tuple[str, int], Segmenter | Lattice] = {}
+        self._finders: dict[tuple[str, int], Segmenter | ReferenceMarkers] = {}
         self.count = MarkerCount(preset.area_px[0], preset.tolerance)
         self.attrs = {} if sam is None else {"efficient_sam": sam.identity}
 
@@ -129,7 +128,7 @@ class _Markers:
                     f"reference, image {image}; allowed: another preset, or --preset shading "
                     "for a gel without markers"
                 )
-            spread = spread_of(blobs.only(blobs.whole))
+            spread = spread_of(blobs.area[blobs.whole], blobs.centre[blobs.whole])
             if not (self._irregular or spread.is_regular):
                 raise LearningError(
                     f"{recording.name}: preset {self._name} finds no pattern of "
@@ -154,11 +153,11 @@ class _Markers:
     def _view(self, recording: Recording, image: int) -> Picture:
         return self._segmenter.view(recording.picture(image))
 
-    def _mask(self, view: Picture, finder: Segmenter | Lattice) -> NDArray[np.bool_]:
+    def _mask(self, view: Picture, finder: Segmenter | ReferenceMarkers) -> NDArray[np.bool_]:
         mask = finder.mask_of_view(view)
         return mask if self._sam is None else self._sam.refined(view, mask, self._preset.box_px)
 
-    def _finder(self, recording: Recording, reference: int) -> Segmenter | Lattice:
+    def _finder(self, recording: Recording, reference: int) -> Segmenter | ReferenceMarkers:
         """Return what makes the masks of pictures of one reference; the last one is kept."""
         key = recording.name, reference
         if key not in self._finders:

@@ -14,9 +14,9 @@ import yaml
 from learning.errors import LearningError
 from learning.markers import Segmenter, read_preset
 from learning.markers.fit import as_yaml, fit_preset, recalls
-from learning.markers.regular import in_pattern, pitch_of
+from learning.markers.pattern import in_pattern, pitch_of
 from recorder import MarkerArchive
-from recorder.markers import Blobs, find_blobs
+from recorder.markers import find_blobs
 from sim.markers.pattern import NAMES, hexagon, named
 from tactile.__main__ import main
 
@@ -104,9 +104,7 @@ def test_every_marker_of_every_pattern_of_the_paper_belongs_to_it(name: str) -> 
     places = np.asarray(named(name).places)
     count = len(places)
     places = np.concatenate([places, np.add(places.max(axis=0), [[6e-3] * 2, [9e-3] * 2])])
-    zeros = np.zeros(count + 2, np.int64)
-    blobs = Blobs(zeros, zeros + 50, places, zeros == 0)
-    kept = in_pattern(blobs, float(np.median(pitch_of(blobs))))
+    kept = in_pattern(places, float(np.median(pitch_of(places))))
     assert np.array_equal(np.flatnonzero(kept), np.arange(count))
 
 

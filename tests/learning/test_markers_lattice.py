@@ -12,7 +12,7 @@ import pytest
 
 from learning.markers import preset
 from learning.markers.fit import fit_preset, read_picture
-from learning.markers.lattice import with_reference
+from learning.markers.pattern import with_reference
 from learning.markers.segment import CameraPreset, Segmenter
 from recorder.markers import find_blobs
 from tests.learning.test_markers_fit import iou, painted

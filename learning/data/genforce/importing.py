@@ -60,7 +60,7 @@ from learning.data.genforce.turns import turn_of
 from learning.errors import LearningError
 from learning.indenters import UNSEEN, coded
 from learning.markers.frames import FLAG, marker_flags, taxel_masks
-from learning.markers.lattice import Lattice, with_reference
+from learning.markers.pattern import ReferenceMarkers, with_reference
 from learning.markers.segment import (
     CameraPreset,
     Segmenter,
@@ -656,7 +656,7 @@ def _segmented(settings: CameraPreset, references: Collection[Path]) -> ReadMask
     segmenter = Segmenter(settings)
 
     @functools.lru_cache(maxsize=1)
-    def finder(reference: Path | None) -> Segmenter | Lattice:
+    def finder(reference: Path | None) -> Segmenter | ReferenceMarkers:
         if reference is None:
             return segmenter
         return with_reference(segmenter, segmenter.view(read_picture(reference)))

@@ -1,4 +1,6 @@
-"""Markers found again where a contact hides them, by those of the reference around them.
+"""The pattern of a gel's markers: how regular it is, and which of them a contact hides.
+
+Markers are alike and evenly spaced, patches of shading are not.
 
 Edges of shadows and of coloured light hide a marker, or join it to a patch of shading. Such a
 marker is looked for where its neighbours predict it, by the likeness (normalised correlation) of
@@ -7,9 +9,13 @@ the contrast there to its contrast without contact. Found again, it has its patc
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from learning.markers.segment import Hat, Mask, Picture, Segmenter, hat_contrast
@@ -18,6 +24,78 @@ from recorder.markers import SMALLEST_PX
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+# Fewest markers, and largest relative spread of their areas and of the distances to the nearest
+# one (half of the range from 16 to 84 %, over the median), that count as a pattern. Patterns of the
+# paper have up to 0.2 and 0.25; shading and dust have 0.5 and more in one of both.
+MARKERS_LEAST, SPREAD_MOST = 9, 0.45
+# Distance up to which patches are neighbours [pitches], and fewest neighbours within a pattern: a
+# corner of a square pattern has three.
+NEIGHBOURS_WITHIN, NEIGHBOURS_LEAST = 1.75, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Number of the patches of a mask, and their spread."""
+
+    count: int
+    area: float
+    """Spread of the areas, over the median."""
+    pitch: float
+    """Spread of the distances to the nearest patch, over the median."""
+
+    @property
+    def is_regular(self) -> bool:
+        """True if there are enough patches, alike and evenly spaced."""
+        return (
+            self.count >= MARKERS_LEAST and self.area <= SPREAD_MOST and self.pitch <= SPREAD_MOST
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"{self.count} patches whose areas spread {100 * self.area:.0f} % and whose distances "
+            f"spread {100 * self.pitch:.0f} %; markers are {MARKERS_LEAST} or more, within "
+            f"{100 * SPREAD_MOST:.0f} %"
+        )
+
+
+def spread_of(area: NDArray[np.int64], centre: Floats) -> Spread:
+    """Return number and spread of the patches of one mask, by areas (m,) and centres (m, 2)."""
+    if len(area) < 2:
+        return Spread(len(area), 0.0, 0.0)
+    return Spread(len(area), _spread(area), _spread(pitch_of(centre)))
+
+
+def pitch_of(centre: Floats) -> Floats:
+    """Return the distance (m,) of each of two or more centres (m, 2) to the nearest other [px]."""
+    return np.asarray(cKDTree(centre).query(centre, 2)[0][:, 1])
+
+
+def in_pattern(centre: Floats, pitch_px: float) -> Flags:
+    """Return which centres (m, 2) belong to the largest group of close neighbours, or touch it.
+
+    Reflections and dust beside the skin are few or in a line, and belong to none.
+    """
+    reach = NEIGHBOURS_WITHIN * pitch_px
+    pairs = cKDTree(centre).query_pairs(reach, output_type="ndarray")
+    inner = np.bincount(pairs.ravel(), minlength=len(centre)) >= NEIGHBOURS_LEAST
+    if not inner.any():
+        return np.ones(len(centre), bool)
+    among = pairs[inner[pairs].all(axis=1)]
+    graph = coo_matrix((np.ones(len(among)), among.T), (len(centre), len(centre)))
+    group = np.where(inner, connected_components(graph, directed=False)[1], -1)
+    own = group == np.bincount(group[inner]).argmax()
+    near = pairs[own[pairs].any(axis=1)]
+    own[near.ravel()] = True
+    return np.asarray(own)
+
+
+def _spread(values: ArrayLike) -> float:
+    low, middle, high = np.percentile(np.asarray(values, np.float64), [16, 50, 84])
+    return float((high - low) / 2 / middle)
+
+
+# Markers found again where a contact hides them, by those of the reference around them.
 
 # Area of a marker over that without contact, between which it counts as seen.
 _AREA_FROM, _AREA_TO = 0.65, 1.55
@@ -34,7 +112,7 @@ _FAR = 0.25
 _COVERED = 0.3
 
 
-class Lattice:
+class ReferenceMarkers:
     """The markers of a picture without contact, found again in others."""
 
     def __init__(self, segmenter: Segmenter, detector: Hat, reference: Picture) -> None:
@@ -141,14 +219,14 @@ class Lattice:
         return row[inside], column[inside]
 
 
-def with_reference(segmenter: Segmenter, reference: Picture) -> Segmenter | Lattice:
+def with_reference(segmenter: Segmenter, reference: Picture) -> Segmenter | ReferenceMarkers:
     """Return what makes the masks of pictures of one reference, by the segmenter's preset.
 
     The reference is a view without contact (480, 640, 3), of `Segmenter.view`.
     """
     for detector in segmenter.preset.detectors:
         if isinstance(detector, Hat) and detector.lattice:
-            return Lattice(segmenter, detector, reference)
+            return ReferenceMarkers(segmenter, detector, reference)
     return segmenter
 
 
