@@ -3,7 +3,8 @@
 The format is specified in `docs/reference/data-format.md`; this package is its only implementation.
 """
 
-from recorder.archive.arrays import (
+from recorder.archive.check import check_archive, marker_flags
+from recorder.archive.format import (
     COLUMNS,
     GIVEN,
     MASKS,
@@ -11,10 +12,11 @@ from recorder.archive.arrays import (
     SHADING,
     SHADING_SIDE,
     SHADING_ZERO,
+    ArchivePlan,
+    MarkerCount,
+    SensorPlan,
 )
-from recorder.archive.check import check_archive, marker_flags
 from recorder.archive.pairs import location_pairs, press_rows
-from recorder.archive.plan import ArchivePlan, MarkerCount, SensorPlan
 from recorder.archive.reader import ArchivedSensor, MarkerArchive, Rows, Simulated
 from recorder.archive.writer import ArchiveWriter, write_simulated
 

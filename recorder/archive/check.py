@@ -9,15 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.arrays import (
+from recorder.archive.format import (
     COLUMNS,
+    COMPLETE,
     SIMULATED,
     ArchiveArray,
     Limits,
     allowed,
     misplaced,
+    read_archive_attrs,
 )
-from recorder.archive.plan import COMPLETE, read_archive_attrs
 from recorder.archive.reader import ArchivedSensor
 from recorder.archive.writer import Ledger
 from recorder.errors import SessionError

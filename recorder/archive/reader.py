@@ -12,8 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.arrays import COLUMNS, MASKS, REPRESENTATIONS, SIMULATED, ArchiveArray
-from recorder.archive.plan import COMPLETE, read_archive_attrs, read_whole, require_plain_name
+from recorder.archive.format import (
+    COLUMNS,
+    COMPLETE,
+    MASKS,
+    REPRESENTATIONS,
+    SIMULATED,
+    ArchiveArray,
+    read_archive_attrs,
+    read_whole,
+    require_plain_name,
+)
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
 from recorder.store.documents import read_document

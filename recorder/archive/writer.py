@@ -19,16 +19,20 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.archive.arrays import (
+from recorder.archive.format import (
     COLUMNS,
+    COMPLETE,
+    LEDGER,
     SIMULATED,
     SOURCE,
     ArchiveArray,
+    ArchivePlan,
     Limits,
+    begin,
     checked_columns,
     column_array,
+    read_archive_attrs,
 )
-from recorder.archive.plan import COMPLETE, LEDGER, ArchivePlan, begin, read_archive_attrs
 from recorder.archive.reader import ArchivedSensor
 from recorder.errors import SessionError
 from recorder.spec import PHASES
