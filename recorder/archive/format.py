@@ -10,6 +10,7 @@ import re
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from recorder.errors import SessionError
 from recorder.markers import PACKED, SMALLEST_PX, Lattice
 from recorder.spec import ARCHIVE_FORMAT, PHASES
-from recorder.store.documents import read_attrs, read_document, write_group
+from recorder.store.documents import merge_attrs, read_attrs, read_document, write_group
 from recorder.store.files import LOCAL, Files, replace_file, sync_directory
 from recorder.store.layout import Array, ArrayLayout, packed_index
 from recorder.store.reader import ColumnReader
@@ -136,7 +137,7 @@ SOURCE = "source"
 # Code of a frame that belongs to no phase.
 NO_PHASE = -1
 
-_CHUNK_ROWS = 4096
+_CHUNK_ROWS, _SOURCE_CHUNK = 4096, 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,6 +288,40 @@ def column_array(
         -(-rows // _CHUNK_ROWS),
         ({"names": list(names)} if names else {}) | dict(attrs or {}),
     )
+
+
+def write_table(
+    sensor: Path, columns: Mapping[str, Array], indenters: Sequence[str], lines: Sequence[str]
+) -> None:
+    """Write the table of a sensor, all columns of `COLUMNS`, and its provenance lines, durably."""
+    path = sensor / "table"
+    path.mkdir(exist_ok=True)
+    write_group(path, {})
+    names = {"indenter": indenters, "phase": PHASES}
+    for name in COLUMNS:
+        array = column_array(path / name, len(columns[name]), names.get(name, ()))
+        array.write_whole(columns[name])
+    _write_sources(sensor / "sources", lines)
+    for folder in (path, sensor):
+        sync_directory(folder)
+
+
+def _write_sources(path: Path, lines: Sequence[str]) -> None:
+    encoded = [line.encode() for line in lines]
+    width = max(map(len, encoded))
+    text = np.zeros((len(lines), width), np.uint8)
+    for row, data in zip(text, encoded, strict=True):
+        row[: len(data)] = np.frombuffer(data, np.uint8)
+    ArchiveArray(
+        path,
+        "uint8",
+        text.shape,
+        ("source", "byte"),
+        "1",
+        "where samples come from: a line of UTF-8 each, padded with zeros",
+        _SOURCE_CHUNK,
+        -(-len(lines) // _SOURCE_CHUNK),
+    ).write_whole(text)
 
 
 def _typed(values: Any, column: ColumnKind, rows: int, where: str) -> Array:
@@ -556,6 +591,54 @@ def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     for name in attrs["sensors"]:
         require_plain_name(name)
     return attrs
+
+
+def mark_complete(path: Path) -> None:
+    """Set the status of an archive whose tables are written."""
+    merge_attrs(path, {"status": COMPLETE})
+
+
+@dataclass(frozen=True)
+class StoredSensor:
+    """What is stored of a sensor, except its table."""
+
+    path: Path
+    """Its group."""
+    files: Files
+    """File access for the group."""
+    attrs: dict[str, Any]
+    """Attributes of the group."""
+    representation: Representation
+    """Content of its frames."""
+    frames: ArchiveArray
+    """Array of the frames."""
+    references: ArchiveArray
+    """Array of the frames without contact."""
+
+    @cached_property
+    def displacement(self) -> ArchiveArray | None:
+        """Displacement fields in the sensor's own group; None if there are none."""
+        path = self.path / "displacement"
+        return ArchiveArray.load(path, self.files) if path in self.files.groups(self.path) else None
+
+
+def read_sensor(path: Path, files: Files = LOCAL) -> StoredSensor:
+    """Return what the metadata of a sensor describes."""
+    attrs: dict[str, Any] = read_document(files, path / "zarr.json").get("attributes", {})
+    scale = attrs.get("mm_per_px")
+    if not isinstance(scale, int | float):
+        raise SessionError(
+            f"{files.name(path)}: found attrs mm_per_px {scale!r}, expected a number"
+        )
+    name = str(attrs.get("representation", MASKS.name))
+    if name not in REPRESENTATIONS:
+        raise SessionError(
+            f"{files.name(path)}: found attrs representation {name!r:.80}, known: "
+            f"{', '.join(REPRESENTATIONS)}"
+        )
+    frames = ArchiveArray.load(path / REPRESENTATIONS[name].array, files)
+    references = ArchiveArray.load(path / "references", files)
+    return StoredSensor(path, files, attrs, REPRESENTATIONS[name], frames, references)
 
 
 def require_plain_name(name: object) -> str:

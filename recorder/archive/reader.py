@@ -16,16 +16,15 @@ from recorder.archive.format import (
     COLUMNS,
     COMPLETE,
     MASKS,
-    REPRESENTATIONS,
     SIMULATED,
     ArchiveArray,
     read_archive_attrs,
+    read_sensor,
     read_whole,
     require_plain_name,
 )
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
-from recorder.store.documents import read_document
 from recorder.store.files import LOCAL, Files, locate
 from recorder.store.reader import ColumnReader
 from recorder.store.tables import Table
@@ -70,24 +69,14 @@ class ArchivedSensor:
         """Open a sensor; use `MarkerArchive` instead."""
         self.name, self.path, self.files = path.name, path, files
         self._read_whole = partial(read_whole, path.parent, files)
-        self.attrs: dict[str, Any] = read_document(files, path / "zarr.json").get("attributes", {})
-        if not isinstance(self.attrs.get("mm_per_px"), int | float):
-            found = self.attrs.get("mm_per_px")
-            raise SessionError(
-                f"{files.name(path)}: found attrs mm_per_px {found!r}, expected a number"
-            )
-        told = str(self.attrs.get("representation", MASKS.name))
-        if told not in REPRESENTATIONS:
-            raise SessionError(
-                f"{files.name(path)}: found attrs representation {told!r:.80}, known: "
-                f"{', '.join(REPRESENTATIONS)}"
-            )
-        self.representation = REPRESENTATIONS[told]
+        self._stored = read_sensor(path, files)
+        self.attrs = self._stored.attrs
+        self.representation = self._stored.representation
         """Content of its frames."""
-        self.layout = ArchiveArray.load(path / self.representation.array, files)
+        self.layout = self._stored.frames
         """Array of the frames."""
         self._frames = ColumnReader(self.layout)
-        self._references = ColumnReader(ArchiveArray.load(path / "references", files))
+        self._references = ColumnReader(self._stored.references)
         self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
             path / "table",
             tuple(COLUMNS),
@@ -162,10 +151,10 @@ class ArchivedSensor:
             raise SessionError(f"{self.name}: no row {row}, the sensor has {len(self)}")
         return unpack(self.references[int(self.table["reference"][row])])
 
-    @cached_property
+    @property
     def keeps_displacement(self) -> bool:
         """True if displacement fields are stored in this sensor's own group."""
-        return self.path / "displacement" in self.files.groups(self.path)
+        return self._stored.displacement is not None
 
     @cached_property
     def fields(self) -> ColumnReader | None:
@@ -175,10 +164,12 @@ class ArchivedSensor:
             SessionError: The shared fields are missing.
         """
         owner = self.attrs.get("displacement_of")
-        if owner is None and not self.keeps_displacement:
-            return None
-        place = self.path if owner is None else self.path.parent / require_plain_name(owner)
-        return ColumnReader(ArchiveArray.load(place / "displacement", self.files))
+        if owner is None:
+            layout = self._stored.displacement
+        else:
+            place = self.path.parent / require_plain_name(owner)
+            layout = ArchiveArray.load(place / "displacement", self.files)
+        return None if layout is None else ColumnReader(layout)
 
     @property
     def lattice(self) -> Lattice:

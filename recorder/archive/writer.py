@@ -25,23 +25,20 @@ from recorder.archive.format import (
     LEDGER,
     SIMULATED,
     SOURCE,
-    ArchiveArray,
     ArchivePlan,
     Limits,
     begin,
     checked_columns,
     column_array,
+    mark_complete,
     read_archive_attrs,
+    read_sensor,
+    write_table,
 )
 from recorder.archive.reader import ArchivedSensor
 from recorder.errors import SessionError
-from recorder.spec import PHASES
-from recorder.store.documents import merge_attrs, write_group
 from recorder.store.files import TEMPORARY, replace_file, sync_directory
 from recorder.store.layout import Array
-
-_SOURCE_CHUNK = 256
-
 
 # Record of the finished units of a sensor, with their table rows until all units are finished.
 #
@@ -151,7 +148,7 @@ class ArchiveWriter:
         if not self.complete:
             for sensor in self.sensors.values():
                 sensor.write_table(self._indenters)
-            merge_attrs(self.path, {"status": COMPLETE})
+            mark_complete(self.path)
         for sensor in self.sensors.values():
             sensor.ledger.remove()
         for left in self.path.rglob(f"*{TEMPORARY}"):
@@ -168,18 +165,18 @@ class SensorWriter:
         """Read the plan of the sensor from its metadata."""
         self.path = archive.path / name
         self._archive = archive
-        sensor = ArchivedSensor(self.path)
-        self._frames = sensor.layout
+        stored = read_sensor(self.path)
+        self._frames = stored.frames
         self.ledger = Ledger(self._frames.path)
         self._layouts = {self._frames.path.name: self._frames}
-        if sensor.keeps_displacement:
-            self._layouts["displacement"] = ArchiveArray.load(self.path / "displacement")
-        self._limits = Limits(indenters, ArchiveArray.load(self.path / "references").rows())
+        if stored.displacement is not None:
+            self._layouts["displacement"] = stored.displacement
+        self._limits = Limits(indenters, stored.references.shape[0])
 
     @property
     def rows(self) -> int:
         """Number of frames."""
-        return self._frames.rows()
+        return self._frames.shape[0]
 
     @property
     def units(self) -> int:
@@ -213,7 +210,7 @@ class SensorWriter:
         Args:
             unit: Number of the unit.
             packed: Frames of its n rows: packed masks (n, 38400), or as the representation.
-            table: The columns of `table.GIVEN`, n values each.
+            table: The columns of `GIVEN`, n values each.
             source: One provenance line per row; rows of one press share theirs.
             displacement: Fields (n, *lattice.shape) [px], if the plan has a lattice.
 
@@ -253,17 +250,13 @@ class SensorWriter:
         for columns, own in entries:
             rows = [lines.setdefault(line, len(lines)) for line in own]
             sources.append(np.array(rows, "<i4")[columns[SOURCE]])
-        path = self.path / "table"
-        path.mkdir(exist_ok=True)
-        write_group(path, {})
-        names = {"indenter": indenters, "phase": PHASES}
-        for name in COLUMNS:
-            parts = [columns[name] for columns, _ in entries] if name != SOURCE else sources
-            array = column_array(path / name, self.rows, names.get(name, ()))
-            array.write_whole(np.concatenate(parts))
-        _write_sources(self.path / "sources", list(lines))
-        for folder in (path, self.path):
-            sync_directory(folder)
+        table = {
+            name: np.concatenate([columns[name] for columns, _ in entries])
+            for name in COLUMNS
+            if name != SOURCE
+        }
+        table[SOURCE] = np.concatenate(sources)
+        write_table(self.path, table, indenters, list(lines))
 
 
 def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_from: str) -> None:
@@ -292,21 +285,3 @@ def _check_lines(source: Sequence[str], count: int, where: str) -> None:
     for line in source:
         if not isinstance(line, str) or not line or "\n" in line or "\0" in line:
             raise SessionError(f"{where}.source: found {line!r}, expected one line of text")
-
-
-def _write_sources(path: Path, lines: Sequence[str]) -> None:
-    encoded = [line.encode() for line in lines]
-    width = max(map(len, encoded))
-    text = np.zeros((len(lines), width), np.uint8)
-    for row, data in zip(text, encoded, strict=True):
-        row[: len(data)] = np.frombuffer(data, np.uint8)
-    ArchiveArray(
-        path,
-        "uint8",
-        text.shape,
-        ("source", "byte"),
-        "1",
-        "where samples come from: a line of UTF-8 each, padded with zeros",
-        _SOURCE_CHUNK,
-        -(-len(lines) // _SOURCE_CHUNK),
-    ).write_whole(text)
