@@ -600,7 +600,7 @@ def mark_complete(path: Path) -> None:
 
 @dataclass(frozen=True)
 class StoredSensor:
-    """What is stored of a sensor, except its table."""
+    """Stored form of a sensor, except its table: metadata of its group and arrays."""
 
     path: Path
     """Its group."""
@@ -623,7 +623,7 @@ class StoredSensor:
 
 
 def read_sensor(path: Path, files: Files = LOCAL) -> StoredSensor:
-    """Return what the metadata of a sensor describes."""
+    """Return the stored form of a sensor, by its metadata."""
     attrs: dict[str, Any] = read_document(files, path / "zarr.json").get("attributes", {})
     scale = attrs.get("mm_per_px")
     if not isinstance(scale, int | float):
