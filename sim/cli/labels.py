@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     from sim.errors import SceneError
     from sim.sensors import sensor_of
     from sim.sensors.posterior import CERTAIN
-    from sim.twin.labels import DEEP, made_from, simulated_forces
+    from sim.twin.labels import DEEP, provenance, simulated_forces
 
     ready_device(options.device)
     twin = sensor_of(options.twin)
@@ -71,17 +71,17 @@ def run(options: argparse.Namespace) -> int:
                 "down"
             )
         height = 1e-6 * options.height_um
-    told = made_from(twin, options.draws, options.seed, options.grid, height)
+    source = provenance(twin, options.draws, options.seed, options.grid, height)
     archive = MarkerArchive(options.archive)
     if options.sensor not in archive:
         raise SceneError(f"--sensor: {options.sensor!r}; allowed: {', '.join(archive)}")
     archived = archive[options.sensor]
-    known = archived.simulated
-    if known is not None and known.made_from == told:
+    stored = archived.simulated
+    if stored is not None and stored.made_from == source:
         print(f"{options.archive}: {options.sensor} has these forces already")
         return 0
     with Progress("labels", sys.stderr) as progress:
-        found = simulated_forces(
+        simulated = simulated_forces(
             archived,
             archive.indenters,
             twin,
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
             processes=options.processes,
             progress=progress,
         )
-    write_simulated(archived, found.force, found.spread, told)
+    write_simulated(archived, simulated.force, simulated.spread, source)
     deepest = float(archived.table["depth"].max(initial=0.0)) / twin.body.thickness
     if deepest > DEEP and (twin.posterior or CERTAIN).tier == "layer":
         print(
@@ -101,10 +101,11 @@ def run(options: argparse.Namespace) -> int:
             "on, forces of tier layer are off by 5 % and more",
             file=sys.stderr,
         )
-    if found.failed:
+    if simulated.failed:
         print(
-            f"note: {len(found.failed)} presses have no solution, and no force: {found.failed[0]}",
+            f"note: {len(simulated.failed)} presses have no solution, and no force: "
+            f"{simulated.failed[0]}",
             file=sys.stderr,
         )
-    print(f"{options.archive}: forces of {told} added to {options.sensor}")
+    print(f"{options.archive}: forces of {source} added to {options.sensor}")
     return 0

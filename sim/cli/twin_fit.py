@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     from recorder.progress import Progress
     from sim.sensors import NAMES, sensor_of
     from sim.sensors.sensor import ROWS
-    from sim.twin import fitted, foretold, sights_of, tracks_of, viewed
+    from sim.twin import fitted, fitted_camera, held_out_predictions, marker_observations, tracks_of
     from sim.twin.camera import differences
     from sim.twin.record import draw, lines, summary, twin_yaml
 
@@ -100,11 +100,13 @@ def run(options: argparse.Namespace) -> int:
         [track for path in paths for track in tracks_of(Session(path))]
         for paths in (options.sessions, options.held_out)
     )
-    sights = sights_of([*tracks, *others], [MarkerArchive(path) for path in options.markers])
-    of_fit = [sight for sight in sights if sight.track in tracks]
+    observations = marker_observations(
+        [*tracks, *others], [MarkerArchive(path) for path in options.markers]
+    )
+    of_fit = [each for each in observations if each.track in tracks]
     if options.markers and not of_fit:
         raise SceneError("--markers: of held-out sessions alone; allowed: of fitted ones as well")
-    grid, view, held_out = options.grid, None, None
+    grid, camera_fit, held_out = options.grid, None, None
     with Progress("twin", sys.stderr) as progress:
         part = 0.8 if of_fit else 1.0
         fit = fitted(
@@ -118,24 +120,24 @@ def run(options: argparse.Namespace) -> int:
         )
         if of_fit:
             name = options.out.stem
-            view = viewed(
+            camera_fit = fitted_camera(
                 fit, of_fit, name=name, grid=grid, progress=lambda done: progress(0.8 + 0.2 * done)
             )
         if others:
-            rest = [sight for sight in sights if sight.track in others]
-            held_out = foretold(fit, view, others, rest, grid)
+            rest = [each for each in observations if each.track in others]
+            held_out = held_out_predictions(fit, camera_fit, others, rest, grid)
     picture = options.picture or options.out.with_suffix(".png")
     names = [path.name for path in options.sessions]
     title = f"Twin of {design.name}: misfit {100 * fit.misfit:.2f} %"
-    draw(fit, picture, title, view, held_out)
+    draw(fit, picture, title, camera_fit, held_out)
     refused = []
     if 100 * fit.misfit > options.misfit:
         refused.append(
             f"forces at rest differ by {100 * fit.misfit:.1f} %; allowed: up to "
             f"{options.misfit:g} % (--misfit)"
         )
-    if view is not None:
-        off, way = differences(view.sights, view.predicted)
+    if camera_fit is not None:
+        off, way = differences(camera_fit.observations, camera_fit.predicted)
         if 100 * off > options.misfit_markers * way:
             refused.append(
                 f"markers at rest differ by {off:.2f} px, {100 * off / way:.0f} % of the "
@@ -143,9 +145,11 @@ def run(options: argparse.Namespace) -> int:
                 "(--misfit-markers)"
             )
     if options.json:
-        print(json.dumps({**summary(fit, view, held_out), "refused": bool(refused)}, indent=1))
+        print(
+            json.dumps({**summary(fit, camera_fit, held_out), "refused": bool(refused)}, indent=1)
+        )
     else:
-        print("\n".join(lines(fit, view, held_out)))
+        print("\n".join(lines(fit, camera_fit, held_out)))
     if refused:
         print(f"refused: {'; '.join(refused)}; see {picture}", file=sys.stderr)
         return 1
@@ -153,7 +157,7 @@ def run(options: argparse.Namespace) -> int:
     extends = os.path.relpath(options.sensor, options.out.parent) if own else f"{design.name}.yaml"
     assert own or (ROWS / extends).exists()
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    row = twin_yaml(fit.sensor if view is None else view.sensor, extends, names)
+    row = twin_yaml(fit.sensor if camera_fit is None else camera_fit.sensor, extends, names)
     options.out.write_text(row, encoding="utf-8")
     if not options.json:
         print(f"{options.out}\n{picture}")

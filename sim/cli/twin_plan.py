@@ -78,9 +78,9 @@ def run(options: argparse.Namespace) -> int:
     if rough := planner.rough(candidates):
         left_out = Counter(each.indenter for each in rough)
         every = Counter(each.indenter for each in candidates)
-        told = ", ".join(f"{name} ({count} of {every[name]})" for name, count in left_out.items())
+        shares = ", ".join(f"{name} ({count} of {every[name]})" for name, count in left_out.items())
         print(
-            f"left out, because forces jump between pixels (a finer --grid has fewer): {told}",
+            f"left out, because forces jump between pixels (a finer --grid has fewer): {shares}",
             file=sys.stderr,
         )
     planned, usual = sessions(chosen), planner.usual()

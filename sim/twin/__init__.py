@@ -3,28 +3,29 @@
 tracks = tracks_of(Session("sessions/x.zarr"))
 fit = fitted(tracks, sensor("gelsight"))
 fit.sensor, fit.misfit  # a row with its posterior, and how badly it explains the presses
-view = viewed(fit, sights_of(tracks, [MarkerArchive("x.markers.zarr")]), name="mine")
-view.sensor  # the same with camera and layout of markers
+observations = marker_observations(tracks, [MarkerArchive("x.markers.zarr")])
+camera_fit = fitted_camera(fit, observations, name="mine")
+camera_fit.sensor  # the same with camera and layout of markers
 """
 
-from sim.twin.camera import HeldOut, View, foretold, viewed
+from sim.twin.camera import CameraFit, HeldOut, fitted_camera, held_out_predictions
 from sim.twin.fit import Fit, fitted, misfit
-from sim.twin.markers import Sight, sights_of
-from sim.twin.model import Model
-from sim.twin.observations import Track, track_of, tracks_of
+from sim.twin.markers import MarkerObservations, marker_observations
+from sim.twin.model import TrackModel
+from sim.twin.observations import PressTrack, track_of, tracks_of
 
 __all__ = [
+    "CameraFit",
     "Fit",
     "HeldOut",
-    "Model",
-    "Sight",
-    "Track",
-    "View",
+    "MarkerObservations",
+    "PressTrack",
+    "TrackModel",
     "fitted",
-    "foretold",
+    "fitted_camera",
+    "held_out_predictions",
+    "marker_observations",
     "misfit",
-    "sights_of",
     "track_of",
     "tracks_of",
-    "viewed",
 ]

@@ -27,10 +27,10 @@ from sim.scene import Body
 from sim.sensors import CameraSignal, Posterior, SimulatedSensor, SurfaceField, readout
 from sim.sensors.posterior import CAMERA, interval_of
 from sim.sensors.quantities import camera_quantities
-from sim.twin.fit import COARSER, UNTOLD, Fit, Z, moved_by, way_of
-from sim.twin.markers import Masks, Sight
-from sim.twin.model import STEPS, Model
-from sim.twin.observations import Track
+from sim.twin.fit import COARSER, UNIDENTIFIED, Fit, Z, moved_by, way_of
+from sim.twin.markers import MarkerObservations, Masks
+from sim.twin.model import STEPS, TrackModel
+from sim.twin.observations import PressTrack
 
 Array = NDArray[np.float64]
 
@@ -53,8 +53,8 @@ MIRRORED = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """Camera and markers fitted to sights, and how well they explain them."""
+class CameraFit:
+    """Camera and markers fitted to observations, and how well they explain them."""
 
     sensor: SimulatedSensor
     """The twin with this camera and layout; its posterior has both skin and camera."""
@@ -65,9 +65,9 @@ class View:
     of both."""
     either_way: bool
     """True if images mirrored from left to right would fit as well."""
-    sights: tuple[Sight, ...]
+    observations: tuple[MarkerObservations, ...]
     predicted: tuple[Array, ...]
-    """Markers of the twin (f, m, 2) [px], of each sight."""
+    """Markers of the twin (f, m, 2) [px], of each observation."""
 
     @property
     def signal(self) -> CameraSignal:
@@ -80,11 +80,11 @@ class View:
         return camera_quantities(self.sensor)
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Quantities that images did not tell; a distance that is only the scale's by the lens."""
-        untold = np.sqrt(np.diag(self.covariance)) > UNTOLD * WIDE
-        untold[1] |= math.sqrt(OF_LENS @ self.covariance @ OF_LENS) > UNTOLD * LENS
-        return tuple(name for name, is_untold in zip(CAMERA, untold, strict=True) if is_untold)
+    def unidentified(self) -> tuple[str, ...]:
+        """Quantities that images do not identify; so is a distance that only the lens gives."""
+        wide = np.sqrt(np.diag(self.covariance)) > UNIDENTIFIED * WIDE
+        wide[1] |= math.sqrt(OF_LENS @ self.covariance @ OF_LENS) > UNIDENTIFIED * LENS
+        return tuple(name for name, is_wide in zip(CAMERA, wide, strict=True) if is_wide)
 
     def interval(self, name: str, z: float = Z) -> tuple[float, float]:
         """Return the interval of a quantity, 90 % by default."""
@@ -97,37 +97,43 @@ class View:
 class HeldOut:
     """Presses that are not fitted, and the twin's predictions of them."""
 
-    tracks: tuple[Track, ...]
+    tracks: tuple[PressTrack, ...]
     readings: tuple[Array, ...]
     """Forces that the twin gives (n, 3) [N], of each track."""
-    sights: tuple[Sight, ...]
+    observations: tuple[MarkerObservations, ...]
     predicted: tuple[Array, ...]
-    """Markers of the twin (f, m, 2) [px], of each sight."""
+    """Markers of the twin (f, m, 2) [px], of each observation."""
 
 
-def foretold(
-    fit: Fit, view: View | None, tracks: Sequence[Track], sights: Sequence[Sight], grid: int
+def held_out_predictions(
+    fit: Fit,
+    camera_fit: CameraFit | None,
+    tracks: Sequence[PressTrack],
+    observations: Sequence[MarkerObservations],
+    grid: int,
 ) -> HeldOut:
-    """Return what a twin says of tracks, by its tier, and of sights of them if it has a view.
+    """Return a twin's forces along tracks, by its tier, and its markers if a camera is fitted.
 
     Raises:
         SimulationDiverged: No contact was found.
     """
-    model = Model(fit.design, tracks, grid=grid)
+    model = TrackModel(fit.design, tracks, grid=grid)
     if fit.tier == "fem":
         model.correct(fit.values)
     readings = model.readings(fit.values)
     places: tuple[Array, ...] = ()
-    if view is not None and sights:
-        places = Scenery.of(fit, sights, grid).seen_by(view.signal.camera())
-    return HeldOut(tuple(tracks), tuple(readings), tuple(sights), places)
+    if camera_fit is not None and observations:
+        places = Scenery.of(fit, observations, grid).projected(camera_fit.signal.camera())
+    return HeldOut(tuple(tracks), tuple(readings), tuple(observations), places)
 
 
-def differences(sights: Sequence[Sight], places: Sequence[Array]) -> tuple[float, float]:
+def differences(
+    observations: Sequence[MarkerObservations], places: Sequence[Array]
+) -> tuple[float, float]:
     """Return the RMS distance of markers from `places`, and their RMS way under presses [px]."""
-    pairs = list(zip(sights, places, strict=True))
-    off = np.concatenate([(sight.seen - place).reshape(-1, 2) for sight, place in pairs])
-    way = np.concatenate([(sight.seen - sight.markers).reshape(-1, 2) for sight, _ in pairs])
+    pairs = list(zip(observations, places, strict=True))
+    off = np.concatenate([(each.observed - place).reshape(-1, 2) for each, place in pairs])
+    way = np.concatenate([(each.observed - each.undeformed).reshape(-1, 2) for each, _ in pairs])
     rms_off, rms_way = (float(np.nanmean(np.square(each).sum(axis=1))) for each in (off, way))
     return math.sqrt(rms_off), math.sqrt(rms_way)
 
@@ -137,74 +143,80 @@ class Scenery:
     """Skin of a twin under presses, whose markers cameras see."""
 
     body: Body
-    sights: Sequence[Sight]
+    observations: Sequence[MarkerObservations]
     tops: Sequence[SurfaceField]
-    """Displacement of what carries the markers, at the points of each sight."""
+    """Displacement of what carries the markers, at the points of each observation."""
 
     @classmethod
     def of(
         cls,
         fit: Fit,
-        sights: Sequence[Sight],
+        observations: Sequence[MarkerObservations],
         grid: int,
         changed: Mapping[str, float] | None = None,
     ) -> Scenery:
         """Return the skin of a fit, with some quantities changed."""
         pins, values = _signal(fit.design).pins, {**fit.values, **(changed or {})}
-        of_tracks = [list(own) for _, own in groupby(sights, key=lambda each: id(each.track))]
-        model = Model(fit.design, [own[0].track for own in of_tracks], grid=grid)
+        of_tracks = [list(own) for _, own in groupby(observations, key=lambda each: id(each.track))]
+        model = TrackModel(fit.design, [own[0].track for own in of_tracks], grid=grid)
         rows = [np.concatenate([each.rows for each in own]) for own in of_tracks]
         tops = []
         for own, top in zip(of_tracks, model.surfaces(values, rows), strict=True):
-            seen = top if pins is None else pins.tips(top)
+            carrier = top if pins is None else pins.tips(top)
             ends = np.cumsum([len(each.rows) for each in own])[:-1]
-            parts = np.split(seen.displacement, ends)
-            tops += [replace(seen, displacement=part) for part in parts]
-        return cls(fit.design.body, sights, tops)
+            parts = np.split(carrier.displacement, ends)
+            tops += [replace(carrier, displacement=part) for part in parts]
+        return cls(fit.design.body, observations, tops)
 
-    def seen_by(self, camera: Camera) -> tuple[Array, ...]:
-        """Return the markers at each point (f, m, 2) [px], of every sight."""
-        found = []
-        for sight, top in zip(self.sights, self.tops, strict=True):
-            flat = camera.places(sight.markers, self.body)
+    def projected(self, camera: Camera) -> tuple[Array, ...]:
+        """Return the markers at each point (f, m, 2) [px], of every observation."""
+        positions = []
+        for each, top in zip(self.observations, self.tops, strict=True):
+            flat = camera.places(each.undeformed, self.body)
             points = np.column_stack([flat, self.body.heights_at(*flat.T)])
-            found.append(camera.project(points + top.at(flat)))
-        return tuple(found)
+            positions.append(camera.project(points + top.at(flat)))
+        return tuple(positions)
 
     def residuals(self, camera: Camera) -> Array:
-        """Return what was seen less what a camera sees (r,) [px], 0 for markers not found."""
-        pairs = zip(self.sights, self.seen_by(camera), strict=True)
-        return np.concatenate([np.nan_to_num(sight.seen - place).ravel() for sight, place in pairs])
+        """Return observed less projected markers (r,) [px], 0 where a marker is missing."""
+        pairs = zip(self.observations, self.projected(camera), strict=True)
+        return np.concatenate(
+            [np.nan_to_num(each.observed - place).ravel() for each, place in pairs]
+        )
 
     @property
     def points(self) -> NDArray[np.int64]:
         """Number of the point that each residual is of (r,)."""
-        sizes = [place.size for sight in self.sights for place in sight.seen]
+        sizes = [place.size for each in self.observations for place in each.observed]
         return np.repeat(np.arange(len(sizes)), sizes)
 
     def mirrored(self) -> Scenery:
         """Return the same with images mirrored from left to right."""
         flip, width = np.array([-1.0, 1.0]), np.array([WIDTH - 1.0, 0.0])
         flipped = [
-            replace(each, markers=flip * each.markers + width, seen=flip * each.seen + width)
-            for each in self.sights
+            replace(
+                each,
+                undeformed=flip * each.undeformed + width,
+                observed=flip * each.observed + width,
+            )
+            for each in self.observations
         ]
-        return replace(self, sights=flipped)
+        return replace(self, observations=flipped)
 
 
-def viewed(
+def fitted_camera(
     fit: Fit,
-    sights: Sequence[Sight],
+    observations: Sequence[MarkerObservations],
     *,
     name: str,
     grid: int = 96,
     progress: Callable[[float], None] = lambda fraction: None,
-) -> View:
-    """Return the camera and layout that explain sights, however badly.
+) -> CameraFit:
+    """Return the camera and layout that explain observations, however badly.
 
     Args:
         fit: Fit of the skin to the same presses.
-        sights: What was seen of them.
+        observations: Markers observed in them.
         name: Name of the layout.
         grid: Pixels along the body's longer side.
         progress: Called with the fraction done.
@@ -213,43 +225,45 @@ def viewed(
         SceneError: The design has no camera, or images are mirrored.
         SimulationDiverged: The contact of a candidate did not converge.
     """
-    scenery = Scenery.of(fit, sights, grid)
+    scenery = Scenery.of(fit, observations, grid)
     design = _signal(fit.design).camera()
     best, either = unmirrored(scenery, design)
     # Markers at one point are wrong alike, so that many of them count as one.
-    sigma = _rms(best) * math.sqrt(_alike(best, scenery.points))
+    sigma = _rms(best) * math.sqrt(_variance_inflation(best, scenery.points))
     best = nearest(scenery, _camera(best.x), design, sigma)
     camera, slopes = _camera(best.x), best.jac[:-PRIORS]
-    told = np.linalg.inv(best.jac.T @ best.jac)
+    conditional = np.linalg.inv(best.jac.T @ best.jac)
     # Errors of the skin and of its grid move the camera as well.
     base, gains = scenery.residuals(camera), []
-    coarser = Scenery.of(fit, sights, round(COARSER * grid))
+    coarser = Scenery.of(fit, observations, round(COARSER * grid))
     shifted = {name: moved_by(name, fit.values, step) for name, step in STEPS.items()}
     for done, (name, value) in enumerate(shifted.items()):
         progress(done / len(shifted))
-        changed = Scenery.of(fit, sights, grid, {name: value})
+        changed = Scenery.of(fit, observations, grid, {name: value})
         off = (changed.residuals(camera) - base) / way_of(name, fit.values, {name: value})
-        gains.append(-told @ slopes.T @ off / sigma)
+        gains.append(-conditional @ slopes.T @ off / sigma)
     gain = np.stack(gains, axis=1)
-    grid_error = told @ slopes.T @ (coarser.residuals(camera) - base) / sigma
+    grid_error = conditional @ slopes.T @ (coarser.residuals(camera) - base) / sigma
     rows = [fit.names.index(name) for name in shifted]
-    covariance = told + gain @ fit.covariance[np.ix_(rows, rows)] @ gain.T
+    covariance = conditional + gain @ fit.covariance[np.ix_(rows, rows)] @ gain.T
     covariance += np.outer(grid_error, grid_error)
     progress(1.0)
-    sensor, overlap = _with_layout(fit.sensor, camera, sights[0].reference, name)
+    sensor, overlap = _with_layout(fit.sensor, camera, observations[0].reference, name)
     assert sensor.posterior is not None
     skin = [fit.names.index(each) for each in sensor.posterior.names]
     both = fit.covariance[np.ix_(skin, rows)] @ gain.T
     matrix = np.block([[fit.covariance[np.ix_(skin, skin)], both], [both.T, covariance]])
-    kept = fit.tier, sensor.posterior.height, sensor.posterior.law
-    posterior = Posterior.of((*sensor.posterior.names, *CAMERA), matrix, *kept)
-    return View(
+    of_skin = sensor.posterior
+    posterior = Posterior.of(
+        (*of_skin.names, *CAMERA), matrix, fit.tier, of_skin.height, of_skin.law
+    )
+    return CameraFit(
         sensor=replace(sensor, posterior=posterior),
         covariance=covariance,
         overlap=overlap,
         either_way=either,
-        sights=tuple(sights),
-        predicted=scenery.seen_by(camera),
+        observations=tuple(observations),
+        predicted=scenery.projected(camera),
     )
 
 
@@ -258,7 +272,7 @@ def unmirrored(scenery: Scenery, design: Camera) -> tuple[Any, bool]:
     best, other = _best(scenery, design), _best(scenery.mirrored(), design)
     if best.cost > MIRRORED**2 * other.cost:
         raise SceneError(
-            f"{scenery.sights[0].track.name}: images are mirrored against the arm's x and y: "
+            f"{scenery.observations[0].track.name}: images are mirrored against the arm's x and y: "
             f"markers differ by {_rms(best):.2f} px, mirrored by {_rms(other):.2f} px; allowed: "
             "images as seen from the touched side"
         )
@@ -269,13 +283,13 @@ def _with_layout(
     twin: SimulatedSensor, camera: Camera, mask: Masks, name: str
 ) -> tuple[SimulatedSensor, float]:
     """Return a twin with camera and layout, of the shape that overlaps most with an image."""
-    signal, found = _signal(twin).mounted(camera), []
+    signal, candidates = _signal(twin).mounted(camera), []
     for layout in layouts(mask, camera, twin.body, name):
         if signal.pins is None or layout.shape == "disc":
             own = replace(twin, signal=replace(signal, layout=layout, patterns=(name,)))
-            seen = readout(own).masks(SurfaceField.undeformed(own.body))[0, 0]
-            found.append((own, float((seen & mask).sum() / (seen | mask).sum())))
-    return max(found, key=lambda each: each[1])
+            image = readout(own).masks(SurfaceField.undeformed(own.body))[0, 0]
+            candidates.append((own, float((image & mask).sum() / (image | mask).sum())))
+    return max(candidates, key=lambda each: each[1])
 
 
 def layouts(mask: Masks, camera: Camera, body: Body, name: str) -> list[Pattern]:
@@ -292,9 +306,9 @@ def layouts(mask: Masks, camera: Camera, body: Body, name: str) -> list[Pattern]
     half = np.median(np.diff(edges[whole], axis=-1)[..., 0], axis=0) / 2
     middle = np.where(cut_low, edges[..., 1] - 0.5 - half, np.array(middles))
     middle = np.where(cut_high, edges[..., 0] - 0.5 + half, middle)
-    kept = area >= smallest_marker(mask)
-    places = camera.places(middle[kept, ::-1], body)
-    size = 1e-3 * camera.mm_per_px * math.sqrt(float(np.median(area[whole & kept])))
+    large = area >= smallest_marker(mask)
+    places = camera.places(middle[large, ::-1], body)
+    size = 1e-3 * camera.mm_per_px * math.sqrt(float(np.median(area[whole & large])))
     widths = {"disc": 2 / math.sqrt(math.pi), "square": 1.0, "diamond": math.sqrt(2)}
     return [
         Pattern(name, shape, widths[shape] * size, tuple(map(tuple, places.tolist()))).within(body)
@@ -350,11 +364,11 @@ def _rms(fit: Any) -> float:
     return math.sqrt(2 * np.square(off[off != 0]).mean())
 
 
-def _alike(fit: Any, points: NDArray[np.int64]) -> float:
+def _variance_inflation(fit: Any, points: NDArray[np.int64]) -> float:
     """Return the variance of a fit by the scatter of its points, over that of single residuals."""
     off, slopes = fit.fun[:-PRIORS], fit.jac[:-PRIORS]
-    told = np.linalg.inv(fit.jac.T @ fit.jac)
-    scores = np.zeros((points[-1] + 1, len(told)))
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    scores = np.zeros((points[-1] + 1, len(covariance)))
     np.add.at(scores, points, slopes * off[:, None])
-    variance = np.diag(told @ scores.T @ scores @ told)
-    return max(1.0, float(np.mean(variance / np.diag(told))) / float(np.mean(np.square(off))))
+    variance = np.diag(covariance @ scores.T @ scores @ covariance)
+    return max(1.0, float(np.mean(variance / np.diag(covariance))) / float(np.mean(np.square(off))))

@@ -18,8 +18,8 @@ from sim.scene import Friction, Viscosity
 from sim.sensors import SimulatedSensor
 from sim.sensors.posterior import Posterior, interval_of, is_log
 from sim.sensors.quantities import POISSON, quantities, with_quantities
-from sim.twin.model import STEPS, Linear, Model, TrackForces
-from sim.twin.observations import SETTLING, Track
+from sim.twin.model import STEPS, Linear, TrackForces, TrackModel
+from sim.twin.observations import SETTLING, PressTrack
 
 Array = NDArray[np.float64]
 
@@ -60,10 +60,10 @@ STEP, CLOSE = 0.5, 6.0
 DAMPED, DAMPED_LITTLE = 100.0, 0.5
 # Decrease of the squared residuals that ends a descent.
 LITTLE = 0.1
-# Cost above the least, from which an explanation counts no more (its odds are 1 in 90).
-TOLD = 9.0
+# Cost above the least, from which an explanation is too unlikely to count (its odds are 1 in 90).
+UNLIKELY = 9.0
 # Thicknesses, over that of an explanation, from which others are looked for.
-ASIDE = (0.8, 1.25)
+THICKNESSES = (0.8, 1.25)
 # Cost above that of the best explanation, up to which their mean is taken for it.
 LITTLE_WORSE = 1.0
 # How often tier `fem` corrects the forces of tier `layer`: first at an explanation by `layer`, then
@@ -71,8 +71,8 @@ LITTLE_WORSE = 1.0
 CORRECTIONS = 2
 # Most explanations that are corrected, since each takes minutes.
 EXPLAINED = 2
-# Spread over the prior's above which presses have told nothing.
-UNTOLD = 0.7
+# Spread over the prior's above which presses do not identify a quantity.
+UNIDENTIFIED = 0.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +86,7 @@ class Fit:
     """All quantities, in SI."""
     covariance: Array
     """(p, p), of logarithms where `is_log` says so."""
-    tracks: tuple[Track, ...]
+    tracks: tuple[PressTrack, ...]
     readings: tuple[Array, ...]
     """Forces that the twin gives (n, 3) [N], of each track."""
     timing: float
@@ -107,20 +107,23 @@ class Fit:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
-    def untold(self) -> tuple[str, ...]:
-        """Quantities that the presses did not tell, so that they keep their prior's value."""
+    def unidentified(self) -> tuple[str, ...]:
+        """Quantities that the presses do not identify, so that they keep their prior's value."""
         spreads = self.spreads
-        return tuple(name for name in self.names if spreads[name] > UNTOLD * prior_spread(name))
+        return tuple(
+            name for name in self.names if spreads[name] > UNIDENTIFIED * prior_spread(name)
+        )
 
     @property
     def sensor(self) -> SimulatedSensor:
         """The twin: the design with the fitted quantities and their posterior."""
-        known = quantities(self.design)
-        rows = [index for index, name in enumerate(self.names) if name in known]
-        twin = with_quantities(self.design, {name: self.values[name] for name in known})
+        of_design = quantities(self.design)
+        rows = [index for index, name in enumerate(self.names) if name in of_design]
+        twin = with_quantities(self.design, {name: self.values[name] for name in of_design})
         names, covariance = [self.names[row] for row in rows], self.covariance[np.ix_(rows, rows)]
-        told = self.tier, float(self.values["height"]), self.law
-        return replace(twin, posterior=Posterior.of(names, covariance, *told))
+        height = float(self.values["height"])
+        posterior = Posterior.of(names, covariance, self.tier, height, self.law)
+        return replace(twin, posterior=posterior)
 
     def distance(self, name: str, value: float) -> float:
         """Return the distance from a value to that of a quantity, in its standard deviations."""
@@ -137,7 +140,7 @@ def prior_spread(name: str) -> float:
 
 
 def fitted(
-    tracks: Sequence[Track],
+    tracks: Sequence[PressTrack],
     design: SimulatedSensor,
     *,
     grid: int = 96,
@@ -177,18 +180,18 @@ def fitted(
             )
     with several(processes) as workers:
         model, rougher = (
-            Model(design, tracks, grid=pixels, workers=workers)
+            TrackModel(design, tracks, grid=pixels, workers=workers)
             for pixels in (grid, round(COARSER * grid))
         )
         correct = functools.partial(_correct, model, rougher, device) if tier == "fem" else None
-        return _found(design, tracks, model, rougher, correct, progress)
+        return _fit(design, tracks, model, rougher, correct, progress)
 
 
-def _found(
+def _fit(
     design: SimulatedSensor,
-    tracks: Sequence[Track],
-    model: Model,
-    rougher: Model,
+    tracks: Sequence[PressTrack],
+    model: TrackModel,
+    rougher: TrackModel,
     correct: Callable[[Mapping[str, float]], None] | None,
     progress: Callable[[float], None],
 ) -> Fit:
@@ -206,51 +209,51 @@ def _found(
     names = (*quantities(design), *BENCH)
     centre = {**quantities(design), **dict.fromkeys(BENCH, 0.0)}
 
-    def seen_at(values: Mapping[str, float]) -> Problem:
+    def problem_at(values: Mapping[str, float]) -> FitProblem:
         fine, coarse = model.readings(values), rougher.readings(values)
         data = Data(tracks, [one - other for one, other in zip(fine, coarse, strict=True)])
-        return Problem(data, model, names, centre)
+        return FitProblem(data, model, names, centre)
 
     stiffer = _stiffer(tracks, model.readings(centre))
     values: Mapping[str, float] = {**centre, "modulus": stiffer * centre["modulus"]}
-    problem = seen_at(values)
+    problem = problem_at(values)
     level = _descended(problem.without(*TILT), values, span_of(progress, 0.0, 0.2 * part))
     # A level pad is one explanation, a tilted one another, with a skin that may be quite different:
     # a descent from the one need not find the other.
     values, near, rounds = _tilted(problem, level), None, level.rounds
     for begun in (0.2, 0.4):
         # The grid's error depends on the tilt.
-        problem = seen_at(values)
+        problem = problem_at(values)
         further = span_of(progress, part * begun, 0.2 * part)
         tilted = _descended(problem, values, further, near)
         values, near, rounds = tilted.values, tilted.near, rounds + tilted.rounds
     ends = [level.values, tilted.values]
     further = span_of(progress, 0.6 * part, 0.4 * part)
-    for aside in _aside(problem, tilted.values, further):
-        rounds += aside.rounds
-        ends.append(aside.values)
+    for descent in _other_thicknesses(problem, tilted.values, further):
+        rounds += descent.rounds
+        ends.append(descent.values)
     timing, law, sigma = _weights(tracks, tilted.near)
-    found = _explanations(problem, ends, sigma)
+    explanations = _explanations(problem, ends, sigma)
     for done in range(CORRECTIONS if correct is not None else 0):
         assert correct is not None
         progress(part + 0.3 * done)
-        correct(found[0].values)
-        problem = seen_at(found[0].values)
-        likely = found[:EXPLAINED]
+        correct(explanations[0].values)
+        problem = problem_at(explanations[0].values)
+        likely = explanations[:EXPLAINED]
         further = span_of(progress, part + 0.3 * done + 0.1, 0.2 / len(likely))
         again = [_descended(problem, each.values, further) for each in likely]
         rounds += sum(each.rounds for each in again)
         timing, law, sigma = _weights(tracks, again[0].near)
         ends = [each.values for each in again]
-        found = _explanations(problem, ends, sigma)
-    found = _with_mean(problem, found, sigma)
-    best = found[0]
+        explanations = _explanations(problem, ends, sigma)
+    explanations = _with_mean(problem, explanations, sigma)
+    best = explanations[0]
     progress(1.0)
     return Fit(
         design=design,
         names=names,
         values=best.values,
-        covariance=_mixed(names, found),
+        covariance=_mixed(names, explanations),
         tracks=tuple(tracks),
         readings=tuple(best.near.readings),
         timing=timing,
@@ -262,24 +265,28 @@ def _found(
     )
 
 
-def _aside(
-    problem: Problem, values: Mapping[str, float], progress: Callable[[float], None]
+def _other_thicknesses(
+    problem: FitProblem, values: Mapping[str, float], progress: Callable[[float], None]
 ) -> Iterator[Descended]:
-    """Yield descents that begin with a thinner and a thicker skin than one that was found.
+    """Yield descents that begin with a thinner and a thicker skin than that of some values.
 
     A thinner skin that is softer, with another Poisson's ratio, explains presses nearly as well: a
-    descent ends anywhere in that valley, and the derivatives there do not tell how long it is.
+    descent ends anywhere in that valley, and the derivatives there do not show how long it is.
     """
     others = problem.without("thickness")
-    for number, factor in enumerate(ASIDE):
+    for number, factor in enumerate(THICKNESSES):
         moved = {**values, "thickness": factor * values["thickness"]}
-        first, second = (part_of(progress, 2 * number + each, 2 * len(ASIDE)) for each in (0, 1))
+        first, second = (
+            part_of(progress, 2 * number + each, 2 * len(THICKNESSES)) for each in (0, 1)
+        )
         held = _descended(others, moved, first)
-        found = _descended(problem, held.values, second)
-        yield replace(found, rounds=held.rounds + found.rounds)
+        freed = _descended(problem, held.values, second)
+        yield replace(freed, rounds=held.rounds + freed.rounds)
 
 
-def _correct(model: Model, rougher: Model, device: str, values: Mapping[str, float]) -> None:
+def _correct(
+    model: TrackModel, rougher: TrackModel, device: str, values: Mapping[str, float]
+) -> None:
     """Correct the forces of a model, and those of a rougher one on a rougher mesh, at values."""
     for each, finer in ((model, 1.0), (rougher, COARSER)):
         each.correct(values, finer, device)
@@ -289,17 +296,17 @@ def _correct(model: Model, rougher: Model, device: str, values: Mapping[str, flo
 class Data:
     """Tracks, and the error that the grid's size makes of their readings."""
 
-    tracks: Sequence[Track]
+    tracks: Sequence[PressTrack]
     grid_errors: Sequence[Array]
     """Of each track (n, 3) [N]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class FitProblem:
     """Tracks to explain by the quantities of a model."""
 
     data: Data
-    model: Model
+    model: TrackModel
     names: tuple[str, ...]
     """Quantities that may change (p)."""
     centre: Mapping[str, float]
@@ -310,7 +317,7 @@ class Problem:
         """The prior's spreads (p,)."""
         return np.array([prior_spread(name) for name in self.names])
 
-    def without(self, *held: str) -> Problem:
+    def without(self, *held: str) -> FitProblem:
         """Return the problem with some quantities held."""
         return replace(self, names=tuple(name for name in self.names if name not in held))
 
@@ -341,7 +348,7 @@ class Explanation:
 
 
 def _explanations(
-    problem: Problem, ends: Sequence[Mapping[str, float]], sigma: Sequence[Array]
+    problem: FitProblem, ends: Sequence[Mapping[str, float]], sigma: Sequence[Array]
 ) -> list[Explanation]:
     """Return the ends of descents, the best first, without those that are worse or the same.
 
@@ -352,18 +359,18 @@ def _explanations(
     offsets = [problem.offset(values) / prior for values in ends]
     residuals = [_stacked(data, model.readings(values), sigma)[0] for values in ends]
     costs = [_cost(*each) for each in zip(residuals, offsets, strict=True)]
-    found: list[Explanation] = []
+    explanations: list[Explanation] = []
     for index in np.argsort(costs):
-        known = any(_alike(names, each, ends[index]) for each in found)
-        if known or costs[index] > min(costs) + TOLD:
+        repeated = any(_alike(names, each, ends[index]) for each in explanations)
+        if repeated or costs[index] > min(costs) + UNLIKELY:
             continue
         near = model.linearised(ends[index], names)
         residual, jacobian = _stacked(data, near.readings, sigma, near.slopes)
         excess = max(1.0, float(residual @ residual) / max(1, len(residual) - len(names)))
         inverse = jacobian.T @ jacobian / excess + np.diag(prior**-2)
         covariance = np.asarray(np.linalg.inv(inverse), float)
-        found.append(Explanation(ends[index], near, costs[index], covariance))
-    return found
+        explanations.append(Explanation(ends[index], near, costs[index], covariance))
+    return explanations
 
 
 def _alike(names: Sequence[str], one: Explanation, values: Mapping[str, float]) -> bool:
@@ -373,20 +380,20 @@ def _alike(names: Sequence[str], one: Explanation, values: Mapping[str, float]) 
 
 
 def _with_mean(
-    problem: Problem, found: list[Explanation], sigma: Sequence[Array]
+    problem: FitProblem, explanations: list[Explanation], sigma: Sequence[Array]
 ) -> list[Explanation]:
     """Return explanations after their mean, which errs less than the best, if it explains as well.
 
     It does not where the valley between them bends.
     """
-    if len(found) < 2:
-        return found
-    best, names = found[0], problem.names
-    ways = np.array([_way(names, best.values, each.values) for each in found])
-    moved = zip(names, _odds(found) @ ways, strict=True)
+    if len(explanations) < 2:
+        return explanations
+    best, names = explanations[0], problem.names
+    ways = np.array([_way(names, best.values, each.values) for each in explanations])
+    moved = zip(names, _odds(explanations) @ ways, strict=True)
     values = {**best.values, **{name: moved_by(name, best.values, by) for name, by in moved}}
     (mean,) = _explanations(problem, [values], sigma)
-    return [mean, *found] if mean.cost < best.cost + LITTLE_WORSE else found
+    return [mean, *explanations] if mean.cost < best.cost + LITTLE_WORSE else explanations
 
 
 def _way(names: Sequence[str], one: Mapping[str, float], other: Mapping[str, float]) -> Array:
@@ -394,23 +401,23 @@ def _way(names: Sequence[str], one: Mapping[str, float], other: Mapping[str, flo
     return np.array([way_of(name, one, other) for name in names])
 
 
-def _odds(found: Sequence[Explanation]) -> Array:
+def _odds(explanations: Sequence[Explanation]) -> Array:
     """Return the probability of each explanation, by its cost."""
-    costs = np.array([each.cost for each in found])
+    costs = np.array([each.cost for each in explanations])
     weights = np.exp((costs.min() - costs) / 2)
     return np.asarray(weights / weights.sum())
 
 
-def _mixed(names: Sequence[str], found: Sequence[Explanation]) -> Array:
+def _mixed(names: Sequence[str], explanations: Sequence[Explanation]) -> Array:
     """Return the covariance (p, p) about the first explanation, each as likely as its cost says."""
-    ways = [_way(names, found[0].values, each.values) for each in found]
-    mixed = np.zeros_like(found[0].covariance)
-    for weight, each, way in zip(_odds(found), found, ways, strict=True):
+    ways = [_way(names, explanations[0].values, each.values) for each in explanations]
+    mixed = np.zeros_like(explanations[0].covariance)
+    for weight, each, way in zip(_odds(explanations), explanations, ways, strict=True):
         mixed += weight * (each.covariance + np.outer(way, way))
     return mixed
 
 
-def _tilted(problem: Problem, level: Descended) -> Mapping[str, float]:
+def _tilted(problem: FitProblem, level: Descended) -> Mapping[str, float]:
     """Return the values of a level pad, tilted to the side that explains the tracks best."""
     data, model = problem.data, problem.model
     _, _, sigma = _weights(data.tracks, level.near)
@@ -429,18 +436,18 @@ def _tilted(problem: Problem, level: Descended) -> Mapping[str, float]:
 
 
 def _descended(
-    problem: Problem,
+    problem: FitProblem,
     values: Mapping[str, float],
     progress: Callable[[float], None],
-    known: Linear | None = None,
+    previous: Linear | None = None,
 ) -> Descended:
     """Return where the quantities that may change explain the tracks best.
 
-    Derivatives of `known` are those at `values`.
+    Derivatives of `previous` are those at `values`.
     """
     data, model, names, prior = problem.data, problem.model, problem.names, problem.prior
     values, damping = dict(values), 1e-3
-    near, kept = model.linearised(values, names, known), known is not None
+    near, reused = model.linearised(values, names, previous), previous is not None
     for done in range(1, ROUNDS + 1):
         progress((done - 1) / ROUNDS)
         _, _, sigma = _weights(data.tracks, near)
@@ -467,16 +474,16 @@ def _descended(
         if better:
             way = {name: way_of(name, values, moved) for name in names}
             values, damping = moved, damping / 10
-            kept = all(abs(way.get(name, 0.0)) < CLOSE * step for name, step in STEPS.items())
-            if kept:
+            reused = all(abs(way.get(name, 0.0)) < CLOSE * step for name, step in STEPS.items())
+            if reused:
                 near = model.followed(values, names, near, way)
             else:
                 near = model.linearised(values, names)
-        if small or 0 < gained < LITTLE or (not better and not kept):
+        if small or 0 < gained < LITTLE or (not better and not reused):
             break
         if not better:
             # Derivatives from elsewhere may be why: take new ones before giving up.
-            kept, damping = False, 1e-2
+            reused, damping = False, 1e-2
             near = model.linearised(values, names)
     return Descended(values, near, done)
 
@@ -495,7 +502,7 @@ def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slop
 
 
 def information(data: Data, near: Linear, timing: float, law: float) -> Array:
-    """Return what tracks tell of the quantities (p, p): without a prior, an inverse covariance.
+    """Return the information of tracks on the quantities (p, p): an inverse covariance, no prior.
 
     Args:
         data: The tracks, and errors of the grid.
@@ -505,8 +512,7 @@ def information(data: Data, near: Linear, timing: float, law: float) -> Array:
     """
     sigma = _sigmas(data.tracks, near, timing, law)
     _, jacobian = _stacked(data, near.readings, sigma, near.slopes)
-    told: Array = jacobian.T @ jacobian
-    return told
+    return np.asarray(jacobian.T @ jacobian)
 
 
 def with_effects(design: SimulatedSensor) -> SimulatedSensor:
@@ -523,7 +529,7 @@ def with_effects(design: SimulatedSensor) -> SimulatedSensor:
     )
 
 
-def misfit(tracks: Sequence[Track], readings: Sequence[Array]) -> float:
+def misfit(tracks: Sequence[PressTrack], readings: Sequence[Array]) -> float:
     """Return the RMS difference of forces at rest over their RMS."""
     off = force = 0.0
     for track, read in zip(tracks, readings, strict=True):
@@ -533,7 +539,7 @@ def misfit(tracks: Sequence[Track], readings: Sequence[Array]) -> float:
     return math.sqrt(off / force) if force > 0 else math.inf
 
 
-def _stiffer(tracks: Sequence[Track], readings: Sequence[Array]) -> float:
+def _stiffer(tracks: Sequence[PressTrack], readings: Sequence[Array]) -> float:
     """Return the factor that brings readings to the forces, least squares."""
     product = sum(float(np.sum(t.force * read)) for t, read in zip(tracks, readings, strict=True))
     square = sum(float(np.sum(read * read)) for read in readings)
@@ -541,7 +547,7 @@ def _stiffer(tracks: Sequence[Track], readings: Sequence[Array]) -> float:
 
 
 def _errors(
-    tracks: Sequence[Track], readings: Sequence[Array], rates: Sequence[Array]
+    tracks: Sequence[PressTrack], readings: Sequence[Array], rates: Sequence[Array]
 ) -> tuple[float, float]:
     """Return the timing error [s] of moving points, and the relative error of those at rest."""
     late, off = [], []
@@ -559,7 +565,7 @@ def _errors(
     return float(np.clip(np.nan_to_num(timing), *TIMING)), max(LAW, float(np.nan_to_num(law)))
 
 
-def _latency(tracks: Sequence[Track], solved: Sequence[TrackForces]) -> float:
+def _latency(tracks: Sequence[PressTrack], solved: Sequence[TrackForces]) -> float:
     """Return the delay that moves the twin's forces nearest to those of the moving points [s]."""
     product = square = 0.0
     for track, each in zip(tracks, solved, strict=True):
@@ -576,18 +582,18 @@ def recent(time: Array, rate: Array) -> Array:
     return np.array([rate[low : row + 1].max() for row, low in enumerate(first)])
 
 
-def _weights(tracks: Sequence[Track], near: Linear) -> tuple[float, float, list[Array]]:
+def _weights(tracks: Sequence[PressTrack], near: Linear) -> tuple[float, float, list[Array]]:
     """Return timing error [s], relative error at rest, and the error expected of each point [N]."""
     timing, law = _errors(tracks, near.readings, near.rates)
     return timing, law, _sigmas(tracks, near, timing, law)
 
 
-def _sigmas(tracks: Sequence[Track], near: Linear, timing: float, law: float) -> list[Array]:
+def _sigmas(tracks: Sequence[PressTrack], near: Linear, timing: float, law: float) -> list[Array]:
     """Return the error expected of each point (n,) [N].
 
     Points of one rest have one error of the law, so theirs counts as often as there are points.
     """
-    found = []
+    sigmas = []
     for track, read, rate in zip(tracks, near.readings, near.rates, strict=True):
         rest = track.rest
         episode = _episodes(rest)
@@ -595,8 +601,8 @@ def _sigmas(tracks: Sequence[Track], near: Linear, timing: float, law: float) ->
         often = np.where(rest, np.maximum(count, 1), 1)
         size = np.linalg.norm(read, axis=1)
         late = timing * recent(track.time, rate)
-        found.append(np.sqrt(track.noise**2 + late**2 + often * (law * size) ** 2))
-    return found
+        sigmas.append(np.sqrt(track.noise**2 + late**2 + often * (law * size) ** 2))
+    return sigmas
 
 
 def _episodes(rest: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -649,7 +655,7 @@ def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], of
         rest: Number of each point's rest (m,).
         off: Error of the grid (m, 3) [N].
     """
-    found = []
+    errors = []
     for press in np.unique(target):
         of_press = target == press
         for axes in ([0, 1], [2]):
@@ -669,8 +675,8 @@ def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], of
             ):
                 error = np.zeros_like(force)
                 error[np.ix_(rows, axes)] = size * force[rows][:, axes]
-                found.append(error)
-    return np.stack(found, axis=-1)
+                errors.append(error)
+    return np.stack(errors, axis=-1)
 
 
 def _part(force: Array, off: Array, rows: NDArray[np.bool_], axes: list[int]) -> float:

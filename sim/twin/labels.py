@@ -87,19 +87,19 @@ def forces(
         sensors: The twin, and sensors drawn from it.
         press: The press.
         grid: Pixels along the body's longer side.
-        true: The twin's forces by tier `fem` (n, 3) [N], if they are known already.
+        true: The twin's forces by tier `fem` (n, 3) [N], if they are solved already.
     """
-    found = by_layer(sensors, press, grid)
+    by_tier_layer = by_layer(sensors, press, grid)
     twin = sensors[0]
     if (twin.posterior or CERTAIN).tier == "layer":
-        return found
+        return by_tier_layer
     if true is None:
         true = by_fem(twin, indenter_of(press.indenter), *_from_above(twin, press))[1:]
-    known = Correction.of(true, found[0], twin.body.modulus)
+    correction = Correction.of(true, by_tier_layer[0], twin.body.modulus)
     return np.stack(
         [
-            known.applied(force, sensor.body.modulus)
-            for sensor, force in zip(sensors, found, strict=True)
+            correction.applied(force, sensor.body.modulus)
+            for sensor, force in zip(sensors, by_tier_layer, strict=True)
         ]
     )
 
@@ -126,13 +126,13 @@ def by_fem_at_once(
             for press in some
         ]
         inside = span_of(progress, first / len(presses), len(some) / len(presses))
-        for found in simulate_many(scenes, fem, device=device, progress=inside):
-            yield found.wrench[1:, :3].astype(float) if isinstance(found, Result) else found
+        for result in simulate_many(scenes, fem, device=device, progress=inside):
+            yield result.wrench[1:, :3].astype(float) if isinstance(result, Result) else result
 
 
 def by_layer(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int) -> Array:
     """Return the force on each sensor at each frame of a press (k, n, 3) [N], by tier `layer`."""
-    found = np.zeros((len(sensors), len(press.rows), 3))
+    force = np.zeros((len(sensors), len(press.rows), 3))
     indenter = indenter_of(press.indenter)
     for number, sensor in enumerate(sensors):
         live = LivePress(sensor, indenter, grid=grid, tolerance=TOLERANCE)
@@ -144,8 +144,8 @@ def by_layer(sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int
                 live.move(before + (tip - before) * part / count, (time - at) / count)
             before, at = tip, time
             if live.touching:
-                found[number, row] = live.force
-    return found
+                force[number, row] = live.force
+    return force
 
 
 def simulated_forces(
@@ -193,7 +193,9 @@ def simulated_forces(
     if device != "cpu" and posterior.tier == "fem":
         true = [*by_fem_at_once(twin, presses, device, span_of(progress, 0.0, BY_FEM))]
         progress = span_of(progress, BY_FEM, 1 - BY_FEM)
-    due = [(sensors, press, grid, known) for press, known in zip(presses, true, strict=True)]
+    due = [
+        (sensors, press, grid, true_force) for press, true_force in zip(presses, true, strict=True)
+    ]
     with several(processes) as workers:
         solved = results(workers, _tried, due)
         for done, (press, each) in enumerate(zip(presses, solved, strict=True), 1):
@@ -229,14 +231,14 @@ def _tried(
         return str(diverged)
 
 
-def made_from(
+def provenance(
     twin: SimulatedSensor, draws: int, seed: int, grid: int, height: float | None = None
 ) -> str:
-    """Return a line that tells forces of one twin and its settings from those of others."""
+    """Return a line that identifies the twin and settings that forces are from."""
     posterior = twin.posterior or CERTAIN
     height = posterior.height if height is None else height
-    known = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
-    told = f"twin {twin.name} {known}, draws {draws}, seed {seed}, grid {grid}"
-    told += f", height {1e6 * height:g} um" if height else ""
-    told += f", law {posterior.law:.2%}" if draws and posterior.law else ""
-    return told if posterior.tier == "layer" else f"{told}, tier {posterior.tier}"
+    digest = hashlib.sha256(repr(twin).encode()).hexdigest()[:16]
+    line = f"twin {twin.name} {digest}, draws {draws}, seed {seed}, grid {grid}"
+    line += f", height {1e6 * height:g} um" if height else ""
+    line += f", law {posterior.law:.2%}" if draws and posterior.law else ""
+    return line if posterior.tier == "layer" else f"{line}, tier {posterior.tier}"

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from recorder.archive import ArchivedSensor, MarkerArchive
 from recorder.markers import find_blobs, smallest_marker, unpack
 from sim.errors import SceneError
-from sim.twin.observations import Track
+from sim.twin.observations import PressTrack
 
 Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
@@ -32,22 +32,24 @@ FEWEST = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """Markers of one reference while the tip rests, at several points of one track."""
+class MarkerObservations:
+    """Markers of one reference image while the tip rests, at several points of one track."""
 
-    track: Track
+    track: PressTrack
     rows: NDArray[np.int64]
     """Points of the track (f,), the last of each rest in contact."""
     reference: Masks
     """Image without contact (480, 640)."""
-    markers: Array
+    undeformed: Array
     """Column and row of the whole markers in it (m, 2) [px]."""
-    seen: Array
+    observed: Array
     """The same at each point (f, m, 2) [px]; NaN where a marker was not found."""
 
 
-def sights_of(tracks: Sequence[Track], archives: Sequence[MarkerArchive]) -> list[Sight]:
-    """Return what archives show of tracks.
+def marker_observations(
+    tracks: Sequence[PressTrack], archives: Sequence[MarkerArchive]
+) -> list[MarkerObservations]:
+    """Return the markers of archives at points of tracks.
 
     Args:
         tracks: Tracks of sessions.
@@ -57,38 +59,40 @@ def sights_of(tracks: Sequence[Track], archives: Sequence[MarkerArchive]) -> lis
         SceneError: An archive has no frame of any of the tracks, or hardly any marker.
         SessionError: An archive is corrupt, or still being written.
     """
-    found: list[Sight] = []
+    observations: list[MarkerObservations] = []
     for archive in archives:
         sources = {
             sensor.name: [_source(line) for line in sensor.sources] for sensor in archive.values()
         }
-        before = len(found)
+        before = len(observations)
         for sensor in archive.values():
             for track in tracks:
                 own = [each == (track.name, track.run) for each in sources[sensor.name]]
                 rows = np.asarray(own, bool)[sensor.table["source"]] & sensor.table["valid"]
-                found += _sights(track, sensor, np.flatnonzero(rows))
-        if len(found) == before:
-            known = sorted({str(name) for each in sources.values() for name, _ in each})
+                observations += _observations(track, sensor, np.flatnonzero(rows))
+        if len(observations) == before:
+            sessions = sorted({str(name) for each in sources.values() for name, _ in each})
             raise SceneError(
-                f"{archive.name}: is of {', '.join(known)}, and has no picture at rest in contact "
-                f"of {', '.join(dict.fromkeys(track.name for track in tracks))}; allowed: an "
-                "archive that tactile markers made from these sessions"
+                f"{archive.name}: is of {', '.join(sessions)}, and has no picture at rest in "
+                f"contact of {', '.join(dict.fromkeys(track.name for track in tracks))}; allowed: "
+                "an archive that tactile markers made from these sessions"
             )
-    return found
+    return observations
 
 
 def _source(line: str) -> tuple[Any, Any]:
     """Return session and run of a frame, from its line of an archive's sources."""
     try:
-        told = json.loads(line)
+        source = json.loads(line)
     except ValueError:
         return line, None
-    return (told.get("session"), told.get("run")) if isinstance(told, dict) else (line, None)
+    return (source.get("session"), source.get("run")) if isinstance(source, dict) else (line, None)
 
 
-def _sights(track: Track, sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Iterator[Sight]:
-    """Yield what some rows of an archive show of a track, for each of their references."""
+def _observations(
+    track: PressTrack, sensor: ArchivedSensor, rows: NDArray[np.int64]
+) -> Iterator[MarkerObservations]:
+    """Yield the markers in some rows of an archive along a track, for each of their references."""
     rows = rows[np.argsort(sensor.table["t_ns"][rows], kind="stable")]
     if not len(rows):
         return
@@ -108,7 +112,7 @@ def _sights(track: Track, sensor: ArchivedSensor, rows: NDArray[np.int64]) -> It
                 f"{FEWEST} or more"
             )
         follower = Follower(markers, float(np.median(blobs.area)))
-        points, seen = [], []
+        points, positions = [], []
         for target in np.unique(track.target[ends]):
             follower.restart()
             of = np.flatnonzero((track.target == target) & fresh & (reference == number))
@@ -116,15 +120,17 @@ def _sights(track: Track, sensor: ArchivedSensor, rows: NDArray[np.int64]) -> It
                 place = follower.step(frame)
                 if ends[point]:
                     points.append(point)
-                    seen.append(place)
-        lost = np.isnan(seen).mean() if seen else 0.0
+                    positions.append(place)
+        lost = np.isnan(positions).mean() if positions else 0.0
         if lost > LOST:
             raise SceneError(
                 f"{sensor.path}: {100 * lost:.0f} % of the markers of {track.name} are not found "
                 f"under contact; allowed: up to {100 * LOST:.0f} %"
             )
-        if seen:
-            yield Sight(track, np.array(points, np.int64), mask, markers, np.array(seen))
+        if positions:
+            yield MarkerObservations(
+                track, np.array(points, np.int64), mask, markers, np.array(positions)
+            )
 
 
 class Follower:
@@ -155,6 +161,6 @@ class Follower:
             return np.full_like(self._last, np.nan)
         apart, nearest = cKDTree(places).query(self._last)
         _, back = cKDTree(self._last).query(places)
-        found = (back[nearest] == np.arange(len(nearest))) & (apart <= self._gate)
-        self._last = np.where(found[:, None], places[nearest], self._last)
-        return np.where(found[:, None], self._last, np.nan)
+        matched = (back[nearest] == np.arange(len(nearest))) & (apart <= self._gate)
+        self._last = np.where(matched[:, None], places[nearest], self._last)
+        return np.where(matched[:, None], self._last, np.nan)

@@ -24,7 +24,7 @@ from sim.sensors.posterior import is_log
 from sim.sensors.quantities import quantities, with_quantities
 from sim.stream import LivePress
 from sim.tiers import simulate
-from sim.twin.observations import Track
+from sim.twin.observations import PressTrack
 
 Array = NDArray[np.float64]
 Key = tuple[tuple[str, float], ...]
@@ -45,8 +45,8 @@ ONE_SIDED = ("tilt_x", "tilt_y")
 # [m], steps over the thickness, and tolerances. With 4 elements four presses took 91 s of a core.
 CELLS, HIGHEST, STEPS_OF_THICKNESS = 4.5, 1.2e-3, 20
 FEM = Fem(grading=FOR_EDGES, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
-# Force over the largest of a track from which ratios of forces are known.
-KNOWN = 0.05
+# Force over the largest of a track from which ratios of forces are taken.
+SIGNIFICANT = 0.05
 # Residual of the contact.
 TOLERANCE = 5e-3
 # Step of the logarithm of a relaxation time.
@@ -86,12 +86,12 @@ class Candidate:
 
     sensor: SimulatedSensor
     upright: Indenter
-    track: Track
+    track: PressTrack
     values: Mapping[str, float]
     grid: int
 
-    def seen(self) -> tuple[Indenter, Array]:
-        """Return the indenter and its tips (n, 3) [m] as the candidate's pad sees them."""
+    def in_pad_frame(self) -> tuple[Indenter, Array]:
+        """Return the indenter and its tips (n, 3) [m] in the frame of the candidate's pad."""
         values, track = self.values, self.track
         tilt = values.get("tilt_x", 0.0), values.get("tilt_y", 0.0)
         indenter, tip = leaning(self.upright, track.tip, tilt)
@@ -102,7 +102,7 @@ class Candidate:
     def pressed(self) -> Iterator[LivePress]:
         """Yield the press at each point of the track; it is the same object each time."""
         track = self.track
-        indenter, tip = self.seen()
+        indenter, tip = self.in_pad_frame()
         press = LivePress(self.sensor, indenter, grid=self.grid, tolerance=TOLERANCE)
         before = track.time[0]
         for time, place in zip(track.time, tip, strict=True):
@@ -122,7 +122,7 @@ class Candidate:
     def by_fem(self, finer: float, device: str) -> Array:
         """Return the force at each point of the track by tier `fem` (n, 3) [N]."""
         time = self.track.time - self.track.time[0]
-        return by_fem(self.sensor, *self.seen(), time, finer, device)
+        return by_fem(self.sensor, *self.in_pad_frame(), time, finer, device)
 
 
 def by_fem(
@@ -148,14 +148,14 @@ def by_fem(
     """
     scene, first = sensor.scene(indenter, motion_of(tip, time)), fem_of(sensor, finer)
     try:
-        found = simulate(scene, first, device=device)
+        result = simulate(scene, first, device=device)
     except SimulationDiverged as diverged:
         diverged.forget_dump()
         passes = isinstance(diverged, PassesThrough)
         further = further_settings(first, sensor.body)
         (second,) = (fem for _, fem, of_passing in further if of_passing == passes)
-        found = simulate(scene, second, device=device)
-    return np.asarray(found.wrench[:, :3], float)
+        result = simulate(scene, second, device=device)
+    return np.asarray(result.wrench[:, :3], float)
 
 
 def motion_of(tip: Array, time: Array) -> Motion:
@@ -193,7 +193,7 @@ class Correction:
         return np.asarray(self.ratio * layer + modulus * self.rest)
 
 
-class Model:
+class TrackModel:
     """Readings that a sensor would give along tracks.
 
     Args:
@@ -206,7 +206,7 @@ class Model:
     def __init__(
         self,
         design: SimulatedSensor,
-        tracks: Sequence[Track],
+        tracks: Sequence[PressTrack],
         *,
         grid: int = 96,
         workers: Workers | None = None,
@@ -239,16 +239,16 @@ class Model:
         ]
 
     def linearised(
-        self, values: Mapping[str, float], names: Sequence[str], known: Linear | None = None
+        self, values: Mapping[str, float], names: Sequence[str], previous: Linear | None = None
     ) -> Linear:
         """Return the readings near `values`, which must have all `names`.
 
         Derivatives by modulus, branches and gauge come from one solution: forces are
         proportional to the modulus, and relaxation is a convolution of the elastic force. The
         contact is assumed not to change with them; readings themselves are exact. The others take
-        a solution each, unless they are those of `known`, not far from here.
+        a solution each, unless they are those of `previous`, not far from here.
         """
-        costly: dict[str, list[Array]] = {} if known is None else dict(known.costly)
+        costly: dict[str, list[Array]] = {} if previous is None else dict(previous.costly)
         due = [name for name in STEPS if name not in costly and (name in names or name == "height")]
         ahead = {name: self._moved(values, name, STEPS[name]) for name in due}
         behind = {
@@ -277,7 +277,7 @@ class Model:
         """Return the readings near `values`, with derivatives of `near` corrected by the way there.
 
         Broyden's update (Math. Comp. 19 (1965) 577) of the costly ones: by `moved`, the way from
-        `near`, derivatives foretell the change of the readings. Ways shorter than the steps by
+        `near`, derivatives predict the change of the readings. Ways shorter than the steps by
         which derivatives are taken correct less, for the solutions are no more exact than that.
         """
         base = self.readings(values)
@@ -325,12 +325,12 @@ class Model:
     def solve(self, values: Mapping[str, float]) -> list[TrackForces]:
         """Return the solution of every track."""
         self.prepare([values])
-        found = self._solved[_key(values)]
+        solved = self._solved[_key(values)]
         if not self._corrections:
-            return found
+            return solved
         return [
             replace(each, force=own.applied(each.force, values["modulus"]))
-            for each, own in zip(found, self._corrections, strict=True)
+            for each, own in zip(solved, self._corrections, strict=True)
         ]
 
     def prepare(self, candidates: Sequence[Mapping[str, float]]) -> None:
@@ -341,7 +341,7 @@ class Model:
         for number, key in enumerate(new):
             self._solved[key] = solved[count * number : count * (number + 1)]
 
-    def _candidate(self, values: Mapping[str, float], track: Track) -> Candidate:
+    def _candidate(self, values: Mapping[str, float], track: PressTrack) -> Candidate:
         indenter = named(track.indenter)
         return Candidate(self._sensor(values), indenter, track, values, self._grid)
 
@@ -349,25 +349,25 @@ class Model:
         self, values: Mapping[str, float], rows: Sequence[NDArray[np.int64]]
     ) -> list[SurfaceField]:
         """Return the displacement of the top at some points of every track, as one field each."""
-        found = []
-        for track, wanted in zip(self._tracks, rows, strict=True):
+        surfaces = []
+        for track, points in zip(self._tracks, rows, strict=True):
             shapes = {
                 row: press.field
                 for row, press in enumerate(self._candidate(values, track).pressed())
-                if row in wanted
+                if row in points
             }
-            fields = [shapes[int(row)] for row in wanted]
-            found.append(
+            fields = [shapes[int(row)] for row in points]
+            surfaces.append(
                 replace(
                     fields[0], displacement=np.concatenate([each.displacement for each in fields])
                 )
             )
-        return found
+        return surfaces
 
     def _sensor(self, values: Mapping[str, float]) -> SimulatedSensor:
-        known = quantities(self._design)
+        of_design = quantities(self._design)
         return with_quantities(
-            self._design, {name: value for name, value in values.items() if name in known}
+            self._design, {name: value for name, value in values.items() if name in of_design}
         )
 
     @staticmethod
@@ -377,11 +377,15 @@ class Model:
 
     def _read(self, solved: TrackForces, values: Mapping[str, float]) -> Array:
         turn = np.array([values.get(f"turn_{axis}", 0.0) for axis in "xyz"])
-        found: Array = solved.force + np.cross(turn, solved.force)
-        return found
+        return np.asarray(solved.force + np.cross(turn, solved.force))
 
     def _cheap(
-        self, name: str, solved: TrackForces, read: Array, values: Mapping[str, float], track: Track
+        self,
+        name: str,
+        solved: TrackForces,
+        read: Array,
+        values: Mapping[str, float],
+        track: PressTrack,
     ) -> Array:
         if name == "modulus":
             return read
@@ -401,10 +405,9 @@ class Model:
 
 
 def _ratio(true: Array, layer: Array, otherwise: Array) -> Array:
-    """Return the ratio of forces (n,) where they are large enough to tell it."""
-    known = layer > KNOWN * layer.max(initial=0.0)
-    found: Array = np.where(known, true / np.where(known, layer, 1.0), otherwise)
-    return found
+    """Return the ratio of forces (n,) where they are large enough for one."""
+    significant = layer > SIGNIFICANT * layer.max(initial=0.0)
+    return np.where(significant, true / np.where(significant, layer, 1.0), otherwise)
 
 
 def _key(values: Mapping[str, float]) -> Key:

@@ -36,7 +36,7 @@ ZERO = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class PressTrack:
     """Path of one indenter over a sensor, and the forces along it."""
 
     name: str
@@ -62,23 +62,22 @@ class Track:
     @property
     def rest(self) -> NDArray[np.bool_]:
         """True for points at which the tip has not moved for `SETTLING` (n,)."""
-        found = np.zeros(len(self.time), bool)
+        at_rest = np.zeros(len(self.time), bool)
         since = self.time[0]
         for row in range(1, len(self.time)):
             if np.linalg.norm(self.tip[row] - self.tip[row - 1]) > self.still:
                 since = self.time[row]
-            found[row] = self.time[row] - since >= SETTLING
-        return found
+            at_rest[row] = self.time[row] - since >= SETTLING
+        return at_rest
 
     @property
     def contact(self) -> NDArray[np.bool_]:
         """True for points below the surface, or with a force above noise (n,)."""
         size = np.linalg.norm(self.force, axis=1)
-        found: NDArray[np.bool_] = (self.tip[:, 2] < 0) | (size > 5 * self.noise)
-        return found
+        return np.asarray((self.tip[:, 2] < 0) | (size > 5 * self.noise))
 
 
-def tracks_of(session: Session) -> list[Track]:
+def tracks_of(session: Session) -> list[PressTrack]:
     """Return the tracks of a session, one for each run.
 
     Raises:
@@ -95,7 +94,7 @@ def tracks_of(session: Session) -> list[Track]:
         raise SceneError(f"{session.name}: no contact_frame or indenter; allowed: both")
     assert force is not None
     assert pose is not None
-    found = []
+    tracks = []
     for run in range(max(len(session.runs), 1)):
         poses, forces = session.streams[pose], session.streams[force]
         at, of = session.rows_of_run(pose, run), session.rows_of_run(force, run)
@@ -112,10 +111,10 @@ def tracks_of(session: Session) -> list[Track]:
             dome_radius=(session.attrs.get("plan") or {}).get("dome_radius"),
         )
         if track is not None:
-            found.append(replace(track, run=run, origin_ns=origin))
-    if not found:
+            tracks.append(replace(track, run=run, origin_ns=origin))
+    if not tracks:
         raise SceneError(f"{session.name}: the tip never went below the surface; allowed: presses")
-    return found
+    return tracks
 
 
 def track_of(
@@ -127,7 +126,7 @@ def track_of(
     force: Array,
     *,
     dome_radius: float | None = None,
-) -> Track | None:
+) -> PressTrack | None:
     """Return the track of poses (n,), (n, 3) and forces (m,), (m, 3) [s, m, N].
 
     Forces without contact are taken as zero: the mean of the last of them before each press is
@@ -157,7 +156,7 @@ def track_of(
     mean, count = _means(force_time, force, start, stop)
     below = tip[points, 2] <= FREE
     target = np.where(below, np.cumsum(np.diff(np.r_[False, below].astype(int)) > 0) - 1, -1)
-    track = Track(
+    track = PressTrack(
         name=name,
         indenter=indenter,
         time=time[points],
@@ -223,16 +222,16 @@ def _points(time: Array, tip: Array, still: float) -> NDArray[np.int64]:
     ahead = np.minimum(np.searchsorted(time, time + SOONEST / 2), len(time) - 1)
     moves = np.abs(tip[ahead] - tip).max(axis=1) > still
     turns = np.r_[False, moves[1:] != moves[:-1]]
-    kept, since = [0], time[0]
+    rows, since = [0], time[0]
     for row in range(1, len(time)):
-        last = kept[-1]
+        last = rows[-1]
         passed = time[row] - time[last]
         if tip[row, 2] > FREE and tip[last, 2] > FREE:
             if passed >= IDLE:
-                kept.append(row)
+                rows.append(row)
             continue
         if tip[last, 2] > FREE and last != row - 1:
-            kept.append(row - 1)  # the last one without contact, so that the way down is straight
+            rows.append(row - 1)  # the last one without contact, so that the way down is straight
             since = time[row]
             continue
         way = tip[row] - tip[last]
@@ -242,7 +241,7 @@ def _points(time: Array, tip: Array, still: float) -> NDArray[np.int64]:
             continue
         if moved or np.abs(way).max() > still:
             since = time[row]
-            kept.append(row)
+            rows.append(row)
         elif passed >= GROWTH * (time[last] - since):
-            kept.append(row)
-    return np.array(kept, np.int64)
+            rows.append(row)
+    return np.array(rows, np.int64)

@@ -15,8 +15,8 @@ from sim.layer.spectral import FEWEST
 from sim.sensors import SimulatedSensor
 from sim.sensors.quantities import quantities
 from sim.twin.fit import BENCH, COARSER, Data, information, prior_spread, with_effects
-from sim.twin.model import Model
-from sim.twin.observations import Track, track_of
+from sim.twin.model import TrackModel
+from sim.twin.observations import PressTrack, track_of
 from trajectories import PressShear
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ ROUGH, ROUGH_GRID = 0.0125, 64
 
 
 @dataclass(frozen=True, slots=True)
-class Presses:
+class PlannedPresses:
     """Presses by one indenter at the sensor's centre, which end in a rest after every move."""
 
     indenter: str
@@ -64,7 +64,7 @@ class Presses:
 
 
 @lru_cache(maxsize=4096)
-def _path(each: Presses) -> tuple[Array, Array]:
+def _path(each: PlannedPresses) -> tuple[Array, Array]:
     time, tips = [0.0, FREE], [np.array([0.0, 0.0, each.plan.clearance])] * 2
     for target in each.plan.targets():
         for move in each.plan.moves(target):
@@ -76,12 +76,12 @@ def _path(each: Presses) -> tuple[Array, Array]:
     return np.array(time), np.array(tips)
 
 
-def presses(
+def planned_presses(
     indenter: str,
     depths: Sequence[float],
     shear: float,
     hold: float,
-) -> Presses:
+) -> PlannedPresses:
     """Return presses to depths [m], which are multiples of the first, each with a shear [m]."""
     plan = PressShear(
         step_x=1e-3,
@@ -93,7 +93,7 @@ def presses(
         clearance=ABOVE,
         points=(1,),
     )
-    return Presses(indenter, plan, hold)
+    return PlannedPresses(indenter, plan, hold)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,53 +137,55 @@ class Planner:
         self.design = with_effects(design)
         self.names = (*quantities(self.design), *BENCH)
         self._noise, self._law, self._grid = noise, law, grid
-        self._known: dict[Presses, Array] = {}
-        self._grid_error: dict[Presses, float] = {}
+        self._information: dict[PlannedPresses, Array] = {}
+        self._grid_error: dict[PlannedPresses, float] = {}
 
-    def candidates(self, indenters: Sequence[str]) -> list[Presses]:
+    def candidates(self, indenters: Sequence[str]) -> list[PlannedPresses]:
         """Return one press for each indenter, depth, shear and hold."""
         deepest = self.design.depth_max
         viscosity = self.design.effects.viscosity
         assert viscosity is not None
         longest = max(RELAXED * max(viscosity.times), LEAST_HOLD)
         return [
-            presses(name, (level * _round(STEP * deepest),), _round(shear * deepest), hold)
+            planned_presses(name, (level * _round(STEP * deepest),), _round(shear * deepest), hold)
             for name in indenters
             for level in range(1, LEVELS + 1)
             for shear in SHEARS
             for hold in (round(part * longest, 2) for part in HOLDS)
         ]
 
-    def usual(self) -> list[Presses]:
+    def usual(self) -> list[PlannedPresses]:
         """Return two presses by a sphere and two by a prism, with the longest shear and hold."""
-        found = self.candidates(("sphere", "prism"))
-        most = max(found, key=lambda each: (each.plan.shear, each.hold))
+        candidates = self.candidates(("sphere", "prism"))
+        most = max(candidates, key=lambda each: (each.plan.shear, each.hold))
         return [
-            each for each in found if (each.plan.shear, each.hold) == (most.plan.shear, most.hold)
+            each
+            for each in candidates
+            if (each.plan.shear, each.hold) == (most.plan.shear, most.hold)
         ]
 
-    def expected(self, chosen: Sequence[Presses]) -> Expected:
+    def expected(self, chosen: Sequence[PlannedPresses]) -> Expected:
         """Return the uncertainty after some presses."""
-        return self._after(sum((self.information(each) for each in chosen), self._prior))
+        return self._expected(sum((self.information(each) for each in chosen), self._prior))
 
-    def information(self, each: Presses) -> Array:
+    def information(self, each: PlannedPresses) -> Array:
         """Return the information (p, p) of presses: the inverse of a covariance."""
-        if each not in self._known:
+        if each not in self._information:
             track = self._track(each)
             model, rougher = (
-                Model(self.design, [track], grid=pixels)
+                TrackModel(self.design, [track], grid=pixels)
                 for pixels in (self._grid, max(FEWEST, round(COARSER * self._grid)))
             )
             values = {**quantities(self.design), **dict.fromkeys(BENCH, 0.0)}
             near = model.linearised(values, self.names)
             (force,), (rough,) = near.readings, rougher.readings(values)
             # `_common` scales errors by the track's forces, which are those of the model here.
-            seen = Data([replace(track, force=force)], [force - rough])
-            self._known[each] = information(seen, near, TIMING, self._law)
+            data = Data([replace(track, force=force)], [force - rough])
+            self._information[each] = information(data, near, TIMING, self._law)
             self._grid_error[each] = float(np.abs(force - rough).max() / np.abs(force).max())
-        return self._known[each]
+        return self._information[each]
 
-    def _track(self, each: Presses) -> Track:
+    def _track(self, each: PlannedPresses) -> PressTrack:
         corners, tips = each.path()
         time = np.arange(0.0, corners[-1], 1 / RATE)
         tip = np.stack([np.interp(time, corners, axis) for axis in tips.T], axis=1)
@@ -196,17 +198,17 @@ class Planner:
     def _prior(self) -> Array:
         return np.diag(np.array([prior_spread(name) for name in self.names]) ** -2)
 
-    def _after(self, told: Array) -> Expected:
-        return Expected(self.names, np.asarray(np.linalg.inv(told), float))
+    def _expected(self, information: Array) -> Expected:
+        return Expected(self.names, np.asarray(np.linalg.inv(information), float))
 
     def best(
         self,
-        candidates: Sequence[Presses],
+        candidates: Sequence[PlannedPresses],
         *,
         seconds: float,
         change: float,
         progress: Callable[[float], None] = lambda fraction: None,
-    ) -> list[Presses]:
+    ) -> list[PlannedPresses]:
         """Return presses that narrow the sensor's intervals most in the time given.
 
         One after another, the most narrowing for its time (D-optimal, greedy): a press, or the
@@ -232,10 +234,10 @@ class Planner:
                 f"{self._grid} pixels; allowed: indenters without thin edges or tips, a finer grid"
             )
         _require(smooth, seconds, change)
-        chosen: list[Presses] = []
+        chosen: list[PlannedPresses] = []
         while True:
             now, mounted = self._robust(chosen).volume, {each.indenter for each in chosen}
-            best: tuple[float, list[Presses]] | None = None
+            best: tuple[float, list[PlannedPresses]] | None = None
             for more in _steps([each for each in smooth if each not in chosen], mounted):
                 then = [*chosen, *more]
                 if cost(then, change) > seconds:
@@ -248,46 +250,46 @@ class Planner:
                 return chosen
             chosen += best[1]
 
-    def rough(self, candidates: Sequence[Presses]) -> list[Presses]:
+    def rough(self, candidates: Sequence[PlannedPresses]) -> list[PlannedPresses]:
         """Return those whose forces differ too much between two grids to tell slopes."""
         for each in candidates:
             self.information(each)
         most = ROUGH * ROUGH_GRID / self._grid
         return [each for each in candidates if self._grid_error[each] > most]
 
-    def _robust(self, chosen: Sequence[Presses]) -> Expected:
+    def _robust(self, chosen: Sequence[PlannedPresses]) -> Expected:
         """Return the uncertainty if all forces of an indenter have a common error, `PRINT`."""
-        told, scale = self._prior, self.names.index("modulus")
+        information, scale = self._prior, self.names.index("modulus")
         for name in {each.indenter for each in chosen}:
             part = sum(self.information(each) for each in chosen if each.indenter == name)
             assert not isinstance(part, int)
             # Forces are proportional to the modulus, so its slopes are those of the scale.
             lost = np.outer(part[scale], part[scale]) / (PRINT**-2 + part[scale, scale])
-            told = told + part - lost
-        return self._after(told)
+            information = information + part - lost
+        return self._expected(information)
 
 
-def _require(candidates: Sequence[Presses], seconds: float, change: float) -> None:
+def _require(candidates: Sequence[PlannedPresses], seconds: float, change: float) -> None:
     """Check that one candidate fits into the time [s]."""
     least = change + min(each.seconds for each in candidates)
     if seconds < least:
         raise SceneError(f"{seconds:g} s: not enough for a press; allowed: at least {least:.0f} s")
 
 
-def _steps(open_: Sequence[Presses], mounted: set[str]) -> Iterator[list[Presses]]:
+def _steps(open_: Sequence[PlannedPresses], mounted: set[str]) -> Iterator[list[PlannedPresses]]:
     for index, each in enumerate(open_):
         yield [each]
         if each.indenter not in mounted:
             yield from ([each, other] for other in open_[:index] if other.indenter == each.indenter)
 
 
-def cost(chosen: Sequence[Presses], change: float) -> float:
+def cost(chosen: Sequence[PlannedPresses], change: float) -> float:
     """Return the time of presses with `change` for each indenter [s]."""
     mounted = {each.indenter for each in chosen}
     return sum(each.seconds for each in chosen) + change * len(mounted)
 
 
-def sessions(chosen: Sequence[Presses]) -> list[Presses]:
+def sessions(chosen: Sequence[PlannedPresses]) -> list[PlannedPresses]:
     """Return the chosen presses with those of one indenter, shear and hold in one session each."""
     groups: dict[tuple[str, float, float], list[float]] = {}
     for each in chosen:
@@ -295,7 +297,7 @@ def sessions(chosen: Sequence[Presses]) -> list[Presses]:
         groups.setdefault(key, []).append(each.plan.depth_max)
     first = list(dict.fromkeys(each.indenter for each in chosen))
     return [
-        presses(name, sorted(depths), shear, hold)
+        planned_presses(name, sorted(depths), shear, hold)
         for (name, shear, hold), depths in sorted(
             groups.items(), key=lambda item: (first.index(item[0][0]), item[0])
         )

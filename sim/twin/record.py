@@ -15,11 +15,11 @@ from recorder.settings import yaml_text
 from sim.markers import HEIGHT, WIDTH, Pattern
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log
-from sim.twin.camera import HeldOut, View, differences
+from sim.twin.camera import CameraFit, HeldOut, differences
 from sim.twin.fit import Fit, misfit
-from sim.twin.markers import Sight
-from sim.twin.observations import Track
-from sim.twin.plan import Planner, Presses, cost
+from sim.twin.markers import MarkerObservations
+from sim.twin.observations import PressTrack
+from sim.twin.plan import PlannedPresses, Planner, cost
 
 if TYPE_CHECKING:
     from recorder.charts import Axes
@@ -123,18 +123,22 @@ def _line(name: str, value: float, interval: tuple[float, float], note: str) -> 
     return f"{name:<12}{factor * value:>10.4g}  {span:<15} {unit:<5}{note}"
 
 
-def lines(fit: Fit, view: View | None = None, held_out: HeldOut | None = None) -> list[str]:
+def lines(
+    fit: Fit, camera_fit: CameraFit | None = None, held_out: HeldOut | None = None
+) -> list[str]:
     """Return the fitted values with 90 % intervals, strong correlations, and errors of the fit."""
-    found = [f"{'quantity':<12}{'value':>10}  {'90 % interval':<22}"]
+    report = [f"{'quantity':<12}{'value':>10}  {'90 % interval':<22}"]
     for name in fit.names:
-        note = "  not told by these presses, the prior's" if name in fit.untold else ""
+        note = "  not told by these presses, the prior's" if name in fit.unidentified else ""
         if name == "friction" and note:
             note = f"  at least {least_friction(fit.tracks):.2f}: it hardly slipped"
-        found.append(_line(name, fit.values[name], fit.interval(name), note))
-    if view is not None:
-        for name, value in view.values.items():
-            note = "  not told by these images, the row's" if name in view.untold else ""
-            found.append(_line(name, value, view.interval(name), note))
+        report.append(_line(name, fit.values[name], fit.interval(name), note))
+    if camera_fit is not None:
+        for name, value in camera_fit.values.items():
+            note = (
+                "  not told by these images, the row's" if name in camera_fit.unidentified else ""
+            )
+            report.append(_line(name, value, camera_fit.interval(name), note))
     spread = np.sqrt(np.diag(fit.covariance))
     matrix = fit.covariance / np.outer(spread, spread)
     pairs = [
@@ -143,36 +147,36 @@ def lines(fit: Fit, view: View | None = None, held_out: HeldOut | None = None) -
         for b in range(a)
         if abs(matrix[a, b]) >= STRONG
     ]
-    found.append(f"correlations above {STRONG:g}: {', '.join(pairs) or 'none'}")
-    found.append(
+    report.append(f"correlations above {STRONG:g}: {', '.join(pairs) or 'none'}")
+    report.append(
         f"misfit {100 * fit.misfit:.2f} % of the forces at rest; error of the law "
         f"{100 * fit.law:.2f} %; moving forces are {1e3 * fit.latency:.0f} ms late, timing "
         f"{1e3 * fit.timing:.0f} ms"
     )
-    if view is not None:
-        layout = view.signal.drawn()[0]
-        found.append(
-            f"{_marker_line(view.sights, view.predicted)}; layout: {len(layout)} markers "
-            f"({layout.shape}, {1e3 * layout.size:.3g} mm), image without contact overlaps "
-            f"{100 * view.overlap:.0f} %"
+    if camera_fit is not None:
+        layout = camera_fit.signal.drawn()[0]
+        report.append(
+            f"{_marker_line(camera_fit.observations, camera_fit.predicted)}; layout: "
+            f"{len(layout)} markers ({layout.shape}, {1e3 * layout.size:.3g} mm), "
+            f"image without contact overlaps {100 * camera_fit.overlap:.0f} %"
         )
-        if view.either_way:
-            found.append("mirrored images would fit as well: shear in two directions tells")
+        if camera_fit.either_way:
+            report.append("mirrored images would fit as well: shear in two directions tells")
     if held_out is not None:
         off = misfit(held_out.tracks, held_out.readings)
         line = f"held out: misfit {100 * off:.2f} % of the forces at rest"
         if held_out.predicted:
-            line += f"; {_marker_line(held_out.sights, held_out.predicted)}"
-        found.append(line)
-    return found
+            line += f"; {_marker_line(held_out.observations, held_out.predicted)}"
+        report.append(line)
+    return report
 
 
-def _marker_line(sights: Sequence[Sight], places: Sequence[Array]) -> str:
-    off, way = differences(sights, places)
+def _marker_line(observations: Sequence[MarkerObservations], places: Sequence[Array]) -> str:
+    off, way = differences(observations, places)
     return f"markers differ by {off:.2f} px of {way:.2f} px ({100 * off / way:.1f} %)"
 
 
-def plan_files(planned: Sequence[Presses], bench: str) -> dict[str, str]:
+def plan_files(planned: Sequence[PlannedPresses], bench: str) -> dict[str, str]:
     """Return the text of each file of a plan: a bench for each session, and `campaign.yaml`.
 
     Args:
@@ -205,21 +209,24 @@ def plan_files(planned: Sequence[Presses], bench: str) -> dict[str, str]:
 
 
 def expected_lines(
-    planner: Planner, planned: Sequence[Presses], usual: Sequence[Presses], change: float
+    planner: Planner,
+    planned: Sequence[PlannedPresses],
+    usual: Sequence[PlannedPresses],
+    change: float,
 ) -> list[str]:
     """Return the sessions of a plan, and the 90 % intervals to expect with and without it."""
-    found = [
+    report = [
         f"{each.indenter}: depth {' and '.join(f'{1e3 * depth:.3g}' for depth in each.depths)} mm, "
         f"shear {1e3 * each.plan.shear:.3g} mm, hold {each.hold:.2g} s"
         for each in planned
     ]
     columns = {"plan": planned, "sphere, prism": usual}
-    found.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in columns))
+    report.append(f"{'90 % interval, +-':<20}" + "".join(f"{name:>16}" for name in columns))
     spreads = [planner.expected(each).spreads for each in columns.values()]
     for name in planner.names:
         factor, unit = SHOWN.get(name.partition("_")[0], (1.0, ""))
         factor, unit = (100.0, "%") if is_log(name) else (factor, unit)
-        found.append(
+        report.append(
             f"{f'{name} [{unit}]' if unit else name:<20}"
             + "".join(f"{1.645 * factor * each[name]:>16.3g}" for each in spreads)
         )
@@ -228,11 +235,11 @@ def expected_lines(
         ("seconds", lambda part: round(sum(each.seconds for each in part))),
         ("with changes", lambda part: round(cost(part, change))),
     ):
-        found.append(f"{label:<20}" + "".join(f"{count(each):>16}" for each in columns.values()))
-    return found
+        report.append(f"{label:<20}" + "".join(f"{count(each):>16}" for each in columns.values()))
+    return report
 
 
-def least_friction(tracks: Sequence[Track]) -> float:
+def least_friction(tracks: Sequence[PressTrack]) -> float:
     """Return the largest shear over normal force at rest: friction is at least that."""
     most = 0.0
     for track in tracks:
@@ -242,61 +249,65 @@ def least_friction(tracks: Sequence[Track]) -> float:
     return most
 
 
-def summary(fit: Fit, view: View | None = None, held_out: HeldOut | None = None) -> dict[str, Any]:
+def summary(
+    fit: Fit, camera_fit: CameraFit | None = None, held_out: HeldOut | None = None
+) -> dict[str, Any]:
     """Return the result as plain values in SI, pixels in px, for programs."""
-    found: dict[str, Any] = {
+    content: dict[str, Any] = {
         "values": {name: fit.values[name] for name in fit.names},
         "intervals_90": {name: list(fit.interval(name)) for name in fit.names},
         "spreads": fit.spreads,
         "logarithmic": [name for name in fit.names if is_log(name)],
-        "untold": list(fit.untold),
+        "untold": list(fit.unidentified),
         "misfit": fit.misfit,
         "law": fit.law,
         "timing": fit.timing,
         "latency": fit.latency,
         "rounds": fit.rounds,
     }
-    if view is not None:
-        off, way = differences(view.sights, view.predicted)
-        found["view"] = {
-            "values": view.values,
-            "intervals_90": {name: list(view.interval(name)) for name in view.values},
-            "untold": list(view.untold),
-            "markers": len(view.signal.drawn()[0]),
-            "overlap": view.overlap,
-            "mirrored_as_well": view.either_way,
+    if camera_fit is not None:
+        off, way = differences(camera_fit.observations, camera_fit.predicted)
+        content["view"] = {
+            "values": camera_fit.values,
+            "intervals_90": {name: list(camera_fit.interval(name)) for name in camera_fit.values},
+            "untold": list(camera_fit.unidentified),
+            "markers": len(camera_fit.signal.drawn()[0]),
+            "overlap": camera_fit.overlap,
+            "mirrored_as_well": camera_fit.either_way,
             "off_px": off,
             "moved_px": way,
         }
     if held_out is not None:
-        found["held_out"] = {"misfit": misfit(held_out.tracks, held_out.readings)}
+        content["held_out"] = {"misfit": misfit(held_out.tracks, held_out.readings)}
         if held_out.predicted:
-            found["held_out"]["off_px"] = differences(held_out.sights, held_out.predicted)[0]
-    return found
+            content["held_out"]["off_px"] = differences(held_out.observations, held_out.predicted)[
+                0
+            ]
+    return content
 
 
 def draw(
     fit: Fit,
     path: Path,
     title: str,
-    view: View | None = None,
+    camera_fit: CameraFit | None = None,
     held_out: HeldOut | None = None,
 ) -> None:
     """Draw forces and markers of tracks beside the twin's, and differences, as a picture."""
     drawn = [(each, read, "") for each, read in zip(fit.tracks, fit.readings, strict=True)][:DRAWN]
-    pictures = [] if view is None else [(view.sights, view.predicted, "")]
+    pictures = [] if camera_fit is None else [(camera_fit.observations, camera_fit.predicted, "")]
     if held_out is not None:
         pairs = zip(held_out.tracks, held_out.readings, strict=True)
         drawn += [(each, read, ", held out") for each, read in pairs][:DRAWN]
-        pictures += [(held_out.sights, held_out.predicted, ", held out")]
+        pictures += [(held_out.observations, held_out.predicted, ", held out")]
     pictures = [each for each in pictures if each[1]]
     count = len(drawn) + bool(pictures)
     heights = [1.0] * len(drawn) + [1.9] * bool(pictures)
     with chart(path, 11.0, 2.6 * sum(heights) + 0.8) as figure:
         grid = figure.add_gridspec(count, 1, height_ratios=heights)
-        for place, (sights, places, kind) in enumerate(pictures):
+        for place, (observations, places, kind) in enumerate(pictures):
             within = grid[-1].subgridspec(1, 2)
-            _draw_markers(figure.add_subplot(within[place]), sights, places, kind)
+            _draw_markers(figure.add_subplot(within[place]), observations, places, kind)
         axes = np.array(
             [
                 grid[row].subgridspec(1, 2, width_ratios=(2, 1)).subplots()
@@ -327,20 +338,24 @@ def draw(
         figure.suptitle(title)
 
 
-def _draw_markers(axes: Axes, sights: Sequence[Sight], places: Sequence[Array], kind: str) -> None:
-    """Draw the markers at the point of some sights where they have moved farthest."""
-    ways = [np.nanmean(np.square(s.seen - s.markers[None]), axis=(1, 2)) for s in sights]
-    best = max(range(len(sights)), key=lambda each: float(ways[each].max()))
-    sight, point = sights[best], int(ways[best].argmax())
-    seen, place = sight.seen[point], places[best][point]
-    for (x, y), (column, row) in zip(sight.markers, seen, strict=True):
+def _draw_markers(
+    axes: Axes, observations: Sequence[MarkerObservations], places: Sequence[Array], kind: str
+) -> None:
+    """Draw the markers at the point of some observations where they have moved farthest."""
+    ways = [
+        np.nanmean(np.square(s.observed - s.undeformed[None]), axis=(1, 2)) for s in observations
+    ]
+    best = max(range(len(observations)), key=lambda each: float(ways[each].max()))
+    widest, point = observations[best], int(ways[best].argmax())
+    observed, place = widest.observed[point], places[best][point]
+    for (x, y), (column, row) in zip(widest.undeformed, observed, strict=True):
         axes.plot([x, column], [y, row], "-", color=BAND, linewidth=1.0)
-    axes.plot(*sight.markers.T, ".", color=SOFT, markersize=3, label="without contact")
-    axes.plot(*seen.T, "o", color=INK, fillstyle="none", markersize=6, label="seen")
+    axes.plot(*widest.undeformed.T, ".", color=SOFT, markersize=3, label="without contact")
+    axes.plot(*observed.T, "o", color=INK, fillstyle="none", markersize=6, label="seen")
     axes.plot(*place.T, "x", color=RED, markersize=5, label="twin")
     axes.set(xlim=(0, WIDTH), ylim=(HEIGHT, -LEGEND), aspect="equal", ylabel="row [px]")
-    off = math.sqrt(np.nanmean(np.square(seen - place).sum(axis=1)))
-    axes.set_title(f"{sight.track.name}, {sight.track.indenter}{kind}: {off:.2f} px")
+    off = math.sqrt(np.nanmean(np.square(observed - place).sum(axis=1)))
+    axes.set_title(f"{widest.track.name}, {widest.track.indenter}{kind}: {off:.2f} px")
     axes.set_xlabel("column [px]")
     axes.legend(loc="upper right", ncols=3)
 

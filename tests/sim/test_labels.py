@@ -13,7 +13,7 @@ from recorder.archive import check_archive
 from sim.errors import SimulationDiverged
 from sim.sensors import read_sensor
 from sim.sensors.quantities import draw_sensor
-from sim.twin.labels import ArchivedPress, by_fem_at_once, by_layer, forces, made_from
+from sim.twin.labels import ArchivedPress, by_fem_at_once, by_layer, forces, provenance
 from tactile.__main__ import main
 
 TWIN = """\
@@ -113,7 +113,7 @@ def test_forces_of_a_twin_that_was_identified_by_tier_fem_are_of_that_tier(tmp_p
     assert over[0] == pytest.approx(1.0, abs=0.05)
     assert over[2] > over[0] + 0.03
     assert found[1, :, 2] / found[0, :, 2] == pytest.approx(layer[1, :, 2] / layer[0, :, 2])
-    assert made_from(twin, 1, 0, 48).endswith("tier fem")
+    assert provenance(twin, 1, 0, 48).endswith("tier fem")
     words = ["sim", "archive", str(path), "--draws", "20", "--tier", "layer"]
     assert main([*words, "--out", str(tmp_path / "x.markers.zarr")]) == 2
 

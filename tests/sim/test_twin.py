@@ -48,11 +48,11 @@ from sim.sensors import (
 from sim.sensors.posterior import CAMERA
 from sim.sensors.quantities import camera_quantities, draw_sensor, quantities, with_quantities
 from sim.tiers import simulate
-from sim.twin import Fit, Track, fitted, model
+from sim.twin import Fit, PressTrack, fitted, model
 from sim.twin.fit import Explanation, _alike, _common, _mixed, _whitened, prior_spread
-from sim.twin.model import Correction, Linear, Model, relaxing
+from sim.twin.model import Correction, Linear, TrackModel, relaxing
 from sim.twin.observations import track_of
-from sim.twin.plan import Planner, cost, presses, sessions
+from sim.twin.plan import Planner, cost, planned_presses, sessions
 from sim.twin.record import lines, plan_files, twin_yaml
 from tactile.__main__ import main
 
@@ -60,7 +60,9 @@ from tactile.__main__ import main
 pytestmark = pytest.mark.timeout(300)
 
 COARSE = 32
-SHORT = {name: presses(name, (1.0e-3,), 0.6e-3, 1.2) for name in ("sphere", "prism", "cylinder")}
+SHORT = {
+    name: planned_presses(name, (1.0e-3,), 0.6e-3, 1.2) for name in ("sphere", "prism", "cylinder")
+}
 
 
 def planted() -> SimulatedSensor:
@@ -179,7 +181,7 @@ def test_true_values_lie_in_the_intervals(fit: Fit) -> None:
 
 
 def test_a_tilt_that_presses_do_not_tell_is_named(fit: Fit) -> None:
-    assert "tilt_x" in fit.untold
+    assert "tilt_x" in fit.unidentified
     assert 0.2 * prior_spread("tilt_x") < fit.spreads["tilt_x"] < prior_spread("tilt_x")
     for name in ("tilt_x", "tilt_y"):
         low, high = fit.interval(name)
@@ -192,7 +194,8 @@ def test_processes_solve_what_one_does(fit: Fit) -> None:
     tilted = {**fit.values, "tilt_x": 0.01}
     with Workers(2) as workers:
         one, two = (
-            Model(fit.design, fit.tracks, grid=COARSE, workers=each) for each in (None, workers)
+            TrackModel(fit.design, fit.tracks, grid=COARSE, workers=each)
+            for each in (None, workers)
         )
         for model in (one, two):
             model.prepare([fit.values, tilted])
@@ -268,7 +271,7 @@ def test_images_of_another_sensor_are_refused_in_pixels(
     marked = pictures(tmp_path / "other.markers.zarr", "press.zarr", other)
     out, session = tmp_path / "mine.yaml", made.with_name("press.zarr")
 
-    def known(tracks: Sequence[Track], *_: Any, **__: Any) -> Fit:
+    def known(tracks: Sequence[PressTrack], *_: Any, **__: Any) -> Fit:
         return replace(fit, tracks=tuple(tracks))
 
     monkeypatch.setattr("sim.twin.fitted", known)
@@ -284,13 +287,13 @@ def test_images_of_another_sensor_are_refused_in_pixels(
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_presses_at_three_places_tell_the_tilt() -> None:
-    one = presses("sphere", (1.0e-3,), 0.6e-3, 0.6)
+    one = planned_presses("sphere", (1.0e-3,), 0.6e-3, 0.6)
     apart = replace(one, plan=replace(one.plan, points=(1, 2, 3), step_x=4e-3, step_y=4e-3))
     bench = Bench(noise=0.005, tilt=(0.02, -0.015))
     found = fitted(
         [observed(planted(), apart, bench, 0, grid=COARSE)], sensor("gelsight"), grid=COARSE
     )
-    assert not {"tilt_x", "tilt_y"} & set(found.untold)
+    assert not {"tilt_x", "tilt_y"} & set(found.unidentified)
     assert found.values["tilt_x"] == pytest.approx(0.02, abs=2e-3)
     assert found.values["tilt_y"] == pytest.approx(-0.015, abs=2e-3)
     assert found.values["modulus"] == pytest.approx(planted().body.modulus, rel=0.06)
@@ -340,7 +343,10 @@ def test_a_plan_tells_more_than_sphere_and_prism_in_the_same_time() -> None:
 def test_a_plan_is_a_campaign_that_the_rig_takes(tmp_path: Path) -> None:
     from rig.acquire.campaign import load_campaign
 
-    planned = [presses("sphere", (0.5e-3, 1.0e-3), 0.4e-3, 1.5), presses("line", (1e-3,), 1e-3, 1)]
+    planned = [
+        planned_presses("sphere", (0.5e-3, 1.0e-3), 0.4e-3, 1.5),
+        planned_presses("line", (1e-3,), 1e-3, 1),
+    ]
     for name, text in plan_files(planned, "gelsight.yaml").items():
         (tmp_path / name).write_text(text)
     campaign = load_campaign(tmp_path / "campaign.yaml", tmp_path)
@@ -367,10 +373,10 @@ def test_the_command_writes_a_plan_and_what_to_expect(
 
 
 def test_another_shape_is_foretold(fit: Fit) -> None:
-    from sim.twin import Model, misfit
+    from sim.twin import TrackModel, misfit
 
     held_out = observed(planted(), SHORT["cylinder"], Bench(noise=0.0), 9, grid=COARSE)
-    model = Model(fit.design, [held_out], grid=COARSE)
+    model = TrackModel(fit.design, [held_out], grid=COARSE)
     found = model.readings({name: fit.values[name] for name in quantities(planted())})
     assert misfit([held_out], found) < 0.04
 
@@ -423,14 +429,14 @@ def test_points_are_dense_in_motion_and_rare_at_rest() -> None:
 def test_points_are_where_the_tip_starts_and_stops() -> None:
     """Without them a rest is a slow move, whose drag makes shear 2 to 4 % too large at rest."""
     skin = with_quantities(planted(), {"friction": 0.3})
-    sheared = presses("sphere_s", (0.8e-3,), 0.8e-3, 0.6)
+    sheared = planned_presses("sphere_s", (0.8e-3,), 0.8e-3, 0.6)
     track = observed(skin, sheared, Bench(noise=1e-6), 0, grid=COARSE)
     corners, tips = sheared.path()
     for corner in corners[np.minimum(tips[:, 2], np.roll(tips[:, 2], 1)) < 0]:
         assert np.abs(track.time - corner).min() < 0.03
     level = dict.fromkeys(("height", "compliance", "turn_x", "turn_y", "turn_z"), 0.0)
     values = {**quantities(skin), **level}
-    (read,) = Model(skin, [track], grid=COARSE).readings(values)
+    (read,) = TrackModel(skin, [track], grid=COARSE).readings(values)
     shear, expected = (np.linalg.norm(each[:, :2], axis=1) for each in (read, track.force))
     rest = track.rest & track.contact & (expected > 0.3 * expected.max())
     assert rest.sum() >= 4
@@ -590,7 +596,7 @@ def test_draws_come_from_a_twin_alone(capsys: pytest.CaptureFixture[str], tmp_pa
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_true_forces_may_be_those_of_another_tier() -> None:
-    shallow = presses("sphere", (0.5e-3,), 0.3e-3, 0.6)
+    shallow = planned_presses("sphere", (0.5e-3,), 0.3e-3, 0.6)
     found = [solved(planted(), shallow, Bench(), truth=truth) for truth in get_args(ContactTier)]
     lows = [each.force[:, 2].min() for each in found]
     assert lows[1] == pytest.approx(lows[0], rel=0.1)
@@ -615,7 +621,7 @@ def test_corrected_forces_are_the_true_ones_and_scale_with_stiffness_and_modulus
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_skin_at_large_strain_is_found_by_tier_fem() -> None:
-    pressed = presses("prism", (1.2e-3,), 0.5e-3, 1.2)
+    pressed = planned_presses("prism", (1.2e-3,), 0.5e-3, 1.2)
     forces = solved(planted(), pressed, BENCH, truth="fem")
     tracks = [observed(planted(), pressed, BENCH, 0, forces=forces)]
     true = quantities(planted())

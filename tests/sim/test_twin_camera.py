@@ -26,7 +26,7 @@ from sim.sensors import (
 )
 from sim.sensors.posterior import CAMERA
 from sim.sensors.quantities import camera_quantities, draw_sensor, with_camera
-from sim.twin import Sight, Track, View, sights_of
+from sim.twin import CameraFit, MarkerObservations, PressTrack, marker_observations
 from sim.twin.camera import Scenery, differences, layouts, nearest, unmirrored
 from sim.twin.record import twin_yaml
 
@@ -37,13 +37,13 @@ TRUE = Camera(
 BODY = Body()
 
 
-def track(name: str = "a.zarr", run: int = 0) -> Track:
+def track(name: str = "a.zarr", run: int = 0) -> PressTrack:
     """Return a track that presses for 1 s from 1 s on, and rests."""
     time = np.arange(0.0, 2.0, 0.1)
     tip = np.zeros((len(time), 3))
     tip[:, 2] = np.where(time < 1.0, 1e-3, -1e-3)
     target = np.where(time < 1.0, -1, 0)
-    return Track(name, "sphere", time, tip, 0 * tip, 0 * time + 1e-3, target, run, 5_000)
+    return PressTrack(name, "sphere", time, tip, 0 * tip, 0 * time + 1e-3, target, run, 5_000)
 
 
 def scenery(camera: Camera, shears: tuple[tuple[float, float], ...]) -> Scenery:
@@ -62,9 +62,11 @@ def scenery(camera: Camera, shears: tuple[tuple[float, float], ...]) -> Scenery:
     markers = camera.project(np.column_stack([spots, 0 * spots[:, 0]]))
     markers = markers[((markers > 8) & (markers < [632, 472])).all(axis=1)]
     blank = np.zeros((480, 640), bool)
-    sight = Sight(track(), np.arange(len(shears)), blank, markers, np.zeros((0, 0, 2)))
-    made = Scenery(BODY, [sight], [top])
-    return replace(made, sights=[replace(sight, seen=made.seen_by(camera)[0])])
+    observation = MarkerObservations(
+        track(), np.arange(len(shears)), blank, markers, np.zeros((0, 0, 2))
+    )
+    made = Scenery(BODY, [observation], [top])
+    return replace(made, observations=[replace(observation, observed=made.projected(camera)[0])])
 
 
 def camera_of(found: NDArray[np.float64]) -> Camera:
@@ -110,13 +112,13 @@ def test_a_tilt_is_told_by_large_shear_at_many_places() -> None:
 
 
 def test_a_press_without_shear_does_not_tell_the_rotation() -> None:
-    def untold(shears: tuple[tuple[float, float], ...]) -> tuple[str, ...]:
+    def unidentified(shears: tuple[tuple[float, float], ...]) -> tuple[str, ...]:
         best, either_way = unmirrored(scenery(TRUE, shears), DESIGN)
         covariance = np.linalg.inv(best.jac.T @ best.jac)
-        return View(mine(), covariance, 1.0, either_way, (), ()).untold
+        return CameraFit(mine(), covariance, 1.0, either_way, (), ()).unidentified
 
-    assert untold(SHEARS[:1]) == ("rotation", "camera_tilt_x", "camera_tilt_y")
-    assert untold(SHEARS) == ()
+    assert unidentified(SHEARS[:1]) == ("rotation", "camera_tilt_x", "camera_tilt_y")
+    assert unidentified(SHEARS) == ()
 
 
 def test_mirrored_images_are_refused_and_shear_along_one_line_does_not_tell_them() -> None:
@@ -141,12 +143,12 @@ def test_markers_are_followed_from_frame_to_frame(tmp_path: Path) -> None:
     packed = pack(np.array([image(way) for way in ways]))
     path = tmp_path / "a.markers.zarr"
     write_rows(path, "a.zarr", np.round(1e9 * time).astype(np.int64) + 5_000, packed, packed[0])
-    (sight,) = sights_of([track()], [MarkerArchive(path)])
-    moved = sight.seen[-1] - sight.markers
+    (observation,) = marker_observations([track()], [MarkerArchive(path)])
+    moved = observation.observed[-1] - observation.undeformed
     known = ~np.isnan(moved[:, 0])
     assert known.mean() > 0.8  # those that leave the image are lost
     assert moved[known] == pytest.approx(np.tile([50.0, 0.0], (known.sum(), 1)), abs=0.3)
-    off, way = differences([sight], [sight.seen + np.array([3.0, 4.0])])
+    off, way = differences([observation], [observation.observed + np.array([3.0, 4.0])])
     assert (off, way) == pytest.approx((5.0, 50.0), abs=0.3)
 
 
@@ -156,10 +158,10 @@ def test_an_archive_of_other_sessions_is_refused(tmp_path: Path) -> None:
     write_rows(path, "b.zarr", np.arange(20) * 100_000_000 + 5_000, np.tile(mask, (20, 1)), mask)
     archive = MarkerArchive(path)
     with pytest.raises(SceneError, match=r"is of b\.zarr, and has no picture .* of a\.zarr"):
-        sights_of([track("a.zarr")], [archive])
+        marker_observations([track("a.zarr")], [archive])
     with pytest.raises(SceneError, match="no picture"):
-        sights_of([track("b.zarr", run=1)], [archive])
-    assert len(sights_of([track("b.zarr")], [archive])) == 1
+        marker_observations([track("b.zarr", run=1)], [archive])
+    assert len(marker_observations([track("b.zarr")], [archive])) == 1
 
 
 def test_the_layout_of_an_image_is_that_which_made_it() -> None:

@@ -23,7 +23,7 @@ from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.sensors.quantities import quantities, with_quantities
 from sim.sensors.sensor import read_sensor
 from sim.twin import fitted
-from sim.twin.plan import Presses
+from sim.twin.plan import PlannedPresses
 from sim.twin.record import skin_row, twin_yaml
 
 GROUPS = {
@@ -193,7 +193,7 @@ def write_twin(
     replace_file(out.with_stem(f"{out.stem}-draw"), yaml_text(words).encode())
 
 
-def _solved(each: Planted, presses: Presses, **how: Any) -> Forces:
+def _solved(each: Planted, presses: PlannedPresses, **how: Any) -> Forces:
     """Return forces by the settings of archives, or those for what has no solution by them."""
     first = Solving().settings(each.row.body)
     assert isinstance(first, Fem)

@@ -44,9 +44,9 @@ from sim.indenters import NAMES
 from sim.result import ContactTier
 from sim.sensors import sensor
 from sim.sensors.quantities import quantities
-from sim.twin import Model, fitted, misfit
+from sim.twin import TrackModel, fitted, misfit
 from sim.twin.fit import Z
-from sim.twin.plan import Planner, Presses, presses, sessions
+from sim.twin.plan import PlannedPresses, Planner, planned_presses, sessions
 
 # Indenter whose forces are foretold; no fit gets its presses.
 HELD_OUT = "torus"
@@ -160,7 +160,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def pressed_by(options: argparse.Namespace) -> list[Presses]:
+def pressed_by(options: argparse.Namespace) -> list[PlannedPresses]:
     """Return the presses that fits get."""
     if options.minutes is None:
         return [usual(name, options.sensor, options.depth) for name in options.indenters]
@@ -237,7 +237,7 @@ def needed(found: Sequence[Identified]) -> dict[str, float]:
 
 
 def page(
-    found: Sequence[Identified], pressed: Sequence[Presses], options: argparse.Namespace
+    found: Sequence[Identified], pressed: Sequence[PlannedPresses], options: argparse.Namespace
 ) -> str:
     """Return the results as a page of Markdown."""
     words = [f"--skins {options.skins}", f"--truth {options.truth}", f"--fit {options.fit}"]
@@ -264,21 +264,21 @@ def page(
     )
 
 
-def usual(indenter: str, name: str, part: float = 0.4) -> Presses:
+def usual(indenter: str, name: str, part: float = 0.4) -> PlannedPresses:
     """Return presses to two depths of a design, sheared and held."""
     step = round(part * sensor(name).depth_max, 5)
-    return presses(indenter, (step, 2 * step), 0.8e-3, 1.6)
+    return planned_presses(indenter, (step, 2 * step), 0.8e-3, 1.6)
 
 
 def asked(
-    pressed: Sequence[Presses], bench: Bench, options: argparse.Namespace
-) -> list[tuple[Presses, Bench]]:
+    pressed: Sequence[PlannedPresses], bench: Bench, options: argparse.Namespace
+) -> list[tuple[PlannedPresses, Bench]]:
     """Return the presses of a skin and the errors that each has, those held out last."""
     held_out = usual(HELD_OUT, options.sensor, options.depth)
     return [*((each, bench) for each in pressed), (held_out, Bench(noise=0.0))]
 
 
-def make(pressed: Sequence[Presses], options: argparse.Namespace) -> int:
+def make(pressed: Sequence[PlannedPresses], options: argparse.Namespace) -> int:
     """Store the true forces of all skins that are not stored yet; return the exit code."""
     path: Path = options.make
     stored = dict(np.load(path)) if path.exists() else {}
@@ -297,7 +297,7 @@ def make(pressed: Sequence[Presses], options: argparse.Namespace) -> int:
 
 
 def forces(
-    pressed: Sequence[Presses], options: argparse.Namespace, number: int
+    pressed: Sequence[PlannedPresses], options: argparse.Namespace, number: int
 ) -> list[Forces] | str:
     """Return the true forces of a skin, or why there are none."""
     skin, bench = random_skin(np.random.default_rng([options.seed, number]), options.sensor)
@@ -319,7 +319,9 @@ def read_forces(path: Path, count: int, number: int) -> list[Forces] | str:
     return [Forces(row[:, 0], row[:, 1:]) for row in rows]
 
 
-def one(pressed: Sequence[Presses], options: argparse.Namespace, number: int) -> Identified | str:
+def one(
+    pressed: Sequence[PlannedPresses], options: argparse.Namespace, number: int
+) -> Identified | str:
     """Fit a skin's twin, and compare it with the skin; a text if it has no solution."""
     try:
         return identified(pressed, options, number)
@@ -328,7 +330,7 @@ def one(pressed: Sequence[Presses], options: argparse.Namespace, number: int) ->
 
 
 def identified(
-    pressed: Sequence[Presses], options: argparse.Namespace, number: int
+    pressed: Sequence[PlannedPresses], options: argparse.Namespace, number: int
 ) -> Identified | str:
     """Fit a skin's twin, and compare it with the skin."""
     skin, bench = random_skin(np.random.default_rng([options.seed, number]), options.sensor)
@@ -347,7 +349,7 @@ def identified(
     fit = fitted(tracks, sensor(options.sensor), grid=options.grid, tier=options.fit)
     seconds = time.perf_counter() - began
     true = quantities(skin)
-    model = Model(fit.design, [still], grid=options.grid)
+    model = TrackModel(fit.design, [still], grid=options.grid)
     values = {name: fit.values[name] for name in true}
     if fit.tier == "fem":
         model.correct(values)

@@ -19,7 +19,7 @@ from recorder.progress import Progress
 from sim.errors import SceneError
 from sim.sensors import read_sensor, sensor
 from sim.sensors.quantities import quantities
-from sim.twin import Fit, Model, Track, fitted, misfit, tracks_of
+from sim.twin import Fit, PressTrack, TrackModel, fitted, misfit, tracks_of
 from sim.twin.record import draw, lines, twin_yaml
 
 # The unknown skin, and the bench that presses it.
@@ -103,12 +103,12 @@ def recording(bench: Path, folder: Path, indenter: str) -> Path:
     raise SceneError(f"{indenter}: not recorded: {ended.stderr.strip().splitlines()[-1:]}")
 
 
-def summary(fit: Fit, held_out: list[Track], skin: Path) -> str:
+def summary(fit: Fit, held_out: list[PressTrack], skin: Path) -> str:
     """Return the errors of modulus, thickness, friction and forces on an unseen shape."""
     true = quantities(read_sensor(skin))
     errors = "".join(
         f"{name} {100 * abs(fit.values[name] / true[name] - 1):.1f} %  "
         for name in ("modulus", "thickness", "friction")
     )
-    readings = Model(fit.design, held_out, grid=64).readings(fit.values)
+    readings = TrackModel(fit.design, held_out, grid=64).readings(fit.values)
     return f"{errors}held-out force {100 * misfit(held_out, readings):.1f} %"

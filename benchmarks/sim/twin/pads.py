@@ -20,7 +20,7 @@ from sim.fem import Fem
 from sim.indenters import NAMES, indenter_of
 from sim.sensors import SimulatedSensor, sensor
 from sim.twin import fitted
-from sim.twin.labels import made_from, simulated_forces
+from sim.twin.labels import provenance, simulated_forces
 
 Array = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ class Pressed:
     def beside(self, twin: SimulatedSensor, grid: int) -> Pressed:
         """Return the presses with a twin's forces, as `tactile sim labels` adds them."""
         found = simulated_forces(self.archived, NAMES, twin, draws=0, seed=0, grid=grid)
-        told = made_from(twin, 0, 0, grid)
+        told = provenance(twin, 0, 0, grid)
         return replace(self, simulated=Simulated(found.force, found.spread, told))
 
 

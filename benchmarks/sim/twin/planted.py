@@ -17,9 +17,9 @@ from sim.sensors import SimulatedSensor, SurfaceField, sensor
 from sim.sensors.quantities import with_quantities
 from sim.stream import LivePress
 from sim.tiers import simulate
-from sim.twin import Track, track_of
+from sim.twin import PressTrack, track_of
 from sim.twin.model import leaning
-from sim.twin.plan import Presses
+from sim.twin.plan import PlannedPresses
 
 Array = NDArray[np.float64]
 
@@ -79,13 +79,13 @@ class Forces:
 
 def observed(
     skin: SimulatedSensor,
-    presses: Presses,
+    presses: PlannedPresses,
     bench: Bench,
     seed: int,
     *,
     grid: int = GRID,
     forces: Forces | None = None,
-) -> Track:
+) -> PressTrack:
     """Return the track that a bench would record of a skin, whose forces may be known."""
     time, tip, force = recorded(skin, presses, bench, seed, grid=grid, forces=forces)
     track = track_of(presses.indenter, presses.indenter, time, tip, time, force)
@@ -95,7 +95,7 @@ def observed(
 
 def recorded(
     skin: SimulatedSensor,
-    presses: Presses,
+    presses: PlannedPresses,
     bench: Bench,
     seed: int,
     *,
@@ -117,7 +117,7 @@ def recorded(
 
 def solved(
     skin: SimulatedSensor,
-    presses: Presses,
+    presses: PlannedPresses,
     bench: Bench,
     *,
     grid: int = GRID,
