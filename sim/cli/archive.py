@@ -106,12 +106,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make or continue an archive and return the exit code."""
-    from sim.dataset import DatasetPlan, begin, found, gel
+    from sim.dataset import DatasetPlan, begin, gel, reopened
     from sim.device import ready_device
 
     contents: str = options.contents
     if contents.endswith(ARCHIVE_SUFFIX):
-        return _fill(options, found(Path(contents)))
+        return _fill(options, reopened(Path(contents)))
     kind, _, patterns = contents.partition(":")
     is_states = kind == STATES
     smoke, fraction = _share(options.scale or ("full" if is_states else "0.1"))
@@ -156,8 +156,8 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     make = make_in_processes if options.device == "cpu" else make_here
     maker = partial(make, opened, device=options.device, processes=_processes(options))
     missing = opened.missing()
-    told = contents(opened.plan, missing) if missing else "nothing is missing"
-    print(f"{opened.path}: {told}", flush=True)
+    work = contents(opened.plan, missing) if missing else "nothing is missing"
+    print(f"{opened.path}: {work}", flush=True)
     began = time.perf_counter()
     try:
         with Progress("archive", sys.stderr, kernels=kernels) as progress:

@@ -5,7 +5,7 @@ process, by several, or by a cluster, in any order and more than once.
 """
 
 from sim.dataset.plan import DatasetPlan, Solving, Unit, gel
-from sim.dataset.run import OpenArchive, begin, fill, found
+from sim.dataset.run import OpenArchive, begin, fill, reopened
 
 __all__ = [
     "DatasetPlan",
@@ -14,6 +14,6 @@ __all__ = [
     "Unit",
     "begin",
     "fill",
-    "found",
     "gel",
+    "reopened",
 ]

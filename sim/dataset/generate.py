@@ -21,7 +21,7 @@ from sim.dataset.plan import (
     DatasetPlan,
     Family,
     PlannedPress,
-    Recording,
+    PressRecording,
     Solved,
     Unit,
     code,
@@ -46,7 +46,7 @@ Array = NDArray[np.float64]
 Packed = NDArray[np.uint8]
 
 
-class Reader:
+class SensorReader:
     """Reader of one sensor of an archive; keeps constant data between calls."""
 
     def __init__(self, sensor: SimulatedSensor, seed: int, device: str, indenters: int) -> None:
@@ -72,21 +72,21 @@ class Reader:
         masks = [self._still.masks(still.crept(offset))[0] for offset in self._creep]
         return np.stack([pack(each) for each in masks], axis=1)
 
-    def packed(self, top: SurfaceField, recording: Recording) -> Packed:
+    def packed(self, top: SurfaceField, recording: PressRecording) -> Packed:
         """Return packed masks (P, F, 38400) of the frames of a recording."""
         top = top.crept(self._creep[self.reference(recording)])
         packed = self.readout.packed(top, recording.number * len(recording))
         return np.moveaxis(packed, 1, 0)
 
-    def reference(self, recording: Recording) -> int:
+    def reference(self, recording: PressRecording) -> int:
         """Return the index of the reference of a recording."""
         return recording.session_point if len(self._creep) > 1 else 0
 
 
 @functools.lru_cache(maxsize=32)
-def reader(sensor: SimulatedSensor, seed: int, device: str, indenters: int) -> Reader:
+def sensor_reader(sensor: SimulatedSensor, seed: int, device: str, indenters: int) -> SensorReader:
     """Return the reader of a sensor, cached within the process."""
-    return Reader(sensor, seed, device, indenters)
+    return SensorReader(sensor, seed, device, indenters)
 
 
 def creep(sensor: SimulatedSensor, seed: int, indenters: int) -> Array:
@@ -205,7 +205,7 @@ def _write(
     return images
 
 
-def _state(solved: Solved, recording: Recording) -> tuple[SurfaceField, Array] | None:
+def _state(solved: Solved, recording: PressRecording) -> tuple[SurfaceField, Array] | None:
     """Return top and wrench (F, 6) in the frames of a recording; None without a solution."""
     if solved.result is None:
         return None
@@ -219,25 +219,25 @@ def _rows(
     sensor: SimulatedSensor,
     device: str,
     press: PlannedPress,
-    recording: Recording,
+    recording: PressRecording,
     state: tuple[SurfaceField, Array] | None,
     how: Mapping[str, Any],
 ) -> Rows:
     """Return the rows of one recording; `packed` holds all patterns (P, F, 38400)."""
-    seen = reader(sensor, plan.seed, device, len(indenter_names(plan)))
+    reader = sensor_reader(sensor, plan.seed, device, len(indenter_names(plan)))
     count, frames = len(recording), list(recording.frames)
     tip = np.array(press.motion.tip)[frames]
     wrench = np.full((count, 6), np.nan)
     packed = np.zeros((len(names(sensor)), count, PACKED), np.uint8)
     fields = None
-    if isinstance(seen.readout, CameraReadout):
+    if isinstance(reader.readout, CameraReadout):
         fields = np.full((count, *LATTICE.shape), np.nan, np.float16)
     if state is not None:
         top, forces = state
         wrench = forces * force_scale(plan, sensor)
-        packed = seen.packed(top, recording)
+        packed = reader.packed(top, recording)
         # From the recording's reference, which already includes creep from before the press.
-        fields = seen.readout.displacement(top)
+        fields = reader.readout.displacement(top)
     table = {
         "indenter": np.full(count, code(press.indenter)),
         "seen": np.full(count, press.indenter not in UNSEEN),
@@ -249,7 +249,7 @@ def _rows(
         "wrench": wrench,
         "frame": np.arange(count),
         "t_ns": np.round(np.array(press.motion.time)[frames] * 1e9).astype(np.int64),
-        "reference": np.full(count, seen.reference(recording)),
+        "reference": np.full(count, reader.reference(recording)),
         "valid": np.full(count, state is not None),
     }
     line = {"sensor": sensor.name, "indenter": press.indenter, "target": recording.target}

@@ -27,7 +27,7 @@ NO_LOCATION = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class PressRecording:
     """Frames of one target: rows of an archive that are compressed together."""
 
     target: int
@@ -54,7 +54,7 @@ class PlannedPress:
 
     indenter: str
     motion: Motion
-    recordings: tuple[Recording, ...]
+    recordings: tuple[PressRecording, ...]
     """Recordings of equal length."""
 
 
@@ -90,8 +90,10 @@ class Solving:
         if self.spacing is not None:
             check_range("solving", "spacing", self.spacing, 0.0, 1.0, unit="m", open_low=True)
             if self.tier == "layer" or self.tolerance is not None:
-                given = "tier layer" if self.tolerance is None else "a tolerance"
-                raise SceneError(f"solving.spacing: {self.spacing!r} m with {given}; allowed: None")
+                conflict = "tier layer" if self.tolerance is None else "a tolerance"
+                raise SceneError(
+                    f"solving.spacing: {self.spacing!r} m with {conflict}; allowed: None"
+                )
         check_range("solving", "cells", self.cells, 1, 1000)
         if self.tolerance is not None:
             if self.tier != "fem":
@@ -305,10 +307,10 @@ def indenter_names(plan: DatasetPlan) -> tuple[str, ...]:
 
 def differing(one: dict[str, Any], other: dict[str, Any], where: str = "") -> list[str]:
     """Return the innermost keys in which two plan documents differ, such as `sensors[0].seed`."""
-    found: list[str] = []
+    keys: list[str] = []
     for key in sorted(one.keys() | other.keys()):
-        found += _differing(one.get(key, ...), other.get(key, ...), f"{where}{key}")
-    return found
+        keys += _differing(one.get(key, ...), other.get(key, ...), f"{where}{key}")
+    return keys
 
 
 def _differing(one: Any, other: Any, where: str) -> list[str]:
@@ -320,9 +322,9 @@ def _differing(one: Any, other: Any, where: str) -> list[str]:
     return [] if one == other else [where]
 
 
-def _check_names(what: str, found: list[str]) -> None:
-    if not found or len(set(found)) != len(found):
-        raise SceneError(f"plan.{what}: {found}; allowed: one or more, all different")
+def _check_names(what: str, listed: list[str]) -> None:
+    if not listed or len(set(listed)) != len(listed):
+        raise SceneError(f"plan.{what}: {listed}; allowed: one or more, all different")
 
 
 # The real trajectories: press, shear, shear back, release; and the force-depth presses.
@@ -392,7 +394,7 @@ def _target_press(
     count = 4 * plan.steps + 1
     phases = (0, *(phase for phase in range(len(PHASES)) for _ in range(plan.steps)))
     location = code(indenter) * len(trajectory) + target.index
-    recording = Recording(
+    recording = PressRecording(
         target=target.index,
         number=_number(each, trajectory, indenter, target.index),
         session_point=_session_point(trajectory, indenter, target.point),
@@ -431,7 +433,7 @@ def _force_depth(
         for move in spec.moves(target):
             places += _along(move.start, move.end, half)
         recordings.append(
-            Recording(
+            PressRecording(
                 target=len(trajectory) + target.index,
                 number=_number(
                     each, trajectory, FORCE_DEPTH_INDENTER, len(trajectory) + target.index
@@ -504,7 +506,7 @@ def _state_press(each: SimulatedSensor, indenter: str, target: int) -> PlannedPr
     motion = press([depth / 1e3 for depth in DEPTHS_MM], at=(x / 1e3, y / 1e3), speed=each.speed)
     count = len(DEPTHS_MM)
     number = code(indenter) * len(PLACES) + target
-    recording = Recording(
+    recording = PressRecording(
         target=target,
         number=number,
         session_point=0,
@@ -598,13 +600,13 @@ def units(plan: DatasetPlan) -> tuple[Unit, ...]:
 def scenes(plan: DatasetPlan, family: Family, presses: tuple[PlannedPress, ...]) -> list[Scene]:
     """Return the scenes to simulate, for the mount of the first sensor and the common modulus."""
     lead = family.sensors[0]
-    made = [
+    placed = [
         lead.placed(indenter_of(press.indenter), press.motion, seed=plan.seed) for press in presses
     ]
     if not _proportional(plan, lead):
-        return made
+        return placed
     body = replace(lead.body, modulus=MODULUS)
-    return [replace(scene, body=body) for scene in made]
+    return [replace(scene, body=body) for scene in placed]
 
 
 def force_scale(plan: DatasetPlan, sensor: SimulatedSensor) -> float:
@@ -613,13 +615,13 @@ def force_scale(plan: DatasetPlan, sensor: SimulatedSensor) -> float:
 
 
 def _family(plan: DatasetPlan, sensors: tuple[SimulatedSensor, ...]) -> Family:
-    made = (state_presses if plan.work == "states" else target_presses)(plan, sensors[0])
+    presses = (state_presses if plan.work == "states" else target_presses)(plan, sensors[0])
     of_one = sum(
-        press.indenter == plan.indenters[0] and len(press.recordings) == 1 for press in made
+        press.indenter == plan.indenters[0] and len(press.recordings) == 1 for press in presses
     )
     # A unit holds presses of one indenter, in a size that divides them, so that all are full.
     size = max(n for n in range(1, plan.unit_presses + 1) if of_one % n == 0)
-    return Family(sensors, made, size)
+    return Family(sensors, presses, size)
 
 
 def _deformation(plan: DatasetPlan, each: SimulatedSensor) -> Hashable:

@@ -16,7 +16,7 @@ from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCo
 from recorder.command_line.options import next_command
 from recorder.markers import count_markers, unpack
 from recorder.processes import Workers, environment, several
-from sim.dataset.generate import LATTICE, Packed, Reader, make_unit, reader
+from sim.dataset.generate import LATTICE, Packed, SensorReader, make_unit, sensor_reader
 from sim.dataset.plan import (
     DatasetPlan,
     Family,
@@ -74,7 +74,7 @@ def begin(path: Path, plan: DatasetPlan, device: str = "cpu") -> OpenArchive:
         OSError: The disk is full, or the path is not writable.
     """
     if path.exists():
-        opened = found(path)
+        opened = reopened(path)
         keys = differing(to_json(opened.plan), to_json(plan))
         if keys:
             resume = next_command("sim", "archive", path)
@@ -88,7 +88,7 @@ def begin(path: Path, plan: DatasetPlan, device: str = "cpu") -> OpenArchive:
     return OpenArchive(path, plan)
 
 
-def found(path: Path) -> OpenArchive:
+def reopened(path: Path) -> OpenArchive:
     """Open the archive at `path` and the plan in it.
 
     Raises:
@@ -115,7 +115,9 @@ def found(path: Path) -> OpenArchive:
 def archive_plan(plan: DatasetPlan, device: str = "cpu") -> ArchivePlan:
     """Return the recorder's plan of the archive, with rendered references."""
     by_name = {
-        made.name: made for family in families(plan) for made in _sensor_plans(plan, family, device)
+        sensor_plan.name: sensor_plan
+        for family in families(plan)
+        for sensor_plan in _sensor_plans(plan, family, device)
     }
     order = [name for each in plan.sensors for name in names(each)]
     patterns = sorted(
@@ -137,8 +139,8 @@ def archive_plan(plan: DatasetPlan, device: str = "cpu") -> ArchivePlan:
 def _sensor_plans(plan: DatasetPlan, family: Family, device: str) -> Iterator[SensorPlan]:
     rows = family.recordings * family.rows_each
     for each in family.sensors:
-        seen = reader(each, plan.seed, device, len(indenter_names(plan)))
-        references, imaged = seen.references(), isinstance(seen.readout, CameraReadout)
+        reader = sensor_reader(each, plan.seed, device, len(indenter_names(plan)))
+        references, imaged = reader.references(), isinstance(reader.readout, CameraReadout)
         owner = names(each)[0]
         for index, name in enumerate(names(each)):
             own = imaged and index == 0
@@ -148,19 +150,19 @@ def _sensor_plans(plan: DatasetPlan, family: Family, device: str) -> Iterator[Se
                 chunk_rows=family.rows_each,
                 unit_rows=family.rows_each * family.unit_presses,
                 references=references[index],
-                mm_per_px=seen.readout.mm_per_px,
+                mm_per_px=reader.readout.mm_per_px,
                 lattice=LATTICE if own else None,
                 displacement_of=owner if imaged and not own else None,
                 marker_count=_marker_count(each, references[index]),
-                attrs=_sensor_attrs(each, seen, index),
+                attrs=_sensor_attrs(each, reader, index),
             )
 
 
-def _sensor_attrs(each: SimulatedSensor, seen: Reader, index: int) -> dict[str, Any]:
+def _sensor_attrs(each: SimulatedSensor, reader: SensorReader, index: int) -> dict[str, Any]:
     attrs: dict[str, Any] = {"sensor": each.name, "description": each.description}
-    if isinstance(seen.readout, CameraReadout):
-        attrs["pattern"] = seen.readout.patterns[index]
-        attrs["camera"] = to_json(seen.readout.camera)
+    if isinstance(reader.readout, CameraReadout):
+        attrs["pattern"] = reader.readout.patterns[index]
+        attrs["camera"] = to_json(reader.readout.camera)
     if each.trajectory is not None:
         attrs["targets"] = len(each.trajectory)
     return attrs
@@ -204,18 +206,18 @@ def fill(opened: OpenArchive, maker: Maker, progress: Callable[[float], None]) -
     whole = sum(weights.values())
     done = whole - sum(weights[unit] for unit in missing)
     progress(done / whole)
-    made: list[int] = []
+    image_counts: list[int] = []
 
     def inside(fraction: float) -> None:
         """Report progress within a unit; presses take most of its time, units come in order."""
-        progress((done + fraction * weights[missing[len(made)]]) / whole)
+        progress((done + fraction * weights[missing[len(image_counts)]]) / whole)
 
     for unit, images in maker(missing, inside):
-        made.append(images)
+        image_counts.append(images)
         done += weights[unit]
         progress(done / whole)
     ArchiveWriter(opened.path).finish()
-    return sum(made)
+    return sum(image_counts)
 
 
 def _rows(plan: DatasetPlan, unit: Unit) -> int:

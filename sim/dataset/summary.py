@@ -41,14 +41,14 @@ def _presses(archive: MarkerArchive) -> Iterator[str]:
     for sensor in archive.values():
         missing = {int(row) for row in sensor.table["source"][~sensor.table["valid"]]}
         for number, line in enumerate(sensor.sources):
-            made = json.loads(line)
-            if "failed" not in made:
+            source = json.loads(line)
+            if "failed" not in source:
                 continue
-            press = f"{made['indenter']}, target {made['target']} of {sensor.name}"
+            press = f"{source['indenter']}, target {source['target']} of {sensor.name}"
             if number in missing:
-                lost[f"{press}: {made['failed'][-1]}"] = None
+                lost[f"{press}: {source['failed'][-1]}"] = None
             else:
-                again[f"{press}: solved with {made.get('again', 'a costlier choice')}"] = None
+                again[f"{press}: solved with {source.get('again', 'a costlier choice')}"] = None
     yield from _some(f"{len(again)} presses were solved again in another way", list(again))
     yield from _some(f"{len(lost)} presses have no solution, their rows are not valid", list(lost))
 
@@ -57,9 +57,9 @@ def _flags(archive: MarkerArchive, images: int, progress: Callable[[float], None
     flagged: list[str] = []
     counted = 0
     for place, sensor in enumerate(archive.values()):
-        found = marker_flags(sensor)
+        flags = marker_flags(sensor)
         counted += _counted(sensor)
-        flagged += [f"{sensor.name} {flag}" for flag in found]
+        flagged += [f"{sensor.name} {flag}" for flag in flags]
         progress((place + 1) / len(archive))
     fraction = f", {1e3 * len(flagged) / counted:.2f} in 1,000" if flagged else ""
     yield f"marker count: {len(flagged)} of {counted:,} images flagged{fraction}"

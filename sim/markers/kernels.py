@@ -13,7 +13,7 @@ from recorder.markers import Lattice
 from sim.errors import SceneError
 from sim.markers.camera import HEIGHT, MIDDLE, WIDTH, Camera
 from sim.markers.textures import Textures
-from sim.markers.top import TAPS, Taps, Top
+from sim.markers.top import TAPS, CubicTaps, Top
 from sim.scene import Body
 
 
@@ -179,10 +179,10 @@ def _material_kernel(run: int):
     ):
         frame, row, part = wp.tid()
         for column in range(part * run, (part + 1) * run):
-            found = number[frame, row, column]
+            code = number[frame, row, column]
             material = wp.vec2(wp.NAN, wp.NAN)
-            if found >= wp.int64(0):
-                triangle = int(found & TRIANGLE_MASK)
+            if code >= wp.int64(0):
+                triangle = int(code & TRIANGLE_MASK)
                 i = triangle >> (CELL_BITS + 1)
                 j = (triangle >> 1) & CELL_MASK
                 second = triangle & 1
@@ -391,7 +391,7 @@ class DeviceTop:
 
 @wp.struct
 class PlaneTaps:
-    """`sim.markers.top.Taps` of places along x and along y."""
+    """`sim.markers.top.CubicTaps` of places along x and along y."""
 
     first_x: wp.array[int]
     weight_x: wp.array[wp.vec4]
@@ -399,7 +399,7 @@ class PlaneTaps:
     weight_y: wp.array[wp.vec4]
 
 
-def plane_taps(along_x: Taps, along_y: Taps, device) -> PlaneTaps:
+def plane_taps(along_x: CubicTaps, along_y: CubicTaps, device) -> PlaneTaps:
     """Return the taps on the device."""
     taps = PlaneTaps()
     for axis, values in (("x", along_x), ("y", along_y)):
@@ -443,7 +443,9 @@ def _kernel():
     return vertices
 
 
-def see_vertices(lens: Lens, top: DeviceTop, taps_x: Taps, taps_y: Taps, surface) -> wp.array:
+def see_vertices(
+    lens: Lens, top: DeviceTop, taps_x: CubicTaps, taps_y: CubicTaps, surface
+) -> wp.array:
     """Return vertices (F, N, M) of the displaced top; `surface` is (F, X, Y) of vec3 [m]."""
     device = surface.device
     shape = (surface.shape[0], len(top.x), len(top.y))
@@ -499,7 +501,9 @@ def _displacement_kernel():
     return displacement
 
 
-def displacements(lens: Lens, places: np.ndarray, taps_x: Taps, taps_y: Taps, surface) -> wp.array:
+def displacements(
+    lens: Lens, places: np.ndarray, taps_x: CubicTaps, taps_y: CubicTaps, surface
+) -> wp.array:
     """Return image displacements (F, n) vec2 [px] of material points, with one tap per point."""
     device = surface.device
     out = wp.empty((surface.shape[0], len(places)), dtype=wp.vec2, device=device)

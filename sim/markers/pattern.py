@@ -100,15 +100,15 @@ class Pattern:
 
         It is exact up to `band` [m] outside the markers, and `band` beyond.
         """
-        found = np.full((len(y), len(x)), band)
+        nearest = np.full((len(y), len(x)), band)
         reach = self.reach + band
         for centre_x, centre_y in self.places:
             columns = slice(*np.searchsorted(x, [centre_x - reach, centre_x + reach]))
             rows = slice(*np.searchsorted(y, [centre_y - reach, centre_y + reach]))
             offset_x, offset_y = np.meshgrid(x[columns] - centre_x, y[rows] - centre_y)
             distance = self.marker_distance(np.stack([offset_x, offset_y], axis=-1))
-            found[rows, columns] = np.minimum(found[rows, columns], distance)
-        return found
+            nearest[rows, columns] = np.minimum(nearest[rows, columns], distance)
+        return nearest
 
     def within(self, body: Body) -> Pattern:
         """Return the markers that lie wholly on a gel.
@@ -117,8 +117,8 @@ class Pattern:
             SceneError: None do.
         """
         room = body.from_side(*self.centres.T) - self.reach
-        kept = (place for place, on in zip(self.places, room >= 0, strict=True) if on)
-        return replace(self, places=tuple(kept))
+        inside = (place for place, on in zip(self.places, room >= 0, strict=True) if on)
+        return replace(self, places=tuple(inside))
 
     def check_within(self, body: Body) -> None:
         """Check that all markers lie wholly on a gel.

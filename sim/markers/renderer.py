@@ -26,7 +26,7 @@ from sim.markers.kernels import (
 )
 from sim.markers.pattern import Pattern
 from sim.markers.textures import Textures
-from sim.markers.top import TAPS, Taps, cubic_taps, top_of
+from sim.markers.top import TAPS, CubicTaps, cubic_taps, top_of
 from sim.scene import Body
 
 # The view of a gel, independent of patterns: the material point at each pixel.
@@ -183,6 +183,6 @@ class Renderer:
         )
 
 
-def _taps(x: Array, y: Array, to_x: Array, to_y: Array) -> tuple[Taps, Taps]:
+def _taps(x: Array, y: Array, to_x: Array, to_y: Array) -> tuple[CubicTaps, CubicTaps]:
     """Return the taps of places along x and along y among the surface's points."""
     return cubic_taps(x, to_x, name="surface_x"), cubic_taps(y, to_y, name="surface_y")

@@ -61,7 +61,7 @@ TAPS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Taps:
+class CubicTaps:
     """Interpolation weights of places."""
 
     first: NDArray[np.int32]
@@ -70,7 +70,7 @@ class Taps:
     """Weights of the four values (n, 4), with a sum of 1."""
 
 
-def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> Taps:
+def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> CubicTaps:
     """Return taps for places (n,) among values at `axis` (m,), both in the same unit.
 
     Beyond the ends the curve is extrapolated linearly, by at most one interval.
@@ -95,8 +95,8 @@ def cubic_taps(axis: Array, places: Array, *, name: str = "axis") -> Taps:
     weight += width[:, None] * t * (1 - t) * ((1 - t) * start_slope - t * end_slope)
     weight += beyond[:, None] * np.where(t < 0.5, start_slope, end_slope)
     first = np.clip(cell - 1, 0, count - TAPS)
-    taken = np.take_along_axis(weight, first[:, None] + np.arange(TAPS), axis=1)
-    return Taps(first.astype(np.int32), taken.astype(np.float32))
+    weights = np.take_along_axis(weight, first[:, None] + np.arange(TAPS), axis=1)
+    return CubicTaps(first.astype(np.int32), weights.astype(np.float32))
 
 
 def _slopes(axis: Array) -> Array:

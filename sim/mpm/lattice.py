@@ -33,7 +33,7 @@ PARTICLES_MOST = 50_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Lattice:
+class ParticleLattice:
     """Particles of a body at rest and its background grid; lengths in cells, from a corner's base.
 
     That corner, least in x, y and z, is a grid node. Particles run along y, then x, then upwards:
@@ -69,7 +69,7 @@ class Lattice:
         return self.nodes[0] * self.nodes[1] * self.nodes[2]
 
 
-def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> Lattice:
+def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> ParticleLattice:
     """Return the particles of the body that the scenes share, on a grid with room for all scenes.
 
     Columns of particles under a dome are shortened to fit, and their volumes with them.
@@ -102,7 +102,7 @@ def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> Lattice:
     to_surface[..., 2] = top - points[-1, ..., 2]
     nodes, corner = _grid(scenes, cell)
     origin = np.array([body.size_x / 2, body.size_y / 2, body.thickness]) / cell
-    return Lattice(
+    return ParticleLattice(
         cell=cell,
         nodes=nodes,
         corner=corner,

@@ -46,7 +46,7 @@ def end_of_line(values: np.ndarray) -> np.ndarray:
     return np.tensordot(weights, values, axes=1)
 
 
-class Frames:
+class PressFrames:
     """Frames of one press, filled as they are reached; results are in SI units.
 
     `residual` and `slip_excess` stay NaN: no equations are solved, and Coulomb's law holds at each
@@ -76,8 +76,8 @@ class Frames:
 
     def read(self, first: int, readings: np.ndarray) -> None:
         """Store the impulses of steps `first` onwards (N, 9); those past the end are dropped."""
-        kept = self._readings[first : first + len(readings)]
-        kept[:] = readings[: len(kept)]
+        room = self._readings[first : first + len(readings)]
+        room[:] = readings[: len(room)]
 
     def keep(self, frame: int, surface: np.ndarray, means: Means) -> None:
         """Store the state of this environment after step `at[frame]` as that frame."""
@@ -202,7 +202,7 @@ def simulate_mpm(
     wp.synchronize_device(state.device)
     seconds = {"build": time.perf_counter() - began}
     frames = [
-        Frames(scene, pace, state, env)
+        PressFrames(scene, pace, state, env)
         for env, (scene, pace) in enumerate(zip(scenes, paces, strict=True))
     ]
     began = time.perf_counter()
@@ -253,16 +253,16 @@ def _walk(state, frames, paces, scenes, progress) -> dict[int, SimulationDiverge
                     failed[int(env)] = _diverged(state, int(env), paces[env], scenes[env])
             if progress is not None:
                 progress(now / total)
-        wanted = [
+        reached = [
             (env, frame)
             for env, one in enumerate(frames)
             for frame in np.flatnonzero(one.at == stop)
             if env not in failed
         ]
-        if not wanted:
+        if not reached:
             continue
         surface, means = state.surface(), state.means()
-        for env, frame in wanted:
+        for env, frame in reached:
             frames[env].keep(int(frame), surface[env], means[env])
     return failed
 
@@ -288,28 +288,28 @@ def _diverged(state, env: int, pace: Pace, scene: Scene) -> SimulationDiverged:
 
 def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]:
     """Return warnings about differences between this result and a solution of the scene."""
-    found = []
+    warnings = []
     if numerics.per_cell < COUPLED:
-        found.append(
+        warnings.append(
             f"{numerics.per_cell:.3g} particles per cell and dimension: below {COUPLED:g} the "
             "material comes apart into loose columns; allowed without this warning: 1, better 2"
         )
     if pace.speed_ratio > QUASI_STATIC:
-        found.append(
+        warnings.append(
             f"the tip moves at {pace.speed_ratio:.3g} of the wave speed of {pace.wave_speed:.3g} "
             f"m/s: not quasi-static; allowed without this warning: up to {QUASI_STATIC:g}"
         )
     if scene.effects.friction is None and lost > LOST:
-        found.append(
+        warnings.append(
             f"{100 * lost:.0f} % of the work is lost: between two layers of nodes the surface "
             "slips past the indenter, and a flat face loads it in steps; allowed without this "
             f"warning: up to {100 * LOST:.0f} %, with smaller cells or a rounder indenter"
         )
     if numerics.published is not None and scene.effects.friction is not None:
-        found.append("sticky contact: the scene's friction coefficient is not used")
+        warnings.append("sticky contact: the scene's friction coefficient is not used")
     if numerics.published is not None:
-        found.append("a particle's volume was given: forces are scaled with it")
-    return found
+        warnings.append("a particle's volume was given: forces are scaled with it")
+    return warnings
 
 
 def _check_bodies(scenes: Sequence[Scene]) -> None:

@@ -11,7 +11,7 @@ import warp as wp
 
 from sim.indenters.device import PLAIN, PartTable, Traits, distance_function, table_struct
 from sim.mpm import DET_FLOOR, REACH, Mpm
-from sim.mpm.lattice import BASE_NODE, Lattice, Pace
+from sim.mpm.lattice import BASE_NODE, Pace, ParticleLattice
 from sim.scalars import PRECISIONS, det_less_one_function, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
@@ -48,24 +48,24 @@ def spline_functions(real):
 
     @wp.func
     def weights(from_first: vec3):
-        found = mat33()
+        matrix = mat33()
         for axis in range(3):
             f = from_first[axis]
             below = real(1.5) - f
             above = f - half
-            found[axis, 0] = half * below * below
-            found[axis, 1] = real(0.75) - (f - one) * (f - one)
-            found[axis, 2] = half * above * above
-        return found
+            matrix[axis, 0] = half * below * below
+            matrix[axis, 1] = real(0.75) - (f - one) * (f - one)
+            matrix[axis, 2] = half * above * above
+        return matrix
 
     @wp.func
     def arms(from_first: vec3):
-        found = mat33()
+        matrix = mat33()
         for axis in range(3):
-            found[axis, 0] = -from_first[axis]
-            found[axis, 1] = one - from_first[axis]
-            found[axis, 2] = two - from_first[axis]
-        return found
+            matrix[axis, 0] = -from_first[axis]
+            matrix[axis, 1] = one - from_first[axis]
+            matrix[axis, 2] = two - from_first[axis]
+        return matrix
 
     return first_node, weights, arms
 
@@ -75,7 +75,7 @@ def batch_struct(real):
     """Return the struct of a batch: P particles, N nodes and a schedule in B environments."""
     vec3, mat33 = vector_of(real), matrix_of(real)
 
-    class Batch:
+    class ParticleBatch:
         nodes: wp.vec3i  # number of nodes along each axis, and that of the body's corner
         corner: wp.vec3i
         origin: vec3  # of the contact frame
@@ -104,7 +104,7 @@ def batch_struct(real):
         means: wp.array2d(dtype=wp.int64)  # stored and kinetic energy over the body (B, 2)
         det: wp.array(dtype=real)  # smallest determinant (B,)
 
-    return wp.struct(Batch)
+    return wp.struct(ParticleBatch)
 
 
 # Impulses of a step: force of the indenter, its torque about the tip, force of the base.
@@ -369,11 +369,11 @@ def particle_kernel(real):
                 row = ((first[0] + i) * nodes[1] + first[1] + j) * nodes[2] + first[2]
                 for k in range(3):
                     weight = w[0, i] * w[1, j] * w[2, k] * unit
-                    given = (momentum + push * vec3(arm[0, i], arm[1, j], arm[2, k])) * weight
+                    transfer = (momentum + push * vec3(arm[0, i], arm[1, j], arm[2, k])) * weight
                     wp.atomic_add(batch.sums, env, row + k, 0, wp.int64(mass * weight))
-                    wp.atomic_add(batch.sums, env, row + k, 1, wp.int64(given[0]))
-                    wp.atomic_add(batch.sums, env, row + k, 2, wp.int64(given[1]))
-                    wp.atomic_add(batch.sums, env, row + k, 3, wp.int64(given[2]))
+                    wp.atomic_add(batch.sums, env, row + k, 1, wp.int64(transfer[0]))
+                    wp.atomic_add(batch.sums, env, row + k, 2, wp.int64(transfer[1]))
+                    wp.atomic_add(batch.sums, env, row + k, 3, wp.int64(transfer[2]))
 
     return move
 
@@ -467,7 +467,7 @@ class ParticleState:
 
     def __init__(
         self,
-        lattice: Lattice,
+        lattice: ParticleLattice,
         scenes: Sequence[Scene],
         paces: Sequence[Pace],
         numerics: Mpm,
@@ -521,8 +521,8 @@ class ParticleState:
         cell = self.lattice.cell
         self._table = PartTable.pack(indenters, cell, real, self.device, far=FAR * cell)
         friction = [one.effects.friction for one in scenes]
-        given = [0.0 if one is None else one.coefficient for one in friction]
-        batch.coefficient = self.array(given, real)
+        coefficients = [0.0 if one is None else one.coefficient for one in friction]
+        batch.coefficient = self.array(coefficients, real)
         self._node_kernel = node_kernel(
             real,
             numerics.published is not None,

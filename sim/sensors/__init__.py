@@ -32,7 +32,7 @@ from sim.sensors.variation import (
     Mount,
     Placement,
     Segmentation,
-    Segmenter,
+    SegmentationErrors,
 )
 
 __all__ = [
@@ -51,7 +51,7 @@ __all__ = [
     "Placement",
     "Posterior",
     "Segmentation",
-    "Segmenter",
+    "SegmentationErrors",
     "SimulatedSensor",
     "SurfaceField",
     "TaxelPad",

@@ -136,16 +136,16 @@ class SurfaceField:
         return replace(even, displacement=moved @ back)
 
 
-def cubic_weights(known: Array, wanted: Array) -> Array:
-    """Return weights (W, K) that interpolate values at `known` (K,) to `wanted` (W,).
+def cubic_weights(knots: Array, places: Array) -> Array:
+    """Return weights (W, K) that interpolate values at `knots` (K,) to `places` (W,).
 
     The interpolant is a cubic Hermite curve with three-point slopes: exact for parabolas, C1, and
     each value affects at most two intervals on either side. Beyond the ends it is constant.
     """
-    unit = np.eye(len(known))
-    slopes = np.gradient(unit, known, axis=0, edge_order=2 if len(known) > 2 else 1)
-    curve = CubicHermiteSpline(known, unit, slopes, axis=0)
-    weights: Array = curve(np.clip(wanted, known[0], known[-1]))
+    unit = np.eye(len(knots))
+    slopes = np.gradient(unit, knots, axis=0, edge_order=2 if len(knots) > 2 else 1)
+    curve = CubicHermiteSpline(knots, unit, slopes, axis=0)
+    weights: Array = curve(np.clip(places, knots[0], knots[-1]))
     return weights
 
 

@@ -89,11 +89,11 @@ class Posterior:
         matrix = np.clip(covariance / np.outer(spread, spread), -1.0, 1.0)
         np.fill_diagonal(matrix, 1.0)
         correlations = tuple(map(tuple, matrix.tolist()))
-        told = tier, float(height), float(law)
-        return cls(tuple(names), tuple(spread.tolist()), correlations, *told)
+        spreads = tuple(spread.tolist())
+        return cls(tuple(names), spreads, correlations, tier, float(height), float(law))
 
 
-# Of a sensor whose quantities are known.
+# Of a sensor whose quantities are certain.
 CERTAIN = Posterior((), (), ())
 
 

@@ -61,13 +61,13 @@ def with_camera(sensor: SimulatedSensor, values: Mapping[str, float]) -> Simulat
     """Return a sensor with some of `CAMERA` replaced, whose layout looks the same."""
     if isinstance(sensor.signal, TaxelSignal):
         raise SceneError(f"{sensor.name}.signal: taxels; allowed: a camera")
-    known = {**camera_quantities(sensor), **values}
+    camera_values = {**camera_quantities(sensor), **values}
     camera = Camera(
-        known["distance"] / known["scale"],
-        known["distance"],
-        (known["shift_x"], known["shift_y"]),
-        known["rotation"],
-        (known["camera_tilt_x"], known["camera_tilt_y"]),
+        camera_values["distance"] / camera_values["scale"],
+        camera_values["distance"],
+        (camera_values["shift_x"], camera_values["shift_y"]),
+        camera_values["rotation"],
+        (camera_values["camera_tilt_x"], camera_values["camera_tilt_y"]),
     )
     return replace(sensor, signal=sensor.signal.by(camera, sensor.body))
 
@@ -75,38 +75,38 @@ def with_camera(sensor: SimulatedSensor, values: Mapping[str, float]) -> Simulat
 def quantities(sensor: SimulatedSensor) -> dict[str, float]:
     """Return the quantities of a sensor by name, in SI; friction and branches if it has them."""
     body, effects = sensor.body, sensor.effects
-    found = {"modulus": body.modulus, "thickness": body.thickness, "poisson": body.poisson}
+    by_name = {"modulus": body.modulus, "thickness": body.thickness, "poisson": body.poisson}
     if effects.friction is not None:
-        found["friction"] = effects.friction.coefficient
+        by_name["friction"] = effects.friction.coefficient
     if effects.viscosity is not None:
         for index, (ratio, time) in enumerate(
             zip(effects.viscosity.ratios, effects.viscosity.times, strict=True), 1
         ):
-            found |= {f"ratio_{index}": ratio, f"time_{index}": time}
-    return found
+            by_name |= {f"ratio_{index}": ratio, f"time_{index}": time}
+    return by_name
 
 
 def with_quantities(sensor: SimulatedSensor, values: Mapping[str, float]) -> SimulatedSensor:
     """Return the sensor with some quantities replaced; presses beyond its skin are dropped."""
-    known = quantities(sensor)
-    if missing := [name for name in values if name not in known and name != "friction"]:
-        raise SceneError(f"{sensor.name}: {', '.join(missing)}; allowed: {', '.join(known)}")
-    known |= values
+    merged = quantities(sensor)
+    if missing := [name for name in values if name not in merged and name != "friction"]:
+        raise SceneError(f"{sensor.name}: {', '.join(missing)}; allowed: {', '.join(merged)}")
+    merged |= values
     body: Body = replace(
         sensor.body,
-        modulus=known["modulus"],
-        thickness=known["thickness"],
-        poisson=float(np.clip(known["poisson"], *POISSON)),
+        modulus=merged["modulus"],
+        thickness=merged["thickness"],
+        poisson=float(np.clip(merged["poisson"], *POISSON)),
     )
     effects = sensor.effects
-    if "friction" in known:
-        effects = replace(effects, friction=Friction(known["friction"]))
+    if "friction" in merged:
+        effects = replace(effects, friction=Friction(merged["friction"]))
     if effects.viscosity is not None:
         count = len(effects.viscosity.ratios)
         viscosity: Viscosity = replace(
             effects.viscosity,
-            ratios=tuple(known[f"ratio_{index}"] for index in range(1, count + 1)),
-            times=tuple(known[f"time_{index}"] for index in range(1, count + 1)),
+            ratios=tuple(merged[f"ratio_{index}"] for index in range(1, count + 1)),
+            times=tuple(merged[f"time_{index}"] for index in range(1, count + 1)),
         )
         effects = replace(effects, viscosity=viscosity)
     deepest = min(sensor.depth_max, DEEPEST * body.thickness)

@@ -13,7 +13,7 @@ from sim.sensors.field import SurfaceField
 from sim.sensors.pins import tip_coverage
 from sim.sensors.sensor import CameraSignal, SimulatedSensor
 from sim.sensors.taxels import Counts, TaxelPad, TaxelSignal
-from sim.sensors.variation import Placement, Segmenter, generator
+from sim.sensors.variation import Placement, SegmentationErrors, generator
 
 Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
@@ -99,53 +99,55 @@ class CameraReadout:
         self._renderer = Renderer(sensor.body, self.camera, device=device)
         self._textures = self._renderer.textures(self._patterns)
         errors = sensor.variation.segmentation
-        self._segmenters = (
+        self._segmentation_errors = (
             []
             if errors is None or seed is None
-            else [Segmenter(errors, seed, sensor.name, name) for name in self.patterns]
+            else [SegmentationErrors(errors, seed, sensor.name, name) for name in self.patterns]
         )
 
-    def seen(self, top: SurfaceField) -> SurfaceField:
+    def visible(self, top: SurfaceField) -> SurfaceField:
         """Return the visible surface in the sensor's frame: the skin, or the tips of its pins."""
         turned = self._placement.field(top)
         return turned if self._signal.pins is None else self._signal.pins.tips(turned)
 
     def coverage(self, top: SurfaceField) -> NDArray[np.uint8]:
         """Return each pixel's coverage by markers (F, P, 480, 640), 255 if complete."""
-        seen = self.seen(top)
+        visible = self.visible(top)
         if self._signal.pins is not None:
-            return np.stack([self._tips(seen, pattern) for pattern in self._patterns], axis=1)
-        view = self._renderer.see(seen.x, seen.y, seen.displacement)
+            return np.stack([self._tips(visible, pattern) for pattern in self._patterns], axis=1)
+        view = self._renderer.see(visible.x, visible.y, visible.displacement)
         return view.coverage(self._textures)
 
     def masks(self, top: SurfaceField, first: int = 0) -> Masks:
         """Return masks (F, P, 480, 640), with segmentation errors if the sensor has them."""
-        if not self._segmenters and self._signal.pins is None:
-            seen = self.seen(top)
-            return self._renderer.see(seen.x, seen.y, seen.displacement).masks(self._textures)
+        if not self._segmentation_errors and self._signal.pins is None:
+            visible = self.visible(top)
+            return self._renderer.see(visible.x, visible.y, visible.displacement).masks(
+                self._textures
+            )
         coverage = self.coverage(top)
-        if not self._segmenters:
+        if not self._segmentation_errors:
             return coverage >= COVERED
-        found = [
-            segmenter.seen(coverage[:, index], first)
-            for index, segmenter in enumerate(self._segmenters)
+        masks = [
+            errors.masks(coverage[:, index], first)
+            for index, errors in enumerate(self._segmentation_errors)
         ]
-        return np.stack(found, axis=1)
+        return np.stack(masks, axis=1)
 
     def packed(self, top: SurfaceField, first: int = 0) -> NDArray[np.uint8]:
         """Return the same masks as packed bits (F, P, 38400), without intermediate unpacking."""
-        if self._segmenters or self._signal.pins is not None:
+        if self._segmentation_errors or self._signal.pins is not None:
             return pack(self.masks(top, first))
-        seen = self.seen(top)
-        return self._renderer.see(seen.x, seen.y, seen.displacement).packed(self._textures)
+        visible = self.visible(top)
+        return self._renderer.see(visible.x, visible.y, visible.displacement).packed(self._textures)
 
     def displacement(self, top: SurfaceField) -> NDArray[np.float16]:
         """Return the displacement (F, rows, columns, 2) [px] of points on a lattice of pixels.
 
         The lattice is in the image without contact; NaN where that image shows no gel.
         """
-        seen = self.seen(top)
-        return self._renderer.displacement(seen.x, seen.y, seen.displacement)
+        visible = self.visible(top)
+        return self._renderer.displacement(visible.x, visible.y, visible.displacement)
 
     def _tips(self, tips: SurfaceField, pattern: Pattern) -> NDArray[np.uint8]:
         """Return the coverage (F, 480, 640) by rigid, round tips of pins."""

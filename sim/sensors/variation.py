@@ -91,7 +91,7 @@ class Segmentation:
             check_range("segmentation", name, getattr(self, name), low, high, unit=unit)
 
 
-class Segmenter:
+class SegmentationErrors:
     """Segmentation errors applied to images of one sensor; those of frame k are reproducible.
 
     Args:
@@ -109,8 +109,8 @@ class Segmenter:
             smooth = gaussian_filter(white, segmentation.correlation_px, mode="wrap")
             self._bank = (smooth / smooth.std()).astype(np.float32)
 
-    def seen(self, coverage: Greys, first: int = 0) -> Masks:
-        """Return masks (F, H, W) of the markers found in grey images (F, H, W).
+    def masks(self, coverage: Greys, first: int = 0) -> Masks:
+        """Return masks (F, H, W) of the markers that are segmented in grey images (F, H, W).
 
         Args:
             coverage: Coverage of each pixel by markers, 255 if complete. With binary images (0 or
@@ -125,13 +125,13 @@ class Segmenter:
                 f"coverage: {coverage.dtype} of shape {coverage.shape}; allowed: uint8 (frames, "
                 "rows, columns)"
             )
-        found = np.empty(coverage.shape, bool)
+        masks = np.empty(coverage.shape, bool)
         for index, image in enumerate(coverage):
             random = generator(self._seed, "segmentation", *self._names, first + index)
-            found[index] = self._kept(self._wavered(image, random), random)
-        return found
+            masks[index] = self._without_missed(self._with_jitter(image, random), random)
+        return masks
 
-    def _wavered(self, image: Greys, random: np.random.Generator) -> Masks:
+    def _with_jitter(self, image: Greys, random: np.random.Generator) -> Masks:
         """Return the mask with edges moved along their normals.
 
         At the distance d inside an edge, the smoothed image has the grey level `PROFILE` of d. A
@@ -142,12 +142,12 @@ class Segmenter:
             return image >= WHITE / 2
         soft = softened(image)
         whole = 256 * WHITE
-        found = soft > whole // 2
+        mask = soft > whole // 2
         edges = np.flatnonzero((soft > 0) & (soft < whole))
         inward = jitter * self._noise(edges, image.shape[1], random)
         threshold = whole * np.interp(inward, *PROFILE)
-        found.flat[edges] = soft.flat[edges] > threshold
-        return found
+        mask.flat[edges] = soft.flat[edges] > threshold
+        return mask
 
     def _noise(self, pixels: Indices, width: int, random: np.random.Generator) -> Floats:
         """Return noise (n,) at pixels of an image, from a random, maybe mirrored, bank window."""
@@ -158,7 +158,7 @@ class Segmenter:
         noise: Floats = self._bank[row, column]
         return noise
 
-    def _kept(self, mask: Masks, random: np.random.Generator) -> Masks:
+    def _without_missed(self, mask: Masks, random: np.random.Generator) -> Masks:
         """Return the mask without the missed markers."""
         chosen = self._segmentation
         rim = round(chosen.rim_px)
@@ -175,8 +175,7 @@ class Segmenter:
             lost[1:] |= reaching[1:] & (random.random(count) < chosen.rim_missing)
         if not lost.any():
             return mask
-        kept: Masks = mask & ~lost[markers]
-        return kept
+        return np.asarray(mask & ~lost[markers])
 
 
 def softened(image: Greys) -> NDArray[np.uint16]:

@@ -370,11 +370,11 @@ def _averaged(values: FloatArray) -> FloatArray:
     return mean
 
 
-def _weights(known: FloatArray, centres: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:
-    """Return weights (n * nodes, K) from values at `known` (K,) to values and slopes at nodes."""
-    count = max(2, round((known[-1] - known[0]) / EVEN_STEP) + 1)
-    even = np.linspace(known[0], known[-1], count)
-    fine = cubic_weights(known, even)
+def _weights(knots: FloatArray, centres: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:
+    """Return weights (n * nodes, K) from values at `knots` (K,) to values and slopes at nodes."""
+    count = max(2, round((knots[-1] - knots[0]) / EVEN_STEP) + 1)
+    even = np.linspace(knots[0], knots[-1], count)
+    fine = cubic_weights(knots, even)
     # The standard deviation of a disc along an axis is a quarter of its width.
     nodes = (centres[:, None] + base / 4 * np.array(NODES)).ravel()
     to_nodes = cubic_weights(even, nodes)

@@ -24,9 +24,9 @@ from support.simulated_archives import (
 from recorder import MarkerArchive, SessionError, check
 from recorder.archive import ArchivedSensor, location_pairs
 from sim import Fem, Layer, Result, Scene, SceneError, SimulationDiverged, press, simulate
-from sim.dataset import DatasetPlan, Solving, begin, found, gel
+from sim.dataset import DatasetPlan, Solving, begin, gel, reopened
 from sim.dataset import plan as solving
-from sim.dataset.generate import reader
+from sim.dataset.generate import sensor_reader
 from sim.dataset.plan import families
 from sim.dataset.summary import summary
 from sim.errors import PassesThrough
@@ -55,8 +55,8 @@ def press_rows(each: ArchivedSensor, indenter: str, target: int) -> np.ndarray[A
 
 def test_an_archive_is_sound_and_its_plan_is_in_it(skins: Path) -> None:
     assert list(check(skins)) == []
-    assert found(skins).plan == SKINS
-    assert found(skins).missing() == ()
+    assert reopened(skins).plan == SKINS
+    assert reopened(skins).missing() == ()
     archive = MarkerArchive(skins)
     assert list(archive) == ["r6", "r18", "uskin"]
     assert archive["r6"].attrs["pattern"] == "Array-I"
@@ -262,10 +262,10 @@ def test_presses_without_a_solution_are_solved_again_together_by_what_may_help(
     def simulate_many(scenes: Sequence[Scene], tier: Fem, **_how: Any) -> list[Any]:
         calls.append((len(scenes), tier))
         first = len(calls) == 1
-        return [kind("no state") if first and i % 2 else found for i in range(len(scenes))]
+        return [kind("no state") if first and i % 2 else result for i in range(len(scenes))]
 
     scene = Scene(named("sphere"), press([0.2e-3]))
-    found = simulate(scene, Layer())
+    result = simulate(scene, Layer())
     monkeypatch.setattr(solving, "simulate_many", simulate_many)
     solved = solving.solve([scene] * 5, Solving(spacing=2e-3))
     assert [count for count, _ in calls if count] == [5, 2]
@@ -286,7 +286,7 @@ def test_another_plan_is_refused_by_its_keys_and_what_is_no_archive_by_its_name(
     with pytest.raises(SessionError, match="empty"):
         begin(tmp_path / "empty", SKINS)
     with pytest.raises(SessionError, match=r"nothing\.zarr"):
-        found(tmp_path / "nothing.zarr")
+        reopened(tmp_path / "nothing.zarr")
 
 
 @pytest.mark.slow
@@ -299,5 +299,5 @@ def test_a_tolerance_is_kept_and_said() -> None:
 
 
 def test_the_pixels_of_taxels_are_as_large_as_their_pitch_says() -> None:
-    each = reader(sensor("uskin"), 0, "cpu", 18)
+    each = sensor_reader(sensor("uskin"), 0, "cpu", 18)
     assert each.readout.mm_per_px == pytest.approx(4.7 / 128)

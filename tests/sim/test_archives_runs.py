@@ -25,7 +25,7 @@ from support.simulated_archives import SKINS, UNITS, digests, make, own_grid, so
 from benchmarks.sim.pictures.states import draw_sheet
 from recorder import MarkerArchive, check
 from recorder.processes import WorkerLost
-from sim.dataset import DatasetPlan, OpenArchive, Unit, begin, fill, found
+from sim.dataset import DatasetPlan, OpenArchive, Unit, begin, fill, reopened
 from sim.dataset.plan import UNIT_PRESSES, units
 from sim.dataset.run import make_here, make_in_processes
 from sim.layer.batch import simulate_layers
@@ -117,7 +117,7 @@ def test_ctrl_c_keeps_what_is_written_and_exits_with_130(
     reported = capsys.readouterr()
     assert "images in" not in reported.out
     assert "interrupted; written files are kept; to continue: tactile sim archive" in reported.err
-    assert len(found(path).missing()) < len(units(SKINS_OF_THE_COMMAND))
+    assert len(reopened(path).missing()) < len(units(SKINS_OF_THE_COMMAND))
 
 
 @pytest.mark.slow
@@ -284,7 +284,7 @@ def test_ctrl_c_between_processes_ends_with_130(tmp_path: Path) -> None:
     assert process.returncode == 130, reported
     assert "Traceback" not in reported[1]
     assert "to continue: tactile sim archive" in reported[1]
-    assert found(path).plan == SKINS_OF_THE_COMMAND
+    assert reopened(path).plan == SKINS_OF_THE_COMMAND
     resumed = subprocess.run(
         [sys.executable, "-m", "tactile", "sim", "archive", str(path)],
         cwd=ROOT,

@@ -18,7 +18,7 @@ from sim.sensors import (
     Mount,
     Placement,
     Segmentation,
-    Segmenter,
+    SegmentationErrors,
 )
 from sim.sensors.pins import tip_coverage
 from sim.sensors.variation import generator, softened
@@ -122,12 +122,14 @@ def test_softening_is_the_gaussian_of_a_pixel_as_closely_as_five_weights_can_be(
 
 def test_segmentation_of_nothing_gives_the_plain_masks() -> None:
     grey = discs()
-    np.testing.assert_array_equal(Segmenter(Segmentation(), 0, "a").seen(grey), grey >= 128)
+    np.testing.assert_array_equal(
+        SegmentationErrors(Segmentation(), 0, "a").masks(grey), grey >= 128
+    )
 
 
 def test_a_vanishing_jitter_changes_next_to_nothing() -> None:
     grey = discs()
-    seen = Segmenter(Segmentation(jitter_px=1e-6), 0, "a").seen(grey)
+    seen = SegmentationErrors(Segmentation(jitter_px=1e-6), 0, "a").masks(grey)
     assert (seen != (grey >= 128)).mean() < 0.02 * (grey >= 128).mean()
 
 
@@ -138,7 +140,9 @@ def test_edges_waver_by_the_stated_deviation() -> None:
     edge = 320 + 20 * rows / 480
     fraction = np.clip(edge[:, None] + 0.5 - np.arange(640), 0, 1)
     grey = np.rint(255 * np.broadcast_to(fraction, (60, 480, 640))).astype(np.uint8)
-    seen = Segmenter(Segmentation(jitter_px=jitter, correlation_px=4.0), 0, "a").seen(grey)
+    seen = SegmentationErrors(Segmentation(jitter_px=jitter, correlation_px=4.0), 0, "a").masks(
+        grey
+    )
     moved = seen.sum(axis=2) - (edge + 0.5)
     # Counting whole pixels adds the variance of a uniform distribution over one of them.
     assert moved.var() == pytest.approx(jitter**2 + 1 / 12, rel=0.08)
@@ -150,7 +154,7 @@ def test_jitter_hangs_together_along_an_edge() -> None:
         grey = np.zeros((4, 480, 640), np.uint8)
         grey[:, :, :320] = 255
         errors = Segmentation(jitter_px=1.0, correlation_px=correlation)
-        width = Segmenter(errors, 0, "a").seen(grey).sum(axis=2)
+        width = SegmentationErrors(errors, 0, "a").masks(grey).sum(axis=2)
         return int((np.diff(width, axis=1) != 0).sum())
 
     assert flips(20.0) < 0.5 * flips(4.0)
@@ -159,7 +163,7 @@ def test_jitter_hangs_together_along_an_edge() -> None:
 def test_the_stated_share_of_markers_is_missed_whole() -> None:
     grey = discs(100)
     plain = grey >= 128
-    seen = Segmenter(Segmentation(missing=0.05), 0, "a").seen(grey)
+    seen = SegmentationErrors(Segmentation(missing=0.05), 0, "a").masks(grey)
     assert not (seen & ~plain).any()
     fraction = 1 - seen.sum() / plain.sum()
     assert fraction == pytest.approx(0.05, abs=4 * math.sqrt(0.05 * 0.95 / 4800))
@@ -170,7 +174,7 @@ def test_the_stated_share_of_markers_is_missed_whole() -> None:
 def test_only_markers_that_reach_into_the_rim_are_lost_there() -> None:
     grey = discs(20)
     plain = grey >= 128
-    seen = Segmenter(Segmentation(rim_px=60.0, rim_missing=1.0), 0, "a").seen(grey)
+    seen = SegmentationErrors(Segmentation(rim_px=60.0, rim_missing=1.0), 0, "a").masks(grey)
     inside = np.zeros((480, 640), bool)
     inside[100:-100, 100:-100] = True
     np.testing.assert_array_equal(seen[:, inside], plain[:, inside])
@@ -181,9 +185,11 @@ def test_only_markers_that_reach_into_the_rim_are_lost_there() -> None:
 def test_a_frame_has_the_same_errors_in_any_batch_and_others_in_another_session() -> None:
     grey = discs(6)
     errors = Segmentation(jitter_px=0.5, missing=0.02)
-    whole = Segmenter(errors, 0, "a").seen(grey)
-    np.testing.assert_array_equal(Segmenter(errors, 0, "a").seen(grey[4:], first=4), whole[4:])
-    assert (Segmenter(errors, 0, "b").seen(grey) != whole).any()
+    whole = SegmentationErrors(errors, 0, "a").masks(grey)
+    np.testing.assert_array_equal(
+        SegmentationErrors(errors, 0, "a").masks(grey[4:], first=4), whole[4:]
+    )
+    assert (SegmentationErrors(errors, 0, "b").masks(grey) != whole).any()
 
 
 @pytest.mark.parametrize(
@@ -206,4 +212,4 @@ def test_lives_that_mean_nothing_are_refused(make: object, message: str) -> None
 
 def test_what_is_no_grey_image_is_refused() -> None:
     with pytest.raises(SceneError, match=r"coverage: bool of shape"):
-        Segmenter(Segmentation(), 0).seen(np.zeros((1, 480, 640), bool))  # type: ignore[arg-type]
+        SegmentationErrors(Segmentation(), 0).masks(np.zeros((1, 480, 640), bool))  # type: ignore[arg-type]

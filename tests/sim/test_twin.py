@@ -562,7 +562,7 @@ def test_presses_without_a_rest_are_refused(
 
 @pytest.mark.slow
 def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> None:
-    from sim.dataset import found
+    from sim.dataset import reopened
 
     twin, out = tmp_path / "mine.yaml", tmp_path / "drawn.markers.zarr"
     twin.write_text(twin_yaml(fit.sensor, "gelsight.yaml", ["a.zarr"]))
@@ -577,7 +577,7 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
     ]
     words += ["--tier", "layer", "--scale", "smoke", "--out", str(out), "--processes", "1"]
     assert main(words) == 0
-    drawn = found(out).plan.sensors
+    drawn = reopened(out).plan.sensors
     assert [each.name for each in drawn] == ["mine-000", "mine-001"]
     assert drawn[0].body.modulus != drawn[1].body.modulus
     spread = fit.spreads["modulus"]

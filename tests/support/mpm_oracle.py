@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from sim import Scene
 from sim.mpm import Mpm
-from sim.mpm.lattice import Lattice, Pace, build_lattice, pace_of
+from sim.mpm.lattice import Pace, ParticleLattice, build_lattice, pace_of
 from sim.mpm.state import FIXED_POINT, ParticleState
 
 Array = NDArray[np.float64]
 
 
-def state_of(scenes: Sequence[Scene], numerics: Mpm) -> tuple[ParticleState, Lattice, list[Pace]]:
+def state_of(
+    scenes: Sequence[Scene], numerics: Mpm
+) -> tuple[ParticleState, ParticleLattice, list[Pace]]:
     """Return a batch before its first step."""
     lattice = build_lattice(scenes, numerics)
     paces = [pace_of(scene, numerics, lattice.cell) for scene in scenes]
@@ -53,7 +55,12 @@ def kirchhoff(gradient: Array, shear: float, bulk: float) -> Array:
 
 
 def move(
-    lattice: Lattice, velocity: Array, shift: Array, gradient: Array, shear: float, bulk: float
+    lattice: ParticleLattice,
+    velocity: Array,
+    shift: Array,
+    gradient: Array,
+    shear: float,
+    bulk: float,
 ) -> tuple[Array, Array, Array]:
     """Return displacement, its gradient and sums at nodes (X, Y, Z, 4) after a step of particles.
 

@@ -139,7 +139,7 @@ def pictures(
     """
     assert isinstance(sensor.signal, CameraSignal)
     renderer = Renderer(sensor.body, reader.camera, device=device)
-    seen = reader.seen(top)
+    seen = reader.visible(top)
     view = renderer.see(seen.x, seen.y, seen.displacement)
     material = view.material()
     coverage = view.coverage(renderer.textures(sensor.signal.drawn()))[:, 0] / 255.0
