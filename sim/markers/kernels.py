@@ -44,7 +44,7 @@ def lens_of(camera: Camera) -> Lens:
 
 
 @wp.func
-def seen(lens: Lens, place: wp.vec3):
+def projected(lens: Lens, place: wp.vec3):
     """Return column and row of a place [m] in the image, and its nearness: distance over depth.
 
     The nearness is 1 where the gel's axis meets the undeformed top, larger nearer to the camera,
@@ -438,7 +438,7 @@ def _kernel():
     ):
         frame, i, j = wp.tid()
         moved = moved_by(surface, frame, taps, i, j)
-        vertex_out[frame, i, j] = seen(lens, wp.vec3(x[i], y[j], height[i, j]) + moved)
+        vertex_out[frame, i, j] = projected(lens, wp.vec3(x[i], y[j], height[i, j]) + moved)
 
     return vertices
 
@@ -465,7 +465,7 @@ def see_vertices(
 # The material point at pixel p of the image without contact moves to p + d(p).
 
 
-def seen_places(lattice: Lattice, camera: Camera, body: Body) -> tuple[np.ndarray, np.ndarray]:
+def lattice_points(lattice: Lattice, camera: Camera, body: Body) -> tuple[np.ndarray, np.ndarray]:
     """Return x, y and height (n, 3) [m] of the material points on a lattice, and a mask (R, C).
 
     The mask is True for lattice pixels on the gel; others have no point.
@@ -494,8 +494,8 @@ def _displacement_kernel():
     ):
         frame, k = wp.tid()
         moved = moved_by(surface, frame, taps, k, k)
-        before = seen(lens, place[k])
-        after = seen(lens, place[k] + moved)
+        before = projected(lens, place[k])
+        after = projected(lens, place[k] + moved)
         displacement_out[frame, k] = wp.vec2(after[0] - before[0], after[1] - before[1])
 
     return displacement

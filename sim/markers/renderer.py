@@ -18,11 +18,11 @@ from sim.markers.kernels import (
     coverages,
     displacements,
     find_material,
+    lattice_points,
     lens_of,
     packed_masks,
     see_triangles,
     see_vertices,
-    seen_places,
 )
 from sim.markers.pattern import Pattern
 from sim.markers.textures import Textures
@@ -48,11 +48,11 @@ class View:
 
         NaN where there is no gel.
         """
-        seen = self._material.numpy()
+        material = self._material.numpy()
         if self._body.footprint == "rectangle":
-            return seen
-        on_gel = self._body.covers(seen[..., 0], seen[..., 1])
-        return np.where(on_gel[..., None], seen, np.float32(np.nan))
+            return material
+        on_gel = self._body.covers(material[..., 0], material[..., 1])
+        return np.where(on_gel[..., None], material, np.float32(np.nan))
 
     def packed(self, textures: Textures) -> NDArray[np.uint8]:
         """Return masks of every frame and pattern as packed bits (F, P, 38400)."""
@@ -148,7 +148,7 @@ class Renderer:
             the image without contact shows no gel.
         """
         lattice = Lattice()
-        places, on_gel = seen_places(lattice, self.camera, self.body)
+        places, on_gel = lattice_points(lattice, self.camera, self.body)
         taps = _taps(x, y, places[:, 0], places[:, 1])
         moved = self._checked(x, y, surface)
         field = np.full((len(surface), *lattice.shape), np.nan, np.float16)

@@ -123,12 +123,12 @@ class SurfaceField:
             ]
         )
         moved = np.empty_like(even.displacement)
-        for frame, seen in zip(even.displacement, moved, strict=True):
+        for frame, output in zip(even.displacement, moved, strict=True):
             for component in range(3):
                 map_coordinates(
                     frame[..., component],
                     places,
-                    output=seen[..., component],
+                    output=output[..., component],
                     order=3,
                     mode="nearest",
                 )

@@ -81,8 +81,8 @@ def tip_coverage(centres: Array, radii: Array, *, width: int, height: int) -> ND
     images = np.zeros((len(centres), height, width), np.uint8)
     for image, places, sizes in zip(images, centres, radii, strict=True):
         near = np.rint(places).astype(np.int64)
-        seen = ((near >= -reach) & (near < np.array([width, height]) + reach)).all(axis=1)
-        near, places, sizes = near[seen], places[seen], sizes[seen]
+        in_image = ((near >= -reach) & (near < np.array([width, height]) + reach)).all(axis=1)
+        near, places, sizes = near[in_image], places[in_image], sizes[in_image]
         column = near[:, 0, None] + step
         row = near[:, 1, None] + step
         distance = np.hypot(

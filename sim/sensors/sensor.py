@@ -106,11 +106,11 @@ class CameraSignal:
         if layout is None:
             return signal
         heights = body.heights_at(*layout.centres.T)
-        seen = self.camera().project(np.column_stack([layout.centres, heights]))
+        pixels = self.camera().project(np.column_stack([layout.centres, heights]))
         moved = replace(
             layout,
             size=layout.size * camera.mm_per_px / self.camera().mm_per_px,
-            places=tuple(map(tuple, camera.places(seen, body).tolist())),
+            places=tuple(map(tuple, camera.places(pixels, body).tolist())),
             angle=math.remainder(layout.angle + self.rotation - camera.rotation, math.tau),
         )
         return replace(signal, layout=moved.within(body))

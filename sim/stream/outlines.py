@@ -62,8 +62,8 @@ class LiveMarkers:
             return self._round(self._tips.displacement(displacement))
         values = displacement.reshape(-1, 3)[self._index]
         moved = np.einsum("nt,ntc->nc", self._weight, values)
-        seen: Array = self._camera.project(self._places + moved)
-        return seen.reshape(len(self._centres), POINTS, 2)
+        pixels: Array = self._camera.project(self._places + moved)
+        return pixels.reshape(len(self._centres), POINTS, 2)
 
     def _round(self, moved: Array) -> Array:
         """Return rims of tips displaced by (n, 3) [m]: rigid and round, larger when nearer."""
@@ -71,8 +71,8 @@ class LiveMarkers:
         # Without the camera's rotation, which leaves a disc unchanged.
         size = self._camera.focal / (self._camera.distance + places[:, 2])
         rims = self._rings * size[:, None, None] * np.array([1.0, -1.0])
-        seen: Array = self._camera.project(places)[:, None] + rims
-        return seen
+        pixels: Array = self._camera.project(places)[:, None] + rims
+        return pixels
 
 
 def _ring(pattern: Pattern) -> Array:
