@@ -71,10 +71,10 @@ class Row:
     @property
     def faults(self) -> tuple[str, ...]:
         """Everything known to be wrong: the status if not complete, drops, findings of a check."""
-        found = [] if self.status == "complete" else [self.status]
-        found += [f"{self.dropped} dropped"] if self.dropped else []
-        found += [code for code in self.findings or () if code not in found]
-        return tuple(found)
+        faults = [] if self.status == "complete" else [self.status]
+        faults += [f"{self.dropped} dropped"] if self.dropped else []
+        faults += [code for code in self.findings or () if code not in faults]
+        return tuple(faults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,8 @@ class Query:
             wanted = getattr(self, name)
             if wanted and getattr(row, name) != wanted:
                 return False
-        known = " ".join((row.path, row.sensor, row.indenter, row.operator, row.plan)).lower()
-        if not all(word in known for word in self.text.lower().split()):
+        row_text = " ".join((row.path, row.sensor, row.indenter, row.operator, row.plan)).lower()
+        if not all(word in row_text for word in self.text.lower().split()):
             return False
         day = row.started_utc[:10]
         if self.since is not None and not day >= self.since.isoformat():
@@ -130,7 +130,7 @@ class Catalogue:
         """Read every session that is new or has changed, and forget those that are gone."""
         before = self._rows
         self._rows = {}
-        for path, stamp in _found(self.folder, ""):
+        for path, stamp in _groups_below(self.folder, ""):
             row = before.get(path)
             self._rows[path] = (
                 row if row and row.stamp == stamp else _read(self.folder, path, stamp)
@@ -182,19 +182,19 @@ def _load(path: Path) -> dict[str, Row]:
         document = json.loads(path.read_text())
         if document["version"] != _VERSION:
             return {}
-        rows = [_row(found) for found in document["rows"]]
+        rows = [_row(row) for row in document["rows"]]
     except (OSError, ValueError, KeyError, TypeError):
         return {}
     return {row.path: row for row in rows}
 
 
-def _row(found: dict[str, Any]) -> Row:
-    if set(found) != {field.name for field in fields(Row)}:
+def _row(stored: dict[str, Any]) -> Row:
+    if set(stored) != {field.name for field in fields(Row)}:
         raise ValueError("unknown columns")
-    findings = found.pop("findings")
-    stamp = tuple(found.pop("stamp"))
-    row = Row(**found, stamp=stamp, findings=None if findings is None else tuple(findings))
-    if any(type(found[name]) is not type(getattr(_ANY, name)) for name in found):
+    findings = stored.pop("findings")
+    stamp = tuple(stored.pop("stamp"))
+    row = Row(**stored, stamp=stamp, findings=None if findings is None else tuple(findings))
+    if any(type(stored[name]) is not type(getattr(_ANY, name)) for name in stored):
         raise ValueError("a column of another type")
     return row
 
@@ -202,7 +202,7 @@ def _row(found: dict[str, Any]) -> Row:
 _ANY = Row("", (0, 0, 0))
 
 
-def _found(folder: Path, inside: str) -> Iterator[tuple[str, tuple[int, int, int]]]:
+def _groups_below(folder: Path, inside: str) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Yield the Zarr groups below a folder with their stamps; groups are not entered."""
     with os.scandir(folder / inside) as entries:
         directories = [entry for entry in entries if entry.is_dir(follow_symlinks=False)]
@@ -212,7 +212,7 @@ def _found(folder: Path, inside: str) -> Iterator[tuple[str, tuple[int, int, int
             yield path, _stamp(os.stat(os.path.join(entry.path, _METADATA)))
         except FileNotFoundError:
             try:
-                yield from _found(folder, path)
+                yield from _groups_below(folder, path)
             except (PermissionError, FileNotFoundError):
                 continue
 

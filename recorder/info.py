@@ -68,7 +68,7 @@ def digests(session: Session, progress: Progress | None = None) -> dict[str, str
 # Text summary of a session or an archive.
 
 _PROGRAMS = ("tactile-rig", "python", "zarr")
-_TOLD = ("sensor", "indenter", "operator", "mock", "started_utc", "profile", "reason")
+_ATTRIBUTES = ("sensor", "indenter", "operator", "mock", "started_utc", "profile", "reason")
 
 
 def describe(path: str | os.PathLike[str]) -> str:
@@ -83,13 +83,13 @@ def describe(path: str | os.PathLike[str]) -> str:
     lines = [f"{session.name}  status {session.status}, {len(session.runs)} run(s)"]
     if session.warning:
         lines.append(f"warning: {session.warning}")
-    told = {key: session.attrs.get(key, "") for key in _TOLD}
-    told["format"] = f"{session.attrs['format']} {session.attrs['format_version']}"
+    facts = {key: session.attrs.get(key, "") for key in _ATTRIBUTES}
+    facts["format"] = f"{session.attrs['format']} {session.attrs['format_version']}"
     software = session.attrs.get("software", {})
-    told["software"] = ", ".join(
+    facts["software"] = ", ".join(
         f"{name} {software[name]}" for name in _PROGRAMS if name in software
     )
-    lines += [f"  {key:12s} {value}" for key, value in told.items() if value != ""]
+    lines += [f"  {key:12s} {value}" for key, value in facts.items() if value != ""]
     lines.append("")
     titles = ("rows", "Hz", "measured", "gap ms", "lost", "MB")
     width = max(12, *(len(name) for name in session.streams)) if session.streams else 12

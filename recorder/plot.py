@@ -62,9 +62,9 @@ def line_plot(
     draw = ImageDraw.Draw(picture)
     draw.rectangle(box, fill=PANEL)
     x_low, x_high = (float(x[0]), float(x[-1])) if len(x) else (0.0, 1.0)
-    known = np.concatenate([np.zeros(1), *(c.values[np.isfinite(c.values)] for c in curves)])
-    margin = 0.08 * float(np.ptp(known)) or 0.5
-    y_low, y_high = float(known.min()) - margin, float(known.max()) + margin
+    finite = np.concatenate([np.zeros(1), *(c.values[np.isfinite(c.values)] for c in curves)])
+    margin = 0.08 * float(np.ptp(finite)) or 0.5
+    y_low, y_high = float(finite.min()) - margin, float(finite.max()) + margin
 
     def to_x(value: Floats | float) -> Floats:
         return box[0] + (np.asarray(value) - x_low) / max(x_high - x_low, 1e-9) * (box[2] - box[0])

@@ -69,10 +69,10 @@ class Workers:
         self, call: Callable[Given, Answer], *args: Given.args, **kwargs: Given.kwargs
     ) -> Future[Answer]:
         """Schedule a call on the next free process."""
-        kept_off = contextlib.nullcontext() if self._patient else _interrupts_kept_off()
+        signals = contextlib.nullcontext() if self._patient else _interrupts_blocked()
         own = "OMP_NUM_THREADS" in os.environ
         threads = {} if own else {"OMP_NUM_THREADS": self._threads}
-        with environment(**threads), kept_off:
+        with environment(**threads), signals:
             return self._executor.submit(call, *args, **kwargs)
 
     def __enter__(self) -> Self:
@@ -161,7 +161,7 @@ def environment(**values: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _interrupts_kept_off() -> Iterator[None]:
+def _interrupts_blocked() -> Iterator[None]:
     """Keep Ctrl-C from processes and threads started inside; their creator must stop them.
 
     They inherit the signal mask set here; a Ctrl-C in the meantime is delivered at the end.

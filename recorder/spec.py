@@ -126,11 +126,11 @@ class Traits:
             ("clock", (traits.clock,), CLOCKS),
             ("stamp", (traits.stamp,), tuple(STAMPS)),
         )
-        for key, values, known in allowed:
+        for key, values, choices in allowed:
             for value in values:
-                if value not in known:
+                if value not in choices:
                     raise SessionError(
-                        f"{name}: found {key} {value!r:.80}; known: {', '.join(known)}"
+                        f"{name}: found {key} {value!r:.80}; known: {', '.join(choices)}"
                     )
         if not re.fullmatch("[a-z][a-z0-9_]{0,39}", traits.kind):
             raise SessionError(f"{name}: found kind {traits.kind!r:.80}, expected a word in a-z_")
@@ -173,8 +173,8 @@ class Column:
     def __post_init__(self) -> None:
         """Reject columns that the format cannot hold."""
         if self.dtype not in _DTYPES:
-            known = ", ".join(_DTYPES)
-            raise SessionError(f"{self.name}: found dtype {self.dtype}, known: {known}")
+            dtypes = ", ".join(_DTYPES)
+            raise SessionError(f"{self.name}: found dtype {self.dtype}, known: {dtypes}")
         if self.dims and len(self.dims) != len(self.shape):
             raise SessionError(f"{self.name}: found dims {self.dims} for shape {self.shape}")
         if self.codec not in ("zstd", "jpeg"):

@@ -141,11 +141,11 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
         else read_compensation(options.compensation),
     )
     with ItemProgress("frames", sys.stderr) as progress:
-        made = import_published(folder, options.out, choices=choices, progress=progress)
+        frames = import_published(folder, options.out, choices=choices, progress=progress)
     for line in summary(options.out):
         print(line)
     for name, sensor in MarkerArchive(options.out).items():
         if "found by the markers" in (position := str(sensor.attrs.get("position"))):
             print(f"{name}: {position}; --turn {name}=DEG decides otherwise")
-    print(f"{options.out}: {made:,} frames read")
+    print(f"{options.out}: {frames:,} frames read")
     return 0

@@ -136,20 +136,20 @@ def _grouped(lines: Sequence[str]) -> list[str]:
 
 def _stated(options: argparse.Namespace) -> list[tuple[As, str, Path]]:
     """Return kind, stream and path of the files whose kind is stated."""
-    found: list[tuple[As, str, Path]] = []
+    files: list[tuple[As, str, Path]] = []
     for kind in _FILES:
-        seen: set[str] = set()
+        names: set[str] = set()
         for text in getattr(options, kind):
             name, equals, value = text.partition("=")
             if not equals or not _NAME.fullmatch(name):
                 name, value = "", text
-            if name in seen:
+            if name in names:
                 raise SessionError(
                     f"--{kind}: found {name or value!r} twice; name them: --{kind} NAME=..."
                 )
-            seen.add(name)
-            found.append((kind, name, Path(value)))
-    return found
+            names.add(name)
+            files.append((kind, name, Path(value)))
+    return files
 
 
 def _drafts(
@@ -160,8 +160,8 @@ def _drafts(
     if options.like is not None:
         imported = Session(options.like).attrs.get("imported", {})
         answers = Answers.from_json(imported.get("answers"), str(options.like))
-    given = {each.name: getattr(options, each.name, None) for each in fields(Answers)}
-    answers = answers.with_values({name: each for name, each in given.items() if each is not None})
+    values = {each.name: getattr(options, each.name, None) for each in fields(Answers)}
+    answers = answers.with_values({name: each for name, each in values.items() if each is not None})
     _require_rates(answers, stated, options.paths)
     while True:
         try:
@@ -169,7 +169,7 @@ def _drafts(
         except MissingAnswer as missing:
             if not sys.stdin.isatty() or options.yes:
                 raise
-            answers = _asked(answers, missing)
+            answers = _with_typed_answer(answers, missing)
 
 
 def _require_rates(
@@ -194,7 +194,7 @@ def _require_rates(
                 )
 
 
-def _asked(answers: Answers, missing: MissingAnswer) -> Answers:
+def _with_typed_answer(answers: Answers, missing: MissingAnswer) -> Answers:
     """Return the answers with one more, typed at the terminal."""
     print(missing, file=sys.stderr)
     text = input(f"{option_flag(missing.option)}: ").strip()

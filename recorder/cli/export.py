@@ -15,8 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     add_session(parser, remote=True)
     parser.add_argument("destination", type=Path, help="file or folder to make; must not exist")
-    known = "; ".join(f"{name}: {row.content}" for name, row in FORMATS.items())
-    parser.add_argument("--to", choices=FORMATS, required=True, help=known)
+    formats = "; ".join(f"{name}: {row.content}" for name, row in FORMATS.items())
+    parser.add_argument("--to", choices=FORMATS, required=True, help=formats)
     parser.add_argument(
         "--images",
         choices=("stored", "pixels"),

@@ -93,7 +93,7 @@ def _checked(catalogue: Catalogue, rows: list[Row]) -> list[Row]:
     from recorder.errors import SessionError
     from recorder.findings import faults
 
-    found = []
+    checked = []
     for row in rows:
         if row.findings is None and row.status != UNREADABLE:
             try:
@@ -103,8 +103,8 @@ def _checked(catalogue: Catalogue, rows: list[Row]) -> list[Row]:
                 codes = {"metadata"}
             row = catalogue.record_check(row, codes)
             catalogue.save()
-        found.append(row)
-    return found
+        checked.append(row)
+    return checked
 
 
 def _table(rows: list[Row]) -> list[str]:

@@ -43,6 +43,6 @@ def extra_of(library: str, wanted: str) -> str:
 
     It is `wanted`, the extras of the command between commas, if one of these does.
     """
-    known = LIBRARIES.get(library.partition(".")[0], ())
-    own = [extra for extra in wanted.split(",") if extra in known]
-    return wanted if own else next(iter(known), "")
+    extras = LIBRARIES.get(library.partition(".")[0], ())
+    own = [extra for extra in wanted.split(",") if extra in extras]
+    return wanted if own else next(iter(extras), "")

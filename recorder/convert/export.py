@@ -153,8 +153,8 @@ def export(
     opened = source if isinstance(source, Session) else _opened(source)
     of_archive = isinstance(opened, MarkerArchive)
     if of_archive and not FORMATS[to].of_archives:
-        known = ", ".join(name for name, row in FORMATS.items() if row.of_archives)
-        raise SessionError(f"{source}: {to} is not for a marker archive; allowed: {known}")
+        formats = ", ".join(name for name, row in FORMATS.items() if row.of_archives)
+        raise SessionError(f"{source}: {to} is not for a marker archive; allowed: {formats}")
     write: Callable[[Any, Path, Options, Progress], Iterable[str] | None]
     module = FORMATS[to].module
     try:

@@ -51,10 +51,10 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
     folders = _folders(session)
     if not {"camera", "taxels"} & {session.streams[name].traits.kind for name in folders}:
         raise SessionError(f"{session.name}: has neither camera nor taxels")
-    known, phase, missing = _known(session, folders), session.frames["phase"], 0
+    complete, phase, missing = _complete(session, folders), session.frames["phase"], 0
     presses = []
     for press in need_presses(session, valid_only=options.valid_only):
-        rows = press.rows[known[press.rows]]
+        rows = press.rows[complete[press.rows]]
         missing += len(press.rows) - len(rows)
         # The scripts read four folders per point.
         if len(np.unique(phase[rows])) == len(PHASES):
@@ -86,26 +86,26 @@ def write(session: Session, path: Path, options: Options, progress: Progress) ->
 
 def _folders(session: Session) -> dict[str, str]:
     """Return the folder of each stream: that of its kind, with its name if it is not the first."""
-    found = {}
+    folders = {}
     for name, column in session.columns.items():
         kind = session.streams[name].traits.kind
         if kind in _FOLDERS and column in session.frames:
             first = name == session.first(kind)
-            found[name] = _FOLDERS[kind] if first else f"{_FOLDERS[kind]}_{file_name(name)}"
-    return found
+            folders[name] = _FOLDERS[kind] if first else f"{_FOLDERS[kind]}_{file_name(name)}"
+    return folders
 
 
-def _known(session: Session, streams: Iterable[str]) -> NDArray[np.bool_]:
+def _complete(session: Session, streams: Iterable[str]) -> NDArray[np.bool_]:
     """True for frames (n,) in which every stream has a value; axes may be declared unmeasured."""
-    known = np.ones(len(session.frames["t_ns"]), bool)
+    complete = np.ones(len(session.frames["t_ns"]), bool)
     for name in streams:
         values, kind = session.frames[session.columns[name]], session.streams[name].traits.kind
         if kind == "camera":
-            known &= values >= 0
+            complete &= values >= 0
             continue
         unknown = np.isnan(values.reshape(len(values), int(np.prod(values.shape[1:]))))
-        known &= ~(unknown.any(axis=1) if kind == "taxels" else unknown.all(axis=1))
-    return known
+        complete &= ~(unknown.any(axis=1) if kind == "taxels" else unknown.all(axis=1))
+    return complete
 
 
 def _write_rows(session: Session, name: str, folder: Path, rows: Array) -> None:
@@ -139,9 +139,9 @@ def _reference(session: Session, name: str, folder: Path) -> None:
     """Write ref.jpg, the first image without contact, or ref.npy, the counts without contact."""
     stream = session.streams[name]
     if stream.traits.kind == "camera":
-        known = session.reference[session.columns[name]]
-        known = known[known >= 0]
-        row = int(known[0]) if len(known) else 0
+        rows = session.reference[session.columns[name]]
+        rows = rows[rows >= 0]
+        row = int(rows[0]) if len(rows) else 0
         folder.mkdir(parents=True)
         (folder / "ref.jpg").write_bytes(next(_jpegs(stream, [row])))
     elif stream.traits.kind == "taxels":
@@ -153,8 +153,8 @@ def _resting(session: Session, name: str) -> Array:
     """Return the counts without contact (taxels, 3): the first reference, else the first frame."""
     column = session.columns[name]
     counts = session.reference[column]
-    known = np.flatnonzero(np.isfinite(counts.reshape(len(counts), -1)).all(axis=1))
-    resting = counts[known[0]] if known.size else session.frames[column][0]
+    finite = np.flatnonzero(np.isfinite(counts.reshape(len(counts), -1)).all(axis=1))
+    resting = counts[finite[0]] if finite.size else session.frames[column][0]
     return np.asarray(np.rint(resting), np.int64)
 
 
@@ -215,13 +215,13 @@ def write_archive(
     if archive.warning:
         raise SessionError(archive.warning)
     omitted: list[str] = []
-    found = {name: list(_presses(sensor, omitted)) for name, sensor in archive.items()}
-    total = sum(len(rows) for presses in found.values() for rows in presses)
+    presses_of = {name: list(_presses(sensor, omitted)) for name, sensor in archive.items()}
+    total = sum(len(rows) for presses in presses_of.values() for rows in presses)
     if not total:
         raise SessionError(f"{archive.name}: no press has all of {', '.join(PHASES)}")
     done = 0
     axes: Counter[tuple[str, str]] = Counter()
-    for name, presses in found.items():
+    for name, presses in presses_of.items():
         if not presses:
             continue
         sensor, plain = archive[name], file_name(name)
@@ -289,8 +289,8 @@ def _press(
     ends = "".join(f"{place.as_posix()}/{names[number]}\n" for number in last)
     (masks / "last.csv").write_text(ends)
     wrench = table["wrench"][rows]
-    known = np.isfinite(wrench)
-    if known.all():
+    finite = np.isfinite(wrench)
+    if finite.all():
         _write_forces(root / "force" / place, wrench)
     if sensor.attrs.get("depth") != DEPTH_UNKNOWN:
         folder = root / "depth" / place
@@ -298,7 +298,7 @@ def _press(
         depth_mm, loading = table["depth"][rows] * 1e3, np.isin(phase, LOADING)
         _write_numbers(folder / "inc_z.csv", depth_mm[loading])
         _write_numbers(folder / "dec_z.csv", depth_mm[~loading])
-    return " ".join(np.array(AXES)[~known.all(axis=0)]) if known.any() else ""
+    return " ".join(np.array(AXES)[~finite.all(axis=0)]) if finite.any() else ""
 
 
 def _indenter(sensor: ArchivedSensor, rows: Array) -> str:

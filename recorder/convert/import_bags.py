@@ -205,8 +205,8 @@ def _sample(message: Any) -> tuple[As, Any] | None:
             message = getattr(message, inner)
     if hasattr(message, "force") and hasattr(message, "torque"):
         force, torque = _xyz(message.force), _xyz(message.torque)
-        known = force is not None and torque is not None
-        return ("force", np.array([*force, *torque])) if known else None  # type: ignore[misc]
+        complete = force is not None and torque is not None
+        return ("force", np.array([*force, *torque])) if complete else None  # type: ignore[misc]
     if hasattr(message, "position") and hasattr(message, "orientation"):
         turned = message.orientation
         place = _xyz(message.position)
@@ -259,8 +259,8 @@ def _stamp(message: Any) -> int | None:
         ("secs", "nsecs"),
     ):
         if hasattr(stamp, whole) and hasattr(stamp, parts):
-            found = int(getattr(stamp, whole)) * 10**9 + int(getattr(stamp, parts))
-            return found or None
+            stamp_ns = int(getattr(stamp, whole)) * 10**9 + int(getattr(stamp, parts))
+            return stamp_ns or None
     return None
 
 

@@ -79,8 +79,9 @@ def find_takes(
         if kind == "skip":
             left_out.append(f"{path.name}: left out as stated")
             continue
-        known = _is_film(path) or path.suffix.lower() in (".npy", ".npz", ".csv", *LOG_SUFFIXES)
-        if not known or (path.suffix.lower() in LOG_SUFFIXES and not _is_uskin_log(path)):
+        suffix = path.suffix.lower()
+        is_recording = _is_film(path) or suffix in (".npy", ".npz", ".csv", *LOG_SUFFIXES)
+        if not is_recording or (suffix in LOG_SUFFIXES and not _is_uskin_log(path)):
             left_out.append(f"{path.name}: left out, no recording that is known")
             continue
         name = bare_name(_stem(path)) or path.parent.name or "recording"

@@ -139,13 +139,13 @@ _WORDS: dict[str, tuple[str, dict[str, float], str]] = {
 }
 
 
-def parse_unit(text: str, known: dict[str, float], where: str) -> float:
+def parse_unit(text: str, factors: dict[str, float], where: str) -> float:
     """Return the SI factor of a unit; its parts may be separated (`N-mm`, `Nmm`, `N*mm`)."""
     plain = re.sub(r"[\s\-*·.]", "", text)
-    for name, factor in known.items():
+    for name, factor in factors.items():
         if plain == name.replace(" ", ""):
             return factor
-    raise SessionError(f"{where}: found unit {text!r}; allowed: {', '.join(known)}")
+    raise SessionError(f"{where}: found unit {text!r}; allowed: {', '.join(factors)}")
 
 
 def parse_header(
@@ -159,11 +159,11 @@ def parse_header(
             columns.append(None)
         else:
             columns.append(_column(name, answers, f"{where}: column {name!r}"))
-    kept = [column[0] for column in columns if column is not None]
-    twice = sorted({name for name in kept if kept.count(name) > 1})
+    meanings = [column[0] for column in columns if column is not None]
+    twice = sorted({name for name in meanings if meanings.count(name) > 1})
     if twice:
         raise SessionError(f"{where}: column {twice[0]} comes twice")
-    if not set(kept) & {*AXES, "width", *POSE_AXES}:
+    if not set(meanings) & {*AXES, "width", *POSE_AXES}:
         raise SessionError(f"{where}: no force column; known: {', '.join(AXES)}")
     return columns
 

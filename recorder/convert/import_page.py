@@ -79,9 +79,9 @@ def _pictures(draft: Draft) -> tuple[tuple[str, str], ...]:
     film = draft.take.film
     if film is None:
         return ()
-    found = [("without contact", (draft.no_contact[0] + draft.no_contact[1]) // 2)]
-    found += [(f"press {at}", press.peak_ns) for at, press in enumerate(draft.presses[:4], 1)]
-    rows = [int(np.argmin(np.abs(film.t_ns - t_ns))) for _, t_ns in found]
+    moments = [("without contact", (draft.no_contact[0] + draft.no_contact[1]) // 2)]
+    moments += [(f"press {at}", press.peak_ns) for at, press in enumerate(draft.presses[:4], 1)]
+    rows = [int(np.argmin(np.abs(film.t_ns - t_ns))) for _, t_ns in moments]
     shown: dict[int, str] = {}
     for row, image in enumerate(film.load()):
         if row in rows:
@@ -90,7 +90,7 @@ def _pictures(draft: Draft) -> tuple[tuple[str, str], ...]:
             shown[row] = _png(picture.convert("RGB").resize((240, 180)))
         if row >= max(rows):
             break
-    return tuple((caption, shown[row]) for (caption, _), row in zip(found, rows, strict=True))
+    return tuple((caption, shown[row]) for (caption, _), row in zip(moments, rows, strict=True))
 
 
 def _png(picture: Image.Image) -> str:

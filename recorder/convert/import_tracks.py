@@ -66,8 +66,8 @@ class MissingAnswer(SessionError):
     """
 
     def __init__(self, option: str, message: str, choices: Sequence[str] = ()) -> None:
-        known = f" ({' or '.join(choices)})" if choices else ""
-        super().__init__(f"{message}; say {option_flag(option)}{known}")
+        allowed = f" ({' or '.join(choices)})" if choices else ""
+        super().__init__(f"{message}; say {option_flag(option)}{allowed}")
         self.option, self.choices = option, tuple(choices)
 
 
@@ -188,11 +188,11 @@ class Answers:
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return the answers with others in place of some; lists become tuples."""
-        given: dict[str, Any] = {
+        changes: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in values.items()
         }
-        return replace(self, **given)
+        return replace(self, **changes)
 
 
 def _rate(flag: str, text: str) -> float:
@@ -338,18 +338,18 @@ def bare_name(stem: str) -> str:
 
 def named(tracks: Sequence[Track]) -> tuple[Track, ...]:
     """Return the tracks with names of streams that differ; the first of a kind has the kind's."""
-    kept: list[Track] = []
-    seen: set[str] = set()
+    renamed: list[Track] = []
+    names: set[str] = set()
     for track in tracks:
         name = track.stream or default_stream(track.kind)
-        if name in seen:
+        if name in names:
             name = re.sub("[^A-Za-z0-9_]+", "_", bare_stream(track.source)).strip("_") or name
         number, unique = 2, name
-        while unique in seen:
+        while unique in names:
             unique, number = f"{name}_{number}", number + 1
-        seen.add(unique)
-        kept.append(replace(track, stream=unique))
-    return tuple(kept)
+        names.add(unique)
+        renamed.append(replace(track, stream=unique))
+    return tuple(renamed)
 
 
 def bare_stream(source: str) -> str:

@@ -149,13 +149,13 @@ def _header(jpeg: bytes, where: str) -> tuple[bool, int]:
 def _standard_tables() -> bytes:
     """Return the default tables (ITU-T T.81, Annex K.3) for a file without any."""
     sample = images.encode_jpeg(np.zeros((16, 16, 3), np.uint8), 90)
-    at, found = 2, b""
+    at, tables = 2, b""
     while sample[at + 1] != _SOS:
         length = 2 + int(struct.unpack_from(">H", sample, at + 2)[0])
         if sample[at + 1] == _DHT:
-            found += sample[at : at + length]
+            tables += sample[at : at + length]
         at += length
-    return found
+    return tables
 
 
 _DECODED = "decoded and stored as pixels, losslessly"
@@ -176,11 +176,11 @@ def open_film(path: Path, fps: float | None, *, stills: bool = False) -> Film:
     motion = read_avi(path)
     if motion is None:
         return _decoded(path, fps)
-    return _jpegs(path.name, motion.frames, fps or motion.rate_hz, message=fps is not None)
+    return _jpegs(path.name, motion.frames, fps or motion.rate_hz, by_option=fps is not None)
 
 
-def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, message: bool) -> Film:
-    assumed = [f"{name}: {rate_hz:g} images/s by {'--fps' if message else 'its header'}"]
+def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, by_option: bool) -> Film:
+    assumed = [f"{name}: {rate_hz:g} images/s by {'--fps' if by_option else 'its header'}"]
     places = [place for place, frame in enumerate(frames) if frame]
     if not places:
         raise SessionError(f"{name}: no image in any of its {len(frames)} frames")
@@ -188,18 +188,18 @@ def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, message: bool) -> 
         assumed.append(
             f"{name}: {len(frames) - len(places)} dropped frames, left out in their time"
         )
-    kept: list[bytes] = []
+    jpegs: list[bytes] = []
     mended = 0
     for place in places:
         jpeg, changed = whole_jpeg(frames[place], f"{name}: frame {place}")
-        kept.append(jpeg)
+        jpegs.append(jpeg)
         mended += changed
     if mended:
         assumed.append(f"{name}: standard Huffman tables put into {mended} images that had none")
     shape = _same_size(
-        [_jpeg_size(jpeg, f"{name}: frame {k}") for k, jpeg in enumerate(kept)], name
+        [_jpeg_size(jpeg, f"{name}: frame {k}") for k, jpeg in enumerate(jpegs)], name
     )
-    return Film("jpeg", shape, rate_hz, every(places, rate_hz), lambda: iter(kept), assumed)
+    return Film("jpeg", shape, rate_hz, every(places, rate_hz), lambda: iter(jpegs), assumed)
 
 
 def _folder(path: Path, fps: float | None, stills: bool) -> Film:
@@ -216,7 +216,7 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
         )
     rate_hz = 1.0 if stills or fps is None else fps
     if all(file.suffix.lower() in _JPEG_SUFFIXES for file in files):
-        film = _jpegs(path.name, [file.read_bytes() for file in files], rate_hz, message=True)
+        film = _jpegs(path.name, [file.read_bytes() for file in files], rate_hz, by_option=True)
         film.assumed.append(f"{path.name}: in order of the names, {files[0].name} first")
     else:
         shape = _same_size([size_of_picture(file.name, file) for file in files], path.name)
@@ -236,8 +236,8 @@ def _folder(path: Path, fps: float | None, stills: bool) -> Film:
         )
     if not stills:
         return film
-    told = f"{path.name}: single pictures without times, numbered one second apart"
-    return replace(film, assumed=[told, film.assumed[-1]], names=[file.name for file in files])
+    numbering = f"{path.name}: single pictures without times, numbered one second apart"
+    return replace(film, assumed=[numbering, film.assumed[-1]], names=[file.name for file in files])
 
 
 def _decoded(path: Path, fps: float | None) -> Film:
@@ -266,7 +266,7 @@ def _decoded(path: Path, fps: float | None) -> Film:
         raise SessionError(f"{path.name}: OpenCV finds no video in it")
     if count < declared:
         raise SessionError(f"{path.name}: cut short: {count} of {declared} images can be decoded")
-    times, rate_hz, told = _stamped(path.name, np.array(seconds), nominal, fps)
+    times, rate_hz, timing = _stamped(path.name, np.array(seconds), nominal, fps)
 
     def load() -> Iterator[Any]:
         again = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
@@ -281,7 +281,7 @@ def _decoded(path: Path, fps: float | None) -> Film:
         finally:
             again.release()
 
-    assumed = [told, f"{path.name}: {_DECODED}"]
+    assumed = [timing, f"{path.name}: {_DECODED}"]
     return Film("zstd", (size[0], size[1]), rate_hz, times, load, assumed)
 
 
@@ -301,8 +301,8 @@ def _stamped(
         middle = float(np.median(steps))
         if float(np.abs(steps - middle).max()) > _UNEVEN * middle:
             times = np.round(1e9 * (seconds - seconds[0])).astype(np.int64)
-            told = f"{name}: times by its own stamps, steps {1e3 * steps.min():.1f} to "
-            return times, 1.0 / middle, f"{told}{1e3 * steps.max():.1f} ms"
+            message = f"{name}: times by its own stamps, steps {1e3 * steps.min():.1f} to "
+            return times, 1.0 / middle, f"{message}{1e3 * steps.max():.1f} ms"
         # Evenly spaced stamps are rounded in the file; the header's rate is exact.
         if abs(nominal * middle - 1) < 0.01:
             return (
@@ -333,8 +333,8 @@ def film_of_pictures(
     """
     if len(set(sizes)) > 1:
         raise SessionError(f"{source}: found images of {sorted(set(sizes))}")
-    kept = about[1] if jpeg else _DECODED
-    assumed = [f"{source}: {about[0]}, {kept}"]
+    coding = about[1] if jpeg else _DECODED
+    assumed = [f"{source}: {about[0]}, {coding}"]
     return Film("jpeg" if jpeg else "zstd", sizes[0], rate_of(t_ns), t_ns, load, assumed)
 
 

@@ -177,24 +177,24 @@ def feature_names(session: Session) -> dict[str, str]:
 
     The first of a kind has LeRobot's name; all others are named after their stream.
     """
-    found = {}
+    names = {}
     for name, column in session.columns.items():
         if column in session.frames:
             image = session.streams[name].layout.image is not None
             own = f"observation.images.{name}" if image else f"observation.{name}"
-            found[name] = _NAMES.get(column, own)
-    return found
+            names[name] = _NAMES.get(column, own)
+    return names
 
 
 def features_of(session: Session) -> dict[str, Feature]:
     """Return the features of a session, in the order of their columns."""
-    found: dict[str, Feature] = {}
+    features: dict[str, Feature] = {}
     named = feature_names(session)
     for name in sorted(named, key=lambda name: [*_NAMES.values(), named[name]].index(named[name])):
-        found[named[name]] = _feature(session.streams[name])
-    if _NAMES["pose"] in found:
-        found["action"] = Feature("float32", (6,), _POSE)
-    found |= {
+        features[named[name]] = _feature(session.streams[name])
+    if _NAMES["pose"] in features:
+        features["action"] = Feature("float32", (6,), _POSE)
+    features |= {
         "depth": Feature("float32"),
         "phase": Feature("int64"),
         "target": Feature("int64"),
@@ -209,7 +209,7 @@ def features_of(session: Session) -> dict[str, Feature]:
         "index": Feature("int64"),
         "task_index": Feature("int64"),
     }
-    return found
+    return features
 
 
 def _feature(stream: Stream) -> Feature:
@@ -523,10 +523,10 @@ def _kind(name: str, feature: dict[str, Any]) -> As | None:
     if feature.get("dtype") in ("image", "video"):
         return "video"
     shape = (1, *feature.get("shape", ()))
-    found = kind_of_array(shape, name)
-    if found == "taxels" and int(np.prod(shape)) != 48:
+    kind = kind_of_array(shape, name)
+    if kind == "taxels" and int(np.prod(shape)) != 48:
         return None
-    return found
+    return kind
 
 
 def _film(

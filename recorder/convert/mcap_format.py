@@ -45,16 +45,16 @@ TOPICS: Mapping[str, str] = {
 
 def topics(session: Session) -> dict[str, str]:
     """Return the topic of each stream, in the session's order."""
-    found: dict[str, str] = {}
+    topic_of: dict[str, str] = {}
     for name in session.order:
         kind = session.streams[name].traits.kind
         topic = TOPICS.get(kind) if session.first(kind) == name else None
-        found[name] = topic or f"/{name}"
-    taken = [*found.values(), "/tf", "/segments", "/reference"]
-    for name, topic in found.items():
-        if taken.count(topic) > 1:
+        topic_of[name] = topic or f"/{name}"
+    names = [*topic_of.values(), "/tf", "/segments", "/reference"]
+    for name, topic in topic_of.items():
+        if names.count(topic) > 1:
             raise SessionError(f"{session.name}: stream {name}: {topic} is the name of a topic")
-    return found
+    return topic_of
 
 
 _TIME = {
@@ -315,7 +315,7 @@ def _documents(stream: Stream, rows: range, publish: list[int]) -> Iterator[_Con
 def _events(session: Session) -> Iterator[Message]:
     """Yield one message per phase at its start, and one per no-contact reference, in order."""
     segments, reference, targets = session.segments, session.reference, session.targets
-    found = []
+    messages = []
     begins = utc_of_rows(session, "segments", segments["start_ns"])
     ends = utc_of_rows(session, "segments", segments["end_ns"])
     for row, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
@@ -334,15 +334,15 @@ def _events(session: Session) -> Iterator[Message]:
             for name, values in targets.items()
             if target < len(values)
         }
-        found.append(Message("/segments", begin, begin, row, _packed(document)))
-    taken = utc_of_rows(session, "reference", reference["t_ns"]).tolist()
-    for row, moment in enumerate(taken):
+        messages.append(Message("/segments", begin, begin, row, _packed(document)))
+    reference_ns = utc_of_rows(session, "reference", reference["t_ns"]).tolist()
+    for row, moment in enumerate(reference_ns):
         document = {"timestamp": _stamp(moment)}
         document |= {
             name: values[row].tolist() for name, values in reference.items() if name != "t_ns"
         }
-        found.append(Message("/reference", moment, moment, row, _packed(document)))
-    return iter(sorted(found, key=lambda message: message.log_ns))
+        messages.append(Message("/reference", moment, moment, row, _packed(document)))
+    return iter(sorted(messages, key=lambda message: message.log_ns))
 
 
 def _attach(writer: Writer, session: Session) -> None:

@@ -192,14 +192,14 @@ def _loaded(kind: str) -> Device:
     """Return the device of an entry point."""
     point = _entry_points()[kind]
     try:
-        found = point.load()
+        loaded = point.load()
     except Exception as error:
         raise ConfigError(
             f"kind: {kind}: {point.value} cannot be imported: {type(error).__name__}: {error}"
         ) from error
-    if not isinstance(found, Device) or found.kind != kind:
+    if not isinstance(loaded, Device) or loaded.kind != kind:
         raise ConfigError(
-            f"kind: {kind}: {point.value} is {found!r}; allowed: a Device whose settings have KIND "
-            f"{kind!r}"
+            f"kind: {kind}: {point.value} is {loaded!r}; allowed: a Device whose settings have "
+            f"KIND {kind!r}"
         )
-    return found
+    return loaded

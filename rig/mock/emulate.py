@@ -47,11 +47,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("name", metavar="NAME", help=", ".join(EMULATORS))
-    given = parser.add_mutually_exclusive_group()
-    given.add_argument(
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
         "document", nargs="?", default="{}", metavar="JSON", help="the settings (none)"
     )
-    given.add_argument("--file", type=Path, help="file that holds them")
+    source.add_argument("--file", type=Path, help="file that holds them")
     parser.add_argument(
         "--until-stdin-closes", action="store_true", help="exit when the parent process does"
     )
@@ -68,9 +68,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(document, str):
             document = READER.parse(document, where)
         settings = READER.build(kind, document, where)
-        found = getattr(getattr(settings, "device", None), "KIND", options.name)
-        if found != options.name:
-            raise ConfigError(f"{where}.device.kind: found {found!r}; allowed: {options.name}")
+        device_kind = getattr(getattr(settings, "device", None), "KIND", options.name)
+        if device_kind != options.name:
+            raise ConfigError(
+                f"{where}.device.kind: found {device_kind!r}; allowed: {options.name}"
+            )
         served = emulate(settings, SystemClock())
     except (OSError, ValueError) as error:
         parser.error(str(error))

@@ -40,7 +40,7 @@ _REST, _REST_MOST = 0.1, 1.0
 # An image is at rest if the tip has been clear for this long: cameras are late [s].
 _IMAGE_REST = 0.1
 # Time over which places of the tip are kept [s].
-_KEPT = 10.0
+_HISTORY = 10.0
 # A spike deviates from the median of this many samples by this many of their deviations, and by
 # more than a force that counts as contact; not looked for in gauges slower than this [Hz].
 _WINDOW, _DEVIATIONS, _SLOWEST_HZ = 11, 8.0, 50.0
@@ -143,9 +143,9 @@ class _Tip:
         self._t_ns = np.concatenate([self._t_ns, t_ns])
         self._free = np.concatenate([self._free, free])
         self._outside = np.concatenate([self._outside, outside])
-        kept = slice(np.searchsorted(self._t_ns, t_ns[-1] - round(_KEPT * SECOND_NS)), None)
-        self._t_ns, self._free = self._t_ns[kept], self._free[kept]
-        self._outside = self._outside[kept]
+        recent = slice(np.searchsorted(self._t_ns, t_ns[-1] - round(_HISTORY * SECOND_NS)), None)
+        self._t_ns, self._free = self._t_ns[recent], self._free[recent]
+        self._outside = self._outside[recent]
 
     def free(self, t_ns: Array) -> Array:
         """Return True at the times (n,) [ns] before and after which the tip was clear."""
@@ -159,8 +159,8 @@ class _Tip:
         """Return True at the times (n,) [ns] at which the tip has been clear for a while."""
         first = self._before(t_ns - round(_IMAGE_REST * SECOND_NS))
         touched = np.concatenate([[0], np.cumsum(~self._free)])
-        is_kept = t_ns - round(_IMAGE_REST * SECOND_NS) >= self._t_ns[0]
-        return np.asarray(is_kept & (touched[self._after(t_ns) + 1] == touched[first]))
+        in_history = t_ns - round(_IMAGE_REST * SECOND_NS) >= self._t_ns[0]
+        return np.asarray(in_history & (touched[self._after(t_ns) + 1] == touched[first]))
 
     def _before(self, t_ns: Array) -> Array:
         return np.maximum(np.searchsorted(self._t_ns, t_ns, side="right") - 1, 0)

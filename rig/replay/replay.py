@@ -323,31 +323,31 @@ class EndOfTape:
         self._changed_ns: dict[str, int] = {}
 
     def reached(
-        self, now_ns: int, taken: Mapping[str, int], positions: Mapping[str, np.void | None]
+        self, now_ns: int, arrived: Mapping[str, int], positions: Mapping[str, np.void | None]
     ) -> bool:
-        """Return True if all rows of all streams have been taken.
+        """Return True if all rows of all streams have arrived.
 
-        `taken` are the rows taken by each stream's process, `positions` the POSITION of each
+        `arrived` are the rows received by each stream's process, `positions` the POSITION of each
         emulator.
         """
         for name, total in self._totals.items():
-            if taken[name] > total:
-                raise DeviceLost(f"{name}: {taken[name] - total} rows more than were sent")
-        if all(taken[name] == total for name, total in self._totals.items()):
+            if arrived[name] > total:
+                raise DeviceLost(f"{name}: {arrived[name] - total} rows more than were sent")
+        if all(arrived[name] == total for name, total in self._totals.items()):
             return True
         moving = False
         for name in self._totals:
             position = positions[name]
             sent = 0 if position is None else int(position["sent"])
-            if self._seen.get(name) != (sent, taken[name]) or name not in self._changed_ns:
-                self._seen[name] = (sent, taken[name])
+            if self._seen.get(name) != (sent, arrived[name]) or name not in self._changed_ns:
+                self._seen[name] = (sent, arrived[name])
                 self._changed_ns[name] = now_ns
                 moving = True
         for name, total in self._totals.items():
             position = positions[name]
             still = (now_ns - self._changed_ns[name]) / SECOND_NS
             ended = position is not None and position["state"] == ENDED
-            missing = total - taken[name]
+            missing = total - arrived[name]
             if missing and ended and still > MISSING_TIMEOUT:
                 raise DeviceLost(
                     f"{name}: {missing} of {total} rows are missing {still:.0f} s after its "
@@ -355,7 +355,7 @@ class EndOfTape:
                 )
         stalled = (now_ns - max(self._changed_ns.values())) / SECOND_NS
         if not moving and stalled > STALL_TIMEOUT + self._gap:
-            left = {name: total - taken[name] for name, total in self._totals.items()}
+            left = {name: total - arrived[name] for name, total in self._totals.items()}
             raise DeviceLost(f"replay: no progress for {stalled:.0f} s; rows missing: {left}")
         return False
 
@@ -490,13 +490,15 @@ class ReplayedRun:
             for handle in self._handles.values():
                 handle.check()
             players.check()
-            taken = {name: record.count - self._base[name] for name, record in self._latest.items()}
+            arrived = {
+                name: record.count - self._base[name] for name, record in self._latest.items()
+            }
             now_ns = self._clock.now_ns()
-            if end.reached(now_ns, taken, players.positions()):
+            if end.reached(now_ns, arrived, players.positions()):
                 return
             if now_ns - said_ns >= _SAY_NS:
                 said_ns = now_ns
-                self._say(taken, (now_ns - start_ns) / SECOND_NS)
+                self._say(arrived, (now_ns - start_ns) / SECOND_NS)
             self._clock.sleep_until(now_ns + _LOOK_NS)
 
     def _settle(self) -> None:
@@ -518,11 +520,11 @@ class ReplayedRun:
                 handle.check()
             self._clock.sleep_until(now_ns + _LOOK_NS)
 
-    def _say(self, taken: dict[str, int], seconds: float) -> None:
+    def _say(self, arrived: dict[str, int], seconds: float) -> None:
         total = sum(self.totals.values())
-        done = sum(taken.values()) / total if total else 1.0
+        done = sum(arrived.values()) / total if total else 1.0
         left = seconds * (1 - done) / done if done > 0 else self.seconds
-        rows = "  ".join(f"{name} {taken[name]}/{self.totals[name]}" for name in self._names)
+        rows = "  ".join(f"{name} {arrived[name]}/{self.totals[name]}" for name in self._names)
         logger.info("replay %3.0f %%  %s  %s left", 100 * done, rows, duration(left))
 
     def _started(self) -> Players:

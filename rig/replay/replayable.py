@@ -93,10 +93,12 @@ def replayable(
     """
     if session.warning is not None:
         raise SessionError(session.warning)
-    known = ", ".join(session.streams)
+    stream_names = ", ".join(session.streams)
     for name in without:
         if name not in session.streams:
-            raise SessionError(f"{session.path}: no stream {name!r} to leave out; known: {known}")
+            raise SessionError(
+                f"{session.path}: no stream {name!r} to leave out; known: {stream_names}"
+            )
     kinds = {name: stream.traits.kind for name, stream in session.streams.items()}
     names = tuple(
         name for kind in PLAYED_BY for name in session.of_kind(kind) if name not in without
@@ -107,7 +109,7 @@ def replayable(
             f"{session.path}: no emulator plays {sorted(unknown)}; leave them out: --without NAME"
         )
     if not names:
-        raise SessionError(f"{session.path}: no stream to replay; it has: {known}")
+        raise SessionError(f"{session.path}: no stream to replay; it has: {stream_names}")
     for name in names:
         stream = session.streams[name]
         if not len(stream):
@@ -128,7 +130,7 @@ def _rises(numbers: Ints) -> npt.NDArray[np.bool_]:
 
 
 def _refuse(name: str, rows: slice, bad: npt.NDArray[Any], what: str) -> None:
-    found = np.flatnonzero(bad)
-    if found.size:
-        row = (rows.start or 0) + int(found[0])
-        raise SessionError(f"streams/{name}: row {row}: {what} ({found.size} such rows)")
+    bad_rows = np.flatnonzero(bad)
+    if bad_rows.size:
+        row = (rows.start or 0) + int(bad_rows[0])
+        raise SessionError(f"streams/{name}: row {row}: {what} ({bad_rows.size} such rows)")

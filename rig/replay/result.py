@@ -41,8 +41,8 @@ class Retiming:
             return since + self.start_ns
         # Differences from the first: float64 holds those to the nanosecond, not times since boot.
         first, first_new = self.recorded_ns[0], self.replayed_ns[0]
-        known = np.maximum.accumulate(self.recorded_ns) - first
-        mapped = np.interp(t_ns - first, known, self.replayed_ns - first_new)
+        recorded = np.maximum.accumulate(self.recorded_ns) - first
+        mapped = np.interp(t_ns - first, recorded, self.replayed_ns - first_new)
         return np.asarray(np.rint(mapped).astype(np.int64) + first_new)
 
 

@@ -156,13 +156,13 @@ class V4l2Driver(CameraDriver):
                 f"{c.address}: fourcc: found {c.fourcc!r}; allowed: {', '.join((_JPEG, *_RAW))}"
             )
         width, height, fourcc = node.set_format(c.width, c.height, c.fourcc)
-        for name, asked, got in (
+        for name, requested, got in (
             ("fourcc", c.fourcc, fourcc),
             ("width", c.width, width),
             ("height", c.height, height),
         ):
-            if asked != got:
-                raise self._refused(name, asked, got)
+            if requested != got:
+                raise self._refused(name, requested, got)
         rate_hz = self._set("rate_hz", c.rate_hz, node.set_rate)
         if c.exposure is not None:
             units = round(c.exposure / EXPOSURE_UNIT)
@@ -172,21 +172,21 @@ class V4l2Driver(CameraDriver):
             self._control(node, "gain", GAIN, round(c.gain))
         return rate_hz
 
-    def _control(self, node: Node, name: str, number: int, asked: int) -> None:
-        self._set(name, asked, lambda value: node.set_control(number, round(value)))
+    def _control(self, node: Node, name: str, number: int, requested: int) -> None:
+        self._set(name, requested, lambda value: node.set_control(number, round(value)))
 
-    def _set(self, name: str, asked: float, apply: Callable[[float], float]) -> float:
+    def _set(self, name: str, requested: float, apply: Callable[[float], float]) -> float:
         try:
-            got = apply(asked)
+            got = apply(requested)
         except OSError as error:
-            raise self._refused(name, f"{asked:g}", f"error: {error.strerror}") from error
-        if abs(got - asked) > 0.01 * abs(asked):
-            raise self._refused(name, f"{asked:g}", f"{got:g}")
+            raise self._refused(name, f"{requested:g}", f"error: {error.strerror}") from error
+        if abs(got - requested) > 0.01 * abs(requested):
+            raise self._refused(name, f"{requested:g}", f"{got:g}")
         return float(got)
 
-    def _refused(self, name: str, asked: object, got: object) -> ConfigError:
+    def _refused(self, name: str, requested: object, got: object) -> ConfigError:
         return ConfigError(
-            f"{self._where}: {name}: asked {asked}, got {got}; "
+            f"{self._where}: {name}: asked {requested}, got {got}; "
             "allowed: values the camera offers (v4l2-ctl --list-formats-ext, --list-ctrls)"
         )
 
@@ -306,10 +306,10 @@ class OpenCvDriver(CameraDriver):
                 f"address: {self._config.address!r}; allowed: /dev/videoN, N, http://..."
             )
         for name in ("exposure", "gain"):
-            asked = getattr(self._config, name)
-            if asked is not None:
+            value = getattr(self._config, name)
+            if value is not None:
                 raise ConfigError(
-                    f"{self._where}: {name}: asked {asked}, got nothing; a network "
+                    f"{self._where}: {name}: asked {value}, got nothing; a network "
                     "camera is set on its own server; allowed: null"
                 )
 

@@ -70,13 +70,13 @@ def is_whole(jpeg: bytes) -> bool:
         if not jpeg.endswith(EOI):
             return False
     try:
-        found = list(segments(jpeg))
+        parts = list(segments(jpeg))
         jpeg_size(jpeg)
     except ValueError:
         return False
-    if not any(marker in _BASELINE for marker, _, _ in found):
+    if not any(marker in _BASELINE for marker, _, _ in parts):
         return True
-    _, at, content = found[-1]
+    _, at, content = parts[-1]
     coded = jpeg[at + 4 + len(content) : -len(EOI)]
     return _UNCODED.search(coded) is None
 

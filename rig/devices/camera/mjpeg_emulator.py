@@ -416,7 +416,7 @@ def emulate(settings: MjpegEmulatorConfig, clock: Clock) -> Served:
         hold = round(_STILL * settings.device.rate_hz) if settings.motion == "still" else 1
         source = looped(settings.source, hold=hold)
     else:
-        found = "both" if settings.view else "neither"
-        raise ConfigError(f"view, source: found {found}; allowed: one of them")
+        named = "both" if settings.view else "neither"
+        raise ConfigError(f"view, source: found {named}; allowed: one of them")
     emulator = MjpegEmulator(settings, source, world, clock)
     return Served("camera", emulator, emulator.apply, CAMERA_PRIORITY)

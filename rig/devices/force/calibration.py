@@ -51,13 +51,13 @@ class TransducerCalibration:
 
     def wrench(self, volts: npt.ArrayLike) -> Array:
         """Return the wrench (..., 6) [N, N m] in the transducer's frame at volts (..., 6)."""
-        found: Array = np.asarray(volts, np.float64) @ self.matrix.T
-        return found
+        wrench: Array = np.asarray(volts, np.float64) @ self.matrix.T
+        return wrench
 
     def volts(self, wrench: npt.ArrayLike) -> Array:
         """Return the gauge voltages (..., 6) [V] of a wrench (..., 6) [N, N m], unclipped."""
-        found: Array = np.asarray(wrench, np.float64) @ np.linalg.inv(self.matrix).T
-        return found
+        volts: Array = np.asarray(wrench, np.float64) @ np.linalg.inv(self.matrix).T
+        return volts
 
     def saturated(self, volts: npt.ArrayLike, fraction: float = 0.999) -> npt.NDArray[np.bool_]:
         """Return True where any gauge of volts (..., 6) is saturated, so the wrench is wrong.
@@ -225,11 +225,11 @@ def _root(content: bytes, where: str) -> ET.Element:
 
 def _rows(element: ET.Element, where: str) -> dict[str, tuple[list[float], float]]:
     """Return the values and rated range of each axis, in the file's units."""
-    found: dict[str, tuple[list[float], float]] = {}
+    axes: dict[str, tuple[list[float], float]] = {}
     for row in element.findall("UserAxis"):
         name = _attribute(row, "Name", f"{where}.UserAxis")
         place = f"{where}.UserAxis[{name}]"
-        if name not in AXES or name in found:
+        if name not in AXES or name in axes:
             raise ConfigError(f"{place}: found {name!r}; allowed: each of {', '.join(AXES)} once")
         words = _attribute(row, "values", place).split()
         if len(words) != 6:
@@ -238,10 +238,10 @@ def _rows(element: ET.Element, where: str) -> dict[str, tuple[list[float], float
         most = _number(_attribute(row, "max", place), f"{place}.max")
         if most <= 0:
             raise ConfigError(f"{place}.max: found {most:g}; allowed: above 0")
-        found[name] = values, most
-    if missing := [axis for axis in AXES if axis not in found]:
+        axes[name] = values, most
+    if missing := [axis for axis in AXES if axis not in axes]:
         raise ConfigError(f"{where}.UserAxis: missing {missing}; allowed: {', '.join(AXES)}")
-    return found
+    return axes
 
 
 def _unit(element: ET.Element, name: str, table: dict[str, float], where: str) -> float:

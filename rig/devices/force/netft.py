@@ -260,9 +260,9 @@ class NetFtDriver(ReceivingDriver):
                 f"{self._config.host}: the box reports 0x{page.runstat:08x}: "
                 f"{status_text(page.runstat)}; check the transducer's cable, then power-cycle"
             )
-        asked = round(self._config.rate_hz)
-        if page.rate_hz != asked:
-            self._get(f"comm.cgi?comrdtrate={asked}", deadline_ns)
+        requested_hz = round(self._config.rate_hz)
+        if page.rate_hz != requested_hz:
+            self._get(f"comm.cgi?comrdtrate={requested_hz}", deadline_ns)
             page = self._read_page(deadline_ns)
         if abs(page.rate_hz - self._config.rate_hz) > 0.01 * self._config.rate_hz:
             raise ConfigError(

@@ -174,19 +174,19 @@ def parse_page(content: bytes) -> Page:
         root = ET.fromstring(content)
     except ET.ParseError as error:
         raise ValueError(f"not XML: {error}") from error
-    found = {tag: (root.findtext(f".//{tag}") or "").strip() for tag in _TAGS}
-    missing = [tag for tag, text in found.items() if not text and tag not in _OPTIONAL]
+    texts = {tag: (root.findtext(f".//{tag}") or "").strip() for tag in _TAGS}
+    missing = [tag for tag, text in texts.items() if not text and tag not in _OPTIONAL]
     if missing:
         raise ValueError(f"missing {missing}")
     return Page(
-        product=found["prodname"],
-        serial=found["calsn"],
-        runstat=int(found["runstat"], 16),
-        counts_per_force=float(found["cfgcpf"]),
-        counts_per_torque=float(found["cfgcpt"]),
-        force_unit=found["scfgfu"],
-        torque_unit=found["scfgtu"],
-        rate_hz=int(found["comrdtrate"]),
+        product=texts["prodname"],
+        serial=texts["calsn"],
+        runstat=int(texts["runstat"], 16),
+        counts_per_force=float(texts["cfgcpf"]),
+        counts_per_torque=float(texts["cfgcpt"]),
+        force_unit=texts["scfgfu"],
+        torque_unit=texts["scfgtu"],
+        rate_hz=int(texts["comrdtrate"]),
     )
 
 
@@ -194,7 +194,7 @@ def status_text(status: int) -> str:
     """Return the meaning of a status word's bits as text; "ok" when none is set."""
     status &= 0xFFFFFFFF
     texts = [text for bit, text in _STATUS_BITS.items() if status >> bit & 1]
-    known = sum(1 << bit for bit in _STATUS_BITS) | 1 << 31
-    if status & ~known:
-        texts.append(f"unknown bits 0x{status & ~known:08x}")
+    documented = sum(1 << bit for bit in _STATUS_BITS) | 1 << 31
+    if status & ~documented:
+        texts.append(f"unknown bits 0x{status & ~documented:08x}")
     return "; ".join(texts) or ("unspecified error" if status else "ok")

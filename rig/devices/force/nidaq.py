@@ -319,7 +319,7 @@ class NidaqDriver(ReceivingDriver):
 
 
 def _problem(
-    asked_hz: float,
+    requested_hz: float,
     rate_hz: float,
     volts_range: tuple[float, float],
     channels: list[tuple[str, float, float, TerminalConfiguration]],
@@ -337,8 +337,8 @@ def _problem(
             return f"{name}: asked differential inputs, got {terminals.name}"
     if len(channels) != _GAUGES:
         return f"channels: found {len(channels)}; allowed: {_GAUGES}, one per gauge"
-    if abs(rate_hz - asked_hz) > _RATE_TOLERANCE * asked_hz:
-        return f"rate_hz: asked {asked_hz:g} Hz, got {rate_hz:g} Hz"
+    if abs(rate_hz - requested_hz) > _RATE_TOLERANCE * requested_hz:
+        return f"rate_hz: asked {requested_hz:g} Hz, got {rate_hz:g} Hz"
     return ""
 
 

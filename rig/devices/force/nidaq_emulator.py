@@ -221,10 +221,10 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
             # A task without a sample clock takes one sample per call: software timed.
             rows = self._card.converted(task.channels)
         else:
-            taken = task.take(count, request.timeout)
-            if taken is None:
+            samples = task.take(count, request.timeout)
+            if samples is None:
                 _fail(context, _OVERRUN)
-            rows = taken
+            rows = samples
             status = 0 if len(rows) == count else _NOT_YET
         values = rows.T if (request.fill_mode_raw or request.fill_mode) == _BY_CHANNEL else rows
         array = np.zeros(request.array_size_in_samps)

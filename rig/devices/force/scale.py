@@ -53,10 +53,10 @@ class Reading:
 
 def parse(line: str) -> Reading:
     """Return the reading of a line."""
-    found = _LINE.match(line.strip())
-    if found is None:
+    match = _LINE.match(line.strip())
+    if match is None:
         raise ValueError(f"{line!r} is no reading")
-    sign, digits, unit = found.groups()
+    sign, digits, unit = match.groups()
     if unit and unit not in UNITS:
         raise ValueError(f"unit {unit!r}; known: {', '.join(UNITS)}")
     return Reading(-float(digits) if sign == "-" else float(digits), unit)

@@ -59,30 +59,30 @@ class ScaleEmulator(PtyEmulator):
         pacer = Pacer(self._clock, _FILTER_HZ)
         device = self._config.device
         every = max(round(_FILTER_HZ / device.rate_hz), 1)
-        kept = math.exp(-1 / (_FILTER_HZ * max(self._config.lag, 1e-6)))
+        decay = math.exp(-1 / (_FILTER_HZ * max(self._config.lag, 1e-6)))
         tick = 0
         while not self._ending.is_set():
             pacer.wait()
             self.missed = pacer.missed
             tick += 1
             force = -float(self._world.state()[1]["wrench"][2])
-            self._shown = kept * self._shown + (1 - kept) * force
-            asked = self._asked()
+            self._shown = decay * self._shown + (1 - decay) * force
+            count = self._requested_count()
             if device.protocol == "hx711":
-                asked = int(tick % every == 0)
-            for _ in range(asked):
+                count = int(tick % every == 0)
+            for _ in range(count):
                 for content in self.faults.passed(self._line()):
                     self._send(content)
 
-    def _asked(self) -> int:
+    def _requested_count(self) -> int:
         """Return the number of readings that were requested."""
         if not select.select([self._fd], [], [], 0.0)[0]:
             return 0
         typed = os.read(self._fd, 256)
         if self.faults.unplugged:
             return 0
-        wanted = {"kern": b"w", "sartorius": b"\x1bP"}.get(self._config.device.protocol)
-        return 0 if wanted is None else typed.count(wanted)
+        command = {"kern": b"w", "sartorius": b"\x1bP"}.get(self._config.device.protocol)
+        return 0 if command is None else typed.count(command)
 
     def _line(self) -> bytes:
         device = self._config.device

@@ -118,15 +118,15 @@ class Fingers:
         command, fault = self._command, self._fault
         if fault == SILENT_FAULT:
             self._fault = 0
-        found = self._object()
+        detection = self._object()
         current = 0.0
         if self._state == ACTIVE and command.go:
-            current = _MOVING_CURRENT if found == MOVING else _HOLDING_CURRENT
+            current = _MOVING_CURRENT if detection == MOVING else _HOLDING_CURRENT
         return GripperStatus(
             active=command.activate,
             going=command.go,
             state=self._state,
-            object=found,
+            object=detection,
             fault=fault,
             requested=command.position,
             position=round(self._position),

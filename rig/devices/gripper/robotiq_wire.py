@@ -95,10 +95,10 @@ class GripperStatus:
     def text(self) -> str:
         """Status as text."""
         state = {RESET: "reset", ACTIVATING: "activating", ACTIVE: "active"}
-        found = ("moving", "holds from inside", "holds", "no object")[self.object]
+        detection = ("moving", "holds from inside", "holds", "no object")[self.object]
         fault = f", fault {self.fault}: {fault_text(self.fault)}" if self.fault else ""
         return (
-            f"{state.get(self.state, 'state 2')}, {found}, position {self.position} of 255"
+            f"{state.get(self.state, 'state 2')}, {detection}, position {self.position} of 255"
             f" ({self.current:.2f} A){fault}"
         )
 

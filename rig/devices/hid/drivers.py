@@ -50,7 +50,7 @@ class HidDevice:
     def open(self) -> None:
         """Find and open the device."""
         self.close()
-        self.path = self._device if "/" in self._device else self._found()
+        self.path = self._device if "/" in self._device else self._path_by_ids()
         handle = hidraw.device()
         try:
             handle.open_path(self.path.encode())
@@ -77,21 +77,21 @@ class HidDevice:
     def _where(self) -> str:
         return f"{self._what} at {self._device}"
 
-    def _found(self) -> str:
+    def _path_by_ids(self) -> str:
         vendor, product = (int(part, 16) for part in self._device.split(":"))
         nodes = hidraw.enumerate(vendor, product)
         if not nodes:
-            seen = sorted(
+            ids = sorted(
                 {f"{node['vendor_id']:04x}:{node['product_id']:04x}" for node in hidraw.enumerate()}
             )
             raise DeviceLost(
-                f"{self._where}: not found among {', '.join(seen) or 'no HID devices at all'}; is "
+                f"{self._where}: not found among {', '.join(ids) or 'no HID devices at all'}; is "
                 "it plugged in?"
             )
-        wanted = [
+        matches = [
             node for node in nodes if (node["usage_page"], node["usage"]) == self._usage
         ] or nodes
-        return str(wanted[0]["path"].decode())
+        return str(matches[0]["path"].decode())
 
     def _hint(self) -> str:
         if self.path.endswith(".hidraw"):
@@ -336,7 +336,7 @@ class SpaceMouseDriver(HidDevice):
     def _take(self, report: bytes) -> frozenset[int]:
         """Process a report and return the buttons that it newly shows as pressed."""
         try:
-            found = parse_cap(report)
+            cap = parse_cap(report)
         except ValueError as error:
             self.garbage += 1
             if self.garbage == 1:
@@ -345,13 +345,13 @@ class SpaceMouseDriver(HidDevice):
             self._shift = self._turn = _ZERO
             return frozenset()
         now_ns = self._clock.now_ns()
-        if found.shift is not None:
-            self._shift, self._shift_ns = self._quiet(found.shift), now_ns
-        if found.turn is not None:
-            self._turn, self._turn_ns = self._quiet(found.turn), now_ns
-        if found.buttons is None:
+        if cap.shift is not None:
+            self._shift, self._shift_ns = self._quiet(cap.shift), now_ns
+        if cap.turn is not None:
+            self._turn, self._turn_ns = self._quiet(cap.turn), now_ns
+        if cap.buttons is None:
             return frozenset()
-        pressed, self._held = found.buttons - self._held, found.buttons
+        pressed, self._held = cap.buttons - self._held, cap.buttons
         return pressed
 
     def _quiet(self, axes: Axes) -> Axes:

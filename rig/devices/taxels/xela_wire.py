@@ -60,8 +60,8 @@ def parse(text: str | bytes, sensor: str, taxels: int) -> Scan | None:
         raise ValueError(f"message: {number!r}; expected a count{old}")
     part = message.get(sensor)
     if not isinstance(part, dict):
-        found = [key for key, value in message.items() if isinstance(value, dict)]
-        raise ValueError(f"no sensor {sensor!r}; the server has {found}")
+        sensors = [key for key, value in message.items() if isinstance(value, dict)]
+        raise ValueError(f"no sensor {sensor!r}; the server has {sensors}")
     return Scan(
         message=number,
         device_t=_time(part, message),
@@ -93,7 +93,7 @@ def _values(part: dict[str, Any], taxels: int) -> list[int]:
 
 
 def _time(part: dict[str, Any], message: dict[str, Any]) -> float:
-    for found in (part.get("time"), message.get("time")):
-        if isinstance(found, int | float) and not isinstance(found, bool):
-            return float(found)
+    for seconds in (part.get("time"), message.get("time")):
+        if isinstance(seconds, int | float) and not isinstance(seconds, bool):
+            return float(seconds)
     return float("nan")

@@ -115,7 +115,7 @@ class Between:
     def take(self, press: np.void, t_ns: int, tip: np.ndarray) -> None:
         """Extrapolate this PRESS_STATE from now on; it arrived at `t_ns` with tip (3,) [m]."""
         first = self.press["t_ns"] == 0
-        before = self._foretold(t_ns, tip)
+        before = self._extrapolated(t_ns, tip)
         self.press = press
         now = gone_on(press, t_ns, tip)
         self._offset, self._since_ns = (0 * now if first else before - now), t_ns
@@ -125,7 +125,7 @@ class Between:
 
         The contact never pulls, nor does its drag exceed friction.
         """
-        values = self._foretold(t_ns, tip)
+        values = self._extrapolated(t_ns, tip)
         if tip[2] >= 0 or values[2] > 0:
             values[:6] = 0.0
         drag, most = math.hypot(*values[:2]), -float(self.press["friction"] * values[2])
@@ -133,7 +133,7 @@ class Between:
             values[:2] *= most / drag
         return values
 
-    def _foretold(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
+    def _extrapolated(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
         left = max(0.0, 1 - (t_ns - self._since_ns) / self._fade_ns)
         return gone_on(self.press, t_ns, tip) + left * self._offset
 

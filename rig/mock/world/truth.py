@@ -42,10 +42,10 @@ class Truth:
     def _at(self, name: str, t_ns: np.ndarray) -> np.ndarray:
         # Times are relative to the first: float64 would round nanoseconds since boot.
         origin = self.records["t_ns"][0]
-        known = (self.records["t_ns"] - origin).astype(float)
-        asked = (np.asarray(t_ns) - origin).astype(float)
-        values = self.records[name].reshape(len(known), -1)
-        return np.stack([np.interp(asked, known, column) for column in values.T], axis=-1)
+        logged_ns = (self.records["t_ns"] - origin).astype(float)
+        query_ns = (np.asarray(t_ns) - origin).astype(float)
+        values = self.records[name].reshape(len(logged_ns), -1)
+        return np.stack([np.interp(query_ns, logged_ns, column) for column in values.T], axis=-1)
 
     def wrench(self, t_ns: np.ndarray) -> np.ndarray:
         """Return the wrench (n, 6) at times (n,) [N, N m], linear between the arm's cycles."""
