@@ -97,8 +97,8 @@ class Query:
     def accepts(self, row: Row) -> bool:
         """Return True if a session meets all conditions."""
         for name in ("sensor", "indenter", "plan", "status"):
-            wanted = getattr(self, name)
-            if wanted and getattr(row, name) != wanted:
+            value = getattr(self, name)
+            if value and getattr(row, name) != value:
                 return False
         row_text = " ".join((row.path, row.sensor, row.indenter, row.operator, row.plan)).lower()
         if not all(word in row_text for word in self.text.lower().split()):

@@ -16,7 +16,7 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 from recorder.command_line.errors import CommandError
 
-Given = ParamSpec("Given")
+Parameters = ParamSpec("Parameters")
 Answer = TypeVar("Answer")
 
 
@@ -66,7 +66,10 @@ class Workers:
         """Progress such as `3 of 9 scenes`, printed when a process is lost."""
 
     def submit(
-        self, call: Callable[Given, Answer], *args: Given.args, **kwargs: Given.kwargs
+        self,
+        call: Callable[Parameters, Answer],
+        *args: Parameters.args,
+        **kwargs: Parameters.kwargs,
     ) -> Future[Answer]:
         """Schedule a call on the next free process."""
         signals = contextlib.nullcontext() if self._patient else _interrupts_blocked()

@@ -54,7 +54,7 @@ class Progress:
         # A dumb terminal cannot move its cursor.
         self._terminal = stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown")
         self._begun = clock() if self._starts_at_once else math.inf
-        self._known = self._compiled()
+        self._compiled_before = self._compiled()
         self._said = -math.inf
         self._share = 0.0
         self._origin: tuple[float, float] | None = None
@@ -114,7 +114,7 @@ class Progress:
         """Return the fraction done, the elapsed and the remaining time."""
         if self._origin is not None:
             return f"{100 * self._share:.0f} %, {spent}{self._left()}"
-        if self._compiled() > self._known:
+        if self._compiled() > self._compiled_before:
             return f"compiling kernels, once ... {spent}"
         return spent
 

@@ -352,13 +352,13 @@ class _StrictLoader(yaml.SafeLoader):
     error: type[ValueError]
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[Any] = set()
+        keys: set[Any] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
-            if key in seen:
+            if key in keys:
                 line = key_node.start_mark.line + 1
                 raise self.error(f"{self.name}: line {line}: key {key!r} is written twice")
-            seen.add(key)
+            keys.add(key)
         return super().construct_mapping(node, deep)
 
 

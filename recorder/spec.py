@@ -50,7 +50,7 @@ STAMPS: Mapping[str, float] = {"start": 1.0, "middle": 0.5, "end": 0.0}
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class KindDefaults:
     """Defaults of a kind of stream. A stream of another kind has those of `values`."""
 
     align: str
@@ -69,19 +69,21 @@ class Kind:
     """True if `frames` contain the value minus that of the reference."""
 
 
-KINDS: Mapping[str, Kind] = {
-    "camera": Kind("latest", ("signal",), "image", changes=True, reference="row"),
-    "depth": Kind("latest", ("signal",), changes=True, reference="row"),
-    "taxels": Kind("interpolated", ("signal",), "taxels", changes=True, reference="mean"),
-    "force": Kind(
+KINDS: Mapping[str, KindDefaults] = {
+    "camera": KindDefaults("latest", ("signal",), "image", changes=True, reference="row"),
+    "depth": KindDefaults("latest", ("signal",), changes=True, reference="row"),
+    "taxels": KindDefaults("interpolated", ("signal",), "taxels", changes=True, reference="mean"),
+    "force": KindDefaults(
         "mean", ("label", "guard"), "wrench", 0.02, changes=True, reference="mean", tared=True
     ),
-    "pose": Kind("interpolated", ("label", "guard"), "pose", 0.02),
-    "arm_wrench": Kind("mean", ("guard",), "", 0.02, changes=True, reference="mean", tared=True),
-    "joints": Kind("interpolated", ("label",)),
-    "events": Kind("latest", (), max_age=math.inf),
-    "values": Kind("interpolated", ("label",)),
-    "table": Kind("none", ()),
+    "pose": KindDefaults("interpolated", ("label", "guard"), "pose", 0.02),
+    "arm_wrench": KindDefaults(
+        "mean", ("guard",), "", 0.02, changes=True, reference="mean", tared=True
+    ),
+    "joints": KindDefaults("interpolated", ("label",)),
+    "events": KindDefaults("latest", (), max_age=math.inf),
+    "values": KindDefaults("interpolated", ("label",)),
+    "table": KindDefaults("none", ()),
 }
 
 
@@ -101,7 +103,7 @@ class Traits:
     """One of `STAMPS`: the moment that `device_t` is of, if the clock is `monotonic`."""
 
     @property
-    def defaults(self) -> Kind:
+    def defaults(self) -> KindDefaults:
         """Defaults of the kind."""
         return KINDS.get(self.kind, KINDS["values"])
 
@@ -291,7 +293,7 @@ class StreamSpec:
 
 def check_streams(specs: Iterable[StreamSpec]) -> None:
     """Reject streams that one session cannot hold together."""
-    seen: dict[str, StreamSpec] = {}
+    by_name: dict[str, StreamSpec] = {}
     specs = list(specs)
     for spec in specs:
         if not re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,39}", spec.name):
@@ -299,14 +301,14 @@ def check_streams(specs: Iterable[StreamSpec]) -> None:
                 f"stream {spec.name!r:.80}: allowed as a name: a letter, then letters, digits "
                 "and _, at most 40"
             )
-        if spec.name in seen:
+        if spec.name in by_name:
             raise SessionError(f"stream {spec.name}: found twice; every stream needs its own name")
-        seen[spec.name] = spec
+        by_name[spec.name] = spec
     columns = frame_columns([(spec.name, spec.traits) for spec in specs])
     for name, column in columns.items():
         other = column.removesuffix("_age").removesuffix("_std")
         if column == name and (
-            (name in _OF_FRAMES and name != seen[name].traits.defaults.column)
+            (name in _OF_FRAMES and name != by_name[name].traits.defaults.column)
             or (other != name and other in {*_OF_FRAMES, *columns.values()})
         ):
             raise SessionError(

@@ -12,7 +12,7 @@ from recorder.command_line.options import next_command
 
 FOLDERS = ("benches/lab", "calibrations", "campaigns", "indenters", "sessions")
 # Number of existing entries that an error lists.
-SHOWN = 5
+LISTED_MAX = 5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,8 +30,8 @@ def run(options: argparse.Namespace) -> int:
     if folder.exists() and not folder.is_dir():
         raise CommandError(f"{folder}: a file; allowed: a new or empty folder")
     if folder.exists() and (there := sorted(path.name for path in folder.iterdir())):
-        more = f" and {len(there) - SHOWN} more" if len(there) > SHOWN else ""
-        listed = ", ".join(there[:SHOWN])
+        more = f" and {len(there) - LISTED_MAX} more" if len(there) > LISTED_MAX else ""
+        listed = ", ".join(there[:LISTED_MAX])
         raise CommandError(f"{folder}: holds {listed}{more}; allowed: a new or empty folder")
     lay_out(folder)
     print(f"{folder}: created; README.md describes the folders; next:")

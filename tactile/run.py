@@ -55,12 +55,12 @@ def overview(family: str = "") -> str:
     topic = FAMILIES.get(family)
     if topic:
         lines += ["", f"{topic}:"]
-    shown = {
+    listed = {
         name: each for name, each in COMMANDS.items() if not family or name.startswith(f"{family} ")
     }
-    width = max(map(len, shown))
+    width = max(map(len, listed))
     for title, group in GROUPS.items():
-        rows = [f"  {name:{width}}  {each.help}" for name, each in shown.items() if each in group]
+        rows = [f"  {name:{width}}  {each.help}" for name, each in listed.items() if each in group]
         if rows:
             lines += rows if topic else ["", title, *rows]
     return "\n".join(lines)

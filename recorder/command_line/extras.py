@@ -38,11 +38,11 @@ LIBRARIES = {
 }
 
 
-def extra_of(library: str, wanted: str) -> str:
+def extra_of(library: str, command_extras: str) -> str:
     """Return the extra that installs a library such as `scipy.linalg`; empty for an unknown one.
 
-    It is `wanted`, the extras of the command between commas, if one of these does.
+    It is `command_extras`, those of the command between commas, if one of these does.
     """
     extras = LIBRARIES.get(library.partition(".")[0], ())
-    own = [extra for extra in wanted.split(",") if extra in extras]
-    return wanted if own else next(iter(extras), "")
+    own = [extra for extra in command_extras.split(",") if extra in extras]
+    return command_extras if own else next(iter(extras), "")

@@ -139,8 +139,8 @@ def _messages(path: Path, only: str | None = None) -> Iterator[tuple[str, str, i
         # Older rosbags 2 hold no definitions of their messages.
         store = get_typestore(Stores.ROS2_HUMBLE)
         with AnyReader([folder], default_typestore=store) as reader:
-            wanted = [each for each in reader.connections if only in (None, each.topic)]
-            for connection, t_ns, data in reader.messages(connections=wanted):
+            connections = [each for each in reader.connections if only in (None, each.topic)]
+            for connection, t_ns, data in reader.messages(connections=connections):
                 message = reader.deserialize(data, connection.msgtype)
                 yield connection.topic, connection.msgtype, int(t_ns), message
     except AnyReaderError as error:

@@ -82,15 +82,15 @@ def _pictures(draft: Draft) -> tuple[tuple[str, str], ...]:
     moments = [("without contact", (draft.no_contact[0] + draft.no_contact[1]) // 2)]
     moments += [(f"press {at}", press.peak_ns) for at, press in enumerate(draft.presses[:4], 1)]
     rows = [int(np.argmin(np.abs(film.t_ns - t_ns))) for _, t_ns in moments]
-    shown: dict[int, str] = {}
+    drawn: dict[int, str] = {}
     for row, image in enumerate(film.load()):
         if row in rows:
             picture: Any = Image.open(io.BytesIO(image)) if isinstance(image, bytes) else None
             picture = picture or Image.fromarray(np.asarray(image))
-            shown[row] = _png(picture.convert("RGB").resize((240, 180)))
+            drawn[row] = _png(picture.convert("RGB").resize((240, 180)))
         if row >= max(rows):
             break
-    return tuple((caption, shown[row]) for (caption, _), row in zip(moments, rows, strict=True))
+    return tuple((caption, drawn[row]) for (caption, _), row in zip(moments, rows, strict=True))
 
 
 def _png(picture: Image.Image) -> str:

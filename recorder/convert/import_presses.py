@@ -211,7 +211,7 @@ _CHI2_95 = 3.84
 
 
 @dataclass(frozen=True, slots=True)
-class Lag:
+class SignalLag:
     """Delay of one signal behind another."""
 
     seconds: float
@@ -229,7 +229,7 @@ class Lag:
         )
 
 
-def find_lag(sensed: Trace, force: Trace, where: str) -> Lag:
+def find_lag(sensed: Trace, force: Trace, where: str) -> SignalLag:
     """Return how much later images or taxels show contacts than the force does.
 
     The change of these is compared with the force, shifted; residuals are correlated in time,
@@ -278,4 +278,4 @@ def find_lag(sensed: Trace, force: Trace, where: str) -> Lag:
     low, high = lags[likely[0]] - _LAG_STEP_S, lags[likely[-1]] + _LAG_STEP_S
     if likely[0] == 0 or likely[-1] == len(lags) - 1 or high - low > _WIDEST_S:
         raise refuse(f"every lag from {low:+.2f} to {high:+.2f} s explains them as well")
-    return Lag(float(lags[best]), float(low), float(high), float(correlations[best]))
+    return SignalLag(float(lags[best]), float(low), float(high), float(correlations[best]))

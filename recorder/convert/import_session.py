@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from recorder.convert.export import Progress, building
 from recorder.convert.import_find import find_takes
 from recorder.convert.import_presses import (
-    Lag,
     Press,
     Signal,
+    SignalLag,
     Span,
     Trace,
     find_lag,
@@ -86,7 +86,7 @@ class Draft:
     """Change in which they were found."""
     end_ns: int
     """End of what is written."""
-    lag: Lag | None = None
+    lag: SignalLag | None = None
     """Lag that was found between images or taxels and forces."""
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
@@ -186,7 +186,7 @@ def _force(take: Take) -> Signal | None:
 
 def _on_one_clock(
     take: Take, sensed: Signal | None, answers: Answers
-) -> tuple[Take, Lag | None, list[str]]:
+) -> tuple[Take, SignalLag | None, list[str]]:
     """Return the recording with the lag of another clock taken out, that lag, and messages."""
     clocks = list(dict.fromkeys(track.clock for track in take.tracks))
     forces, force, track = take.first("force"), _force(take), _sensor_track(take)

@@ -267,7 +267,7 @@ class _Dataset:
     episodes: list[dict[str, Any]] = field(default_factory=list)
     frames: int = 0
     file: int = 0
-    held: int = 0  # bytes in the open file
+    file_bytes: int = 0  # bytes in the open file
     writer: pq.ParquetWriter | None = None
 
     def add(self, columns: dict[str, Any], text: str) -> None:
@@ -295,13 +295,13 @@ class _Dataset:
         table = pa.table(
             {name: _arrow(columns[name], kind) for name, kind in self.features.items()}
         )
-        if self.writer is not None and self.held + table.nbytes > _FILE_BYTES:
+        if self.writer is not None and self.file_bytes + table.nbytes > _FILE_BYTES:
             self.close()
-            self.file, self.held = self.file + 1, 0
+            self.file, self.file_bytes = self.file + 1, 0
         if self.writer is None:
             self.writer = pq.ParquetWriter(self._named(_DATA, self.file), self._schema(table))
         self.writer.write_table(table.cast(self._schema(table)))
-        self.held += table.nbytes
+        self.file_bytes += table.nbytes
         chunk, place = divmod(self.file, _CHUNK_FILES)
         self.episodes.append(
             {

@@ -35,7 +35,7 @@ from rig.core.shared_memory import AwaitedRecord
 from rig.monitor.access import AccessPolicy
 from rig.monitor.lab import ADDRESS, LETTERS, Folders, number
 from rig.monitor.page_process import PageProcess
-from rig.monitor.quality import LiveQuality, Quality
+from rig.monitor.quality import LiveQuality, QualityRow
 from rig.monitor.server import SAMPLE_RATE_HZ, Backlog, LiveView
 from trajectories import PressShear, Target, dome_height
 
@@ -49,7 +49,7 @@ MOST_PICTURES, MOST_PLOTS, MOST_ARMS = 6, 4, 4
 Point = tuple[float, float | None, float | None, float | None]
 
 
-class Trace(Backlog[Point]):
+class ForceTrace(Backlog[Point]):
     """Force of one gauge during the last seconds."""
 
     def __init__(self) -> None:
@@ -189,10 +189,10 @@ class CollectionView(LiveView):
         }
         """Newest image of each camera that is shown."""
         self._no_contact: dict[str, np.ndarray] = {}
-        self.traces = {name: Trace() for name in self._gauges}
+        self.traces = {name: ForceTrace() for name in self._gauges}
         """Trace of each gauge that is shown."""
         self._snapshot = Snapshot(outcomes=LETTERS["open"] * len(job.targets))
-        self._quality: list[Quality] = []
+        self._quality: list[QualityRow] = []
         self._log = Backlog[str](_LOG_LINES)
 
     def start(self) -> None:
@@ -364,7 +364,7 @@ class CollectionView(LiveView):
         except Exception as error:
             # A list that no longer changes would look like that of a healthy recording.
             text = f"not judged any more: {type(error).__name__}: {error}"
-            self._quality = [Quality("quality", "fault", text)]
+            self._quality = [QualityRow("quality", "fault", text)]
             raise
 
 

@@ -59,7 +59,7 @@ HIDDEN = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Quality:
+class QualityRow:
     """One row of the page."""
 
     name: str
@@ -243,11 +243,11 @@ class _Gauge:
             self._saturation(t_ns, force)
             self._before = np.concatenate([self._before, force])[1 - _WINDOW :]
 
-    def rows(self) -> Iterator[Quality]:
+    def rows(self) -> Iterator[QualityRow]:
         """Yield the rows of the page."""
         name, allowed = self._name, self._allowed
         if self._rest is None:
-            yield Quality(f"{name} drift", "unknown", "waiting for the tip to be clear")
+            yield QualityRow(f"{name} drift", "unknown", "waiting for the tip to be clear")
         else:
             axis, worst = self._worst(self._rest)
             state: State = "good" if worst <= allowed / 2 else "watch"
@@ -255,19 +255,19 @@ class _Gauge:
             if worst > allowed:
                 state, more = "fault", f" ({axis}): a drift, or something touches the sensor"
             text = f"{worst:.2f} of {allowed:.2f} N{more}"
-            yield Quality(f"{name} drift", state, text)
+            yield QualityRow(f"{name} drift", state, text)
         if not self._samples:
-            yield Quality(name, "unknown", "no sample yet")
+            yield QualityRow(name, "unknown", "no sample yet")
             return
         if not self._anomalies:
-            yield Quality(name, "good", f"no anomaly in {self._samples:,} samples")
+            yield QualityRow(name, "good", f"no anomaly in {self._samples:,} samples")
             return
         texts = [
             f"{count} x {what}, the last at {text}"
             for what, (count, text) in self._anomalies.items()
         ]
         state = "watch" if set(self._anomalies) <= _WATCHED else "fault"
-        yield Quality(name, state, "; ".join(texts))
+        yield QualityRow(name, state, "; ".join(texts))
 
     def _worst(self, force: Array) -> tuple[str, float]:
         axis = int(np.argmax(np.abs(force)))
@@ -337,7 +337,7 @@ class _Gauge:
         self._note("spike", count, int(t_ns[last]), text)
 
 
-class _Taxels:
+class _TaxelDrift:
     """Drift of an array of taxels."""
 
     def __init__(self, bench: Bench, row: BenchStream, streams: Path) -> None:
@@ -359,17 +359,17 @@ class _Taxels:
         if self._first is not None:
             self._largest = max(self._largest, float(np.abs(counts - self._first).max()))
 
-    def rows(self) -> Iterator[Quality]:
+    def rows(self) -> Iterator[QualityRow]:
         """Yield the row of the page."""
         name = f"{self._name} drift"
         if self._drift is None:
-            yield Quality(name, "unknown", "waiting for the tip to be clear")
+            yield QualityRow(name, "unknown", "waiting for the tip to be clear")
             return
         allowed = TAXEL_DRIFT * self._largest
         text = f"{self._drift:.0f} of {allowed:.0f} counts"
         is_good = self._drift <= allowed
         more = "" if is_good else ": its signal without contact is another one now"
-        yield Quality(name, "good" if is_good else "fault", text + more)
+        yield QualityRow(name, "good" if is_good else "fault", text + more)
 
 
 class _Camera:
@@ -388,7 +388,7 @@ class _Camera:
         self._check: MarkerCheck | None = None
         self._turn = 0
         self._looked = self._lost = 0
-        self._markers = Quality("markers", "unknown", "waiting for the reference image")
+        self._markers = QualityRow("markers", "unknown", "waiting for the reference image")
 
     def look(self, tip: _Tip) -> None:
         """Judge one image: the last one at rest if there is a new one, else the newest, in turn."""
@@ -406,19 +406,19 @@ class _Camera:
         try:
             self._judge(row, is_rest=rest.size > 0)
         except ValueError as error:
-            self._markers = Quality("markers", "fault", f"image {row}: {error}")
+            self._markers = QualityRow("markers", "fault", f"image {row}: {error}")
 
-    def rows(self) -> Iterator[Quality]:
+    def rows(self) -> Iterator[QualityRow]:
         """Yield the rows of the page."""
         yield self._markers
         name = f"{self._name} drift"
         if self._drift is None:
-            yield Quality(name, "unknown", "waiting for an image without contact")
+            yield QualityRow(name, "unknown", "waiting for an image without contact")
             return
         is_good = self._drift <= IMAGE_DRIFT
         text = f"{self._drift:.1f} of {IMAGE_DRIFT:.1f} grey levels"
         more = "" if is_good else ": the light, the focus or the gel changed"
-        yield Quality(name, "good" if is_good else "fault", text + more)
+        yield QualityRow(name, "good" if is_good else "fault", text + more)
 
     def _begin(self) -> bool:
         """Take the reference image; return False as long as there is none."""
@@ -437,7 +437,7 @@ class _Camera:
                 tolerance=int(self._segmenter.preset.tolerance),
             )
         except ValueError as error:
-            self._markers = Quality("markers", "unknown", f"not counted: {error}")
+            self._markers = QualityRow("markers", "unknown", f"not counted: {error}")
         return True
 
     def _judge(self, row: int, *, is_rest: bool) -> None:
@@ -455,7 +455,7 @@ class _Camera:
         if not flags:
             past = f"; missing in {self._lost} of {self._looked} images" if self._lost else ""
             text = f"all {expected} are seen{past}"
-            self._markers = Quality("markers", "good", text)
+            self._markers = QualityRow("markers", "good", text)
             return
         flag = flags[0]
         hidden = expected - flag.found
@@ -464,7 +464,7 @@ class _Camera:
         self._lost += 1
         load = "at rest" if is_rest else "in contact"
         text = f"{flag.found} of {expected} seen {load} (image {row}): {flag.reason}"
-        self._markers = Quality("markers", "fault" if is_rest else "watch", text)
+        self._markers = QualityRow("markers", "fault" if is_rest else "watch", text)
 
 
 class LiveQuality:
@@ -477,14 +477,14 @@ class LiveQuality:
     def __init__(self, bench: Bench, session: Path, clearance: float, start_ns: int) -> None:
         streams = session / "streams"
         self._tip = _Tip(bench, streams, clearance)
-        self._parts: list[_Gauge | _Taxels | _Camera] = []
+        self._parts: list[_Gauge | _TaxelDrift | _Camera] = []
         cameras, taxels = bench.of_kind("camera"), bench.of_kind("taxels")
         self._parts += [_Camera(bench, row, session) for row in cameras[:1]]
-        self._parts += [_Taxels(bench, row, streams) for row in taxels[:1]]
+        self._parts += [_TaxelDrift(bench, row, streams) for row in taxels[:1]]
         gauges = bench.of_kind("force")
         self._parts += [_Gauge(bench, row, streams, start_ns) for row in gauges[:_MOST_GAUGES]]
 
-    def look(self) -> list[Quality]:
+    def look(self) -> list[QualityRow]:
         """Judge what was recorded since the last call; return the rows of the page."""
         try:
             self._tip.look()
@@ -492,5 +492,5 @@ class LiveQuality:
                 for part in self._parts:
                     part.look(self._tip)
         except (SessionError, OSError) as error:
-            return [Quality("session", "fault", f"cannot be read: {error}")]
+            return [QualityRow("session", "fault", f"cannot be read: {error}")]
         return [row for part in self._parts for row in part.rows()]

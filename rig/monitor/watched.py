@@ -29,7 +29,7 @@ _UNTOUCHED = 10
 _MOST = 1_000_000
 
 
-class Source(Protocol):
+class SensorDriver(Protocol):
     """Open driver of a sensor."""
 
     @property
@@ -48,7 +48,7 @@ class Watched:
     """Name of the sensor."""
     stream: str
     """Name of its stream."""
-    driver: Source
+    driver: SensorDriver
     """Open driver."""
     no_contact: np.ndarray | None = None
     """Frames known to be without contact; None: the first to arrive must be."""
@@ -69,7 +69,7 @@ class Watched:
 class GaugeBeside:
     """The gauge of a lab bench, read while forces are predicted; zero is its first second."""
 
-    def __init__(self, driver: Source) -> None:
+    def __init__(self, driver: SensorDriver) -> None:
         self._driver = driver
         self._bias: np.ndarray | None = None
         self._first: list[np.ndarray] = []

@@ -319,7 +319,7 @@ class EndOfTape:
     def __init__(self, totals: Mapping[str, int], gap: float) -> None:
         self._totals = dict(totals)
         self._gap = gap
-        self._seen: dict[str, tuple[int, int]] = {}
+        self._progress: dict[str, tuple[int, int]] = {}
         self._changed_ns: dict[str, int] = {}
 
     def reached(
@@ -339,8 +339,8 @@ class EndOfTape:
         for name in self._totals:
             position = positions[name]
             sent = 0 if position is None else int(position["sent"])
-            if self._seen.get(name) != (sent, arrived[name]) or name not in self._changed_ns:
-                self._seen[name] = (sent, arrived[name])
+            if self._progress.get(name) != (sent, arrived[name]) or name not in self._changed_ns:
+                self._progress[name] = (sent, arrived[name])
                 self._changed_ns[name] = now_ns
                 moving = True
         for name, total in self._totals.items():

@@ -14,8 +14,8 @@ from rig.devices.gripper.robotiq_wire import (
     FrameError,
     GripperCommand,
     GripperStatus,
+    ModbusRequest,
     RefusedError,
-    Request,
     emit_command,
     emit_status,
     parse_command,
@@ -23,9 +23,11 @@ from rig.devices.gripper.robotiq_wire import (
 )
 
 words = st.integers(0, 0xFFFF)
-reads = st.builds(Request, st.integers(0, 247), st.sampled_from([3, 4]), words, st.integers(1, 100))
+reads = st.builds(
+    ModbusRequest, st.integers(0, 247), st.sampled_from([3, 4]), words, st.integers(1, 100)
+)
 writes = st.builds(
-    lambda slave, address, values: Request(slave, 16, address, len(values), tuple(values)),
+    lambda slave, address, values: ModbusRequest(slave, 16, address, len(values), tuple(values)),
     st.integers(0, 247),
     words,
     st.lists(words, min_size=1, max_size=20),
@@ -35,13 +37,16 @@ bytes_ = st.integers(0, 255)
 
 def test_closing_is_the_frame_the_manual_prints() -> None:
     command = GripperCommand(go=True, position=255, speed=255, force=255)
-    request = Request(9, robotiq_wire.WRITE, 0x03E8, 3, emit_command(command))
+    request = ModbusRequest(9, robotiq_wire.WRITE, 0x03E8, 3, emit_command(command))
     frame = robotiq_wire.emit_request(request)
     assert frame.hex(" ") == "09 10 03 e8 00 03 06 09 00 00 ff ff ff 42 29"
 
 
 def test_reading_the_status_is_the_frame_the_manual_prints() -> None:
-    assert robotiq_wire.emit_request(Request(9, 3, 0x07D0, 3)).hex(" ") == "09 03 07 d0 00 03 04 0e"
+    assert (
+        robotiq_wire.emit_request(ModbusRequest(9, 3, 0x07D0, 3)).hex(" ")
+        == "09 03 07 d0 00 03 04 0e"
+    )
 
 
 def test_the_status_bytes_of_the_manual_mean_what_it_says() -> None:
@@ -55,14 +60,16 @@ def test_the_status_bytes_of_the_manual_mean_what_it_says() -> None:
 
 
 @given(st.one_of(reads, writes))
-def test_a_request_is_read_back_as_it_was_sent(request_sent: Request) -> None:
+def test_a_request_is_read_back_as_it_was_sent(request_sent: ModbusRequest) -> None:
     frame = robotiq_wire.emit_request(request_sent)
     assert robotiq_wire.request_length(frame[:7]) == len(frame)
     assert robotiq_wire.parse_request(frame) == request_sent
 
 
 @given(reads, st.data())
-def test_a_reply_is_read_back_as_it_was_sent(request_sent: Request, data: st.DataObject) -> None:
+def test_a_reply_is_read_back_as_it_was_sent(
+    request_sent: ModbusRequest, data: st.DataObject
+) -> None:
     values = data.draw(st.lists(words, min_size=request_sent.count, max_size=request_sent.count))
     frame = robotiq_wire.emit_reply(request_sent, values)
     assert len(frame) == robotiq_wire.reply_length(request_sent)
@@ -70,12 +77,14 @@ def test_a_reply_is_read_back_as_it_was_sent(request_sent: Request, data: st.Dat
 
 
 @given(writes)
-def test_the_reply_to_a_write_holds_nothing(request_sent: Request) -> None:
+def test_the_reply_to_a_write_holds_nothing(request_sent: ModbusRequest) -> None:
     assert robotiq_wire.parse_reply(robotiq_wire.emit_reply(request_sent), request_sent) == ()
 
 
 @given(reads, st.data())
-def test_one_flipped_bit_is_always_noticed(request_sent: Request, data: st.DataObject) -> None:
+def test_one_flipped_bit_is_always_noticed(
+    request_sent: ModbusRequest, data: st.DataObject
+) -> None:
     frame = bytearray(robotiq_wire.emit_reply(request_sent, [0] * request_sent.count))
     bit = data.draw(st.integers(0, 8 * len(frame) - 1))
     frame[bit // 8] ^= 1 << bit % 8
@@ -86,23 +95,27 @@ def test_one_flipped_bit_is_always_noticed(request_sent: Request, data: st.DataO
 @given(st.binary(max_size=64))
 def test_garbage_is_no_reply(garbage: bytes) -> None:
     with pytest.raises(FrameError):
-        robotiq_wire.parse_reply(garbage, Request(9, 4, 0x07D0, 3))
+        robotiq_wire.parse_reply(garbage, ModbusRequest(9, 4, 0x07D0, 3))
 
 
 def test_an_answer_to_something_else_is_refused() -> None:
-    asked = Request(9, 4, 0x07D0, 3)
-    for other in (Request(8, 4, 0x07D0, 3), Request(9, 3, 0x07D0, 3), Request(9, 4, 0x07D0, 2)):
+    asked = ModbusRequest(9, 4, 0x07D0, 3)
+    for other in (
+        ModbusRequest(8, 4, 0x07D0, 3),
+        ModbusRequest(9, 3, 0x07D0, 3),
+        ModbusRequest(9, 4, 0x07D0, 2),
+    ):
         with pytest.raises(FrameError):
             robotiq_wire.parse_reply(robotiq_wire.emit_reply(other, [0] * other.count), asked)
-    wrote = Request(9, 16, 0x03E8, 3, (0, 0, 0))
+    wrote = ModbusRequest(9, 16, 0x03E8, 3, (0, 0, 0))
     with pytest.raises(FrameError, match="another write"):
         robotiq_wire.parse_reply(
-            robotiq_wire.emit_reply(Request(9, 16, 0x03E9, 3, (0, 0, 0))), wrote
+            robotiq_wire.emit_reply(ModbusRequest(9, 16, 0x03E9, 3, (0, 0, 0))), wrote
         )
 
 
 def test_a_refusal_says_why() -> None:
-    asked = Request(9, 4, 0x0001, 3)
+    asked = ModbusRequest(9, 4, 0x0001, 3)
     with pytest.raises(RefusedError, match="illegal register address"):
         robotiq_wire.parse_reply(
             robotiq_wire.emit_refusal(asked, robotiq_wire.ILLEGAL_ADDRESS), asked

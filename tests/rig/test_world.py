@@ -16,7 +16,7 @@ from rig.bench.bench import BenchFile, find_bench
 from rig.bench.worlds import AnalyticSpec, Hysteresis, Layer, MarkerView, Punch, Sphere, TaxelField
 from rig.core.packaged import BENCHES
 from rig.mock.world.analytic import AnalyticWorld
-from rig.mock.world.picture import MarkerCamera, Surface
+from rig.mock.world.picture import MarkerCamera, PressedSurface
 from rig.mock.world.truth import Truth, TruthLog
 
 LAYER = Layer(modulus=145e3, thickness=4e-3, poisson=0.45)
@@ -171,9 +171,9 @@ def test_hysteresis_does_not_depend_on_the_step() -> None:
     np.testing.assert_allclose(fine["wrench"][::8], coarse["wrench"], atol=1e-9)
 
 
-def surface(depth: float = 1e-3, shear: tuple[float, float] = (0.0, 0.0)) -> Surface:
+def surface(depth: float = 1e-3, shear: tuple[float, float] = (0.0, 0.0)) -> PressedSurface:
     # The tip has moved to where it dragged the surface.
-    return Surface(centre=shear, depth=depth, radius=3e-3, thickness=4e-3, shear=shear)
+    return PressedSurface(centre=shear, depth=depth, radius=3e-3, thickness=4e-3, shear=shear)
 
 
 VIEW = MarkerView("grid", pitch=1.6e-3, radius=0.26e-3, pixel=0.0249e-3)

@@ -30,7 +30,7 @@ from rig.mock.world.simulated import (
     Between,
     ContactFrame,
     SimulatedView,
-    gone_on,
+    extrapolated,
     live_sensor,
     markers_of,
     note_on,
@@ -128,7 +128,7 @@ def test_a_world_goes_on_along_the_slope_of_the_last_solution() -> None:
     last = press_state(
         t_ns=50 * MS, tip=(0, 0, -1e-3), touching=1, values=values, slope=slope, rate=rate
     )
-    found = gone_on(last, 60 * MS, np.array([1e-4, 0.0, -1.1e-3]))
+    found = extrapolated(last, 60 * MS, np.array([1e-4, 0.0, -1.1e-3]))
     assert found[0] == pytest.approx(0.1)
     assert found[2] == pytest.approx(-2.0 - 0.2 + 0.1)
     assert found[8] == pytest.approx(150.0)
@@ -139,8 +139,8 @@ def test_before_it_touches_the_force_begins_at_the_undeformed_surface() -> None:
     slope = np.zeros((54, 3))
     slope[2, 2] = 2000.0
     last = press_state(tip=(0, 0, 1e-3), slope=slope)
-    assert not gone_on(last, 0, np.array([0.0, 0.0, 0.5e-3])).any()
-    assert gone_on(last, 0, np.array([0.0, 0.0, -1e-4]))[2] == pytest.approx(-0.2)
+    assert not extrapolated(last, 0, np.array([0.0, 0.0, 0.5e-3])).any()
+    assert extrapolated(last, 0, np.array([0.0, 0.0, -1e-4]))[2] == pytest.approx(-0.2)
 
 
 def test_a_contact_never_pulls_and_drags_no_more_than_friction_allows() -> None:

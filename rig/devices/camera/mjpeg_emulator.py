@@ -89,8 +89,8 @@ def looped(path: Path, *, hold: int = 1) -> FrameSource:
     first = next(frames, None)
     if first is None:
         raise ValueError(f"{path}: no images and no video")
-    shown = itertools.chain([first], frames)
-    return lambda state: next(shown)
+    pictures = itertools.chain([first], frames)
+    return lambda state: next(pictures)
 
 
 def letterboxed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -358,7 +358,7 @@ class _Server(DeviceServer):
         self.emulator = emulator
         self._clients: set[socket.socket] = set()
         self._lock = threading.Lock()
-        super().__init__(address, _Handler, emulator.faults)
+        super().__init__(address, _StreamHandler, emulator.faults)
 
     def get_request(self) -> tuple[socket.socket, Any]:
         """Accept a client, with a send buffer that holds few frames."""
@@ -385,7 +385,7 @@ class _Server(DeviceServer):
                     logger.debug("client already gone: %s", error)
 
 
-class _Handler(DeviceHandler):
+class _StreamHandler(DeviceHandler):
     server: _Server
 
     def get(self, url: SplitResult) -> None:

@@ -87,8 +87,8 @@ class Node:
 
     def set_rate(self, rate_hz: float) -> float:
         """Ask for a frame rate; return the one that the camera chose [Hz]."""
-        wanted = (_CAPTURE, 0, 0, 1000, round(1000 * rate_hz))
-        *_, numerator, denominator = self._ioctl(_S_PARM, _PARM, *wanted)
+        settings = (_CAPTURE, 0, 0, 1000, round(1000 * rate_hz))
+        *_, numerator, denominator = self._ioctl(_S_PARM, _PARM, *settings)
         return float(denominator / numerator) if numerator else 0.0
 
     def set_control(self, number: int, value: int) -> int:

@@ -193,9 +193,9 @@ class NetFtEmulator(Emulator):
         self._rdt_sequence = (self._rdt_sequence + 1) & 0xFFFFFFFF
         self._ft_sequence = (self._ft_sequence + stride) & 0xFFFFFFFF
         row = noise[self._ft_sequence % NOISE_ROWS]
-        shown = np.rint(counts - self._bias + row).clip(-(2**31), 2**31 - 1).astype(np.int64)
+        biased = np.rint(counts - self._bias + row).clip(-(2**31), 2**31 - 1).astype(np.int64)
         packet = RECORD.pack(
-            self._rdt_sequence, self._ft_sequence, self.page.runstat, *shown.tolist()
+            self._rdt_sequence, self._ft_sequence, self.page.runstat, *biased.tolist()
         )
         for sent in self.faults.passed(packet):
             # If the client has gone, the box continues to send to nobody.
@@ -235,10 +235,10 @@ class _HttpServer(DeviceServer):
 
     def __init__(self, address: tuple[str, int], emulator: NetFtEmulator) -> None:
         self.emulator = emulator
-        super().__init__(address, _Handler, emulator.faults)
+        super().__init__(address, _PageHandler, emulator.faults)
 
 
-class _Handler(DeviceHandler):
+class _PageHandler(DeviceHandler):
     server: _HttpServer
     timeout = 5.0
 

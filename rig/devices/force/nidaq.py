@@ -130,7 +130,7 @@ class NidaqDriver(ReceivingDriver):
         self._rate_hz = config.rate_hz
         self._pacer = Pacer(clock, _POLL_HZ)
         self._timeline = SampleTimeline(config.rate_hz)
-        self._taken = 0
+        self._samples_read = 0
         self._shift = 0
         self._broken_off_ns: int | None = None
         self.overruns = 0
@@ -156,7 +156,7 @@ class NidaqDriver(ReceivingDriver):
             limits = [(each.name, each.ai_min, each.ai_max, each.ai_term_cfg) for each in channels]
         if problem := _problem(config.rate_hz, self._rate_hz, calibration.volts_range, limits):
             raise ConfigError(f"{self._where}: {problem}")
-        self._taken = self._shift = 0
+        self._samples_read = self._shift = 0
         self._broken_off_ns = None
         self._start(task)
         self._timeline = SampleTimeline(self._rate_hz)
@@ -235,16 +235,16 @@ class NidaqDriver(ReceivingDriver):
             with self._errors("reading"):
                 acquired = int(self._task.in_stream.total_samp_per_chan_acquired)
             now_ns = self._clock.now_ns()
-            if acquired <= self._taken:
+            if acquired <= self._samples_read:
                 self._wait()
                 return
             self._waits = 0
             if self._broken_off_ns is not None:
                 self._timeline = SampleTimeline(self._rate_hz)
             self._timeline.observe(acquired - 1, now_ns)
-            while self._taken < acquired:
+            while self._samples_read < acquired:
                 # Samples (gauges, count) [V]; all of them are acquired already.
-                volts = np.empty((_GAUGES, min(acquired - self._taken, _BLOCK_MAX)))
+                volts = np.empty((_GAUGES, min(acquired - self._samples_read, _BLOCK_MAX)))
                 with self._errors("reading"):
                     self._reader.read_many_sample(volts, volts.shape[1], timeout=_READ_TIMEOUT)
                 self._keep(np.ascontiguousarray(volts.T))
@@ -256,8 +256,8 @@ class NidaqDriver(ReceivingDriver):
             with contextlib.suppress(_Overrun), self._errors("stopping"):
                 self._task.stop()
             self._start(self._task)
-            self._shift += self._taken
-            self._taken = 0
+            self._shift += self._samples_read
+            self._samples_read = 0
 
     def _wait(self) -> None:
         self._count_wait(
@@ -271,14 +271,14 @@ class NidaqDriver(ReceivingDriver):
 
     def _break_off(self) -> None:
         """Note that from here on the sample count does not measure the time that passes."""
-        if self._broken_off_ns is None and self._taken:
-            self._broken_off_ns = self._timeline.time_ns(self._taken)
+        if self._broken_off_ns is None and self._samples_read:
+            self._broken_off_ns = self._timeline.time_ns(self._samples_read)
 
     def _keep(self, volts: npt.NDArray[np.float64]) -> None:
         if self._calibration is None:
             raise self._not_open()
         count = len(volts)
-        times = self._timeline.take(self._taken, count)
+        times = self._timeline.take(self._samples_read, count)
         wrench = self._calibration.wrench(volts)
         status = SATURATED * self._calibration.saturated(volts, self._config.saturated_at)
         status = status | BEYOND_RATING * self._calibration.beyond_rating(wrench)
@@ -288,10 +288,10 @@ class NidaqDriver(ReceivingDriver):
             self._gaps += max(0, round(missing))
             status[0] |= LOST_BEFORE
             self._broken_off_ns = None
-        first = self._taken + self._shift
+        first = self._samples_read + self._shift
         for k, (t_ns, bits) in enumerate(zip(times.tolist(), status.tolist(), strict=True)):
             self._inbox.put({"value": wrench[k], "seq": first + k, "status": bits}, t_ns)
-        self._taken += count
+        self._samples_read += count
 
     @contextlib.contextmanager
     def _errors(self, doing: str) -> Iterator[None]:

@@ -57,14 +57,14 @@ class Channel:
 
 _DIFFERENTIAL, _CONTINUOUS, _ANALOG_INPUT, _VOLTAGE, _BY_CHANNEL = 10106, 10123, 10100, 10322, 0
 _NO_DEVICE, _NO_CHANNEL, _INVALID_VALUE = -200220, -200170, -200077
-_OVERRUN, _NOT_YET, _NO_TASK, _GONE = -200279, -200284, -200088, -201003
+_OVERRUN, _NOT_YET, _NO_TASK, _NO_ACCESS = -200279, -200284, -200088, -201003
 _TEXTS = {
     _NO_DEVICE: "Device identifier is invalid.",
     _NO_CHANNEL: "Physical channel specified does not exist on this device.",
     _INVALID_VALUE: "Requested value is not a supported value for this property.",
     _OVERRUN: "The application is not able to keep up with the hardware acquisition.",
     _NOT_YET: "Some or all of the samples requested have not yet been acquired.",
-    _GONE: "Device cannot be accessed.",
+    _NO_ACCESS: "Device cannot be accessed.",
     _NO_TASK: "Task specified is invalid or does not exist.",
 }
 _INPUTS = 16
@@ -88,7 +88,7 @@ class _Task:
 
     def _empty(self) -> None:
         self._rows: list[Array] = []
-        self.acquired = self.taken = 0
+        self.acquired = self.delivered = 0
         self._overrun = False
 
     @property
@@ -122,7 +122,7 @@ class _Task:
         """Add (n, channels); if the client is too late, every later `take` returns None."""
         with self._changed:
             self.acquired += len(rows)
-            self._overrun = self._overrun or self.acquired - self.taken > self.capacity
+            self._overrun = self._overrun or self.acquired - self.delivered > self.capacity
             if not self._overrun:
                 self._rows.append(rows)
             self._changed.notify_all()
@@ -131,7 +131,7 @@ class _Task:
         """Return the next (count, channels), fewer after `timeout` [s]; None after an overrun."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self.acquired - self.taken >= count or self.stopped.is_set(), timeout
+                lambda: self.acquired - self.delivered >= count or self.stopped.is_set(), timeout
             )
             if self._overrun:
                 return None
@@ -139,7 +139,7 @@ class _Task:
                 return np.empty((0, 0))
             rows = np.concatenate(self._rows)
             self._rows = [rows[count:]] if len(rows) > count else []
-            self.taken += len(rows[:count])
+            self.delivered += len(rows[:count])
             return rows[:count]
 
 
@@ -251,7 +251,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
 
     def _task(self, request: Any, context: Any) -> _Task:
         if self._card.faults.unplugged:
-            _fail(context, _GONE)
+            _fail(context, _NO_ACCESS)
         task = self._tasks.get(request.task.name)
         if task is None:
             _fail(context, _NO_TASK)
@@ -261,7 +261,7 @@ class Service(stubs.NiDAQmxServicer):  # type: ignore[misc]
         if request.device_name != self._card.config.device.device:
             _fail(context, _NO_DEVICE)
         if self._card.faults.unplugged:
-            _fail(context, _GONE)
+            _fail(context, _NO_ACCESS)
 
 
 def _fail(context: Any, code: int) -> NoReturn:
@@ -281,11 +281,11 @@ _READ_BACK: dict[str, Callable[[_Task, Any], Any]] = {
     "GetReadAttributeString": lambda task, request: task.names,
     # 0x1223: samples that wait.
     "GetReadAttributeUInt32": lambda task, request: (
-        task.acquired - task.taken if request.attribute_raw == 0x1223 else len(task.channels)
+        task.acquired - task.delivered if request.attribute_raw == 0x1223 else len(task.channels)
     ),
     # 0x192A: acquired in all; 0x1221: where the next read begins.
     "GetReadAttributeUInt64": lambda task, request: (
-        task.acquired if request.attribute_raw == 0x192A else task.taken
+        task.acquired if request.attribute_raw == 0x192A else task.delivered
     ),
     "GetBufferAttributeUInt32": lambda task, request: task.capacity,
     "GetTimingAttributeDouble": lambda task, request: task.rate_hz,

@@ -79,7 +79,7 @@ class ScaleDriver(ReceivingDriver):
         self._unit = ""
         self._recent: deque[tuple[int, float]] = deque()
         self._sequence = -1
-        self._heard_ns = self._asked_ns = 0
+        self._heard_ns = self._requested_ns = 0
         self._lost = False
 
     @property
@@ -103,7 +103,7 @@ class ScaleDriver(ReceivingDriver):
                 write_timeout=1.0,
             )
             self._port.reset_input_buffer()
-        self._heard_ns, self._asked_ns = self._clock.now_ns(), 0
+        self._heard_ns, self._requested_ns = self._clock.now_ns(), 0
         self._receive_first(
             f"no reading of a {config.protocol} within {timeout:g} s; check its power, its "
             f"protocol, and its baud rate against {config.baud}"
@@ -157,9 +157,9 @@ class ScaleDriver(ReceivingDriver):
         now_ns = self._clock.now_ns()
         with self._errors():
             period_ns = round(SECOND_NS / config.rate_hz)
-            if self._request is not None and now_ns - self._asked_ns >= period_ns:
+            if self._request is not None and now_ns - self._requested_ns >= period_ns:
                 # Against the last due time, since a read may wait for half a period.
-                self._asked_ns = max(self._asked_ns + period_ns, now_ns - period_ns)
+                self._requested_ns = max(self._requested_ns + period_ns, now_ns - period_ns)
                 port.write(self._request)
             self._buffer += port.read(max(1, port.in_waiting))
         *lines, self._buffer = re.split(rb"[\r\n]+", self._buffer)

@@ -53,7 +53,7 @@ class ScaleEmulator(PtyEmulator):
         self._clock = clock
         self._noise = _AVERAGED * config.noise
         self._rng = np.random.default_rng(config.seed)
-        self._shown = self._before = 0.0
+        self._filtered = self._before = 0.0
 
     def _serve(self) -> None:
         pacer = Pacer(self._clock, _FILTER_HZ)
@@ -66,7 +66,7 @@ class ScaleEmulator(PtyEmulator):
             self.missed = pacer.missed
             tick += 1
             force = -float(self._world.state()[1]["wrench"][2])
-            self._shown = decay * self._shown + (1 - decay) * force
+            self._filtered = decay * self._filtered + (1 - decay) * force
             count = self._requested_count()
             if device.protocol == "hx711":
                 count = int(tick % every == 0)
@@ -86,16 +86,16 @@ class ScaleEmulator(PtyEmulator):
 
     def _line(self) -> bytes:
         device = self._config.device
-        shown = self._shown + self._rng.normal(0.0, self._noise)
-        stable = abs(shown - self._before) < max(_STABLE, 4 * self._noise)
-        self._before = shown
+        reading = self._filtered + self._rng.normal(0.0, self._noise)
+        stable = abs(reading - self._before) < max(_STABLE, 4 * self._noise)
+        self._before = reading
         if device.direction == "up":
-            shown = -shown
+            reading = -reading
         if device.protocol == "hx711":
-            number = shown * (device.counts_per_n or _GRAMS_PER_N)
+            number = reading * (device.counts_per_n or _GRAMS_PER_N)
             text = f"{number:.0f}" if device.counts_per_n else f"{number:.2f}"
             return f"{text}\r\n".encode()
-        grams = shown * _GRAMS_PER_N
+        grams = reading * _GRAMS_PER_N
         sign, unit = "-" if grams < 0 else "+", "g" if stable else ""
         if device.protocol == "kern":
             return f"{'-' if grams < 0 else ' '}{abs(grams):10.2f} {unit:<3}\r\n".encode()

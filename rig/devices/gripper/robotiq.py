@@ -31,8 +31,8 @@ from rig.devices.gripper.robotiq_wire import (
     FrameError,
     GripperCommand,
     GripperStatus,
+    ModbusRequest,
     RefusedError,
-    Request,
     emit_command,
     emit_request,
     fault_text,
@@ -188,7 +188,7 @@ class RobotiqDriver:
 
     def _ask(self, function: int, address: int, values: tuple[int, ...] = ()) -> tuple[int, ...]:
         """Send one request and return the registers of its reply."""
-        request = Request(self._config.slave, function, address, REGISTERS, values)
+        request = ModbusRequest(self._config.slave, function, address, REGISTERS, values)
         with self._lock:
             port = self._serial
             if port is None:
@@ -211,17 +211,17 @@ class RobotiqDriver:
         except (FrameError, RefusedError) as error:
             raise DeviceLost(f"{self._where}: {error}") from error
 
-    def _reply(self, port: Any, request: Request) -> bytes:
+    def _reply(self, port: Any, request: ModbusRequest) -> bytes:
         """Return the bytes received within the time limit, up to the end of the reply."""
         deadline_ns = self._clock.now_ns() + round(self._config.answer * SECOND_NS)
-        frame, wanted = b"", _REFUSAL
-        while len(frame) < wanted:
+        frame, length = b"", _REFUSAL
+        while len(frame) < length:
             left = (deadline_ns - self._clock.now_ns()) / SECOND_NS
             if left <= 0 or not select.select([port], [], [], left)[0]:
                 break
-            frame += port.read(min(max(port.in_waiting, 1), wanted - len(frame)))
+            frame += port.read(min(max(port.in_waiting, 1), length - len(frame)))
             if len(frame) == _REFUSAL and not frame[1] & 0x80:
-                wanted = reply_length(request)
+                length = reply_length(request)
         return frame
 
 

@@ -45,7 +45,7 @@ from rig.devices.gripper.robotiq_wire import (
     FrameError,
     GripperCommand,
     GripperStatus,
-    Request,
+    ModbusRequest,
     emit_refusal,
     emit_reply,
     emit_status,
@@ -170,10 +170,10 @@ class Fingers:
             self._position += step if goal > self._position else -step
 
     def _goal(self) -> float:
-        wanted = float(min(max(self._command.position, _OPEN), _CLOSED))
-        if self._object_at is not None and wanted > self._object_at >= self._position:
+        goal = float(min(max(self._command.position, _OPEN), _CLOSED))
+        if self._object_at is not None and goal > self._object_at >= self._position:
             return float(self._object_at)
-        return wanted
+        return goal
 
     def _object(self) -> int:
         if self._state != ACTIVE or not self._command.go:
@@ -255,7 +255,7 @@ class RobotiqEmulator(PtyEmulator):
                 os.write(fd, message)
         return pending
 
-    def _answer(self, request: Request) -> bytes:
+    def _answer(self, request: ModbusRequest) -> bytes:
         self.fingers.heard()
         if request.function == WRITE:
             if request.address != COMMAND_ADDRESS:

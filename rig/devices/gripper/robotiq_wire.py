@@ -193,7 +193,7 @@ class RefusedError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ModbusRequest:
     """Request of a client."""
 
     slave: int
@@ -221,7 +221,7 @@ def sealed(content: bytes) -> bytes:
     return content + struct.pack("<H", crc16(content))
 
 
-def emit_request(request: Request) -> bytes:
+def emit_request(request: ModbusRequest) -> bytes:
     """Return the frame of `request`."""
     head = struct.pack(">BBHH", request.slave, request.function, request.address, request.count)
     if request.function in (READ_HOLDING, READ_INPUT):
@@ -230,12 +230,12 @@ def emit_request(request: Request) -> bytes:
     return sealed(head + bytes([len(values)]) + values)
 
 
-def reply_length(request: Request) -> int:
+def reply_length(request: ModbusRequest) -> int:
     """Return the length of the reply to `request` [bytes]; a refusal has 5."""
     return 8 if request.function == WRITE else 5 + 2 * request.count
 
 
-def parse_reply(frame: bytes, request: Request) -> tuple[int, ...]:
+def parse_reply(frame: bytes, request: ModbusRequest) -> tuple[int, ...]:
     """Return the registers in a reply to `request`; empty after a write."""
     if len(frame) < 5:
         raise FrameError(f"{len(frame)} bytes; a reply has at least 5")
@@ -268,20 +268,20 @@ def request_length(head: bytes) -> int | None:
     return 9 + head[6] if head[1] == WRITE else 8
 
 
-def parse_request(frame: bytes) -> Request:
+def parse_request(frame: bytes) -> ModbusRequest:
     """Parse the frame of a request of any function: the inverse of `emit_request`."""
     content = frame[:-2]
     if len(frame) < 8 or sealed(content) != frame:
         raise FrameError("not a request, or a wrong checksum")
     slave, function, address, count = struct.unpack(">BBHH", content[:6])
     if function != WRITE:
-        return Request(slave, function, address, count)
+        return ModbusRequest(slave, function, address, count)
     if content[6] != 2 * count or len(content) != 7 + 2 * count:
         raise FrameError(f"{content[6]} bytes of values for {count} registers")
-    return Request(slave, function, address, count, struct.unpack(f">{count}H", content[7:]))
+    return ModbusRequest(slave, function, address, count, struct.unpack(f">{count}H", content[7:]))
 
 
-def emit_reply(request: Request, values: Sequence[int] = ()) -> bytes:
+def emit_reply(request: ModbusRequest, values: Sequence[int] = ()) -> bytes:
     """Return the reply that grants `request`, with the requested registers."""
     if request.function == WRITE:
         head = struct.pack(">BBHH", request.slave, WRITE, request.address, request.count)
@@ -290,6 +290,6 @@ def emit_reply(request: Request, values: Sequence[int] = ()) -> bytes:
     return sealed(bytes([request.slave, request.function, len(packed)]) + packed)
 
 
-def emit_refusal(request: Request, code: int) -> bytes:
+def emit_refusal(request: ModbusRequest, code: int) -> bytes:
     """Return the reply that refuses `request`."""
     return sealed(bytes([request.slave, request.function | _REFUSED, code]))

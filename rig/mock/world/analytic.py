@@ -14,7 +14,7 @@ import numpy as np
 from rig.bench.worlds import AnalyticSpec
 from rig.core.geometry import matrix_from_vector
 from rig.core.samples import WORLD_STATE
-from rig.mock.world.picture import Surface
+from rig.mock.world.picture import PressedSurface
 from trajectories import dome_height
 
 
@@ -72,7 +72,7 @@ class AnalyticWorld:
             state["taxels"] = taxels.counts(moved)
         return state
 
-    def surface(self, state: np.void) -> Surface:
+    def surface(self, state: np.void) -> PressedSurface:
         """Return the deformed surface of `state`."""
         return surface_of(self._spec, state)
 
@@ -116,10 +116,10 @@ class AnalyticWorld:
         return force
 
 
-def surface_of(spec: AnalyticSpec, state: np.void) -> Surface:
+def surface_of(spec: AnalyticSpec, state: np.void) -> PressedSurface:
     """Return the deformed surface of a WORLD_STATE."""
     depth = max(float(state["depth"]), 0.0)
-    return Surface(
+    return PressedSurface(
         centre=(float(state["contact"][0]), float(state["contact"][1])),
         depth=depth,
         radius=spec.indenter.contact_radius(spec.layer, depth) if depth > 0 else 0.0,

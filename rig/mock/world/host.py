@@ -74,15 +74,15 @@ class WorldHost(Emulator):
 
     def _run(self) -> None:
         clock = SystemClock()
-        seen = self._arm.count
+        last_count = self._arm.count
         while not self._ending.is_set():
             count = self._arm.count
-            if count == seen:
+            if count == last_count:
                 clock.sleep_until(clock.now_ns() + _POLL_NS)
                 continue
             record = self._arm.read()
-            self.missed += max(count - seen - 1, 0)
-            seen = count
+            self.missed += max(count - last_count - 1, 0)
+            last_count = count
             if record is None:
                 continue
             state = self._state(int(record["t_ns"]), record["pose"])

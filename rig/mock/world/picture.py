@@ -19,7 +19,7 @@ _DILATION = 0.35
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class PressedSurface:
     """State of the surface under one round contact, in the contact frame."""
 
     centre: tuple[float, float]
@@ -171,7 +171,7 @@ class MarkerCamera:
         self._column = np.arange(WIDTH, dtype=np.float32)[None, :]
         self._row = np.arange(HEIGHT, dtype=np.float32)[:, None]
 
-    def pixels(self, surface: Surface) -> np.ndarray:
+    def pixels(self, surface: PressedSurface) -> np.ndarray:
         """Return the marker centres (n, 2) as column and row [px]."""
         moved = self._points + surface.displacement(self._points)[:, :2]
         return np.stack(
@@ -182,7 +182,7 @@ class MarkerCamera:
             axis=1,
         )
 
-    def image(self, surface: Surface) -> np.ndarray:
+    def image(self, surface: PressedSurface) -> np.ndarray:
         """Return the view as RGB (480, 640, 3) uint8."""
         import cv2
 
@@ -203,7 +203,7 @@ class MarkerCamera:
             )
         return self._backdrop.noisy(image)
 
-    def _shade(self, image: np.ndarray, surface: Surface) -> None:
+    def _shade(self, image: np.ndarray, surface: PressedSurface) -> None:
         """Brighten the side of the dent that faces the lamp, darken the other (in place)."""
         view = self._view
         centre_column = WIDTH / 2 + surface.centre[0] / view.pixel

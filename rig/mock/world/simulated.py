@@ -115,9 +115,9 @@ class Between:
     def take(self, press: np.void, t_ns: int, tip: np.ndarray) -> None:
         """Extrapolate this PRESS_STATE from now on; it arrived at `t_ns` with tip (3,) [m]."""
         first = self.press["t_ns"] == 0
-        before = self._extrapolated(t_ns, tip)
+        before = self._blended(t_ns, tip)
         self.press = press
-        now = gone_on(press, t_ns, tip)
+        now = extrapolated(press, t_ns, tip)
         self._offset, self._since_ns = (0 * now if first else before - now), t_ns
 
     def at(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ class Between:
 
         The contact never pulls, nor does its drag exceed friction.
         """
-        values = self._extrapolated(t_ns, tip)
+        values = self._blended(t_ns, tip)
         if tip[2] >= 0 or values[2] > 0:
             values[:6] = 0.0
         drag, most = math.hypot(*values[:2]), -float(self.press["friction"] * values[2])
@@ -133,12 +133,12 @@ class Between:
             values[:2] *= most / drag
         return values
 
-    def _extrapolated(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
+    def _blended(self, t_ns: int, tip: np.ndarray) -> np.ndarray:
         left = max(0.0, 1 - (t_ns - self._since_ns) / self._fade_ns)
-        return gone_on(self.press, t_ns, tip) + left * self._offset
+        return extrapolated(self.press, t_ns, tip) + left * self._offset
 
 
-def gone_on(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
+def extrapolated(press: np.void, t_ns: int, tip: np.ndarray) -> np.ndarray:
     """Return wrench about the tip and taxels (54,) for a tip (3,) [m] at `t_ns`.
 
     They are extrapolated along the PRESS_STATE's slope from its tip; without contact, from the
@@ -181,8 +181,10 @@ class SimulatedView:
         if square < _MOVED**2:
             return surface
         fraction = float(np.clip((tip - newest["tip"]) @ way / square, -_AHEAD, _AHEAD))
-        gone: np.ndarray = surface + np.float32(fraction) * (surface - newest["surface_before"])
-        return gone
+        extrapolated: np.ndarray = surface + np.float32(fraction) * (
+            surface - newest["surface_before"]
+        )
+        return extrapolated
 
 
 def live_sensor(spec: SimulatedSpec, indenter: str) -> LiveSensor:
