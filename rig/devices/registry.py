@@ -137,8 +137,8 @@ DEVICES = {
                 "tactile grip closes it on the indenter",
             ),
         ),
-        Device(PedalConfig, emulator="rig.devices.hid.emulator", cures=_HID),
-        Device(SpaceMouseConfig, emulator="rig.devices.hid.emulator", cures=_HID),
+        Device(PedalConfig, emulator="rig.devices.hid.hid_emulator", cures=_HID),
+        Device(SpaceMouseConfig, emulator="rig.devices.hid.hid_emulator", cures=_HID),
     )
 }
 

@@ -33,8 +33,16 @@ from rig.core.playback import ENDED, load_recorded_stream
 from rig.core.shared_memory import SharedLatest
 from rig.devices.force.netft_emulator import force_bias
 from rig.mock.players import Players, playback_hosts, replay_bench
+from rig.replay.comparison import (
+    Retiming,
+    compared,
+    covered_ns,
+    retiming,
+    span,
+    timing,
+    timing_line,
+)
 from rig.replay.replayable import replayable
-from rig.replay.result import Retiming, compared, covered_ns, retiming, span, timing, timing_line
 
 logger = logging.getLogger(__name__)
 

@@ -28,7 +28,7 @@ from learning.markers.segment import (
 from learning.training.checkpoint import Config
 from recorder.archive import SHADING, SHADING_ZERO
 from recorder.markers import pack
-from rig.mock.world.picture import MarkerCamera, Surface
+from rig.mock.world.picture import MarkerCamera, PressedSurface
 
 NO_CONTACT = np.full((16, 3), 30_000.0)
 SHAPE = (1, 256, 256)
@@ -104,8 +104,10 @@ def test_a_picture_goes_the_way_of_the_training_data() -> None:
     chosen = preset("bench-gelsight")
     assert isinstance(chosen, CameraPreset)
     camera = MarkerCamera(VIEWS["bench-gelsight"], grey_noise=1.0)
-    no_contact = [camera.image(Surface((0.0, 0.0), 0.0, 0.0, 4e-3, (0.0, 0.0))) for _ in range(4)]
-    pressed = camera.image(Surface((0.0, 0.0), 0.5e-3, 2e-3, 4e-3, (0.3e-3, 0.0)))
+    no_contact = [
+        camera.image(PressedSurface((0.0, 0.0), 0.0, 0.0, 4e-3, (0.0, 0.0))) for _ in range(4)
+    ]
+    pressed = camera.image(PressedSurface((0.0, 0.0), 0.5e-3, 2e-3, 4e-3, (0.3e-3, 0.0)))
     stub = Stub()
     predictor = LivePredictor(stub.stream(), chosen, start_frames=3)
     assert [predictor.step(picture) for picture in no_contact[:3]] == [None] * 3

@@ -12,7 +12,7 @@ from learning.errors import LearningError
 from learning.markers import Segmenter, preset
 from learning.markers.track import Tracker
 from recorder.markers import marker_centres
-from rig.mock.world.picture import MarkerCamera, Surface
+from rig.mock.world.picture import MarkerCamera, PressedSurface
 from tests.support.few import few
 
 
@@ -129,7 +129,9 @@ def test_pictures_of_the_mock_bench_are_tracked_to_a_quarter_of_a_pixel() -> Non
     segmenter = Segmenter(preset("bench-tacpalm"))  # type: ignore[arg-type]
     tracker, order = None, np.zeros(0, int)
     for fraction in np.linspace(0, 1, 6):
-        surface = Surface((1e-3, 0.0), 4e-3 * fraction, 3e-3, 12e-3, (1.5e-3 * fraction, 0.0))
+        surface = PressedSurface(
+            (1e-3, 0.0), 4e-3 * fraction, 3e-3, 12e-3, (1.5e-3 * fraction, 0.0)
+        )
         picture, truth = camera.image(surface), camera.pixels(surface)
         centres = marker_centres(segmenter.mask(picture))
         if tracker is None:

@@ -189,7 +189,7 @@ from rig.acquire.control import DeadManReleased, Interlocks
 from rig.bench.bench import BenchFile
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
-from rig.devices.hid.emulator import HidEmulator
+from rig.devices.hid.hid_emulator import HidEmulator
 from rig.devices.hid.settings import PedalConfig
 
 node, mode, bench_file = sys.argv[1:]

@@ -15,7 +15,7 @@ from pathlib import Path
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
 from rig.devices.hid.settings import PedalConfig
-from rig.devices.hid.emulator import HidEmulator
+from rig.devices.hid.hid_emulator import HidEmulator
 from rig.devices.hid.drivers import PedalDriver
 
 clock = SystemClock()
@@ -66,7 +66,7 @@ import json, sys
 from pathlib import Path
 from rig.core.clock import SystemClock
 from rig.devices.hid.settings import SpaceMouseConfig
-from rig.devices.hid.emulator import HidEmulator
+from rig.devices.hid.hid_emulator import HidEmulator
 from rig.devices.hid.drivers import SpaceMouseDriver
 
 clock = SystemClock()

@@ -11,10 +11,10 @@ from support.live_quality import CLEARANCE, GELSIGHT, PLACES, USKIN, Part, pictu
 from rig.bench.bench import Bench, bench_from
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
-from rig.monitor.quality import LiveQuality, Quality
+from rig.monitor.quality import LiveQuality, QualityRow
 
 
-def wrong(judged: dict[str, Quality]) -> dict[str, tuple[str, str]]:
+def wrong(judged: dict[str, QualityRow]) -> dict[str, tuple[str, str]]:
     return {name: (row.state, row.text) for name, row in judged.items() if row.state != "good"}
 
 

@@ -37,6 +37,7 @@ from rig.core.shared_memory import SharedLatest
 from rig.devices.force.netft_emulator import NetFtEmulatorConfig, emulate, force_counts
 from rig.devices.force.netft_wire import Page
 from rig.replay import replay as module
+from rig.replay.comparison import Retiming, compared
 from rig.replay.replay import (
     EXIT_DIFFERENT,
     MISSING_TIMEOUT,
@@ -46,7 +47,6 @@ from rig.replay.replay import (
     ReplayRequest,
 )
 from rig.replay.replayable import replayable
-from rig.replay.result import Retiming, compared
 
 ALL = ("camera", "force", "pose", "taxels")
 TIMES = {"t_ns"}

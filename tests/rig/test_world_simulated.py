@@ -24,6 +24,7 @@ from rig.core.shared_memory import SharedLatest
 from rig.mock.bench import MockBench
 from rig.mock.world import SimulatedSpec, SimulatedWorld, WorldConfig, build_world, load_view
 from rig.mock.world.picture import coverage
+from rig.mock.world.press_solver import Shared, Solver
 from rig.mock.world.simulated import (
     PRESS_FILE,
     SURFACE_FILE,
@@ -35,7 +36,6 @@ from rig.mock.world.simulated import (
     markers_of,
     note_on,
 )
-from rig.mock.world.solver import Shared, Solver
 from sim.sensors import Posterior, sensor
 from sim.twin.record import twin_yaml
 

@@ -17,7 +17,7 @@ from recorder.store.documents import merge_attrs
 from recorder.store.images import compress
 from recorder.store.layout import ColumnLayout
 from recorder.store.shard import ColumnLog
-from rig.mock.world.picture import MarkerCamera, Surface
+from rig.mock.world.picture import MarkerCamera, PressedSurface
 
 T0 = 5_000_000_000_000
 PHASE_NS = 100_000_000
@@ -37,8 +37,8 @@ def state(seconds: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], np.ndarr
     return depth, SHEAR * np.interp(cycle, [1, 2, 3], [0, 1, 0])
 
 
-def surface(depth: float, shear: float) -> Surface:
-    return Surface((0.0, 0.0), max(depth, 0.0), 3e-3, 4e-3, (shear, 0.0))
+def surface(depth: float, shear: float) -> PressedSurface:
+    return PressedSurface((0.0, 0.0), max(depth, 0.0), 3e-3, 4e-3, (shear, 0.0))
 
 
 def record(path: Path, kind: str = "camera") -> Path:

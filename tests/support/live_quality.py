@@ -16,7 +16,7 @@ from recorder.spec import camera_spec, force_spec, pose_spec, reference_spec, ta
 from rig.bench.bench import Bench, BenchFile
 from rig.core.geometry import compose
 from rig.core.packaged import BENCHES
-from rig.monitor.quality import LiveQuality, Quality
+from rig.monitor.quality import LiveQuality, QualityRow
 
 GELSIGHT, USKIN = (BenchFile.read(BENCHES / f"{name}.yaml").bench for name in ("gelsight", "uskin"))
 CLEARANCE = 0.3e-3
@@ -106,7 +106,7 @@ class Recording:
             self.session.reference.append(**row)
         self.now_ms += 1000
 
-    def judged(self) -> dict[str, Quality]:
+    def judged(self) -> dict[str, QualityRow]:
         return {row.name: row for row in self.quality.look()}
 
     def close(self) -> None:

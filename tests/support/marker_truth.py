@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from learning.markers import CameraPreset, Segmenter, preset
 from recorder.markers import SMALLEST_PX, find_blobs, marker_centres
 from rig.bench.worlds import MarkerView
-from rig.mock.world.picture import MarkerCamera, Surface
+from rig.mock.world.picture import MarkerCamera, PressedSurface
 from sim.layer import Layer
 
 # Views of the mock benches, by the preset intended for them.
@@ -64,7 +64,7 @@ def mock_pictures(view: MarkerView, *, grey_noise: float, frames: int = 6) -> It
     depth = 1.2e-3 if view.layout == "grid" else 4.0e-3
     radius_px = view.radius / view.pixel
     for fraction in np.linspace(0, 1, frames):
-        surface = Surface(
+        surface = PressedSurface(
             (1e-3, -0.5e-3), depth * fraction, 3e-3, 4e-3, (0.4e-3 * fraction, 0.2e-3 * fraction)
         )
         centres = camera.pixels(surface)

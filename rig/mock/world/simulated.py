@@ -1,8 +1,8 @@
 """SimulatedWorld: the mock bench's sensors measure the result of the contact simulation.
 
-A separate process (`rig.mock.world.solver`) solves the contact along the arm's path as often as it
-can and publishes the solutions. The World extrapolates the last solution along its stiffness to
-each of the arm's cycles. Cameras draw the markers at their deformed positions.
+A separate process (`rig.mock.world.press_solver`) solves the contact along the arm's path as often
+as it can and publishes the solutions. The World extrapolates the last solution along its stiffness
+to each of the arm's cycles. Cameras draw the markers at their deformed positions.
 """
 
 from __future__ import annotations
