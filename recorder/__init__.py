@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from recorder.checks.recover import recover
     from recorder.errors import SessionError
     from recorder.findings import Finding, faults
+    from recorder.session.align import Window
     from recorder.session.columns import Stream
     from recorder.session.reader import Session
     from recorder.session.sheet import contact_sheet
     from recorder.session.stream_writer import StreamWriter
     from recorder.session.tables import to_pandas, to_xarray
-    from recorder.session.window import Window
     from recorder.session.writer import SessionWriter
     from recorder.spec import (
         FORMAT_VERSION,
@@ -85,7 +85,7 @@ _MODULES = {
     "SessionWriter": "session.writer",
     "Stream": "session.columns",
     "StreamWriter": "session.stream_writer",
-    "Window": "session.window",
+    "Window": "session.align",
     "check": "checks.check",
     "contact_sheet": "session.sheet",
     "faults": "findings",

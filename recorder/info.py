@@ -17,9 +17,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from recorder.archive.reader import describe_archive
-from recorder.session.accounts import Account, accounts_of, loss_lines
 from recorder.session.columns import Stream
-from recorder.session.reader import Session
+from recorder.session.loss import Account, loss_lines
+from recorder.session.reader import Session, accounts_of
 from recorder.session.uncertainty import time_lines
 from recorder.spec import ARCHIVE_FORMAT, OUTCOMES, PHASES
 from recorder.store.documents import says_it_is

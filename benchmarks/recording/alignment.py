@@ -22,8 +22,8 @@ from benchmarks.recording.motion import (
 from benchmarks.recording.steps import Steps
 from recorder import Session, Window
 from recorder.session import align
-from recorder.session.align import Sources
-from recorder.session.window import align_window, ticks_before
+from recorder.session.align import Sources, align_window
+from recorder.session.reader import ticks_before
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.geometry import rotation_between
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.recording.alignment import FORCE, Error, Method
 from recorder import Session
-from recorder.session.window import align_window
+from recorder.session.align import align_window
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.world.truth import Truth
 

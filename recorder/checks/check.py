@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.findings import Finding
-from recorder.session.accounts import Account, account_of, unseen
 from recorder.session.align import NS
 from recorder.session.columns import Stream
-from recorder.session.frames import run_ticks
 from recorder.session.loss import (
     ARRIVAL,
     EVENTS,
     SEQUENCE,
+    Account,
     Losses,
     is_compressed,
     is_regular,
     other_rate,
+    unseen,
 )
 from recorder.session.reader import Session
 from recorder.session.uncertainty import uncalibrated
@@ -348,7 +348,7 @@ def check_stream(
     `contents` has a checksum per image (n,); it is None for a stream without images.
     """
     where = f"streams/{stream.name}"
-    account = account_of(session, stream.name)
+    account = session.account(stream.name)
     yield from _check_losses(session, where, stream.name, account)
     note = uncalibrated(stream)
     if note is not None and account.rows:
@@ -437,7 +437,7 @@ def _check_frames(session: Session) -> Iterator[Finding]:
     if "t_ns" not in session.frames:
         yield Finding("frames-length", "frames", "missing")
         return
-    expected = sum(len(ticks) for _, ticks, _ in run_ticks(session, session.rate_hz))
+    expected = sum(len(ticks) for _, ticks, _ in session.run_ticks(session.rate_hz))
     found = len(session.frames["t_ns"])
     if found != expected:
         yield Finding("frames-length", "frames", f"found {found} rows, expected {expected}")

@@ -4,11 +4,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recorder.session.accounts import accounts_of, loss_lines
     from recorder.session.align import EXPOSURE, captured, linear, quaternion
     from recorder.session.clocks import clock_lines
     from recorder.session.frames import in_frame, surface_heights
+    from recorder.session.loss import loss_lines
     from recorder.session.press_curve import press_curves, save_curves
+    from recorder.session.reader import accounts_of
     from recorder.session.sheet import thumbnails
     from recorder.session.uncertainty import sigmas_of, time_lines
 
@@ -32,12 +33,12 @@ __all__ = [
 # Module of each name; imported on demand, as a reader needs neither tails nor drawings.
 _MODULES = {
     "EXPOSURE": "align",
-    "accounts_of": "accounts",
+    "accounts_of": "reader",
     "captured": "align",
     "clock_lines": "clocks",
     "in_frame": "frames",
     "linear": "align",
-    "loss_lines": "accounts",
+    "loss_lines": "loss",
     "press_curves": "press_curve",
     "quaternion": "align",
     "save_curves": "press_curve",

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.errors import SessionError
 from recorder.session.columns import Columns
 from recorder.session.loss import Losses
 from recorder.spec import STAMPS, Traits
@@ -344,3 +345,186 @@ def _number(stream: Columns, key: str, default: float) -> float:
     """Return an attribute, or `default` if it is missing or null (unknown)."""
     value = stream.attrs.get(key)
     return default if value is None else float(value)
+
+
+# Rows of a window, used by both `frames` and `Session.window`.
+#
+# Each tick gets the latest sample of the signal. All other values are aligned to the capture time
+# of that sample, because a label must match its image, not the tick.
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedStream:
+    """One stream in the rows of a window."""
+
+    traits: Traits
+    """Kind, alignment, roles and clock of the stream."""
+    value: NDArray[Any] | None
+    """Values (n, ...), NaN where there is none; images (n, h, w, channels), zeros where there is
+    none; None for images that were not loaded, and for text."""
+    row: NDArray[np.int64] | None
+    """Rows of the samples (n,), -1 where there is none; None for computed values."""
+    age: Floats
+    """Distance from the capture to the nearest sample used (n,) [s]; for the signal, tick minus
+    capture; NaN where there is none."""
+    valid: Bools
+    """True if all samples used are near enough, and none that was needed is lost (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """`n` synchronised rows. Rows before the start of a run or after its end are invalid.
+
+    The values of the first stream of each kind are fields (`image`, `wrench`, `pose`, `taxels`),
+    which are None if the session has no such stream; `of("wrench")` has its ages and validity.
+    """
+
+    t_ns: Times
+    """Ticks (n,) [ns], one period apart, on the clock of the run."""
+    capture_ns: Times
+    """Capture time of each row's signal (n,) [ns]; the tick itself if there is none."""
+    signal: str | None
+    """Name of the signal; None in a session without one."""
+    signal_row: NDArray[np.int64]
+    """Row of the signal (n,); -1 if there is none."""
+    streams: Mapping[str, AlignedStream]
+    """All aligned streams, by name."""
+    columns: Mapping[str, str]
+    """Column of `frames` by stream."""
+
+    def of(self, column: str) -> AlignedStream | None:
+        """Return the stream of a column of `frames`, e.g. `wrench`; None if there is none."""
+        names = (name for name, of_stream in self.columns.items() if of_stream == column)
+        return next((self.streams[name] for name in names), None)
+
+    @property
+    def image(self) -> NDArray[Any] | None:
+        """Images of the first camera (n, h, w, channels) RGB; zeros if there is none."""
+        return _value(self.of("image"))
+
+    @property
+    def wrench(self) -> Floats | None:
+        """Force and torque of the first gauge at the capture (n, 6) [N, N m], as in its stream."""
+        return _value(self.of("wrench"))
+
+    @property
+    def pose(self) -> Floats | None:
+        """First tool pose at the capture (n, 6) [m, rad], base frame, rotation vector."""
+        return _value(self.of("pose"))
+
+    @property
+    def taxels(self) -> Floats | None:
+        """Counts of the first taxels (n, 16, 3): at the capture, or the signal itself."""
+        return _value(self.of("taxels"))
+
+    @property
+    def valid(self) -> Bools:
+        """True if all streams that have a role are valid (n,)."""
+        out = np.ones(len(self.t_ns), np.bool_)
+        for stream in self.streams.values():
+            if stream.traits.roles:
+                out &= stream.valid
+        return out
+
+    @property
+    def skew(self) -> Floats:
+        """Largest distance of a value from the capture that it belongs to (n,) [s]; NaN if none."""
+        known = [
+            np.abs(stream.age)
+            for name, stream in self.streams.items()
+            if stream.traits.roles and name != self.signal
+        ]
+        if not known:
+            return np.full(len(self.t_ns), np.nan)
+        worst: Floats = np.fmax.reduce(known)
+        return worst
+
+
+def align_window(
+    ticks: Times, sources: Sources, methods: Mapping[str, str] | None = None
+) -> Window:
+    """Return the synchronised rows at ascending `ticks` (n,) [ns], without the images' pixels.
+
+    `methods` are by stream, in place of its own alignment.
+    """
+    methods = methods or {}
+    for name in methods:
+        if name not in sources.streams:
+            raise SessionError(f"align: no stream {name!r}; known: {', '.join(sources.streams)}")
+    chosen = {
+        name: _method(source, methods.get(name, source.traits.align))
+        for name, source in sources.streams.items()
+    }
+    signal = sources.signal
+    capture, rows = ticks, np.full(len(ticks), -1, np.int64)
+    picked: Picked | None = None
+    exposure = 0.0
+    if signal is not None:
+        # The signal is a sample, so a method that computes values takes the latest one.
+        pick = nearest if chosen[signal.name] == "nearest" else held
+        picked = pick(signal.times, ticks, max_age=signal.max_age)
+        some = picked.index >= 0
+        capture, exposure = ticks.copy(), signal.exposure
+        capture[some] = signal.times[picked.index[some]]
+        rows[some] = signal.rows[picked.index[some]]
+    streams = {
+        name: _sampled(source, picked, ticks)
+        if source is signal and picked is not None
+        else _aligned(source, chosen[name], capture, exposure)
+        for name, source in sources.streams.items()
+    }
+    return Window(
+        t_ns=ticks,
+        capture_ns=capture,
+        signal=None if signal is None else signal.name,
+        signal_row=rows,
+        streams=streams,
+        columns=sources.columns,
+    )
+
+
+def _method(source: Source, method: str) -> str:
+    known = ["latest", "nearest"]
+    if source.values is not None:
+        known += ["interpolated", *([] if source.is_pose else ["mean"])]
+    if method not in known:
+        raise SessionError(f"{source.name}: found method {method!r}; known: {', '.join(known)}")
+    return method
+
+
+def _aligned(source: Source, method: str, capture: Times, exposure: float) -> AlignedStream:
+    if source.values is None or method in ("latest", "nearest"):
+        pick = nearest if method == "nearest" else held
+        return _sampled(source, pick(source.times, capture, max_age=source.max_age), capture)
+    aligned: Aligned
+    if method == "mean":
+        start, stop = capture - round(exposure / NS), capture
+        aligned = mean(source.times, source.values, start, stop, max_age=source.max_age)
+        lost = source.losses.touch(start, stop)
+    else:
+        interpolate = pose if source.is_pose else linear
+        aligned = interpolate(source.times, source.values, capture, max_age=source.max_age)
+        lost = source.losses.around(capture)
+    return AlignedStream(source.traits, aligned.value, None, aligned.age, aligned.valid & ~lost)
+
+
+def _sampled(source: Source, picked: Picked, moments: Times) -> AlignedStream:
+    """Return unmodified samples: their values, or only their rows for images and text.
+
+    A sample is not valid if one nearer to its moment was lost.
+    """
+    some = picked.index >= 0
+    rows = np.full(len(picked.index), -1, np.int64)
+    rows[some] = source.rows[picked.index[some]]
+    value = None
+    if source.values is not None:
+        value = np.full((len(rows), *source.values.shape[1:]), np.nan)
+        value[some] = source.values[picked.index[some]]
+    sampled = moments.copy()
+    sampled[some] = source.times[picked.index[some]]
+    lost = source.losses.touch(np.minimum(sampled, moments), np.maximum(sampled, moments))
+    return AlignedStream(source.traits, value, rows, picked.age, picked.valid & ~lost)
+
+
+def _value(stream: AlignedStream | None) -> NDArray[Any] | None:
+    return None if stream is None else stream.value

@@ -4,22 +4,20 @@ It is derived from the streams and can be rebuilt at any time; it contains no or
 """
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.errors import SessionError
-from recorder.session.align import Floats, Times, quaternion
+from recorder.session.align import Floats, Times, align_window, quaternion
 from recorder.session.reader import Session
 from recorder.session.uncertainty import row_sigma, sigmas_of
-from recorder.session.window import align_window
 from recorder.spec import PHASES
 from recorder.store.documents import merge_attrs
 from recorder.store.files import sync_directory
-from recorder.store.tables import declared_rows, write_table
+from recorder.store.tables import write_table
 
 Array = np.ndarray[Any, Any]
 
@@ -39,9 +37,6 @@ UNITS: Mapping[str, tuple[str, str]] = {
     "time_sigma": ("s", "standard uncertainty of the alignment; twice it covers 95 %"),
     "valid": ("1", "every stream that has a role had samples near enough, and lost none needed"),
 }
-
-# Most rows of `frames` in one phase: three days at 1 kHz.
-TICKS_MAX = 1 << 28
 
 _BUILDING, _OLD = "frames.building", "frames.old"
 
@@ -91,25 +86,11 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
     """
     parts = [
         _run_table(session, run, ticks, segment)
-        for run, ticks, segment in run_ticks(session, rate_hz)
+        for run, ticks, segment in session.run_ticks(rate_hz)
     ]
     if not parts:
         parts = [_run_table(session, 0, np.zeros(0, np.int64), np.zeros(0, np.int64))]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def grid(anchor: int, start: int, end: int, rate_hz: float) -> Times:
-    """Return the ticks anchor + k / rate_hz with start <= tick < end (n,) [ns]."""
-    period = 1e9 / rate_hz
-    if (end - start) / period > TICKS_MAX:
-        raise SessionError(
-            f"found a phase of {(end - start) * 1e-9:.3g} s at {rate_hz:g} Hz; allowed: up to "
-            f"{TICKS_MAX} rows of frames"
-        )
-    first = int((start - anchor) // period) - 1
-    last = int((end - anchor) // period) + 2
-    ticks = anchor + np.round(np.arange(first, last + 1) * period).astype(np.int64)
-    return ticks[(ticks >= start) & (ticks < end)]
 
 
 def in_frame(frame: Floats, poses: Floats) -> Floats:
@@ -142,35 +123,6 @@ def surface_heights(session: Session) -> Floats:
     height = np.asarray(targets["depth"]) + in_frame(np.asarray(frame, np.float64), planned)[:, 2]
     # Planned places went through a rotation; no surface is known to a nanometre.
     return np.asarray(height.round(9) + 0.0)
-
-
-def has_targets(session: Session) -> bool:
-    """Return True if the session has targets; imported sessions have neither them nor segments."""
-    # Use the declared lengths: a table with corrupt chunks still has targets.
-    columns = (session.path / "targets" / name for name in session.targets)
-    return any(declared_rows(column, session.files) for column in columns)
-
-
-def run_ticks(session: Session, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
-    """Yield each run with its ticks and the segment of each tick."""
-    segments = session.segments
-    if not has_targets(session):
-        for run in range(max(len(session.runs), 1)):
-            span = session.sources(run).span
-            whole = grid(span[0], span[0], span[1] + 1, rate_hz) if span else np.zeros(0, np.int64)
-            yield run, whole, np.full(len(whole), -1, np.int64)
-        return
-    for run in np.unique(segments["run"]):
-        of_run = np.flatnonzero(segments["run"] == run)
-        of_run = of_run[np.argsort(segments["start_ns"][of_run], kind="stable")]
-        starts, ends = segments["start_ns"][of_run], segments["end_ns"][of_run]
-        anchor = int(starts[0])
-        ticks = [
-            grid(anchor, int(start), int(end), rate_hz)
-            for start, end in zip(starts, ends, strict=True)
-        ]
-        lengths = [len(part) for part in ticks]
-        yield int(run), np.concatenate(ticks), np.repeat(of_run, lengths)
 
 
 def _run_table(

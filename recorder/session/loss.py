@@ -9,14 +9,14 @@ declared rate; a median of what arrived would hide that every second sample is m
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.session.columns import Columns
+from recorder.session.columns import Columns, Stream
 
 Times = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -408,3 +408,97 @@ def is_compressed(attrs: Mapping[str, Any]) -> bool:
     Such times still give the order, but not pauses or steps against the device's clock.
     """
     return bool(attrs.get("replay_of", {}).get("speed", 1.0) != 1.0)
+
+
+# Account of the samples that a session has of a stream, and of those that it lost.
+
+_SHOWN = 5  # targets named in a line
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """Samples of one stream that a session has, and those that it lost."""
+
+    rows: int
+    """Samples stored."""
+    measured_hz: float
+    """Rate over the time that was recorded; pauses between runs do not count."""
+    longest_gap: float
+    """Longest time between two samples of a run [s]."""
+    runs: tuple[Losses, ...]
+    """Losses of each run."""
+    by_target: Mapping[int, int]
+    """Samples lost in the phases of each target, of those that lost some."""
+
+    @property
+    def lost(self) -> int:
+        """Number of lost samples."""
+        return sum(losses.total for losses in self.runs)
+
+    @property
+    def places(self) -> int:
+        """Number of gaps."""
+        return sum(len(losses.count) for losses in self.runs)
+
+    @property
+    def source(self) -> str:
+        """Basis of the counts; the least exact of the runs."""
+        known = (NOTHING, ARRIVAL, DEVICE_CLOCK, SEQUENCE, EVENTS)
+        return min((losses.source for losses in self.runs), key=known.index, default=NOTHING)
+
+    @property
+    def sees_drops(self) -> bool:
+        """True if the device itself tells of each loss, by its numbers or its clock."""
+        return all(losses.counted for losses in self.runs)
+
+    def where(self) -> str:
+        """Return the targets that lost samples as text, worst first; targets count from 1."""
+        if not self.lost:
+            return ""
+        worst = sorted(self.by_target.items(), key=lambda item: (-item[1], item[0]))
+        shown = [f"target {target + 1} ({count})" for target, count in worst[:_SHOWN]]
+        if len(worst) > _SHOWN:
+            rest = sum(count for _, count in worst[_SHOWN:])
+            shown.append(f"{len(worst) - _SHOWN} more targets ({rest})")
+        outside = self.lost - sum(self.by_target.values())
+        if outside:
+            shown.append(f"outside of phases ({outside})")
+        return ", ".join(shown)
+
+
+def account_of(
+    stream: Stream, rows: Sequence[slice], runs: Sequence[Losses], by_target: Mapping[int, int]
+) -> Account:
+    """Return the account of a stream, of its rows and losses of each run."""
+    steps, seconds, longest = 0, 0.0, 0.0
+    for rows_of_run in rows:
+        t_ns = stream.t_ns[rows_of_run]
+        if len(t_ns) > 1:
+            steps += len(t_ns) - 1
+            seconds += max(int(t_ns[-1]) - int(t_ns[0]), 1) * _NS
+            longest = max(longest, float(np.diff(t_ns).max()) * _NS)
+    rate = steps / seconds if seconds else 0.0
+    return Account(len(stream), rate, longest, tuple(runs), by_target)
+
+
+def loss_lines(accounts: Mapping[str, Account]) -> list[str]:
+    """Return a line on the losses of each stream that lost samples, or whose drops are unseen."""
+    lines = []
+    for name, account in accounts.items():
+        if account.lost:
+            lines.append(
+                f"lost         {name}: {account.lost} samples in {account.places} places, counted "
+                f"by {account.source}; {account.where()}"
+            )
+        if not account.sees_drops and account.rows:
+            lines.append(f"note         {name}: {unseen(account)}")
+    return lines
+
+
+def unseen(account: Account) -> str:
+    """Return a note for a stream whose device does not report its losses."""
+    if account.source == ARRIVAL:
+        return (
+            "drops are inferred from arrivals and the declared rate: the device numbers no samples"
+        )
+    return "drops cannot be seen: the device gives neither numbers nor usable times"

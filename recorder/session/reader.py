@@ -1,8 +1,9 @@
 """Read-only access to a session. Takes no lock, changes nothing and never fills in values."""
 
 import os
-from collections.abc import Mapping
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,25 +12,152 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.errors import SessionError
-from recorder.session.align import Sources
-from recorder.session.columns import Stream
-from recorder.session.loss import Losses, is_compressed
-from recorder.session.window import (
-    RunStreams,
+from recorder.session.align import (
+    NS,
+    Source,
+    Sources,
+    Times,
     Window,
     align_window,
-    sources_near,
-    sources_of_run,
-    span_of_run,
-    ticks_before,
+    captured,
+    source,
 )
+from recorder.session.columns import Stream, StreamPart
+from recorder.session.loss import Account, Losses, account_of, is_compressed, stream_losses
 from recorder.spec import frame_columns, signal_of
 from recorder.store.documents import read_order, read_session_attrs
 from recorder.store.files import Files, locate
 from recorder.store.manifest import sealed_files
-from recorder.store.tables import Table
+from recorder.store.tables import Table, declared_rows
 
 Array = np.ndarray[Any, Any]
+
+
+# Streams of one run, ready to be aligned: all of it, or what a window near some ticks needs.
+#
+# Rows are in the order of their arrival, so a binary search over a stream's chunks finds those near
+# a time; only chunks near it are read.
+
+
+@dataclass(frozen=True, slots=True)
+class RunStreams:
+    """The streams of a session, and what of them belongs to one run."""
+
+    streams: Mapping[str, Stream]
+    """Streams by name, in the session's order."""
+    rows: Mapping[str, slice]
+    """Rows of each that belong to the run."""
+    timed: bool
+    """True if missing samples show in the times of a stream."""
+    counted: dict[str, Losses]
+    """Losses that were counted so far, by stream; kept in memory."""
+
+    def losses(self, name: str) -> Losses:
+        """Return the samples that a stream lost in these rows."""
+        if name not in self.counted:
+            losses = stream_losses(self.streams[name], self.rows[name], timed=self.timed)
+            self.counted[name] = losses
+        return self.counted[name]
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Column of `frames` by stream, of those that are aligned."""
+        return frame_columns([(name, stream.traits) for name, stream in self.streams.items()])
+
+    @property
+    def signal(self) -> str | None:
+        """Name of the stream that the others are aligned to."""
+        return signal_of([(name, stream.traits) for name, stream in self.streams.items()])
+
+    def part(self, name: str, first: int, last: int) -> Source:
+        """Return rows [first, last) of a stream, numbered as in the stream."""
+        losses = self.losses(name).part(first - (self.rows[name].start or 0), last - first)
+        part = source(StreamPart(self.streams[name], first, last), slice(None), losses)
+        return replace(part, rows=part.rows + first)
+
+
+def sources_of_run(run: RunStreams) -> Sources:
+    """Return the streams of a run that are aligned."""
+    sources = {
+        name: source(run.streams[name], run.rows[name], run.losses(name)) for name in run.columns
+    }
+    return Sources(sources, run.columns, None if run.signal is None else sources[run.signal])
+
+
+def sources_near(run: RunStreams, ticks: Times) -> Sources:
+    """Return the streams of a run as far as they are needed to align them at ascending ticks.
+
+    The aligned values are those of `sources_of_run`.
+    """
+    start, stop = int(ticks[0]), int(ticks[-1])
+    sources: dict[str, Source] = {}
+    signal = None
+    if run.signal is not None:
+        signal = sources[run.signal] = _near(run, run.signal, start, stop)
+        if len(signal.times):
+            # Captures of the samples that are latest at, or nearest to, the ticks.
+            first, last = np.searchsorted(signal.times, (start, stop), side="right")
+            start = min(start, int(signal.times[max(first - 1, 0)]))
+            stop = max(stop, int(signal.times[min(last, len(signal.times) - 1)]))
+        start -= round(signal.exposure / NS)
+    for name in run.columns:
+        if name not in sources:
+            sources[name] = _near(run, name, start, stop)
+    return Sources({name: sources[name] for name in run.columns}, run.columns, signal)
+
+
+def span_of_run(run: RunStreams) -> tuple[int, int] | None:
+    """Return the first and last capture time of any stream with a role [ns]; None if empty."""
+    spans = []
+    for name in run.columns:
+        stream, rows = run.streams[name], run.rows[name]
+        if not stream.traits.roles or rows.stop <= rows.start:
+            continue
+        if _has_device_times(stream):
+            times = np.sort(captured(StreamPart(stream, rows.start, rows.stop)))
+        else:
+            ends = (rows.start, rows.stop - 1)
+            times = np.concatenate([captured(StreamPart(stream, k, k + 1)) for k in ends])
+        spans.append((int(times[0]), int(times[-1])))
+    if not spans:
+        return None
+    return min(first for first, _ in spans), max(last for _, last in spans)
+
+
+def _near(run: RunStreams, name: str, start: int, stop: int) -> Source:
+    """Return a stream's samples from before `start` to behind `stop`, as far as the run has them.
+
+    In a stream whose times are not in order, these are all samples of the run.
+    """
+    stream, rows = run.streams[name], run.rows[name]
+    first, last, block = rows.start, rows.stop, stream.layout.block
+    if _has_device_times(stream) or last - first <= 2 * block:
+        return run.part(name, first, last)
+    arrivals = stream.arrivals(first, last)
+    late = round(float(stream.attrs.get("latency") or 0.0) / NS)
+    low, high = arrivals.chunk(start + late), arrivals.chunk(stop + late) + 1
+    reach = 1
+    while True:
+        part = run.part(name, max(low * block, first), min(high * block, last))
+        if not arrivals.ordered or np.any(np.diff(part.rows) < 0):
+            return run.part(name, first, last)
+        before = low * block > first and not (len(part.times) and part.times[0] < start)
+        after = high * block < last and not (len(part.times) and part.times[-1] > stop)
+        if not before and not after:
+            return part
+        low, high = low - reach * before, high + reach * after
+        low, reach = max(low, first // block), 2 * reach
+
+
+def _has_device_times(stream: Stream) -> bool:
+    """Return True if samples are not aligned by the time of their arrival."""
+    return stream.traits.clock == "monotonic" and "device_t" in stream.names
+
+
+# A session.
+
+# Most rows of `frames` in one phase: three days at 1 kHz.
+TICKS_MAX = 1 << 28
 
 
 class Session:
@@ -189,6 +317,61 @@ class Session:
         """Return the samples that a stream lost in a run; kept in memory."""
         return self.run_streams(run).losses(name)
 
+    def account(self, name: str) -> Account:
+        """Return the samples of a stream that the session has, and those that it lost.
+
+        Raises:
+            SessionError: A corrupt column.
+        """
+        runs = range(max(len(self.runs), 1))
+        losses = [self.losses(name, run) for run in runs]
+        by_target = Counter[int]()
+        for run, lost in enumerate(losses):
+            by_target += self._lost_by_target(lost, run)
+        rows = [self.rows_of_run(name, run) for run in runs]
+        return account_of(self.streams[name], rows, losses, dict(sorted(by_target.items())))
+
+    def _lost_by_target(self, losses: Losses, run: int) -> Counter[int]:
+        """Return the samples lost in a run, by the target in whose phases they were lost."""
+        segments = self.segments
+        of_run = np.flatnonzero(np.asarray(segments["run"]) == run)
+        lost = Counter[int]()
+        if losses.total and len(of_run):
+            inside = losses.inside(segments["start_ns"][of_run], segments["end_ns"][of_run])
+            targets = segments["target"][of_run].tolist()
+            for target, count in zip(targets, inside.tolist(), strict=True):
+                lost[target] += count
+        return +lost
+
+    @property
+    def has_targets(self) -> bool:
+        """True if the session has targets; imported sessions have neither them nor segments."""
+        # Use the declared lengths: a table with corrupt chunks still has targets.
+        columns = (self.path / "targets" / name for name in self.targets)
+        return any(declared_rows(column, self.files) for column in columns)
+
+    def run_ticks(self, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
+        """Yield each run with its ticks and the segment of each tick."""
+        segments = self.segments
+        if not self.has_targets:
+            for run in range(max(len(self.runs), 1)):
+                ticks = np.zeros(0, np.int64)
+                if span := self.sources(run).span:
+                    ticks = grid(span[0], span[0], span[1] + 1, rate_hz)
+                yield run, ticks, np.full(len(ticks), -1, np.int64)
+            return
+        for run in np.unique(segments["run"]):
+            of_run = np.flatnonzero(segments["run"] == run)
+            of_run = of_run[np.argsort(segments["start_ns"][of_run], kind="stable")]
+            starts, ends = segments["start_ns"][of_run], segments["end_ns"][of_run]
+            anchor = int(starts[0])
+            parts = [
+                grid(anchor, int(start), int(end), rate_hz)
+                for start, end in zip(starts, ends, strict=True)
+            ]
+            lengths = [len(part) for part in parts]
+            yield int(run), np.concatenate(parts), np.repeat(of_run, lengths)
+
     def run_at(self, t_ns: int) -> int:
         """Return the latest run whose samples enclose a time, or else the last run."""
         count = max(len(self.runs), 1)
@@ -246,3 +429,32 @@ class Session:
 def _table(path: Path, files: Files, live: bool) -> Table:
     stream = Stream(path, files, live=live)
     return Table(path, stream.names, stream.array)
+
+
+def accounts_of(session: Session) -> dict[str, Account]:
+    """Return the account of every stream, by name.
+
+    Raises:
+        SessionError: A corrupt column.
+    """
+    return {name: session.account(name) for name in session.streams}
+
+
+def ticks_before(t_ns: int, n: int, rate_hz: float) -> Times:
+    """Return `n` ticks (n,) [ns], the last at `t_ns`, one period apart."""
+    back = np.arange(n - 1, -1, -1)
+    return t_ns - np.round(back * (1e9 / rate_hz)).astype(np.int64)
+
+
+def grid(anchor: int, start: int, end: int, rate_hz: float) -> Times:
+    """Return the ticks anchor + k / rate_hz with start <= tick < end (n,) [ns]."""
+    period = 1e9 / rate_hz
+    if (end - start) / period > TICKS_MAX:
+        raise SessionError(
+            f"found a phase of {(end - start) * 1e-9:.3g} s at {rate_hz:g} Hz; allowed: up to "
+            f"{TICKS_MAX} rows of frames"
+        )
+    first = int((start - anchor) // period) - 1
+    last = int((end - anchor) // period) + 2
+    ticks = anchor + np.round(np.arange(first, last + 1) * period).astype(np.int64)
+    return ticks[(ticks >= start) & (ticks < end)]

@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.command_line.options import next_command
-from recorder.session.align import EXPOSURE, Source
+from recorder.session.align import EXPOSURE, Source, Window
 from recorder.session.columns import Columns
 from recorder.session.loss import is_regular, lateness, witnesses
 from recorder.session.reader import Session
-from recorder.session.window import Window
 from recorder.spec import STAMPS
 
 Floats = NDArray[np.float64]

@@ -309,7 +309,7 @@ def test_methods_rank_as_they_must(motion: Motion, recorded: Recorded) -> None:
 
 
 def test_an_error_is_the_one_that_was_put_in(motion: Motion, recorded: Recorded) -> None:
-    from recorder.session.window import align_window
+    from recorder.session.align import align_window
 
     window = align_window(ticks(recorded), Session(recorded.path).sources(0))
     assert window.wrench is not None

@@ -20,7 +20,6 @@ from recorder import (
     pose_spec,
 )
 from recorder.info import describe, digests
-from recorder.session.accounts import account_of
 from recorder.session.loss import (
     ARRIVAL,
     DEVICE_CLOCK,
@@ -218,7 +217,7 @@ def test_what_is_deleted_from_a_stream_is_found_in_that_stream_alone(
     rows = np.arange(int(2.4 * RATES[name]))
     there = np.flatnonzero(kept(rows))
     lost = int(there[-1] + 1 - len(there))
-    account = account_of(session, name)
+    account = session.account(name)
     assert account.lost == lost
     assert found.message.startswith(f"{lost} samples lost in {account.places} places")
     # Each target's part, by the times of the samples that are gone.
@@ -282,9 +281,9 @@ def test_numbers_of_a_camera_count_its_losses_and_are_no_part_of_its_digest(
                     stream.append(value=image, device_t=np.nan, t_ns=t_ns, **number)
             session.finish("complete", rate_hz=30)
     numbered, other = map(Session, paths)
-    account = account_of(numbered, "camera")
+    account = numbered.account("camera")
     assert (account.source, account.lost, account.places) == (SEQUENCE, 3, 2)
-    assert account_of(other, "camera").lost == 3
+    assert other.account("camera").lost == 3
     assert digests(numbered) == digests(other)
 
 
@@ -324,7 +323,7 @@ def test_the_pause_before_a_resume_is_neither_a_loss_nor_part_of_the_rate(tmp_pa
     assert faults(check(path)) == []
     session = Session(path)
     for name, rate in (("force", 200.0), ("pose", 100.0)):
-        account = account_of(session, name)
+        account = session.account(name)
         assert account.lost == 0
         assert account.measured_hz == pytest.approx(rate, rel=0.01)
         assert account.longest_gap < 0.1

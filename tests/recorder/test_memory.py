@@ -17,7 +17,8 @@ import pytest
 from support.sessions import make_session
 
 from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, taxels_spec
-from recorder.session.window import align_window, sources_near, span_of_run, ticks_before
+from recorder.session.align import align_window
+from recorder.session.reader import sources_near, span_of_run, ticks_before
 from recorder.store.reader import RECENT, Kept, Recent
 
 

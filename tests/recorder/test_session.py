@@ -36,7 +36,8 @@ from recorder import (
 from recorder.checks.check import check
 from recorder.convert import Options, export
 from recorder.findings import faults
-from recorder.session.frames import grid, in_frame, write_frames
+from recorder.session.frames import in_frame, write_frames
+from recorder.session.reader import grid
 from recorder.store.tables import Table
 
 
