@@ -26,8 +26,7 @@ from recorder.archive.format import (
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
 from recorder.store.files import LOCAL, Files, locate
-from recorder.store.reader import ColumnReader
-from recorder.store.tables import Table
+from recorder.store.reader import ColumnReader, Table
 
 Rows = Sequence[int] | NDArray[np.integer[Any]] | slice
 

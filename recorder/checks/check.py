@@ -57,7 +57,7 @@ from recorder.store.layout import (
     record_matches,
 )
 from recorder.store.manifest import GROUP, wrong_files
-from recorder.store.tables import Table
+from recorder.store.reader import Table
 
 
 def check(path: str | os.PathLike[str], *, quick: bool = False) -> list[Finding]:

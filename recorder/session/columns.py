@@ -208,6 +208,30 @@ class Stream:
         return row
 
 
+class StreamTable(Mapping[str, Array]):
+    """Columns of a stream that has no device: the `segments` and the `reference` of a session."""
+
+    def __init__(self, stream: Stream) -> None:
+        """Provide the columns of a stream."""
+        self._stream = stream
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column (n, ...)."""
+        stream = self._stream
+        if name not in stream.names:
+            known = ", ".join(stream.names)
+            raise KeyError(f"{stream.layout.path}: no column {name!r}; known: {known}")
+        return stream.array(name)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._stream.names)
+
+    def __len__(self) -> int:
+        """Return the number of columns."""
+        return len(self._stream.names)
+
+
 class StreamPart:
     """Some rows of a stream, read without the others."""
 

@@ -17,7 +17,7 @@ from recorder.session.uncertainty import row_sigma, sigmas_of
 from recorder.spec import PHASES
 from recorder.store.documents import merge_attrs
 from recorder.store.files import sync_directory
-from recorder.store.tables import write_table
+from recorder.store.layout import write_table
 
 Array = np.ndarray[Any, Any]
 

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,13 +21,14 @@ from recorder.session.align import (
     captured,
     source,
 )
-from recorder.session.columns import Stream, StreamPart
+from recorder.session.columns import Stream, StreamPart, StreamTable
 from recorder.session.loss import Account, Losses, account_of, is_compressed, stream_losses
 from recorder.spec import frame_columns, signal_of
 from recorder.store.documents import read_order, read_session_attrs
-from recorder.store.files import Files, locate
+from recorder.store.files import locate
+from recorder.store.layout import declared_rows
 from recorder.store.manifest import sealed_files
-from recorder.store.tables import Table, declared_rows
+from recorder.store.reader import Table
 
 Array = np.ndarray[Any, Any]
 
@@ -206,8 +206,8 @@ class Session:
         self.order = [name for name in declared if name in self.streams]
         self.order += sorted(self.streams.keys() - set(declared))
         self.targets = Table.of_group(self.path / "targets", self.files)
-        self.segments = _table(self.path / "segments", self.files, live)
-        self.reference = _table(self.path / "reference", self.files, live)
+        self.segments = StreamTable(Stream(self.path / "segments", self.files, live=live))
+        self.reference = StreamTable(Stream(self.path / "reference", self.files, live=live))
         self.frames = Table.of_group(self.path / "frames", self.files)
         self._losses: dict[int, dict[str, Losses]] = {}
         self._spans: dict[int, tuple[int, int] | None] = {}
@@ -424,11 +424,6 @@ class Session:
         pixels[rows < 0] = 0
         stream.images_into(rows, pixels)
         return pixels
-
-
-def _table(path: Path, files: Files, live: bool) -> Table:
-    stream = Stream(path, files, live=live)
-    return Table(path, stream.names, stream.array)
 
 
 def accounts_of(session: Session) -> dict[str, Account]:

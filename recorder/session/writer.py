@@ -31,9 +31,8 @@ from recorder.store.documents import (
     write_group,
 )
 from recorder.store.files import sync_directory
-from recorder.store.layout import StreamLayout, create_stream
+from recorder.store.layout import StreamLayout, create_stream, write_table
 from recorder.store.manifest import hold, remove_unfinished, seal
-from recorder.store.tables import write_table
 
 _CREATING = ".creating"
 

@@ -7,6 +7,7 @@ marker archive are such arrays. All codecs are core Zarr v3, except that of JPEG
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ from recorder.store.documents import (
     write_group,
     write_json,
 )
-from recorder.store.files import LOCAL, TEMPORARY, Files
+from recorder.store.files import LOCAL, TEMPORARY, Files, sync_tree
 
 Array = np.ndarray[Any, Any]
 
@@ -573,3 +574,89 @@ def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
             rows, chunks = 1, JPEGS_PER_SHARD if jpegs else CHUNKS_PER_SHARD
         ColumnLayout.of(path / column.name, column, rows, chunks).create()
     return StreamLayout.load(path)
+
+
+# Tables: groups of columns that are written in one go, `targets` and `frames`.
+
+_CHUNK_ROWS = 8192
+
+
+class TableColumn(ArrayLayout):
+    """One column of a table: its chunks are files, the last padded with zeros."""
+
+    sharded = False
+
+    def read(self) -> Array:
+        """Return all rows; `SessionError` if a chunk is missing or corrupt."""
+        chunks = []
+        for number in range(-(-self.rows() // self.rows_per_chunk)):
+            key = self.shard(number)
+            try:
+                data = self.files.read(key)
+            except FileNotFoundError:
+                raise SessionError(f"{self.files.name(key)}: chunk missing") from None
+            if not ends_with_its_crc(data):
+                name = self.files.name(key)
+                raise SessionError(f"{name}: the chunk does not match its checksum")
+            chunks.append(self.decoded(data[:-CRC_BYTES]))
+        return np.concatenate(chunks)[: self.rows()] if chunks else np.empty(self.shape, self.dtype)
+
+
+def write_table(
+    path: Path,
+    columns: Mapping[str, Array],
+    units: Mapping[str, tuple[str, str]],
+    attrs: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a new group with one array (n, ...) of equal length per column, durably.
+
+    `units` holds units and description by column, `attrs` the attributes of the group.
+    """
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise SessionError(f"{path}: columns of unequal length: {lengths}")
+    path.mkdir()
+    write_group(path, {**(attrs or {}), "columns": list(columns)})
+    for name, values in columns.items():
+        column = np.asarray(values)
+        dims = ("row", *(f"dim_{axis}" for axis in range(1, column.ndim)))
+        layout = TableColumn(
+            path / name,
+            column.dtype.name,
+            column.shape,
+            dims,
+            *units.get(name, ("1", "")),
+            rows_per_chunk=_CHUNK_ROWS,
+            chunks_per_shard=1,
+        )
+        document = layout.document()
+        for own in ("zarr_format", "node_type", "storage_transformers"):
+            document[own] = document.pop(own)  # in the order of keys that tables have
+        layout.path.mkdir()
+        (layout.path / "zarr.json").write_text(json.dumps(document, indent=2))
+        for number, first in enumerate(range(0, len(column), _CHUNK_ROWS)):
+            key = layout.shard(number)
+            key.parent.mkdir(parents=True, exist_ok=True)
+            key.write_bytes(layout.encoded(column[first : first + _CHUNK_ROWS]))
+    sync_tree(path)
+
+
+def table_columns(path: Path, files: Files = LOCAL) -> tuple[str, ...]:
+    """Return the names of the columns of a table, sorted; none if there is no table."""
+    names = tuple(sorted(entry.name for entry in files.groups(path)))
+    if names:
+        read_document(files, path / "zarr.json")
+    return names
+
+
+def read_table_column(path: Path, files: Files, name: str) -> Array:
+    """Return all rows (n, ...) of a column of a table."""
+    return TableColumn.load(path / name, files).read()
+
+
+def declared_rows(path: Path, files: Files) -> int:
+    """Return the number of rows that a column declares, whether or not its chunks are there."""
+    shape = read_document(files, path / "zarr.json").get("shape")
+    if not isinstance(shape, list) or not shape or type(shape[0]) is not int:
+        raise SessionError(f"{files.name(path)}: found shape {shape!r:.200}, expected a list")
+    return shape[0]

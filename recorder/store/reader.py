@@ -1,7 +1,8 @@
 """Read the rows of arrays directly from their files, local or remote.
 
 The checksum of every chunk is verified. A chunk that is declared but missing is an error here; a
-plain Zarr reader returns fill values. `GrowingReader` reads an array while it is being written.
+plain Zarr reader returns fill values. `GrowingReader` reads an array while it is being written,
+`Table` the columns of a group.
 """
 
 from __future__ import annotations
@@ -9,10 +10,11 @@ from __future__ import annotations
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 from weakref import WeakValueDictionary
 
 import google_crc32c
@@ -20,6 +22,7 @@ import numpy as np
 
 from recorder.errors import SessionError
 from recorder.store import images
+from recorder.store.files import LOCAL, Files
 from recorder.store.journal import GrowingLog
 from recorder.store.layout import (
     CRC_BYTES,
@@ -28,6 +31,8 @@ from recorder.store.layout import (
     ArrayLayout,
     ColumnLayout,
     ShardIndex,
+    read_table_column,
+    table_columns,
 )
 
 # Memory for what was read last, shared by all readers of a process and limited in bytes.
@@ -369,3 +374,37 @@ class GrowingReader(ColumnReader):
             except SessionError as error:
                 fault = error if path.exists() else fault
         raise fault
+
+
+# Columns of a table.
+
+
+class Table(Mapping[str, Array]):
+    """Columns of a group, read on access; those used last are kept in memory."""
+
+    def __init__(self, path: Path, names: tuple[str, ...], load: Callable[[str], Array]) -> None:
+        """Provide the columns `names`, read by `load(name)`."""
+        self._path = path
+        self._names = names
+        self._load = load
+        self._read: Kept[Array] = Kept()
+
+    @classmethod
+    def of_group(cls, path: Path, files: Files = LOCAL) -> Self:
+        """Return the table in a group written by `write_table`; empty if there is none."""
+        return cls(path, table_columns(path, files), partial(read_table_column, path, files))
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column (n, ...)."""
+        if name not in self._names:
+            raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
+        values = self._read.get(name)
+        return self._read.put(name, self._load(name)) if values is None else values
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        """Return the number of columns."""
+        return len(self._names)

@@ -38,7 +38,7 @@ from recorder.convert import Options, export
 from recorder.findings import faults
 from recorder.session.frames import in_frame, write_frames
 from recorder.session.reader import grid
-from recorder.store.tables import Table
+from recorder.store.reader import Table
 
 
 @pytest.fixture(scope="module")
