@@ -23,10 +23,9 @@ from recorder.command_line.errors import (
     EXIT_SAFETY_STOP,
 )
 from recorder.command_line.options import next_command
-from recorder.progress import duration
 from recorder.session import accounts_of, clock_lines, loss_lines, time_lines
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
-from rig.acquire.plan_runner import LiveLine, PlanRunner, require_arrival, zero_stand_ins
+from rig.acquire.plan_runner import LiveLine, PlanRunner, last_line, rise_clear, zero_stand_ins
 from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import (
     Streams,
@@ -34,7 +33,6 @@ from rig.acquire.streams import (
     check_devices,
     notes_on,
     take_tares,
-    tip_position,
 )
 from rig.bench.bench import Bench
 from rig.bench.guards import guard_limits, guards_of, statement
@@ -106,7 +104,7 @@ class Collector:
             self._zero_stand_ins(streams)
             arm = self._start_arm(request.contact_change)
             stack.callback(arm.close)
-            self._rise(arm, streams, interlocks)
+            rise_clear(streams, arm, interlocks)
             self._zero_stand_ins(streams)
             tares = take_tares(streams)
             interrupt.check()
@@ -192,26 +190,6 @@ class Collector:
         )
         arm.start(self._bench.preflight.timeout)
         return arm
-
-    def _rise(self, arm: Arm, streams: Streams, interlocks: Interlocks) -> None:
-        """Move up to the safe height with the tool upright; tare and travel happen there."""
-
-        def look() -> None:
-            interlocks.check()
-            streams.check()
-
-        x, y, z = tip_position(streams)
-        height = max(self._bench.arm.retract, z)
-        pose = self._bench.tool_pose((x, y, height))
-        result = arm.move(
-            pose,
-            speed=self._bench.arm.travel_speed,
-            acceleration=self._bench.arm.travel_acceleration,
-            mode="travel",
-            on_wait=look,
-            wake=interlocks.wake,
-        )
-        require_arrival(result, pressing=False)
 
     def _open_session(
         self,
@@ -440,17 +418,3 @@ def frames_per_target(session: Session) -> str:
         f"frames per target: {counts.min()} to {counts.max()}, mean {counts.mean():.0f} "
         f"(without repeats: mean {fresh_counts.mean():.0f}; paper: 20 to 60)"
     )
-
-
-def last_line(
-    status: str, reason: str, path: Path, *, done: int, limited: int, total: int, seconds: float
-) -> str:
-    """Return one line with the status, the number of targets and the path.
-
-    `done` of `total` targets are finished, `limited` of this run ended at the soft force limit;
-    the run took `seconds` [s].
-    """
-    why = f" ({reason})" if reason else ""
-    ended = f", {limited} of them at the force limit," if limited else ""
-    took = duration(seconds)
-    return f"{status}{why}: {done} of {total} targets{ended} in {took}; readable at {path}"

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from recorder.command_line.errors import EXIT_INTERRUPTED, CommandError, failure
 from rig.bench.bench import Bench
 from rig.core.clock import Clock
-from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop, combined
 from rig.devices.hid.settings import PedalConfig
 
 if TYPE_CHECKING:
@@ -277,7 +277,8 @@ class Interlocks:
                 description["pedal"] = self._pedal.open()
             except (ConfigError, DeviceLost) as error:
                 failures.append(error)
-        raise_all(failures)
+        if failures:
+            raise combined(failures)
         return description
 
     def check(self, *, pressing: bool = False) -> None:

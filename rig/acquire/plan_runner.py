@@ -12,6 +12,7 @@ import logging
 import sys
 from collections.abc import Iterable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
@@ -57,7 +58,6 @@ class LiveLine:
         self._planned_ns = round(planned * SECOND_NS)
         self._clock = clock = streams.clock
         self._line = PacedLine(
-            clock,
             out or sys.stdout,
             _ON_TERMINAL_NS,
             _IN_LOG_NS,
@@ -113,7 +113,7 @@ class LiveLine:
 
     def tick(self) -> None:
         """Write the line if it is due."""
-        if self._target is not None and self._line.is_due():
+        if self._target is not None and self._line.is_due(self._clock.now_ns()):
             self._line.show(self._text(self._target))
 
     def end(self) -> None:
@@ -147,6 +147,20 @@ class LiveLine:
         return (current_ns + per_target_ns * (len(self._before) - done - 1)) / SECOND_NS
 
 
+def last_line(
+    status: str, reason: str, path: Path, *, done: int, limited: int, total: int, seconds: float
+) -> str:
+    """Return one line with the status, the number of targets and the path.
+
+    `done` of `total` targets are finished, `limited` of this run ended at the soft force limit;
+    the run took `seconds` [s].
+    """
+    why = f" ({reason})" if reason else ""
+    ended = f", {limited} of them at the force limit," if limited else ""
+    took = duration(seconds)
+    return f"{status}{why}: {done} of {total} targets{ended} in {took}; readable at {path}"
+
+
 # Fraction of the largest signal above which a sensor without a gauge counts as touched.
 CONTACT_FREE = 0.1
 # Interval between checks of a pause.
@@ -159,6 +173,26 @@ def require_arrival(result: MoveResult, *, pressing: bool) -> None:
         raise DeviceLost(f"arm: {result.reason}")
     if result.outcome == "force_limited" and not pressing:
         raise SafetyStop(f"contact where none was expected: {result.reason}")
+
+
+def rise_clear(streams: Streams, arm: Arm, interlocks: Interlocks) -> None:
+    """Move up to the safe height with the tool upright; tare and travel happen there."""
+
+    def look() -> None:
+        interlocks.check()
+        streams.check()
+
+    bench = streams.bench
+    x, y, z = tip_position(streams)
+    result = arm.move(
+        bench.tool_pose((x, y, max(bench.arm.retract, z))),
+        speed=bench.arm.travel_speed,
+        acceleration=bench.arm.travel_acceleration,
+        mode="travel",
+        on_wait=look,
+        wake=interlocks.wake,
+    )
+    require_arrival(result, pressing=False)
 
 
 class PlanRunner:

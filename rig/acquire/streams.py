@@ -17,7 +17,7 @@ from rig.acquire.control import Interlocks
 from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
 from rig.bench.bench import Bench, BenchStream
 from rig.core.clock import SECOND_NS, Clock
-from rig.core.errors import ConfigError, DeviceLost, SafetyStop, raise_all
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop, combined
 from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SLOTS, SharedLatest
 from trajectories import Point
@@ -220,7 +220,8 @@ class Streams:
                 found[handle.name] = handle.wait_opened()
             except (ConfigError, DeviceLost, SessionError) as error:
                 failures.append(error)
-        raise_all(failures)
+        if failures:
+            raise combined(failures)
         return found
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
@@ -309,7 +310,8 @@ def check_devices(
             description |= opened()
         except (ConfigError, DeviceLost) as error:
             failures.append(error)
-    raise_all(failures)
+    if failures:
+        raise combined(failures)
     rates: dict[str, float] = {}
     window = rate_window(bench, min(row.rate_hz for row in bench.rows))
     for name, measured in streams.measure(window).items():

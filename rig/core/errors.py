@@ -32,17 +32,18 @@ class SafetyStop(CommandError, RuntimeError):
         return f"safety stop: {self}; nothing was recorded"
 
 
-def raise_all(failures: Sequence[Exception]) -> None:
-    """Raise the only failure, or one error of the first one's type that names them all.
+def combined(failures: Sequence[Exception]) -> Exception:
+    """Return the only failure, or one error of the first one's type that names them all.
 
     Args:
-        failures: Errors of devices, or errors that this function raised for several of them.
+        failures: Errors of devices, or errors that this function made of several of them.
     """
-    each = [one for failure in failures for one in getattr(failure, "failures", (failure,))]
+    each: list[Exception] = [
+        one for failure in failures for one in getattr(failure, "failures", (failure,))
+    ]
     if len(each) == 1:
-        raise each[0]
-    if each:
-        lines = "".join(f"\n  {failure}" for failure in each)
-        error: Any = type(each[0])(f"{len(each)} devices:{lines}\n")
-        error.failures = tuple(each)
-        raise error
+        return each[0]
+    lines = "".join(f"\n  {failure}" for failure in each)
+    error: Any = type(each[0])(f"{len(each)} devices:{lines}\n")
+    error.failures = tuple(each)
+    return error

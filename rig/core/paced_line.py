@@ -6,8 +6,6 @@ import shutil
 from collections.abc import Callable
 from typing import TextIO
 
-from rig.core.clock import Clock
-
 _CLEAR = "\x1b[K"
 
 
@@ -15,7 +13,6 @@ class PacedLine:
     """The newest text, as often as it can be read.
 
     Args:
-        clock: Clock.
         out: Output.
         terminal_ns: Interval on a terminal [ns].
         elsewhere_ns: Interval elsewhere [ns].
@@ -24,21 +21,19 @@ class PacedLine:
 
     def __init__(
         self,
-        clock: Clock,
         out: TextIO,
         terminal_ns: int,
         elsewhere_ns: int,
         elsewhere: Callable[[str], object],
     ) -> None:
-        self._clock, self._out, self._elsewhere = clock, out, elsewhere
+        self._out, self._elsewhere = out, elsewhere
         self._terminal_ns, self._elsewhere_ns = terminal_ns, elsewhere_ns
         self._is_terminal = out.isatty()
         self._due_ns = 0
         self._is_open = False
 
-    def is_due(self) -> bool:
-        """Return True if a text is to be shown now; the next one is due an interval later."""
-        now_ns = self._clock.now_ns()
+    def is_due(self, now_ns: int) -> bool:
+        """Return True if a text is to be shown at `now_ns`; the next is due an interval later."""
         if now_ns < self._due_ns:
             return False
         self._due_ns = now_ns + (self._terminal_ns if self._is_terminal else self._elsewhere_ns)

@@ -229,12 +229,13 @@ class ForceLine:
         def write(text: str) -> None:
             print(text, file=out, flush=True)
 
-        self._line = PacedLine(clock, out, SECOND_NS // 10, SECOND_NS, write)
+        self._line = PacedLine(out, SECOND_NS // 10, SECOND_NS, write)
         self.close = self._line.end
+        self._clock = clock
 
     def __call__(self, reading: LiveForce, latency: float) -> None:
         """Show a force and its latency [s], if the line is due."""
-        if not self._line.is_due():
+        if not self._line.is_due(self._clock.now_ns()):
             return
         text = f"{_text(reading.force, reading.interval)} N  "
         if reading.before is not None:
