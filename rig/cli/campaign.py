@@ -24,7 +24,7 @@ from rig.acquire.campaign import (
 )
 from rig.acquire.control import apart
 from rig.bench.bench import BENCHES_FOLDER, read_content, with_simulated_world
-from rig.cli import collect, force_depth
+from rig.cli import force_depth
 from rig.cli.options import (
     answer,
     banner,
@@ -34,7 +34,7 @@ from rig.cli.options import (
     deepest,
     motion_lines,
 )
-from rig.cli.recording import Recording
+from rig.cli.recording import Recording, collect
 from rig.core.errors import ConfigError
 
 
@@ -78,10 +78,10 @@ def record_entry(progress: Progress, operator: str, calibrations: Path, world: s
     )
     if resumed is not None:
         again = tuple(number - 1 for number in progress.again)
-        return collect.collect(recording, resumed=resumed, again=again)
+        return collect(recording, resumed=resumed, again=again)
     if entry.plan == "force_depth":
         return force_depth.press(recording)
-    return collect.collect(recording, targets=entry.targets)
+    return collect(recording, targets=entry.targets)
 
 
 def run(options: argparse.Namespace) -> int:

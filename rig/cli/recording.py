@@ -1,9 +1,14 @@
-"""The way of all commands that record: bench, plan, question, emulators, collector, evaluation."""
+"""The way of all commands that record: bench, plan, question, emulators, collector, evaluation.
+
+`collect` records the plan of a bench, `record` any plan, and `stage` one of several.
+"""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
+import functools
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -17,6 +22,7 @@ from rig.acquire.calibration import store
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.collector import Collector
 from rig.acquire.request import CollectRequest, StageStopped
+from rig.bench import guards
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.worlds import Sources
 from rig.cli.options import (
@@ -29,6 +35,7 @@ from rig.cli.options import (
     log_to,
     motion_lines,
     opened_page,
+    require_terminal,
 )
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
@@ -172,6 +179,83 @@ def record(
                 opened_page(watch, recording.calibrations, bench, folder, request)
             )
         return Collector(bench, on.file.content, folder, on.watch, page).run(request)
+
+
+def collect(
+    recording: Recording,
+    *,
+    targets: int | None = None,
+    resumed: Path | None = None,
+    again: tuple[int, ...] = (),
+    sources: Sources | None = None,
+    truth: Path | None = None,
+    watch: AccessPolicy | None = None,
+) -> int:
+    """Record a session along the bench's plan, or resume one; return the exit code.
+
+    Of a resumed session, the targets with the indices `again` are pressed again. A mock bench plays
+    `sources`, and logs the World's truth to a file. `watch` is the address of the monitoring page.
+    """
+    bench, sources = recording.bench, sources or Sources()
+    session = resumed or recording.session(bench.indenter)
+    calibration = recording.calibration(resumed)
+    request = CollectRequest.of(
+        bench,
+        session,
+        targets=targets,
+        resume=resumed is not None,
+        again=again,
+        operator=recording.operator,
+        mock_sources=sources.description() if bench.mock else None,
+        calibration=calibration,
+        go_on=recording.resume(session),
+    )
+    if request.resume and not again and request.is_complete():
+        print(f"complete: all {request.total} targets are done; {session} is left as it is")
+        return EXIT_DONE
+    with contextlib.ExitStack() as stack:
+        prepare: Callable[[Bench], Bench] | None = None
+        if bench.no_gauge:
+            from rig.acquire import no_gauge
+
+            depth = guards.planned_depth(bench, request.plan, request.total)
+            if not bench.mock:
+                require_terminal()
+            guards.check_plan(bench, depth)
+            print("\n".join(guards.lines(bench, depth)), flush=True)
+            if not bench.mock:
+                hint = recording.next("home", indenter=bench.indenter)
+                no_gauge.check_home(bench, calibration, hint)
+            session.parent.mkdir(parents=True, exist_ok=True)
+            log_to(session.with_suffix(".log"))
+            on = stack.enter_context(started_bench(recording.file, sources=sources, truth=truth))
+            recording = dataclasses.replace(recording, on=on)
+            try:
+                if not request.resume:
+                    calibration = no_gauge.prepare(
+                        recording.file,
+                        recording.calibrations,
+                        calibration,
+                        depth,
+                        functools.partial(stage, recording, session.parent),
+                        _show if bench.mock else confirm,
+                    )
+            except StageStopped as stopped:
+                print("collect: a stage before the plan was stopped; nothing was collected")
+                return stopped.code
+            request = dataclasses.replace(request, calibration=calibration)
+            prepare = functools.partial(_slowed, calibration, depth)
+        return record(
+            recording, request, prepare=prepare, sources=sources, truth=truth, watch=watch
+        )
+
+
+def _slowed(calibration: Calibration, depth: float, bench: Bench) -> Bench:
+    return guards.slowed(calibration.applied(bench), depth)
+
+
+def _show(lines: list[str]) -> None:
+    print("\n".join(lines), flush=True)
 
 
 def stage(

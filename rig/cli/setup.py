@@ -23,7 +23,7 @@ from rig.acquire.calibration import store
 from rig.acquire.control import apart
 from rig.acquire.doctor import Finding, examine
 from rig.bench.bench import Bench, BenchStream
-from rig.cli import collect, doctor, force_depth
+from rig.cli import doctor, force_depth
 from rig.cli.calibrate_latency import calibrate
 from rig.cli.home import find_by_force, find_by_signal
 from rig.cli.options import (
@@ -35,7 +35,7 @@ from rig.cli.options import (
     chosen_bench,
     require_terminal,
 )
-from rig.cli.recording import Recording, started_bench
+from rig.cli.recording import Recording, collect, started_bench
 from rig.core import emulation
 from rig.core.clock import SystemClock, file_stamp
 from rig.core.config import from_si, to_si
@@ -292,7 +292,7 @@ def press(at: AtBench, _: Answers) -> Iterator[Finding]:
     curve = at.bench.force_depth is not None and bool(at.bench.gauges)
     recording = at.recording("force-depth" if curve else "collect")
     path = recording.session()
-    record = force_depth.press if curve else functools.partial(collect.collect, targets=1)
+    record = force_depth.press if curve else functools.partial(collect, targets=1)
     code = at.run(record, recording)
     picture = path.with_suffix(".curve.png")
     if picture.exists():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_SAFETY_STOP, CommandError
 
@@ -44,6 +43,6 @@ def combined(failures: Sequence[Exception]) -> Exception:
     if len(each) == 1:
         return each[0]
     lines = "".join(f"\n  {failure}" for failure in each)
-    error: Any = type(each[0])(f"{len(each)} devices:{lines}\n")
-    error.failures = tuple(each)
+    error = type(each[0])(f"{len(each)} devices:{lines}\n")
+    error.failures = tuple(each)  # type: ignore[attr-defined]
     return error

@@ -27,7 +27,8 @@ from rig.acquire.campaign import (
     table,
 )
 from rig.bench.worlds import SimulatedSpec
-from rig.cli import collect, force_depth
+from rig.cli import campaign as campaign_command
+from rig.cli import force_depth
 from rig.cli.campaign import record_entry, run_campaign
 from rig.cli.recording import Recording
 from rig.core.errors import ConfigError
@@ -235,7 +236,7 @@ def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and
         _session(recording.out, item, 1, "complete", item.bench.sensor)
         return 0
 
-    monkeypatch.setattr(collect, "collect", collected)
+    monkeypatch.setattr(campaign_command, "collect", collected)
 
     def record(progress: Progress) -> int:
         return record_entry(progress, "", ROOT / "calibrations", "sim")
@@ -427,7 +428,9 @@ def test_an_entry_is_recorded_with_its_bench_session_and_operator_or_resumed(
     resumed: list[tuple[Recording, dict[str, Any]]] = []
     monkeypatch.setattr(force_depth, "press", lambda recording: pressed.append(recording) or 0)
     monkeypatch.setattr(
-        collect, "collect", lambda recording, **more: resumed.append((recording, more)) or 3
+        campaign_command,
+        "collect",
+        lambda recording, **more: resumed.append((recording, more)) or 3,
     )
     campaign = _campaign(tmp_path)
     first, second, _ = progress_of(campaign)
