@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.archive_writer import Frames, archive_fingerprint, fill_archive
 from learning.data.matching import (
     Chosen,
     Pair,
@@ -27,7 +26,15 @@ from learning.data.matching import (
 )
 from learning.errors import LearningError
 from learning.indenters import coded
-from recorder.archive import GIVEN, ArchivedSensor, MarkerCount, SensorPlan
+from recorder.archive import (
+    GIVEN,
+    ArchivedSensor,
+    Frames,
+    MarkerCount,
+    SensorPlan,
+    archive_fingerprint,
+    fill_archive,
+)
 
 Integers = NDArray[np.int64]
 
@@ -80,7 +87,7 @@ class Joined:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedSensor:
-    """A sensor of a joined archive; implements `learning.archive_writer.SensorFrames`."""
+    """A sensor of a joined archive; implements `recorder.archive.SensorFrames`."""
 
     chosen: Chosen
     indenter: Integers

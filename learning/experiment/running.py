@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from learning.archive_writer import archive_fingerprint
 from learning.config import require_same, settings_to_dict
 from learning.data.splits import make_split, read_split
 from learning.errors import LearningError
@@ -30,6 +29,7 @@ from learning.experiment.stages import (
     check_settings,
 )
 from recorder import MarkerArchive
+from recorder.archive import archive_fingerprint
 from recorder.processes import Workers
 
 Say = Callable[[str], None]

@@ -15,7 +15,6 @@ from typing import Any
 
 import torch
 
-from learning.archive_writer import archive_fingerprint
 from learning.compensation.fit import (
     CHOICE_OF_METHOD,
     StoredCompensation,
@@ -55,6 +54,7 @@ from learning.translation.field import train as field_training
 from learning.translation.loading import hash_of, load_translator
 from learning.translation.translator import FLOW, SensorView, for_pair
 from recorder import MarkerArchive
+from recorder.archive import archive_fingerprint
 from recorder.progress import ItemProgress
 
 # Methods: the source's model as it is, and after fine-tuning on translated frames.

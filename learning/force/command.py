@@ -68,7 +68,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Train, and return the exit code."""
-    from learning.archive_writer import archive_fingerprint
     from learning.data.presses import load_presses, press_table
     from learning.force.folder import model_name
     from learning.force.labels import label_source
@@ -77,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     from learning.markers.segment import kept_preset
     from learning.train_command import open_data, run_training
     from learning.translation.loading import hash_of
-    from recorder.archive import SHADING
+    from recorder.archive import SHADING, archive_fingerprint
 
     archive, split = open_data(options)
     sensors = _sensors(options.sensor, archive, split)

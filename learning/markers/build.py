@@ -8,14 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.archive_writer import fill_archive
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.frames import FLAG, INVALID, RecordedSensor, one_thread
 from learning.markers.recording import Recording, read_group
 from learning.markers.segment import names, preset_of_sensor
 from recorder import MarkerArchive
-from recorder.archive import MASKS
+from recorder.archive import MASKS, fill_archive
 
 if TYPE_CHECKING:
     from learning.markers.efficient_sam import EfficientSam

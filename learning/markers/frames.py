@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.pattern import ReferenceMarkers, spread_of, with_reference
@@ -26,7 +25,7 @@ from learning.markers.segment import (
     preset,
     shading_of,
 )
-from recorder.archive import MASKS, SHADING, MarkerCount, SensorPlan
+from recorder.archive import CHUNK_ROWS, MASKS, SHADING, UNIT_ROWS, Frames, MarkerCount, SensorPlan
 from recorder.markers import MarkerCheck, count_markers, draw_discs, find_blobs, pack, unpack
 
 if TYPE_CHECKING:

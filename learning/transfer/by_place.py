@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from learning.archive_writer import archive_fingerprint
 from learning.data.presses import load_presses
 from learning.data.splits import Split
 from learning.experiment.settings import ExperimentSettings
@@ -31,7 +30,7 @@ from learning.force.train import train_force
 from learning.training.run import RunFolder, session_of
 from learning.transfer.pairs import labels_by_place
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
+from recorder.archive import ArchivedSensor, archive_fingerprint
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from learning.archive_writer import archive_fingerprint
 from learning.compensation.fit import (
     CHOICE_OF_METHOD,
     Curves,
@@ -46,6 +45,7 @@ from learning.transfer.pairs import join_pair, split_pair
 from learning.transfer.scale import error_curve, gains_of_labels
 from learning.translation.archive import Pair
 from recorder import MarkerArchive
+from recorder.archive import archive_fingerprint
 from recorder.processes import cores
 
 Say = Callable[[str], None]

@@ -16,17 +16,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames, archive_fingerprint, fill_archive
 from learning.contact_sheet import Tile, marker_picture, write_sheet
 from learning.errors import LearningError
 from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import (
+    CHUNK_ROWS,
     GIVEN,
+    UNIT_ROWS,
     ArchivedSensor,
+    Frames,
     MarkerCount,
     SensorPlan,
     Simulated,
+    archive_fingerprint,
+    fill_archive,
     location_pairs,
 )
 from recorder.markers import PACKED, pack, unpack

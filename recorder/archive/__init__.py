@@ -17,10 +17,25 @@ from recorder.archive.format import (
     SensorPlan,
 )
 from recorder.archive.pairs import location_pairs, press_rows
-from recorder.archive.reader import ArchivedSensor, MarkerArchive, Rows, Simulated
-from recorder.archive.writer import ArchiveWriter, write_simulated
+from recorder.archive.reader import (
+    ArchivedSensor,
+    MarkerArchive,
+    Rows,
+    Simulated,
+    archive_fingerprint,
+)
+from recorder.archive.writer import (
+    CHUNK_ROWS,
+    UNIT_ROWS,
+    ArchiveWriter,
+    Frames,
+    SensorFrames,
+    fill_archive,
+    write_simulated,
+)
 
 __all__ = [
+    "CHUNK_ROWS",
     "COLUMNS",
     "GIVEN",
     "MASKS",
@@ -28,15 +43,20 @@ __all__ = [
     "SHADING",
     "SHADING_SIDE",
     "SHADING_ZERO",
+    "UNIT_ROWS",
     "ArchivePlan",
     "ArchiveWriter",
     "ArchivedSensor",
+    "Frames",
     "MarkerArchive",
     "MarkerCount",
     "Rows",
+    "SensorFrames",
     "SensorPlan",
     "Simulated",
+    "archive_fingerprint",
     "check_archive",
+    "fill_archive",
     "location_pairs",
     "marker_flags",
     "press_rows",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -284,6 +286,26 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
     def __len__(self) -> int:
         """Return the number of sensors."""
         return len(self._sensors)
+
+
+def archive_fingerprint(archive: MarkerArchive) -> str:
+    """Return the SHA-256 of attributes, tables, provenance and references, 64 hexadecimal digits.
+
+    Masks and fields are not hashed: they are gigabytes, and code that makes different ones records
+    the difference in the attributes or in the provenance.
+    """
+    digest = hashlib.sha256()
+    digest.update(json.dumps(archive.attrs, sort_keys=True).encode())
+    for name, sensor in archive.items():
+        digest.update(f"\n{name} {len(sensor)}\n".encode())
+        digest.update(json.dumps(sensor.attrs, sort_keys=True).encode())
+        for column in COLUMNS:
+            values = sensor.table[column]
+            digest.update(f"\n{column} {values.dtype.str} {values.shape}\n".encode())
+            digest.update(values.tobytes())
+        digest.update("\n".join(sensor.sources).encode())
+        digest.update(sensor.reference_frames.tobytes())
+    return digest.hexdigest()
 
 
 # Text summary of an archive.

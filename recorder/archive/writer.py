@@ -12,9 +12,10 @@ import io
 import os
 import shutil
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from recorder.archive.format import (
     SOURCE,
     ArchivePlan,
     Limits,
+    SensorPlan,
     begin,
     checked_columns,
     column_array,
@@ -35,7 +37,7 @@ from recorder.archive.format import (
     read_sensor,
     write_table,
 )
-from recorder.archive.reader import ArchivedSensor
+from recorder.archive.reader import ArchivedSensor, Simulated
 from recorder.errors import SessionError
 from recorder.store.files import TEMPORARY, replace_file, sync_directory
 from recorder.store.layout import Array
@@ -285,3 +287,88 @@ def _check_lines(source: Sequence[str], count: int, where: str) -> None:
     for line in source:
         if not isinstance(line, str) or not line or "\n" in line or "\0" in line:
             raise SessionError(f"{where}.source: found {line!r}, expected one line of text")
+
+
+# Writing of a whole archive from sources that make frames by row.
+
+# Rows per compressed chunk, and rows per write.
+CHUNK_ROWS, UNIT_ROWS = 32, 256
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Rows of one sensor."""
+
+    packed: NDArray[np.uint8]
+    """Packed masks (n, 38400), or frames of the plan's representation (n, ...)."""
+    table: Mapping[str, NDArray[Any]]
+    """Columns of `GIVEN`."""
+    source: Sequence[str]
+    """Provenance of each row."""
+    displacement: NDArray[np.float16] | None = None
+    """Displacement fields (n, *lattice.shape) [px], if the sensor's plan has a lattice."""
+
+
+class SensorFrames(Protocol):
+    """A sensor whose frames can be made repeatedly, with the same result each time."""
+
+    @property
+    def plan(self) -> SensorPlan:
+        """Plan of its part of the archive."""
+        ...
+
+    def read(self, rows: slice) -> Frames:
+        """Make the given rows."""
+        ...
+
+
+def fill_archive(
+    path: Path,
+    sensors: Sequence[SensorFrames],
+    indenters: Sequence[str],
+    attrs: Mapping[str, Any],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    *,
+    simulated: Mapping[str, Simulated] | None = None,
+) -> int:
+    """Begin or resume an archive and return the number of frames made by this call.
+
+    A call that is killed at any moment and repeated with the same sensors yields the same archive.
+
+    Args:
+        path: Path of the archive, which may exist in part.
+        sensors: Its sensors.
+        indenters: Names of the indenters, by code.
+        attrs: Further attributes of the archive; JSON values.
+        progress: Called with the number of frames that exist and the total.
+        simulated: Forces of twins, by sensor; added last.
+    """
+    plan = ArchivePlan(tuple(sensor.plan for sensor in sensors), tuple(indenters), attrs)
+    writer = ArchiveWriter.begin(path, plan)
+    missing = writer.missing()
+    total = sum(one.rows for one in plan.sensors)
+    due = [
+        (sensor, one.name, unit, writer.sensors[one.name].rows_of(unit))
+        for one, sensor in zip(plan.sensors, sensors, strict=True)
+        for unit in missing.get(one.name, ())
+    ]
+    todo: int = sum(rows.stop - rows.start for *_, rows in due)
+    left = todo
+    progress(total - left, total)
+    for sensor, name, unit, rows in due:
+        frames = sensor.read(rows)
+        writer.sensors[name].write(
+            unit,
+            packed=frames.packed,
+            table=frames.table,
+            source=frames.source,
+            displacement=frames.displacement,
+        )
+        left -= rows.stop - rows.start
+        progress(total - left, total)
+    writer.finish()
+    for name, forces in (simulated or {}).items():
+        known = ArchivedSensor(path / name)
+        if known.simulated is None or known.simulated.made_from != forces.made_from:
+            write_simulated(known, forces.force, forces.spread, forces.made_from)
+    return todo

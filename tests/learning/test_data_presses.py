@@ -10,7 +10,6 @@ import pytest
 import torch
 from support.made_up_archives import made_up_archive
 
-from learning.archive_writer import archive_fingerprint
 from learning.data.images import read_fields, sampled, shrink
 from learning.data.presses import (
     ForceRange,
@@ -20,6 +19,7 @@ from learning.data.presses import (
 )
 from learning.errors import LearningError
 from recorder import MarkerArchive, SessionError
+from recorder.archive import archive_fingerprint
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ import torch
 from support.commands import run_module
 from support.made_up_archives import made_up_archive
 
-from learning.archive_writer import UNIT_ROWS
 from learning.cli import translate as command
 from learning.data.splits import make_split
 from learning.errors import LearningError
@@ -21,7 +20,7 @@ from learning.translation.flow import FlowTranslator
 from learning.translation.loading import hash_of
 from learning.translation.translator import SensorView, for_pair
 from recorder import MarkerArchive, SessionError
-from recorder.archive import check_archive, location_pairs, write_simulated
+from recorder.archive import UNIT_ROWS, check_archive, location_pairs, write_simulated
 from recorder.store.files import LOCAL
 
 FLOW = Model(FlowTranslator(), "flow", hash_of("flow"))

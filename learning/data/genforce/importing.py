@@ -39,7 +39,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.archive_writer import CHUNK_ROWS, UNIT_ROWS, Frames, fill_archive
 from learning.data.genforce.format import (
     SUFFIXES,
     Array,
@@ -69,7 +68,15 @@ from learning.markers.segment import (
     preset,
     preset_of_sensor,
 )
-from recorder.archive import NO_PHASE, MarkerCount, SensorPlan
+from recorder.archive import (
+    CHUNK_ROWS,
+    NO_PHASE,
+    UNIT_ROWS,
+    Frames,
+    MarkerCount,
+    SensorPlan,
+    fill_archive,
+)
 from recorder.convert import DEPTH_UNKNOWN
 from recorder.markers import pack, smallest_marker, unpack
 from recorder.settings import Reader
@@ -116,7 +123,7 @@ class Choices:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PublishedSensor:
-    """One sensor of a folder; implements `learning.archive_writer.SensorFrames`."""
+    """One sensor of a folder; implements `recorder.archive.SensorFrames`."""
 
     plan: SensorPlan
     files: tuple[Path, ...]

@@ -26,7 +26,6 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
 from learning.data.images import unit
 from learning.data.pairs import PairedFrames, paired_rows, read_paired
@@ -67,6 +66,7 @@ from learning.translation.diffusion.weights import (
     require_base_folder,
 )
 from recorder import MarkerArchive
+from recorder.archive import archive_fingerprint
 
 if TYPE_CHECKING:
     from accelerate import Accelerator

@@ -24,7 +24,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from learning.archive_writer import archive_fingerprint
 from learning.config import read_settings, require
 from learning.data.splits import Split
 from learning.errors import LearningError
@@ -49,6 +48,7 @@ from learning.translation.field.network import (
     transferred,
 )
 from recorder import MarkerArchive
+from recorder.archive import archive_fingerprint
 
 # Presets shipped with the package.
 PRESETS = Path(__file__).parent / "presets"
