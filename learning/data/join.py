@@ -147,7 +147,7 @@ class JoinedSensor:
         if self.unseen is not None:
             names = np.array(self.chosen.archive.indenters)[sensor.table["indenter"][rows]]
             table["seen"] = ~np.isin(names, self.unseen)
-        lines = [sensor.sources[one] for one in sensor.table["source"][rows].tolist()]
+        lines = sensor.provenance(rows)
         fields = sensor.displacement(rows) if self._keeps_fields else None
         return Frames(sensor.packed(rows), table, lines, fields)
 

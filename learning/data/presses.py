@@ -160,7 +160,7 @@ def press_table(sensor: ArchivedSensor, rows: Any) -> Presses:
     table = sensor.table
     chosen = np.asarray(rows, np.int64)
     if (missing := chosen[~table["valid"][chosen]]).size:
-        why = sensor.sources[int(table["source"][missing[0]])]
+        (why,) = sensor.provenance(missing[:1])
         raise LearningError(
             f"{sensor.name}: row {missing[0]} is not valid ({why}); allowed: rows with a frame"
         )

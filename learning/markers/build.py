@@ -8,13 +8,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from learning.errors import LearningError
 from learning.indenters import UNSEEN
 from learning.markers.frames import FLAG, INVALID, RecordedSensor, one_thread
 from learning.markers.recording import Recording, read_group
-from learning.markers.segment import names, preset_of_sensor
-from recorder import MarkerArchive
-from recorder.archive import MASKS, fill_archive
+from recorder.archive import MASKS, MarkerArchive, fill_archive
 
 if TYPE_CHECKING:
     from learning.markers.efficient_sam import EfficientSam
@@ -62,7 +59,7 @@ def archive_sessions(
             name,
             some,
             indenters,
-            preset_name or _preset_for(name),
+            preset_name,
             mm_per_px=mm_per_px,
             unseen=unseen,
             sam=sam,
@@ -76,23 +73,15 @@ def archive_sessions(
     return made, (*omitted, *summary(out))
 
 
-def _preset_for(sensor: str) -> str:
-    found = preset_of_sensor(sensor)
-    if found is None:
-        raise LearningError(
-            f"{sensor}: no preset is assigned to it; allowed: {', '.join(names())}, or a .yaml file"
-        )
-    return found
-
-
 def summary(path: Path) -> tuple[str, ...]:
     """Return lines that summarise an archive: frames, flags and missing frames of each sensor."""
     lines = []
     for name, sensor in MarkerArchive(path).items():
-        of = sensor.table["source"]
-        reported = [json.loads(line) for line in sensor.sources]
-        flagged = [row for row, one in enumerate(of) if FLAG in reported[one]]
-        invalid = Counter(reported[one][INVALID] for one in of if INVALID in reported[one])
+        lines_of_rows = sensor.provenance(slice(None))
+        content = {line: json.loads(line) for line in set(lines_of_rows)}
+        sources = [content[line] for line in lines_of_rows]
+        flagged = [row for row, source in enumerate(sources) if FLAG in source]
+        invalid = Counter(source[INVALID] for source in sources if INVALID in source)
         text = f"{name}: {len(sensor):,} frames, {len(sensor.reference_frames)} references"
         if sensor.attrs["marker_check"] is None:
             text += (
@@ -104,7 +93,7 @@ def summary(path: Path) -> tuple[str, ...]:
             fraction = len(flagged) / max(len(sensor), 1)
             text += f"; marker count: {len(flagged)} flagged ({100 * fraction:.2f} %)"
         lines.append(text)
-        lines += [f"  row {row}: {reported[of[row]][FLAG]}" for row in flagged[:NAMED]]
+        lines += [f"  row {row}: {sources[row][FLAG]}" for row in flagged[:NAMED]]
         if len(flagged) > NAMED:
             lines.append(f"  and {len(flagged) - NAMED} more: {FLAG} in their sources")
         lines += [f"  {count} frames are not there: {why}" for why, count in _sorted(invalid)]

@@ -22,7 +22,9 @@ from learning.markers.segment import (
     ShadingPreset,
     TaxelPreset,
     cells_of,
+    names,
     preset,
+    preset_of_sensor,
     shading_of,
 )
 from recorder.archive import CHUNK_ROWS, MASKS, SHADING, UNIT_ROWS, Frames, MarkerCount, SensorPlan
@@ -219,7 +221,7 @@ class RecordedSensor:
         name: str,
         recordings: Sequence[Recording],
         indenters: tuple[str, ...],
-        preset_name: str,
+        preset_name: str | None = None,
         *,
         mm_per_px: float | None = None,
         unseen: tuple[str, ...] = UNSEEN,
@@ -228,27 +230,33 @@ class RecordedSensor:
     ) -> None:
         """Prepare the segmentation of a sensor's frames.
 
-        `preset_name` is stored in the archive, `mm_per_px` [mm] replaces the preset's, `sam`
-        refines masks of pictures, and `irregular` accepts references without a regular pattern of
-        markers.
+        `preset_name`, by default that of the sensor's preset, is stored in the archive; `mm_per_px`
+        [mm] replaces the preset's, `sam` refines masks of pictures, and `irregular` accepts
+        references without a regular pattern of markers.
         """
-        found = preset(preset_name)
+        preset_name = preset_name or preset_of_sensor(name)
+        if preset_name is None:
+            raise LearningError(
+                f"{name}: no preset is assigned to it; allowed: {', '.join(names())}, or a .yaml "
+                "file"
+            )
+        settings = preset(preset_name)
         self._frames: _Markers | _Taxels | _Shading
-        if isinstance(found, TaxelPreset):
-            self._frames = _Taxels(found)
-        elif isinstance(found, ShadingPreset):
-            self._frames = _Shading(found)
+        if isinstance(settings, TaxelPreset):
+            self._frames = _Taxels(settings)
+        elif isinstance(settings, ShadingPreset):
+            self._frames = _Shading(settings)
         else:
-            self._frames = _Markers(found, preset_name, sam, irregular)
+            self._frames = _Markers(settings, preset_name, sam, irregular)
         kind = recordings[0].kind
         if kind != self._frames.device:
-            raise LearningError(f"preset {preset_name}: is for {found.KIND}; {name} has {kind}")
-        scale = mm_per_px if mm_per_px is not None else found.mm_per_px
+            raise LearningError(f"preset {preset_name}: is for {settings.KIND}; {name} has {kind}")
+        scale = mm_per_px if mm_per_px is not None else settings.mm_per_px
         if scale is None:
             raise LearningError(f"{name}.mm_per_px: not in preset {preset_name}; allowed: say it")
         self._name, self._recordings = name, recordings
         self._indenters, self._unseen = indenters, unseen
-        self._preset, self._preset_name, self._mm_per_px = found, preset_name, scale
+        self._preset, self._preset_name, self._mm_per_px = settings, preset_name, scale
         self._ends = np.cumsum([0, *map(len, recordings)])
         self._first_reference = np.cumsum([0, *(len(one.references) for one in recordings)])
 

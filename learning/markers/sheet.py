@@ -107,7 +107,8 @@ def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int
 
 
 def _provenance(archived: ArchivedSensor, row: int) -> dict[str, object]:
-    reported: dict[str, object] = json.loads(archived.sources[int(archived.table["source"][row])])
+    (line,) = archived.provenance([row])
+    reported: dict[str, object] = json.loads(line)
     return reported
 
 

@@ -167,7 +167,7 @@ class TranslatedSensor:
                 packed[here] = translated[np.searchsorted(made, wanted[here])]
         table = {name: self._table[name][wanted] for name in GIVEN}
         table["reference"] = self._reference[wanted]
-        lines = [self._source.sources[number] for number in self._table["source"][wanted]]
+        lines = self._source.provenance(wanted)
         return Frames(packed, table, lines)
 
     def _press(self, press: tuple[int, ...]) -> tuple[Rows, NDArray[np.uint8]]:

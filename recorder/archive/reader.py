@@ -204,6 +204,14 @@ class ArchivedSensor:
         text = self._read_whole(self.name, "sources")
         return [line.tobytes().rstrip(b"\0").decode() for line in text]
 
+    def provenance(self, rows: Rows) -> list[str]:
+        """Return the provenance line of each of some rows.
+
+        Raises:
+            SessionError: As for `sources`.
+        """
+        return [self.sources[source] for source in self.table["source"][rows].tolist()]
+
     @cached_property
     def simulated(self) -> Simulated | None:
         """Forces of a twin of the sensor; None if `tactile sim labels` has not written any.

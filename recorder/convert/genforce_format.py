@@ -302,7 +302,8 @@ def _press(
 
 
 def _indenter(sensor: ArchivedSensor, rows: Array) -> str:
-    message = json.loads(sensor.sources[int(sensor.table["source"][rows[0]])])
+    (line,) = sensor.provenance(rows[:1])
+    message = json.loads(line)
     return str(message.get("folder") or message.get("session") or f"row {rows[0]}")
 
 
