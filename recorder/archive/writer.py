@@ -291,8 +291,10 @@ def _check_lines(source: Sequence[str], count: int, where: str) -> None:
 
 # Writing of a whole archive from sources that make frames by row.
 
-# Rows per compressed chunk, and rows per write.
-CHUNK_ROWS, UNIT_ROWS = 32, 256
+# Frames per compressed chunk of an archive that `fill_archive` writes.
+CHUNK_ROWS = 32
+# Frames per unit of such an archive.
+UNIT_ROWS = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
