@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from recorder.archive.reader import describe_archive
+from recorder.progress import ReportItems
 from recorder.session.columns import Stream
 from recorder.session.loss import Account, loss_lines
 from recorder.session.reader import Session, accounts_of
@@ -25,13 +26,10 @@ from recorder.spec import ARCHIVE_FORMAT, OUTCOMES, PHASES
 from recorder.store.documents import says_it_is
 from recorder.store.files import locate
 
-# Called with the number of images read and the total.
-Progress = Callable[[int, int], None]
-
 _LEFT_OUT = {"camera": {"device_t", "seq"}}
 
 
-def stream_digest(stream: Stream, progress: Progress | None = None) -> str:
+def stream_digest(stream: Stream, progress: ReportItems | None = None) -> str:
     """Return the digest of a stream, all of which is read, as 64 hexadecimal digits."""
     digest = hashlib.sha256()
     for layout in stream.layout.columns:
@@ -60,7 +58,7 @@ def session_digest(digests: Mapping[str, str]) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
-def digests(session: Session, progress: Progress | None = None) -> dict[str, str]:
+def digests(session: Session, progress: ReportItems | None = None) -> dict[str, str]:
     """Return the digest of every stream of a session, by name."""
     return {name: stream_digest(stream, progress) for name, stream in session.streams.items()}
 

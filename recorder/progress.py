@@ -24,6 +24,9 @@ LINE_EVERY, LOOK_EVERY = 10.0, 0.25
 # Fraction that must be done before the remaining time is estimated from it.
 ESTIMATE_FROM = 0.01
 
+# Called with the number of items done and their total.
+ReportItems = Callable[[int, int], None]
+
 
 class Progress:
     """Context manager that is called with the fraction done, 0 to 1, and shows it while it is open.

@@ -15,15 +15,11 @@ from typing import Any, Literal
 
 from recorder.archive import MarkerArchive
 from recorder.errors import SessionError
+from recorder.progress import ReportItems
 from recorder.session.reader import Session
 from recorder.spec import ARCHIVE_FORMAT
 from recorder.store.documents import says_it_is
 from recorder.store.files import locate, sync_directory
-
-# Options of an export, and its progress callback.
-
-# Called with the number of rows done and the total.
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +121,7 @@ def export(
     to: str,
     *,
     options: Options | None = None,
-    progress: Progress | None = None,
+    progress: ReportItems | None = None,
 ) -> tuple[str, ...]:
     """Write a finished session or a marker archive in another format. The source is only read.
 
@@ -155,7 +151,7 @@ def export(
     if of_archive and not FORMATS[to].of_archives:
         formats = ", ".join(name for name, row in FORMATS.items() if row.of_archives)
         raise SessionError(f"{source}: {to} is not for a marker archive; allowed: {formats}")
-    write: Callable[[Any, Path, Options, Progress], Iterable[str] | None]
+    write: Callable[[Any, Path, Options, ReportItems], Iterable[str] | None]
     module = FORMATS[to].module
     try:
         write = getattr(import_module(module), "write_archive" if of_archive else "write")

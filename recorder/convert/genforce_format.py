@@ -29,9 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.archive import ArchivedSensor, MarkerArchive
-from recorder.convert.export import Options, Progress, file_name
+from recorder.convert.export import Options, file_name
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
+from recorder.progress import ReportItems
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
 from recorder.spec import AXES, PHASES
@@ -46,7 +47,7 @@ _QUALITY = 100  # only for sessions without JPEG bytes
 Array = np.ndarray[Any, Any]
 
 
-def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+def write(session: Session, path: Path, options: Options, progress: ReportItems) -> None:
     """Write a session as the folders of one sensor."""
     folders = _folders(session)
     if not {"camera", "taxels"} & {session.streams[name].traits.kind for name in folders}:
@@ -205,7 +206,7 @@ LOADING = (PHASES.index("normal_inc"), PHASES.index("shear_inc"))
 
 
 def write_archive(
-    archive: MarkerArchive, root: Path, _options: Options, progress: Progress
+    archive: MarkerArchive, root: Path, _options: Options, progress: ReportItems
 ) -> tuple[str, ...]:
     """Write an archive in the layout of the authors' training; return descriptions of omissions.
 

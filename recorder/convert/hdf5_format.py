@@ -17,7 +17,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from recorder.convert.export import Options, Progress
+from recorder.convert.export import Options
+from recorder.progress import ReportItems
 from recorder.session.columns import Stream
 from recorder.session.frames import frame_units
 from recorder.session.reader import Session
@@ -29,7 +30,7 @@ _RESERVED = 32 << 20  # bytes; more than the chunk caches of all open datasets, 
 _PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 
 
-def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+def write(session: Session, path: Path, options: Options, progress: ReportItems) -> None:
     """Write a session as one HDF5 file."""
     with _room_to_close(path) as give_up_room:
         # Attributes above 64 kB, such as a long plan, need the format of HDF5 1.8.
@@ -59,7 +60,7 @@ def _room_to_close(path: Path) -> Iterator[Callable[[], None]]:
         reserved_space.unlink(missing_ok=True)
 
 
-def _fill(file: Any, session: Session, options: Options, progress: Progress) -> None:
+def _fill(file: Any, session: Session, options: Options, progress: ReportItems) -> None:
     streams = {f"streams/{name}": stream for name, stream in session.streams.items()}
     tables = {
         name: Stream(session.path / name, session.files) for name in ("segments", "reference")

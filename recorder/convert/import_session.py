@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.convert.export import Progress, building
+from recorder.convert.export import building
 from recorder.convert.import_find import find_takes
 from recorder.convert.import_presses import (
     Press,
@@ -40,6 +40,7 @@ from recorder.convert.import_tracks import (
     indenter_of,
 )
 from recorder.errors import SessionError
+from recorder.progress import ReportItems
 from recorder.session.align import NS
 from recorder.session.frames import in_frame
 from recorder.session.stream_writer import StreamWriter
@@ -328,7 +329,7 @@ def _require_sign(track: Track, no_contact: Span, presses: Sequence[Press]) -> N
 
 
 def write_sessions(
-    drafts: Sequence[Draft], out: Path, answers: Answers, progress: Progress | None = None
+    drafts: Sequence[Draft], out: Path, answers: Answers, progress: ReportItems | None = None
 ) -> list[Path]:
     """Write one session for each object that touched; recordings of one object are its runs.
 

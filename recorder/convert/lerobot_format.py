@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from PIL import Image
 
-from recorder.convert.export import Options, Progress
+from recorder.convert.export import Options
 from recorder.convert.import_numbers import kind_of_array, numbers_of
 from recorder.convert.import_tracks import (
     Answers,
@@ -42,6 +42,7 @@ from recorder.convert.import_video import (
 )
 from recorder.convert.runs import RecordedPress, need_presses, utc_offset
 from recorder.errors import SessionError
+from recorder.progress import ReportItems
 from recorder.session.align import NS
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
@@ -230,7 +231,7 @@ def _feature(stream: Stream) -> Feature:
     return Feature("float32", (count,), names)
 
 
-def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+def write(session: Session, path: Path, options: Options, progress: ReportItems) -> None:
     """Write a session as a LeRobot dataset folder."""
     episodes = need_presses(session, valid_only=options.valid_only)
     path.mkdir()

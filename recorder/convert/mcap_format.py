@@ -23,9 +23,10 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from recorder.convert.export import Options, Progress
+from recorder.convert.export import Options
 from recorder.convert.runs import utc_of_rows
 from recorder.errors import SessionError
+from recorder.progress import ReportItems
 from recorder.session.align import captured, quaternion
 from recorder.session.columns import Stream
 from recorder.session.reader import Session
@@ -158,7 +159,7 @@ class Message:
     data: bytes
 
 
-def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+def write(session: Session, path: Path, options: Options, progress: ReportItems) -> None:
     """Write a session as one MCAP file."""
     named = topics(session)
     total = sum(len(session.streams[name]) for name in named)

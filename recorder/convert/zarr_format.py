@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from recorder.convert.export import Options, Progress
+from recorder.convert.export import Options
 from recorder.errors import SessionError
+from recorder.progress import ReportItems
 from recorder.session.reader import Session
 from recorder.store import images
 from recorder.store.files import LOCAL
@@ -18,7 +19,7 @@ from recorder.store.reader import ColumnReader
 from recorder.store.shard import ColumnLog
 
 
-def write(session: Session, path: Path, options: Options, progress: Progress) -> None:
+def write(session: Session, path: Path, options: Options, progress: ReportItems) -> None:
     """Copy a session, each chunk verified, and seal the copy by a manifest of its own."""
     if not session.files.local:
         raise SessionError(f"{session.name}: remote stores are only read; copy it here first")

@@ -6,20 +6,19 @@ counts, increasing sequence numbers, JPEG files as a camera delivers them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from recorder import Session, SessionError, Stream
+from recorder.progress import ReportItems
 from rig.core.playback import stated_rate
 from rig.devices.camera.jpeg import is_whole, with_huffman_tables
 from rig.devices.force.netft_emulator import force_bias, force_counts, force_page
 from rig.mock.players import PLAYED_BY
 
 Ints = npt.NDArray[np.int64]
-Progress = Callable[[int, int], None]
 
 _UINT32 = 1 << 32
 _UINT16 = 1 << 16
@@ -61,7 +60,7 @@ def check_taxels(stream: Stream, rows: slice) -> None:
     _refuse(stream.name, rows, ~_rises(stream.array("seq")[rows]), "seq does not rise")
 
 
-def check_camera(stream: Stream, rows: slice, progress: Progress | None = None) -> None:
+def check_camera(stream: Stream, rows: slice, progress: ReportItems | None = None) -> None:
     """Reject images that would not pass through MJPEG unchanged; all rows are read."""
     for row in range(*rows.indices(len(stream))):
         jpeg = stream.jpeg(row)
@@ -85,7 +84,7 @@ _CHECKS = {
 
 
 def replayable(
-    session: Session, without: tuple[str, ...] = (), progress: Progress | None = None
+    session: Session, without: tuple[str, ...] = (), progress: ReportItems | None = None
 ) -> tuple[str, ...]:
     """Check the streams to replay, and return their names, in the order of `PLAYED_BY`.
 

@@ -17,8 +17,9 @@ from support.sessions import make_session, set_attrs
 
 from recorder import MarkerArchive, SessionError
 from recorder.convert import FORMATS, Options, export
-from recorder.convert.export import Progress, building, file_name
+from recorder.convert.export import building, file_name
 from recorder.convert.runs import parse_utc
+from recorder.progress import ReportItems
 from tactile.__main__ import main
 
 ROOT = Path(__file__).parents[2]
@@ -174,7 +175,7 @@ def test_a_row_of_the_table_writes_archives_of_another_package(
         export(archive, tmp_path / "out", "hdf5")
     module = types.ModuleType("elsewhere")
 
-    def write(source: MarkerArchive, path: Path, options: Options, progress: Progress) -> None:
+    def write(source: MarkerArchive, path: Path, options: Options, progress: ReportItems) -> None:
         path.write_text(f"{', '.join(source)} {options.valid_only}")
 
     module.write_archive = write  # type: ignore[attr-defined]
