@@ -94,8 +94,8 @@ def run(options: argparse.Namespace) -> int:
     if options.dry_run:
         return 0
     with ItemProgress("frames", sys.stderr) as progress:
-        made = joined.write(options.out, progress)
-    print(f"{options.out}: {made:,} frames copied")
+        copied = joined.write(options.out, progress)
+    print(f"{options.out}: {copied:,} frames copied")
     return 0
 
 
@@ -105,10 +105,10 @@ def chosen_sensors(text: str) -> Iterator[Chosen]:
     from recorder import MarkerArchive
 
     named: dict[str, str] | None = None
-    where, found = text, _WITH_SENSORS.fullmatch(text)
-    if found is not None and not Path(text).exists():
-        where = found["archive"]
-        parts = (part.partition("=") for part in found["sensors"].split(","))
+    where, match = text, _WITH_SENSORS.fullmatch(text)
+    if match is not None and not Path(text).exists():
+        where = match["archive"]
+        parts = (part.partition("=") for part in match["sensors"].split(","))
         named = {name: new or name for name, _, new in parts}
     archive = MarkerArchive(where)
     if archive.warning:

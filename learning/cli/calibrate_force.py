@@ -39,9 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gravity", type=positive, default=GRAVITY, metavar="M/S2", help="(%(default)s)"
     )
-    found = parser.add_mutually_exclusive_group(required=True)
-    found.add_argument("--holds", type=Path, metavar="CSV", help="written by live --out")
-    found.add_argument("--archive", metavar="ARCHIVE:SENSOR", help="X.markers.zarr")
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--holds", type=Path, metavar="CSV", help="written by live --out")
+    source.add_argument("--archive", metavar="ARCHIVE:SENSOR", help="X.markers.zarr")
     parser.add_argument(
         "--rows", metavar="N,...", help="rows of the archive's table, one for each weight"
     )
@@ -52,14 +52,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def weights(text: str) -> list[float]:
     """Return masses [kg]."""
-    found = []
+    masses = []
     for each in text.split(","):
         match = _WEIGHT.fullmatch(each.strip())
         value = float(match["value"]) if match and match["value"].count(".") < 2 else 0.0
         if match is None or value <= 0:
             raise argparse.ArgumentTypeError(f"found {each!r}; allowed: masses as 50g or 0.2kg")
-        found.append(value * (1e-3 if match["unit"] == "g" else 1.0))
-    return found
+        masses.append(value * (1e-3 if match["unit"] == "g" else 1.0))
+    return masses
 
 
 def run(options: argparse.Namespace) -> int:
@@ -77,8 +77,8 @@ def run(options: argparse.Namespace) -> int:
         predicted = forces_of_holds(options.holds, len(masses))
     else:
         predicted = forces_of_rows(options.model, options.archive, _rows(options.rows))
-    known = [options.gravity * mass for mass in masses]
-    for line in weigh(options.model, options.out, known, predicted):
+    loads = [options.gravity * mass for mass in masses]
+    for line in weigh(options.model, options.out, loads, predicted):
         print(line)
     return 0
 

@@ -160,9 +160,9 @@ def _score_translated(inputs: Inputs, folder: Path, options: argparse.Namespace)
     archive = inputs.sensors[0].archive
     split = training_split(archive, options.split)
     extractor = load_extractor(options.features, options.device)
-    for made in inputs.translated:
-        for name, sensor in made.items():
-            print(f"scoring {name} of {made.name}", file=sys.stderr)
+    for translated in inputs.translated:
+        for name, sensor in translated.items():
+            print(f"scoring {name} of {translated.name}", file=sys.stderr)
             with ItemProgress("frames", sys.stderr) as progress:
                 scores = score_translation(
                     archive, sensor, split, options.role, extractor, progress=progress
@@ -180,15 +180,15 @@ def _left_out(chosen: Chosen, options: argparse.Namespace) -> int:
     archive, sensor = chosen.archive, chosen.sensor
     usual = "shading" if archive[sensor].representation == SHADING else "tiny"
     settings = read_force_settings(options.preset or usual, options.set)
-    made: list[Predictions] = []
+    predictions: list[Predictions] = []
     with ItemProgress("indenters", sys.stderr) as progress:
         for fold in folds(archive, sensor, settings, progress):
             print(fold, flush=True)
-            made += fold.predictions
+            predictions += fold.predictions
             for one in fold.predictions:
                 indenter = fold.indenter.replace("/", "_")
                 one.write(options.out / f"{sensor}.{indenter}.{one.method}.npz")
-    _report(made, [], options.out, f"{sensor}: indenters never seen")
+    _report(predictions, [], options.out, f"{sensor}: indenters never seen")
     return 0
 
 

@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     _require_sessions(options.sessions)
     sam = _sam(options)
     with ItemProgress("frames", sys.stderr) as progress:
-        made, lines = archive_sessions(
+        frames, lines = archive_sessions(
             options.sessions,
             options.out,
             preset_name=options.preset,
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
 
         draw_sheet(options.out, read_group(options.sessions, options.sensor)[0], options.sheet)
         print(f"{options.sheet}: written")
-    print(f"{options.out}: {made:,} frames made")
+    print(f"{options.out}: {frames:,} frames made")
     return 0
 
 
@@ -84,9 +84,9 @@ def _require_sessions(paths: Sequence[Path]) -> None:
     """Reject files and folders of pictures."""
     for path in paths:
         if path.is_file() or (path.is_dir() and not (path / "zarr.json").exists()):
-            made = next_command("import", path, out="NAME.zarr")
+            importing = next_command("import", path, out="NAME.zarr")
             raise LearningError(
-                f"{path}: is no session; allowed: what `{made}` "
+                f"{path}: is no session; allowed: what `{importing}` "
                 "makes of it (--stills if each picture is a contact of its own)"
             )
 

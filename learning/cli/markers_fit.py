@@ -57,8 +57,10 @@ def run(options: argparse.Namespace) -> int:
     preset, pattern = fit_preset(no_contact, pitch_mm=options.pitch_mm)
     print(pattern)
     with ItemProgress("pictures", sys.stderr) as progress:
-        found = recalls(preset, no_contact[0], (picture for _path, picture in pressed))
-        for number, ((path, _picture), recalled) in enumerate(zip(pressed, found, strict=True)):
+        each_recall = recalls(preset, no_contact[0], (picture for _path, picture in pressed))
+        for number, ((path, _picture), recalled) in enumerate(
+            zip(pressed, each_recall, strict=True)
+        ):
             progress(number, len(pressed))
             print(f"{path.name}: {recalled}")
     if options.sheet is not None:

@@ -60,16 +60,16 @@ def run(options: argparse.Namespace) -> int:
     from recorder import MarkerArchive
 
     archive = MarkerArchive(options.archive)
-    made, lines = predicted(
+    predictions, lines = predicted(
         options.model, archive, options.sensor, options.split, options.role, options.device
     )
-    made.write(options.out)
+    predictions.write(options.out)
     print("\n".join([f"{options.out}: {lines[0]}", *lines[1:]]))
     return 0
 
 
 def predicted(
-    model_given: str,
+    name_or_folder: str,
     archive: MarkerArchive,
     sensor_name: str | None,
     split_file: Path | None,
@@ -79,7 +79,7 @@ def predicted(
     """Return the forces that a model predicts on some presses of a sensor, and lines about them.
 
     Args:
-        model_given: As for `load_force_model`.
+        name_or_folder: As for `load_force_model`.
         archive: Frames of the sensor.
         sensor_name: Name of the sensor; None: the model's target, or the only one.
         split_file: Roles of presses; None: those of the model's training, else of the archive.
@@ -95,7 +95,7 @@ def predicted(
     from learning.training.checkpoint import CONFIG, read_config
     from learning.translation.loading import hash_of
 
-    name = model_name(model_given)
+    name = model_name(name_or_folder)
     folder = Path(name)
     metadata = read_config(folder).metadata if (folder / CONFIG).is_file() else {}
     target, origin = _origin(metadata, archive, sensor_name)
@@ -113,7 +113,7 @@ def predicted(
         forces = model.predict(presses, progress=progress)
     rows = presses.rows.numpy()
     intervals = read_intervals(folder)
-    made = predictions_of(
+    predictions = predictions_of(
         sensor,
         archive.indenters,
         rows,
@@ -123,44 +123,48 @@ def predicted(
         model=hash_of(name),
         interval=None if intervals is None else intervals.of(forces),
     )
-    lines = [f"{len(made):,} frames, {_told(made)}"]
+    lines = [f"{len(predictions):,} frames, {_accuracy(predictions)}"]
     if intervals is not None:
-        lines.append(_covered(made))
+        lines.append(_covered(predictions))
     if len(model.axes) < len(AXES):
         axes = ", ".join(model.axes)
         lines.append(f"the model predicts {axes} only; forces on other axes are NaN")
-    return made, lines
+    return predictions, lines
 
 
-def _told(made: Predictions) -> str:
+def _accuracy(predictions: Predictions) -> str:
     """Return the errors of predictions, or their range if no label can be compared with them."""
-    if not made.is_scored:
+    if not predictions.is_scored:
         ranges = "  ".join(
             f"{axis} {column.min():.3f} to {column.max():.3f}"
-            for axis, column in zip(AXES, made.predicted.T, strict=True)
+            for axis, column in zip(AXES, predictions.predicted.T, strict=True)
             if np.isfinite(column).any()
         )
         return f"no label to compare with; predicted [N] {ranges}"
-    errors = force_errors(made.true, made.predicted, made.label_std)
+    errors = force_errors(predictions.true, predictions.predicted, predictions.label_std)
     mae = "  ".join(
         f"{name} {value:.3f}" if np.isfinite(value) else f"{name} -"
         for name, value in zip("xyzt", errors.mae, strict=True)
     )
-    labelled = f", {errors.frames:,} of them with a label" if errors.frames < len(made) else ""
+    labelled = (
+        f", {errors.frames:,} of them with a label" if errors.frames < len(predictions) else ""
+    )
     return f"MAE [N] {mae}, R2{errors.of_axes} {errors.r2_mean:.3f}{labelled}"
 
 
-def _covered(made: Predictions) -> str:
+def _covered(predictions: Predictions) -> str:
     """Return the mean half-widths of the intervals, and the share of labels within them."""
-    width = axis_means(0.5 * (made.high - made.low))
+    width = axis_means(0.5 * (predictions.high - predictions.low))
     shares = []
     for place, axis in enumerate(AXES):
-        known = np.isfinite(made.true[:, place]) & np.isfinite(made.low[:, place])
+        labelled = np.isfinite(predictions.true[:, place]) & np.isfinite(predictions.low[:, place])
         if np.isfinite(width[place]):
             text = f"{axis} +-{width[place]:.3f} N"
-            if known.any():
-                inside = (made.low <= made.true) & (made.true <= made.high)
-                text += f" covers {100 * inside[known, place].mean():.1f} %"
+            if labelled.any():
+                inside = (predictions.low <= predictions.true) & (
+                    predictions.true <= predictions.high
+                )
+                text += f" covers {100 * inside[labelled, place].mean():.1f} %"
             shares.append(text)
     return f"90 % intervals, in the mean: {', '.join(shares)}"
 
@@ -187,8 +191,8 @@ def _origin(
             f"--sensor: found {sensor!r}; allowed: {target!r}, as the model was trained on frames "
             "translated to it"
         )
-    made = {**metadata, **metadata.get("transfer", {})}
+    provenance = {**metadata, **metadata.get("transfer", {})}
     usual_method = "transferred" if to else "target" if source == sensor else "source-only"
-    method, translator = made.get("method", usual_method), made.get("translator", "")
+    method, translator = provenance.get("method", usual_method), provenance.get("translator", "")
     translator = translator or ("unknown" if to else "")
     return sensor, {"source": source, "method": method, "translator": translator}

@@ -100,12 +100,12 @@ def run(options: argparse.Namespace) -> int:
         raise LearningError(f"--scale-within: found {options.scale_within}; allowed: above 1")
     sensors = []
     for name in ("source", "target"):
-        found = list(chosen_sensors(getattr(options, name)))
-        if len(found) != 1:
-            listed = ", ".join(each.sensor for each in found)
+        chosen = list(chosen_sensors(getattr(options, name)))
+        if len(chosen) != 1:
+            listed = ", ".join(each.sensor for each in chosen)
             raise LearningError(f"--{name}: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
-        sensors.append(found[0])
-    asked = Request(
+        sensors.append(chosen[0])
+    request = Request(
         source=sensors[0],
         target=sensors[1],
         out=options.out,
@@ -121,8 +121,10 @@ def run(options: argparse.Namespace) -> int:
         tolerances=tolerances_of(options),
         device=options.device,
     )
-    run_transfer(asked, lambda line: print(line, flush=True))
-    print(f"{asked.out / 'report.html'}: report; {asked.model / 'card.md'}: card")
-    sensor = asked.target.sensor
-    print(f"next: {next_command('live', sensor=sensor, model=asked.model, before=asked.before)}")
+    run_transfer(request, lambda line: print(line, flush=True))
+    print(f"{request.out / 'report.html'}: report; {request.model / 'card.md'}: card")
+    sensor = request.target.sensor
+    print(
+        f"next: {next_command('live', sensor=sensor, model=request.model, before=request.before)}"
+    )
     return 0

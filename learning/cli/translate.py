@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     translator = load_translator(options.model, options.device)
     model = Model(translator, Path(options.model).name, hash_of(options.model), options.device)
     with ItemProgress("frames", sys.stderr) as progress:
-        made = translate_archive(
+        count = translate_archive(
             archive,
             options.out,
             pairs,
@@ -78,19 +78,19 @@ def run(options: argparse.Namespace) -> int:
     if options.sheet is not None:
         draw_sheet(archive, MarkerArchive(options.out), options.sheet)
         print(f"{options.sheet}: written")
-    print(f"{options.out}: {len(pairs)} pairs, {made:,} frames made")
+    print(f"{options.out}: {len(pairs)} pairs, {count:,} frames made")
     return 0
 
 
 def _pairs(archive: MarkerArchive, options: argparse.Namespace) -> list[Pair]:
     from learning.translation.archive import Pair
 
-    given = options.source, options.target
+    ends = options.source, options.target
     if options.all:
-        if given != (None, None):
+        if ends != (None, None):
             raise LearningError("--all: found with --source or --target; allowed: one of them")
         return [Pair(*names) for names in permutations(archive, 2)]
-    if None in given:
+    if None in ends:
         raise LearningError("--source, --target: missing; allowed: both, or --all")
     pairs = [Pair(one, other) for one in options.source for other in options.target if one != other]
     if not pairs:

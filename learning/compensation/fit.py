@@ -107,19 +107,19 @@ class StoredCompensation:
 
     def pair(self, source: str, target: str, choice: str = "default") -> PairCompensation:
         """Return the compensation of a source's labels for a target, by one of `CHOICES`."""
-        for found in self.pairs:
-            if (found.source, found.target) == (source, target):
-                if choice not in found.choices:
+        for pair in self.pairs:
+            if (pair.source, pair.target) == (source, target):
+                if choice not in pair.choices:
                     raise LearningError(
                         f"{self.where}: {source} to {target} has no choice {choice!r}; known: "
-                        f"{', '.join(found.choices)}"
+                        f"{', '.join(pair.choices)}"
                     )
-                chosen = found.choices[choice]
+                chosen = pair.choices[choice]
                 return PairCompensation(
                     self.priors[source], self.priors[target], chosen.d0, chosen.weight
                 )
-        known = ", ".join(f"{found.source} to {found.target}" for found in self.pairs)
-        raise LearningError(f"{self.where}: no pair {source} to {target}; known: {known}")
+        listed = ", ".join(f"{pair.source} to {pair.target}" for pair in self.pairs)
+        raise LearningError(f"{self.where}: no pair {source} to {target}; known: {listed}")
 
     def write(self, path: Path) -> None:
         """Write the file atomically; a different one is never replaced."""
@@ -149,9 +149,9 @@ def read_stored(path: Path) -> StoredCompensation:
         raise LearningError(f"{path}: no such file") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise LearningError(f"{path}: not JSON: {error}") from None
-    found = content.get("format") if isinstance(content, dict) else None
-    if found != FORMAT:
-        raise LearningError(f"{path}.format: found {found!r}; allowed: {FORMAT!r}")
+    format_name = content.get("format") if isinstance(content, dict) else None
+    if format_name != FORMAT:
+        raise LearningError(f"{path}.format: found {format_name!r}; allowed: {FORMAT!r}")
     version = content.get("format_version")
     if version != FORMAT_VERSION:
         raise LearningError(f"{path}.format_version: found {version!r}; allowed: {FORMAT_VERSION}")
@@ -216,17 +216,17 @@ def gather_priors(archive: MarkerArchive, curves: Curves = ARCHIVED) -> Gathered
         if name in curves.ranges_mm:
             span = 1e-3 * curves.ranges_mm[name]
         curve = sessions.get(name)
-        known = published.get(name)
-        if curve is None and known is None:
+        coefficients = published.get(name)
+        if curve is None and coefficients is None:
             curve = curve_of_table(name, sensor.table, archive.indenters)
         if curve is not None:
             measured[name] = curve
             priors[name] = fit_prior(curve, span)
             continue
         source = "published coefficients"
-        if known is None:
-            known, source = _imported(sensor), "coefficients imported with the archive"
-        if known is None:
+        if coefficients is None:
+            coefficients, source = _imported(sensor), "coefficients imported with the archive"
+        if coefficients is None:
             continue
         if span is None:
             raise LearningError(
@@ -234,24 +234,24 @@ def gather_priors(archive: MarkerArchive, curves: Curves = ARCHIVED) -> Gathered
                 "pressed; allowed: --range-mm"
             )
         priors[name] = prior_of_coefficients(
-            name, known, depth_range=span, per_mm=curves.per_mm, source=source
+            name, coefficients, depth_range=span, per_mm=curves.per_mm, source=source
         )
     return Gathered(priors, measured, tuple(name for name in archive if name not in priors))
 
 
 def _imported(sensor: ArchivedSensor) -> Compensation | None:
     """Return the coefficients that were imported with a sensor; None if there are none."""
-    known = sensor.attrs.get("force_depth")
-    if known is None:
+    coefficients = sensor.attrs.get("force_depth")
+    if coefficients is None:
         return None
     try:
         return Compensation(
-            tuple(float(value) for value in known["down"]),
-            tuple(float(value) for value in known["up"]),
+            tuple(float(value) for value in coefficients["down"]),
+            tuple(float(value) for value in coefficients["up"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise LearningError(
-            f"{sensor.name}.force_depth: found {known!r}; allowed: down and up, numbers"
+            f"{sensor.name}.force_depth: found {coefficients!r}; allowed: down and up, numbers"
         ) from error
 
 
@@ -274,13 +274,13 @@ def write_compensation(
     Returns:
         Lines with tables of the priors and choices.
     """
-    made, gathered = find_compensation(archive, pairs=pairs, curves=curves, split=split)
-    made.write(out)
+    compensation, gathered = find_compensation(archive, pairs=pairs, curves=curves, split=split)
+    compensation.write(out)
     picture = out.with_suffix(".png")
-    draw_curves(made, gathered, picture)
+    draw_curves(compensation, gathered, picture)
     return [
-        *tables(made, gathered),
-        *_labels_by_twins(archive, made, split),
+        *tables(compensation, gathered),
+        *_labels_by_twins(archive, compensation, split),
         f"{out}, {picture}: written",
     ]
 
@@ -302,14 +302,14 @@ def find_compensation(
     """
     gathered = gather_priors(archive, curves)
     wanted = _wanted(archive, gathered, pairs)
-    found = []
+    compensated = []
     with ItemProgress("pairs", sys.stderr) as progress:
         for done, (source, target) in enumerate(wanted):
             progress(done, len(wanted))
             one, other = gathered.priors[source], gathered.priors[target]
-            found.append(_chosen(one, other, paired_labels(archive, source, target, split)))
+            compensated.append(_chosen(one, other, paired_labels(archive, source, target, split)))
         progress(len(wanted), len(wanted))
-    return StoredCompensation(gathered.priors, tuple(found), made_from=archive.name), gathered
+    return StoredCompensation(gathered.priors, tuple(compensated), made_from=archive.name), gathered
 
 
 def _chosen(source: Prior, target: Prior, paired: Paired | None) -> StoredPair:
@@ -366,12 +366,12 @@ def _wanted(
 _POINTS = 300
 
 
-def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:
+def tables(compensation: StoredCompensation, gathered: Gathered) -> Iterator[str]:
     """Yield the lines of a table of priors, a table of pairs and a summary."""
     yield f"{'sensor':<14}{'range':>9}  {'loading at 1/2, 1':>20}{'rms':>8}  " + (
         f"{'unloading':>20}{'rms':>8}  [N]"
     )
-    for prior in found.priors.values():
+    for prior in compensation.priors.values():
         yield (
             f"{prior.sensor:<14}{1e3 * prior.depth_range:>6.2f} mm  {_said(prior.loading)}"
             f"  {_said(prior.unloading)}  {prior.source}"
@@ -380,22 +380,22 @@ def tables(found: StoredCompensation, gathered: Gathered) -> Iterator[str]:
         yield f"without a force-depth curve: {', '.join(gathered.without)}"
     yield ""
     yield f"{'labels of > for':<28}{'before':>8}" + "".join(f"{name:>24}" for name in CHOICES)
-    for pair in found.pairs:
+    for pair in compensation.pairs:
         name = f"{pair.source} > {pair.target}"
         cells = "".join(f"{_cell(pair.choices.get(choice)):>24}" for choice in CHOICES)
         yield f"{name:<28}{_newtons(pair.before):>8}{cells}"
     yield "mean distance of labels from the target's [N], (d0 of the depth range, lambda)"
-    yield from _summary(found.pairs)
+    yield from _summary(compensation.pairs)
 
 
-def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> None:
+def draw_curves(compensation: StoredCompensation, gathered: Gathered, path: Path) -> None:
     """Plot measured forces and fitted polynomials, loading and unloading, as a PNG."""
-    spans = [prior.depth_range for prior in found.priors.values()]
+    spans = [prior.depth_range for prior in compensation.priors.values()]
     alike = max(spans) - min(spans) < 0.05 * max(spans)
     with chart(path, 9, 3.8) as figure:
         axes = figure.subplots(1, 2, sharey=True)
         for loading, panel in zip((True, False), axes, strict=True):
-            for place, (name, prior) in enumerate(found.priors.items()):
+            for place, (name, prior) in enumerate(compensation.priors.items()):
                 colour = f"C{place}"
                 unit = 1e3 * prior.depth_range if alike else 1.0
                 if name in gathered.measured:
@@ -414,10 +414,10 @@ def draw_curves(found: StoredCompensation, gathered: Gathered, path: Path) -> No
 
 
 def _labels_by_twins(
-    archive: MarkerArchive, made: StoredCompensation, split: Path | None
+    archive: MarkerArchive, compensation: StoredCompensation, split: Path | None
 ) -> Iterator[str]:
     """Yield R2 of the labels of each pair whose sensors both have forces of a twin."""
-    for pair in made.pairs:
+    for pair in compensation.pairs:
         r2 = simulated_r2(archive, pair.source, pair.target, split)
         if r2 is not None:
             others = {"before": pair.before, **pair.choices}
@@ -445,14 +445,14 @@ def _cell(choice: Choice | None) -> str:
 
 
 def _summary(pairs: tuple[StoredPair, ...]) -> Iterator[str]:
-    known = [(pair, pair.before.error) for pair in pairs if pair.before.error is not None]
-    if not known:
+    labelled = [(pair, pair.before.error) for pair in pairs if pair.before.error is not None]
+    if not labelled:
         yield "no target has labels of its own: no error, no oracle"
         return
     for name in CHOICES:
         after = [
             (before, choice.error)
-            for pair, before in known
+            for pair, before in labelled
             if (choice := pair.choices.get(name)) is not None and choice.error is not None
         ]
         if not after:

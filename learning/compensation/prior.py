@@ -78,33 +78,33 @@ def curve_of_session(path: Path) -> ForceDepth:
     """Return the curve from a session of `tactile force-depth`."""
     session = Session(path)
     curves = press_curves(session)
-    known = [session.attrs.get(name) for name in ("sensor", "indenter")]
-    if not all(isinstance(name, str) and name for name in known):
+    names = [session.attrs.get(name) for name in ("sensor", "indenter")]
+    if not all(isinstance(name, str) and name for name in names):
         raise LearningError(
-            f"{path}: found sensor {known[0]!r}, indenter {known[1]!r}; allowed: names"
+            f"{path}: found sensor {names[0]!r}, indenter {names[1]!r}; allowed: names"
         )
     return ForceDepth(
-        str(known[0]),
-        str(known[1]),
+        str(names[0]),
+        str(names[1]),
         f"session {path.name}",
-        _known(curves.depth, curves.loading),
-        _known(curves.depth, curves.unloading),
+        _finite_points(curves.depth, curves.loading),
+        _finite_points(curves.depth, curves.unloading),
     )
 
 
 def _indenter(sensor: str, table: Table, rows: NDArray[np.bool_], indenters: Sequence[str]) -> str:
-    found = [str(indenters[code]) for code in np.unique(table["indenter"][rows])]
-    if INDENTER in found:
+    names = [str(indenters[code]) for code in np.unique(table["indenter"][rows])]
+    if INDENTER in names:
         return INDENTER
-    if len(found) > 1:
+    if len(names) > 1:
         raise LearningError(
-            f"{sensor}: found force-depth presses of {', '.join(found)}; allowed: one indenter, or "
+            f"{sensor}: found force-depth presses of {', '.join(names)}; allowed: one indenter, or "
             f"{INDENTER} among them"
         )
-    return found[0]
+    return names[0]
 
 
-def _known(depth: Floats, force: Floats) -> Floats:
+def _finite_points(depth: Floats, force: Floats) -> Floats:
     """Return depth and force (n, 2) of curves (r, m) over common depths (m,), without gaps."""
     pairs = np.stack([np.broadcast_to(depth, force.shape), force], axis=-1).reshape(-1, 2)
     return pairs[np.isfinite(pairs[:, 1]) & (pairs[:, 0] > 0)]
@@ -160,10 +160,11 @@ class Prior:
                     f"prior {self.sensor}.{name}: found {value} m; allowed: above 0"
                 )
         for name in ("loading", "unloading"):
-            found = getattr(self, name).coefficients
-            if not found or not np.isfinite(found).all():
+            coefficients = getattr(self, name).coefficients
+            if not coefficients or not np.isfinite(coefficients).all():
                 raise LearningError(
-                    f"prior {self.sensor}.{name}: found {found}; allowed: finite coefficients"
+                    f"prior {self.sensor}.{name}: found {coefficients}; allowed: finite "
+                    "coefficients"
                 )
 
     @property
@@ -195,7 +196,7 @@ def fit_prior(measured: ForceDepth, depth_range: float | None = None) -> Prior:
 
 
 def prior_of_coefficients(
-    sensor: str, known: Compensation, *, depth_range: float, per_mm: bool, source: str
+    sensor: str, coefficients: Compensation, *, depth_range: float, per_mm: bool, source: str
 ) -> Prior:
     """Return a prior with published coefficients.
 
@@ -204,14 +205,14 @@ def prior_of_coefficients(
 
     Args:
         sensor: Name of the sensor.
-        known: Polynomials for loading and unloading, highest power first.
+        coefficients: Polynomials for loading and unloading, highest power first.
         depth_range: Depth that counts as 1 [m].
         per_mm: True if they are of depth in mm (material test); else of its fraction of the range
             (heterogeneous test).
         source: Description of their origin.
     """
     unit = depth_range * 1e3 if per_mm else 1.0
-    loading, unloading = _converted(known.down, unit), _converted(known.up, unit)
+    loading, unloading = _converted(coefficients.down, unit), _converted(coefficients.up, unit)
     return Prior(sensor, loading, unloading, depth_range, depth_range, source=source)
 
 
@@ -314,8 +315,8 @@ def ratios(
     )
     pushes = own > 0
     ratio = np.where(pushes, other / np.where(pushes, own, 1.0), np.where(other > 0, np.inf, 1.0))
-    kept = np.clip(ratio, LEAST, LARGEST)
-    return kept, (kept != ratio) | ~pushes
+    clamped = np.clip(ratio, LEAST, LARGEST)
+    return clamped, (clamped != ratio) | ~pushes
 
 
 def require_choice(d0: float, lam: float) -> None:

@@ -93,15 +93,15 @@ def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight
         paired.source, paired.depth, paired.phase, source, target, d0, weight
     )
     apart = labels - paired.target
-    known = np.isfinite(apart)
-    if np.isinf(apart).any() or not known.any(axis=1).all():
+    labelled = np.isfinite(apart)
+    if np.isinf(apart).any() or not labelled.any(axis=1).all():
         raise LearningError(
             f"{target.sensor}.wrench: found no finite label in some of the paired locations; "
             "allowed: one axis or more in each"
         )
     means = axis_means(np.abs(apart)).tolist()
     axes = tuple(None if np.isnan(value) else float(value) for value in means)
-    error = float(np.linalg.norm(np.where(known, apart, 0.0), axis=1).mean())
+    error = float(np.linalg.norm(np.where(labelled, apart, 0.0), axis=1).mean())
     return Choice(d0, weight, error, axes, clamped, label_r2(paired.target, labels))
 
 
@@ -168,17 +168,17 @@ def paired_labels(
     """
     one, other = archive[source], archive[target]
     pairs = location_pairs(one.table, other.table)
-    kept = learned_from(archive, one, pairs.source, split)
+    usable = learned_from(archive, one, pairs.source, split)
     forces = one.table["wrench"][pairs.source, :3], other.table["wrench"][pairs.target, :3]
     both = np.isfinite(forces[0]) & np.isfinite(forces[1])
-    kept &= both.any(axis=1)
-    if not kept.any():
+    usable &= both.any(axis=1)
+    if not usable.any():
         return None
     return Paired(
-        np.where(both, forces[0], np.nan)[kept],
-        np.where(both, forces[1], np.nan)[kept],
-        one.table["depth"][pairs.source][kept],
-        one.table["phase"][pairs.source][kept].astype(np.int64),
+        np.where(both, forces[0], np.nan)[usable],
+        np.where(both, forces[1], np.nan)[usable],
+        one.table["depth"][pairs.source][usable],
+        one.table["phase"][pairs.source][usable].astype(np.int64),
     )
 
 
@@ -195,10 +195,10 @@ def learned_from(
     """Return a mask (n,) of the rows that may be trained on: of a split, or of seen indenters."""
     if split is None:
         return np.asarray(sensor.table["seen"][rows], np.bool_)
-    found = read_split(split)
-    found.check(archive)
-    roles = np.asarray(found.role(sensor.table["location"][rows]))
-    kept = np.asarray(roles == "train", np.bool_)
-    if not kept.any():
+    stored = read_split(split)
+    stored.check(archive)
+    roles = np.asarray(stored.role(sensor.table["location"][rows]))
+    training = np.asarray(roles == "train", np.bool_)
+    if not training.any():
         raise LearningError(f"{split}: trains on no press of {sensor.name}; allowed: one or more")
-    return kept
+    return training

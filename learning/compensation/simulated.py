@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 # Name of such labels among methods and choices.
 SIMULATED = "simulated"
 # Limits of ratios, as of those of priors, and the forces from which they are known [N].
-RATIOS, KNOWN = (0.1, 10.0), 0.01
+RATIOS, LEAST_FORCE = (0.1, 10.0), 0.01
 
 
 def simulated_labels(source: ArchivedSensor, target: ArchivedSensor) -> Simulated:
@@ -72,9 +72,9 @@ def simulated_r2(
     if one.simulated is None or other.simulated is None:
         return None
     pairs = location_pairs(one.table, other.table)
-    kept = learned_from(archive, one, pairs.source, split)
-    labels = simulated_labels(one, other).force[pairs.source[kept]]
-    true = other.table["wrench"][pairs.target[kept], :3]
+    training = learned_from(archive, one, pairs.source, split)
+    labels = simulated_labels(one, other).force[pairs.source[training]]
+    true = other.table["wrench"][pairs.target[training], :3]
     return label_r2(true, labels)
 
 
@@ -98,6 +98,6 @@ def _groups(sensor: ArchivedSensor) -> dict[tuple[int, int], tuple[NDArray[np.in
 
 def _ratio(there: Floats, here: Floats, otherwise: Floats) -> Floats:
     """Return limited ratios (n,) of forces; `otherwise` where the source has hardly any."""
-    known = here > KNOWN
-    found: Floats = np.clip(there / np.where(known, here, 1.0), *RATIOS)
-    return np.where(known, found, otherwise)
+    measurable = here > LEAST_FORCE
+    ratio: Floats = np.clip(there / np.where(measurable, here, 1.0), *RATIOS)
+    return np.where(measurable, ratio, otherwise)
