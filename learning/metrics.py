@@ -37,8 +37,8 @@ class ForceErrors:
     @property
     def r2_mean(self) -> float:
         """Mean of R2 over the measured axes; NaN if the labels of one of them are constant."""
-        found = [fit for fit, mae in zip(self.r2, self.mae, strict=False) if np.isfinite(mae)]
-        return float(np.mean(found)) if found else np.nan
+        measured = [fit for fit, mae in zip(self.r2, self.mae, strict=False) if np.isfinite(mae)]
+        return float(np.mean(measured)) if measured else np.nan
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -65,14 +65,14 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
         predicted: Predicted forces (n, 3) [N]; NaN on axes that the model does not predict.
         spread: Standard deviation of the target's labels, of Fx, Fy, Fz and Ft (4,) [N].
     """
-    known = _comparable(true, predicted)
-    measured, found = with_magnitude(true), with_magnitude(predicted)
+    comparable = _comparable(true, predicted)
+    measured, estimated = with_magnitude(true), with_magnitude(predicted)
     mae, fit = np.full(len(MEASURED), np.nan), np.full(len(AXES), np.nan)
     for place in range(len(MEASURED)):
-        rows = known[:, place] if place < len(AXES) else known.all(axis=1)
+        rows = comparable[:, place] if place < len(AXES) else comparable.all(axis=1)
         if not rows.any():
             continue
-        one, other = measured[rows, place, None], found[rows, place, None]
+        one, other = measured[rows, place, None], estimated[rows, place, None]
         mae[place] = np.abs(other - one).mean(axis=0)[0]
         if place < len(AXES):
             fit[place] = r_squared(one, other)[0]
@@ -80,7 +80,7 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = mae / np.asarray(spread, np.float64)
     fx, fy, fz = fit.tolist()
-    scored = int(known.any(axis=1).sum())
+    scored = int(comparable.any(axis=1).sum())
     return ForceErrors(scored, _four(mae), _four(relative), (fx, fy, fz))
 
 
@@ -91,8 +91,8 @@ def can_be_scored(true: Floats, predicted: Floats) -> bool:
 
 def axis_means(values: Floats) -> Floats:
     """Return the mean of each column (k,) of (n, k) without its NaN; NaN if there is no other."""
-    known = ~np.isnan(values)
-    total, count = np.where(known, values, 0.0).sum(axis=0), known.sum(axis=0)
+    present = ~np.isnan(values)
+    total, count = np.where(present, values, 0.0).sum(axis=0), present.sum(axis=0)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
@@ -105,12 +105,12 @@ def _comparable(true: Floats, predicted: Floats) -> NDArray[np.bool_]:
         )
     require_forces("true", true, whole_axes=False)
     require_forces("predicted", predicted, whole_axes=True)
-    known: NDArray[np.bool_] = np.isfinite(true) & np.isfinite(predicted)
-    if not known.any():
+    comparable: NDArray[np.bool_] = np.isfinite(true) & np.isfinite(predicted)
+    if not comparable.any():
         raise LearningError(
             "forces: found no label that a prediction can be compared with; allowed: one or more"
         )
-    return known
+    return comparable
 
 
 def require_forces(name: str, forces: Floats, *, whole_axes: bool) -> None:
@@ -151,12 +151,12 @@ def spread_and_range(labels: Floats) -> tuple[Floats, Floats]:
 
     Each is of its measured frames (not NaN), Ft of those with all axes; NaN without any.
     """
-    found = with_magnitude(labels)
-    spread, range_ = np.full(found.shape[1], np.nan), np.full(found.shape[1], np.nan)
-    for place, column in enumerate(found.T):
-        known = column[np.isfinite(column)]
-        if len(known):
-            spread[place], range_[place] = known.std(), np.ptp(known)
+    forces = with_magnitude(labels)
+    spread, range_ = np.full(forces.shape[1], np.nan), np.full(forces.shape[1], np.nan)
+    for place, column in enumerate(forces.T):
+        finite = column[np.isfinite(column)]
+        if len(finite):
+            spread[place], range_[place] = finite.std(), np.ptp(finite)
     return spread, range_
 
 

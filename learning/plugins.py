@@ -59,8 +59,8 @@ def load_plugin(
 def _entry_point(name: str) -> EntryPoint:
     offered = list(entry_points(group=GROUP, name=name))
     if not offered:
-        known = ", ".join(plugin_names()) or "none is installed"
-        raise LearningError(f"model: found {name!r}; offered by installed packages: {known}")
+        names = ", ".join(plugin_names()) or "none is installed"
+        raise LearningError(f"model: found {name!r}; offered by installed packages: {names}")
     if len({each.value for each in offered}) > 1:
         several = ", ".join(sorted(each.value for each in offered))
         raise LearningError(f"model {name!r}: found {several}; allowed: one package that offers it")

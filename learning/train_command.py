@@ -66,9 +66,9 @@ def run_training(
         ItemProgress(reading, sys.stderr) as items,
         ItemProgress("steps", sys.stderr) as steps,
     ):
-        told = train(Session(launched, run, stop, steps, items))
+        lines = train(Session(launched, run, stop, steps, items))
     if stop.agreed(launched) and not run.finished:
         print(f"{out}: stopped; the same command continues", file=sys.stderr)
         raise KeyboardInterrupt
-    for line in [f"{out}: trained"] if told is None else told:
+    for line in [f"{out}: trained"] if lines is None else lines:
         print(line)

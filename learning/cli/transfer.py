@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.config import read_settings
     from learning.experiment.settings import PRESETS, ExperimentSettings
-    from learning.transfer.run import Request, run_transfer
+    from learning.transfer.run import TransferRequest, run_transfer
 
     if options.scale_within is not None and not 1 < options.scale_within < math.inf:
         raise LearningError(f"--scale-within: found {options.scale_within}; allowed: above 1")
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
             listed = ", ".join(each.sensor for each in chosen)
             raise LearningError(f"--{name}: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
         sensors.append(chosen[0])
-    request = Request(
+    request = TransferRequest(
         source=sensors[0],
         target=sensors[1],
         out=options.out,

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 # Name of such labels among methods and choices.
 SIMULATED = "simulated"
-# Limits of ratios, as of those of priors, and the forces from which they are known [N].
+# Limits of ratios, as of those of priors, and the least force that has a ratio [N].
 RATIOS, LEAST_FORCE = (0.1, 10.0), 0.01
 
 

@@ -81,23 +81,23 @@ class TactileDataset(Dataset[Sample]):
         self.streams = tuple(streams or ())
         """Columns of every sample."""
         self._open: OrderedDict[str, _Recording] = OrderedDict()
-        self.paths = _found(recordings)
+        self.paths = _recordings_in(recordings)
         """Recordings with windows, in order."""
         ends = []
         for path in self.paths:
             one = self._recording(path)
             self.streams = self.streams or one.columns
             ends.append(_chosen(one, path, window, stride, split, unseen))
-        kept = [number for number, found in enumerate(ends) if len(found)]
-        if not kept:
-            told = "" if split is None else f" of split {split!r}"
+        with_windows = [number for number, rows in enumerate(ends) if len(rows)]
+        if not with_windows:
+            of_split = "" if split is None else f" of split {split!r}"
             raise LearningError(
-                f"recordings: found no window of {window} rows{told} in {len(self.paths)} "
+                f"recordings: found no window of {window} rows{of_split} in {len(self.paths)} "
                 f"recordings; unseen indenters: {', '.join(sorted(unseen))}"
             )
-        self.paths = [self.paths[number] for number in kept]
-        self._ends = [ends[number] for number in kept]
-        self._until = np.cumsum([len(found) for found in self._ends])
+        self.paths = [self.paths[number] for number in with_windows]
+        self._ends = [ends[number] for number in with_windows]
+        self._until = np.cumsum([len(rows) for rows in self._ends])
 
     def __len__(self) -> int:
         """Return the number of windows."""
@@ -111,21 +111,21 @@ class TactileDataset(Dataset[Sample]):
         of = int(np.searchsorted(self._until, number, side="right"))
         within = number - (int(self._until[of - 1]) if of else 0)
         end = int(self._ends[of][within])
-        found = self._recording(self.paths[of]).window(end, self.window)
-        missing = [name for name in self.streams if f"{name}_valid" not in found]
+        columns = self._recording(self.paths[of]).window(end, self.window)
+        missing = [name for name in self.streams if f"{name}_valid" not in columns]
         if missing:
-            known = ", ".join(name for name in found if f"{name}_valid" in found)
-            raise LearningError(f"{self.paths[of]}: no column {missing[0]!r}; known: {known}")
-        valid = np.logical_and.reduce([found[f"{name}_valid"] for name in self.streams])
+            available = ", ".join(name for name in columns if f"{name}_valid" in columns)
+            raise LearningError(f"{self.paths[of]}: no column {missing[0]!r}; known: {available}")
+        valid = np.logical_and.reduce([columns[f"{name}_valid"] for name in self.streams])
         names = [*self.streams, *(f"{name}_valid" for name in self.streams)]
-        if "t_ns" in found:
+        if "t_ns" in columns:
             names.append("t_ns")
-        sample = {name: torch.from_numpy(np.ascontiguousarray(found[name])) for name in names}
+        sample = {name: torch.from_numpy(np.ascontiguousarray(columns[name])) for name in names}
         return {
             **sample,
             "valid": torch.from_numpy(valid),
             "recording": torch.tensor(of),
-            "row": torch.tensor(int(found["row"])),
+            "row": torch.tensor(int(columns["row"])),
         }
 
     def batches(
@@ -204,8 +204,8 @@ class _OfSession:
         )
 
     def indenters(self) -> NDArray[np.str_]:
-        told = self.session.attrs.get("indenter") or ""
-        return np.full(len(self._t_ns), str(told))
+        name = self.session.attrs.get("indenter") or ""
+        return np.full(len(self._t_ns), str(name))
 
     def whole(self, rows: int) -> NDArray[np.bool_]:
         begin = np.zeros(len(self._run), np.int64)
@@ -216,12 +216,12 @@ class _OfSession:
         return np.asarray(self._t_ns - begin >= length - 1e3)
 
     def window(self, end: int, rows: int) -> dict[str, NDArray[Any]]:
-        found = self.session.window(int(self._t_ns[end]), rows, run=int(self._run[end]))
-        values: dict[str, NDArray[Any]] = {"t_ns": found.t_ns, "row": np.array(end)}
-        for name, aligned in found.streams.items():
+        window = self.session.window(int(self._t_ns[end]), rows, run=int(self._run[end]))
+        values: dict[str, NDArray[Any]] = {"t_ns": window.t_ns, "row": np.array(end)}
+        for name, aligned in window.streams.items():
             if aligned.value is None:
                 continue
-            column, value = found.columns[name], aligned.value
+            column, value = window.columns[name], aligned.value
             if self.session.streams[name].layout.image is not None:
                 value = value[:, None] if value.ndim == 3 else np.moveaxis(value, -1, 1)
             elif value.dtype.kind == "f":
@@ -267,14 +267,14 @@ class _OfArchive:
 _Recording = _OfSession | _OfArchive
 
 
-def _found(recordings: str | Path | Iterable[str | Path]) -> list[str]:
+def _recordings_in(recordings: str | Path | Iterable[str | Path]) -> list[str]:
     """Return each recording; folders are searched for sessions."""
-    given = [recordings] if isinstance(recordings, str | Path) else list(recordings)
-    found = []
-    for one in map(str, given):
+    listed = [recordings] if isinstance(recordings, str | Path) else list(recordings)
+    paths = []
+    for one in map(str, listed):
         inside = Path(one)
         if "://" in one or _is_sensor(one) or (inside / "zarr.json").exists():
-            found.append(one)
+            paths.append(one)
             continue
         if not inside.is_dir():
             raise LearningError(
@@ -284,8 +284,8 @@ def _found(recordings: str | Path | Iterable[str | Path]) -> list[str]:
         catalogue = Catalogue(inside)
         catalogue.refresh()
         # Those that cannot be read are refused when they are opened.
-        found += sorted(str(inside / row.path) for row in catalogue)
-    return found
+        paths += sorted(str(inside / row.path) for row in catalogue)
+    return paths
 
 
 def _opened(path: str, storage_options: Mapping[str, Any]) -> _Recording:

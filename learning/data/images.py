@@ -151,22 +151,22 @@ def read_fields(
 ) -> tuple[Tensor, Tensor]:
     """Return fields of some rows of an archive's sensor, and where there is material.
 
-    The fields are (n, 2, h, w) float32 [px] on the sensor's lattice, unknown values filled from
+    The fields are (n, 2, h, w) float32 [px] on the sensor's lattice, undefined values filled from
     their surroundings; the second is (n, h, w) bool.
     """
     stored = sensor.displacement(rows).astype(np.float32)
     field = torch.from_numpy(stored).to(device).permute(0, 3, 1, 2).contiguous()
-    known = field.isfinite().all(dim=1)
-    return filled(field, known), known
+    defined = field.isfinite().all(dim=1)
+    return filled(field, defined), defined
 
 
-def filled(field: Tensor, known: Tensor) -> Tensor:
-    """Fill the unknown values of fields (n, 2, h, w) from their surroundings; `known` is (n, h, w).
+def filled(field: Tensor, defined: Tensor) -> Tensor:
+    """Fill the undefined values of fields (n, 2, h, w) from their surroundings.
 
-    A field without known values becomes 0.
+    A field without any value that is `defined` (n, h, w) becomes 0.
     """
-    there = known.unsqueeze(1).to(field.dtype)
-    values = torch.where(known.unsqueeze(1), field, torch.zeros_like(field))
+    there = defined.unsqueeze(1).to(field.dtype)
+    values = torch.where(defined.unsqueeze(1), field, torch.zeros_like(field))
     for _ in range(max(field.shape[-2:])):
         if bool((there.amax(dim=(1, 2, 3)) == there.amin(dim=(1, 2, 3))).all()):
             break

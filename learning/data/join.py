@@ -174,8 +174,8 @@ def join(
         for other in range(one + 1, len(presses))
     )
     if not any(pair.matched for pair in pairs):
-        told = "\n".join(line for pair in pairs for line in pair.lines())
-        raise LearningError(f"no press matched within {chosen}\n{told}")
+        listed = "\n".join(line for pair in pairs for line in pair.lines())
+        raise LearningError(f"no press matched within {chosen}\n{listed}")
     indenters = coded(name for each in sensors for name in each.archive.indenters)
     target, location = _numbered(presses, numbers, indenters)
     most = 1 + max((int(some.max()) for some in target), default=0)
@@ -193,9 +193,9 @@ def join(
 def _require_names(sensors: Sequence[Chosen]) -> None:
     if len(sensors) < 2:
         raise LearningError(f"sensors: found {len(sensors)}; allowed: two or more")
-    known: dict[str, Chosen] = {}
+    by_name: dict[str, Chosen] = {}
     for each in sensors:
-        other = known.setdefault(each.name, each)
+        other = by_name.setdefault(each.name, each)
         if other is not each:
             raise LearningError(
                 f"{each.name}: found in {other.archive.name} and in {each.archive.name}; allowed: "
@@ -207,12 +207,12 @@ def _require_seen_alike(sensors: Sequence[Chosen], unseen: tuple[str, ...] | Non
     """Reject archives that disagree on the indenters that models may be trained on."""
     if unseen is not None:
         return
-    known: dict[str, tuple[bool, Chosen]] = {}
+    first_of: dict[str, tuple[bool, Chosen]] = {}
     for each in sensors:
         table = each.archived.table
         for code, seen in np.unique(np.stack([table["indenter"], table["seen"]], 1), axis=0):
             name = each.archive.indenters[int(code)]
-            before, other = known.setdefault(name, (bool(seen), each))
+            before, other = first_of.setdefault(name, (bool(seen), each))
             if before != bool(seen):
                 raise LearningError(
                     f"{name}: models may be trained on it by {(each if seen else other).name}, not "
@@ -258,11 +258,11 @@ def _merge(group: Integers, presses: Presses, number: Integers) -> None:
 
 
 def _require_targets_apart(presses: Presses, target: Integers) -> None:
-    known: dict[tuple[str, int], int] = {}
+    own_target: dict[tuple[str, int], int] = {}
     for name, own, new in zip(
         presses.indenter.tolist(), presses.target.tolist(), target.tolist(), strict=True
     ):
-        if (other := known.setdefault((name, new), own)) != own:
+        if (other := own_target.setdefault((name, new), own)) != own:
             raise LearningError(
                 f"{presses.of.name}: its targets {other} and {own} of {name} match different "
                 "depths of one target of another sensor; allowed: archives with one target each"

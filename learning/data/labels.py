@@ -54,7 +54,7 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
     """Read the labels of a sensor's frames."""
     table = archive[sensor].table
     names = archive.indenters
-    known = {
+    row_of = {
         (names[code], int(target), int(frame)): row
         for row, (code, target, frame) in enumerate(
             zip(table["indenter"], table["target"], table["frame"], strict=True)
@@ -62,7 +62,7 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
         if table["valid"][row]
     }
     held = {
-        key[:2]: key[2] for key, row in sorted(known.items()) if table["phase"][row] == _PRESSING
+        key[:2]: key[2] for key, row in sorted(row_of.items()) if table["phase"][row] == _PRESSING
     }
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -77,7 +77,7 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
             lines = list(reader)
     except (OSError, UnicodeDecodeError) as error:
         raise LearningError(f"{path}: cannot be read: {error}") from None
-    found: dict[int, list[float]] = {}
+    forces_of: dict[int, list[float]] = {}
     pressed: dict[tuple[str, int], int] = {}
     numbers: list[int] = []
     for number, line in enumerate(lines, 2):
@@ -92,13 +92,13 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
             raise LearningError(f"{where}: {error}; allowed: numbers, or no force") from None
         if math.inf in map(abs, forces):
             raise LearningError(f"{where}: found an infinite force; allowed: numbers, or none")
-        if key not in known:
+        if key not in row_of:
             named = f"frame {frame}" if frame else "frame where it is held"
             raise LearningError(f"{where}: {sensor} has no {named} of target {key[1]} of {key[0]}")
-        if known[key] in found:
+        if row_of[key] in forces_of:
             raise LearningError(f"{where}: found frame {key} twice; allowed: once")
-        found[known[key]] = forces
+        forces_of[row_of[key]] = forces
         numbers.append(pressed.setdefault(press, len(pressed)))
-    if not found or np.isnan(list(found.values())).all():
+    if not forces_of or np.isnan(list(forces_of.values())).all():
         raise LearningError(f"{path}: found no force; allowed: one or more")
-    return Labels(np.array(list(found)), np.array(list(found.values())), np.array(numbers))
+    return Labels(np.array(list(forces_of)), np.array(list(forces_of.values())), np.array(numbers))

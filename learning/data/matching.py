@@ -156,16 +156,16 @@ def read_presses(chosen: Chosen) -> Presses:
     sensor = chosen.archived
     where = f"{chosen.archive.name}: {chosen.sensor}"
     for key in ("position", "depth"):
-        told = str(sensor.attrs.get(key, ""))
-        if told.startswith("unknown"):
+        stated = str(sensor.attrs.get(key, ""))
+        if stated.startswith("unknown"):
             raise LearningError(
-                f"{where}: {key} is {told!r}, so its presses cannot be matched to others; "
+                f"{where}: {key} is {stated!r}, so its presses cannot be matched to others; "
                 "allowed: import it with its plan or turn (tactile import --plan, --turn), or "
                 "train a model of its own, which needs no join"
             )
     table = sensor.table
-    known, at = np.unique(np.asarray(table["location"], np.int64), return_index=True)
-    locations, rows = known[known >= 0], at[known >= 0]
+    numbers, at = np.unique(np.asarray(table["location"], np.int64), return_index=True)
+    locations, rows = numbers[numbers >= 0], at[numbers >= 0]
     if not len(locations):
         raise LearningError(f"{where}: no press has a location; allowed: presses with shear")
     ends: dict[int, dict[int, int]] = {}
@@ -223,13 +223,13 @@ def read_presses(chosen: Chosen) -> Presses:
 
 def match(sensors: Sequence[Presses], tolerances: Tolerances) -> list[Integers]:
     """Return the number of the place of each press of each sensor, equal where presses matched."""
-    found: list[Integers] = []
-    known: list[tuple[Presses, Integers]] = []
+    numbered: list[Integers] = []
+    matched: list[tuple[Presses, Integers]] = []
     count = 0
     for presses in sensors:
         _require_apart(presses, tolerances)
         number = np.full(len(presses), -1, np.int64)
-        for others, numbers in known:
+        for others, numbers in matched:
             for rows in _blocks(presses):
                 near = Differences.of(presses.subset(rows), others).alike(tolerances)[-1]
                 for row, column in np.argwhere(near).tolist():
@@ -238,14 +238,14 @@ def match(sensors: Sequence[Presses], tolerances: Tolerances) -> list[Integers]:
                         raise _ambiguous(presses, press, others, column, tolerances)
                     number[press] = at
         _require_one_each(presses, number, tolerances)
-        for others, numbers in known:
+        for others, numbers in matched:
             _require_all_near(presses, number, others, numbers, tolerances)
         new = np.flatnonzero(number < 0)
         number[new] = count + np.arange(len(new))
         count += len(new)
-        known.append((presses, number))
-        found.append(number)
-    return found
+        matched.append((presses, number))
+        numbered.append(number)
+    return numbered
 
 
 def _blocks(presses: Presses) -> Iterator[Integers]:
@@ -363,11 +363,11 @@ def _paired(presses: Presses, number: Integers) -> dict[str, NDArray[Any]]:
     return {name: table[name] for name in _PAIRING} | {"location": location}
 
 
-def mapped(values: NDArray[Any], known: Integers, to: Integers) -> Integers:
-    """Replace known values (ascending) by others; those below 0 stay."""
+def mapped(values: NDArray[Any], old: Integers, new: Integers) -> Integers:
+    """Replace the values `old` (ascending) by `new`; those below 0 stay."""
     values = np.asarray(values, np.int64)
-    place = np.minimum(np.searchsorted(known, values), len(known) - 1)
-    return np.where(values < 0, values, to[place])
+    place = np.minimum(np.searchsorted(old, values), len(old) - 1)
+    return np.where(values < 0, values, new[place])
 
 
 def _reasons(presses: Presses, others: Presses, tolerances: Tolerances) -> Iterator[str]:

@@ -143,10 +143,10 @@ def load_presses(
         frames = _read_fields(sensor, described, processes, progress)
     else:
         frames = read_frames(sensor, described.rows.numpy(), torch.device(device), form, progress)
-    kept = sensor.reference_frames
+    references = sensor.reference_frames
     if form in ("images", "field"):
-        kept = shrink(kept)
-    return replace(described, form=form, images=frames, references=torch.from_numpy(kept)).to(
+        references = shrink(references)
+    return replace(described, form=form, images=frames, references=torch.from_numpy(references)).to(
         device
     )
 
@@ -301,12 +301,12 @@ class ForceRange:
     def __post_init__(self) -> None:
         ends = np.array([self.low, self.high], np.float64)
         measured = ~np.isnan(ends).all(axis=0)
-        known = ends[:, measured] if ends.shape == (2, 3) else ends
+        bounds = ends[:, measured] if ends.shape == (2, 3) else ends
         if (
             ends.shape != (2, 3)
-            or not known.size
-            or not np.isfinite(known).all()
-            or (known[0] >= known[1]).any()
+            or not bounds.size
+            or not np.isfinite(bounds).all()
+            or (bounds[0] >= bounds[1]).any()
         ):
             raise LearningError(
                 f"force range: found {self.low} to {self.high}; allowed: three finite forces [N] "

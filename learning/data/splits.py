@@ -69,8 +69,8 @@ class Split:
 
     def trained_on(self, indenters: Collection[str]) -> Split:
         """Return the split in which the presses of some indenters are trained on as well."""
-        made = (replace(p, role="train") if p.indenter in indenters else p for p in self.presses)
-        return replace(self, presses=tuple(made))
+        presses = (replace(p, role="train") if p.indenter in indenters else p for p in self.presses)
+        return replace(self, presses=tuple(presses))
 
     def locations(self, role: Role) -> NDArray[np.int64]:
         """Return the locations of a role (n,), ascending."""
@@ -79,12 +79,12 @@ class Split:
 
     def role(self, location: NDArray[np.integer[Any]]) -> NDArray[np.str_]:
         """Return the role of each location (n,): one of `ROLES`, or `NO_ROLE`."""
-        known = np.array([each.location for each in self.presses], np.int64)
+        locations = np.array([each.location for each in self.presses], np.int64)
         roles = np.array([*(each.role for each in self.presses), NO_ROLE], "<U12")
-        asked = np.asarray(location, np.int64)
-        place = np.minimum(np.searchsorted(known, asked), max(len(known) - 1, 0))
-        found = known[place] == asked if len(known) else np.zeros(asked.shape, np.bool_)
-        return np.where(found, roles[place], NO_ROLE)
+        wanted = np.asarray(location, np.int64)
+        place = np.minimum(np.searchsorted(locations, wanted), max(len(locations) - 1, 0))
+        listed = locations[place] == wanted if len(locations) else np.zeros(wanted.shape, np.bool_)
+        return np.where(listed, roles[place], NO_ROLE)
 
     def rows(
         self, table: Mapping[str, NDArray[Any]], role: Role | Sequence[Role]
@@ -105,9 +105,9 @@ class Split:
 
     def check(self, archive: MarkerArchive) -> None:
         """Reject an archive with other presses than the split's; a subset is allowed."""
-        known = {each.location: each for each in self.presses}
+        by_location = {each.location: each for each in self.presses}
         for location, (indenter, target) in presses_of(archive).items():
-            press = known.get(location)
+            press = by_location.get(location)
             if press is None:
                 raise LearningError(
                     f"{archive.name}: location {location} ({indenter}, target {target}) is not in "
@@ -196,12 +196,12 @@ def make_split(
     for name, fraction in (("validation", validation), ("new_press", new_press)):
         if not 0 <= fraction < 1:
             raise LearningError(f"{name}: found {fraction}; allowed: 0 to less than 1")
-    _require_known("held_out_sensors", held_out_sensors, archive)
+    _require_among("held_out_sensors", held_out_sensors, archive)
     places = presses_of(archive)
     if unseen is None:
         unseen = _said_unseen(archive)
     else:
-        _require_known("unseen", unseen, archive.indenters)
+        _require_among("unseen", unseen, archive.indenters)
     states: dict[tuple[str, int], list[int]] = {}
     for location, press in sorted(places.items()):
         states.setdefault(press, []).append(location)
@@ -218,8 +218,7 @@ def make_split(
         )
     roles: dict[tuple[str, int], Role] = {press: "new_indenter" for press in states}
     for number, press in enumerate(seen):
-        kept = number >= counts[0]
-        roles[press] = "new_press" if not kept else "validation"
+        roles[press] = "new_press" if number < counts[0] else "validation"
         if number >= sum(counts):
             roles[press] = "train"
     presses = (
@@ -244,10 +243,10 @@ def read_split(path: Path) -> Split:
         raise LearningError(f"{path}: no such file") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise LearningError(f"{path}: not JSON: {error}") from None
-    known = isinstance(document, dict)
-    found = (document.get("format"), document.get("format_version")) if known else None
-    if found != (_FORMAT, _VERSION):
-        raise LearningError(f"{path}: found format {found}; allowed: {(_FORMAT, _VERSION)}")
+    is_mapping = isinstance(document, dict)
+    written = (document.get("format"), document.get("format_version")) if is_mapping else None
+    if written != (_FORMAT, _VERSION):
+        raise LearningError(f"{path}: found format {written}; allowed: {(_FORMAT, _VERSION)}")
     try:
         presses = [
             PressKey(int(location), str(name), int(target), _role(role))
@@ -272,19 +271,19 @@ def read_split(path: Path) -> Split:
 
 def presses_of(archive: MarkerArchive) -> dict[int, tuple[str, int]]:
     """Return indenter and target of each location in an archive."""
-    found: dict[int, tuple[str, int]] = {}
+    presses: dict[int, tuple[str, int]] = {}
     for name, sensor in archive.items():
         columns = [sensor.table[key] for key in ("location", "indenter", "target")]
         for location, code, target in np.unique(np.stack(columns, 1), axis=0).tolist():
             press = (archive.indenters[code], target)
-            if location >= 0 and found.setdefault(location, press) != press:
+            if location >= 0 and presses.setdefault(location, press) != press:
                 raise LearningError(
                     f"{archive.name}/{name}: found location {location} to be {press}, elsewhere "
-                    f"{found[location]}; allowed: the same press in all sensors"
+                    f"{presses[location]}; allowed: the same press in all sensors"
                 )
-    if not found:
+    if not presses:
         raise LearningError(f"{archive.name}: found no frame with a location; allowed: some")
-    return found
+    return presses
 
 
 def require_role(role: str) -> None:
@@ -320,8 +319,8 @@ def _said_unseen(archive: MarkerArchive) -> tuple[str, ...]:
     return tuple(archive.indenters[code] for code in np.unique(np.concatenate(codes)).tolist())
 
 
-def _require_known(what: str, names: Sequence[str], known: Iterable[str]) -> None:
-    allowed = list(known)
+def _require_among(what: str, names: Sequence[str], choices: Iterable[str]) -> None:
+    allowed = list(choices)
     if unknown := sorted(set(names) - set(allowed)):
         raise LearningError(f"{what}: found {', '.join(unknown)}; allowed: {', '.join(allowed)}")
 

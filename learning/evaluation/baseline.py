@@ -29,19 +29,19 @@ _PENALTIES = (0.1, 1.0, 10.0, 100.0)
 
 def colour_features(shading: NDArray[np.uint8]) -> Floats:
     """Return the features (n, 11) of shading frames (n, 3, h, w)."""
-    found = np.empty((len(shading), len(FEATURES)))
+    features = np.empty((len(shading), len(FEATURES)))
     for row, frame in enumerate(shading):
         change = frame.reshape(3, -1).astype(np.float64) - SHADING_ZERO
         size = np.abs(change)
         mean = size.mean(axis=0)
-        found[row] = [
+        features[row] = [
             *change.mean(axis=1),
             *size.mean(axis=1),
             *change.std(axis=1),
             (mean > _CHANGED).mean(),
             np.percentile(mean, 99),
         ]
-    return found
+    return features
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +65,8 @@ def fit_ridge(features: Floats, wanted: Floats, groups: Sequence[int]) -> Ridge:
     Of features (n, m) without NaN; rows whose number to predict (n,) is NaN are left out. A group
     is for instance a press.
     """
-    known = np.isfinite(wanted)
-    rows, numbers, of = features[known], wanted[known], np.asarray(groups)[known]
+    labelled = np.isfinite(wanted)
+    rows, numbers, of = features[labelled], wanted[labelled], np.asarray(groups)[labelled]
     off = np.zeros(len(_PENALTIES))
     for group in np.unique(of):
         inside = of == group

@@ -195,19 +195,19 @@ class Block(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the concatenated features of all branches."""
-        found: list[Tensor] = []
+        outputs: list[Tensor] = []
         plain = len(self.design.branches) - len(self.design.forks)
         for number, branch in enumerate(self.design.branches):
             inner = features
             for step in branch:
                 inner = self.get_submodule(step.name)(inner)
             if number < plain:
-                found.append(inner)
+                outputs.append(inner)
             else:
                 fork = self.design.forks[number - plain]
-                found += [self.get_submodule(step.name)(inner) for step in fork]
+                outputs += [self.get_submodule(step.name)(inner) for step in fork]
         pooled = self._pooled(features)
-        return torch.cat([*found, self.branch_pool(pooled) if self.design.pooled else pooled], 1)
+        return torch.cat([*outputs, self.branch_pool(pooled) if self.design.pooled else pooled], 1)
 
     def _pooled(self, features: Tensor) -> Tensor:
         if self.design.pooling == "mean":
@@ -229,9 +229,9 @@ class Inception(nn.Module):
         self.Conv2d_3b_1x1 = Convolution(64, Step("", 80))
         self.Conv2d_4a_3x3 = Convolution(80, Step("", 192, _THREE), inside=True)
         width = 192
-        for name, design, made in _BLOCKS:
+        for name, design, output_width in _BLOCKS:
             self.add_module(name, Block(width, design))
-            width = made
+            width = output_width
 
     def forward(self, images: Tensor) -> Tensor:
         """Return features (n, 2048) of images (n, 1, h, w) in 0..1."""
@@ -251,16 +251,16 @@ def load_inception(
     """Return a function that computes features (n, 2048) of images (n, 256, 256) uint8."""
     try:
         weights = torch.load(path, map_location="cpu", weights_only=True)
-        kept = {name: value for name, value in weights.items() if not name.startswith("fc.")}
+        state = {name: value for name, value in weights.items() if not name.startswith("fc.")}
     except (RuntimeError, pickle.UnpicklingError, EOFError, AttributeError) as error:
         raise LearningError(f"{path}: found no weights: {error}") from None
     with torch.device("meta"):  # shapes only
         here = Inception().state_dict()
     wrong = sorted(
         name
-        for name in here.keys() | kept.keys()
+        for name in here.keys() | state.keys()
         if not name.endswith("num_batches_tracked")
-        and (name not in here or name not in kept or here[name].shape != kept[name].shape)
+        and (name not in here or name not in state or here[name].shape != state[name].shape)
     )
     if wrong:
         raise LearningError(
@@ -268,7 +268,7 @@ def load_inception(
             f"such as {wrong[0]}; allowed: the weights of Inception for FID"
         )
     network = Inception()
-    network.load_state_dict(kept, strict=False)
+    network.load_state_dict(state, strict=False)
     network.eval().requires_grad_(False).to(device)
 
     def compute(images: NDArray[np.uint8]) -> NDArray[np.float64]:
@@ -421,14 +421,14 @@ def kernel_distance(
     _require_samples(one, other)
     size = max(min(size, len(one) // 2, len(other) // 2), 2)
     chance = np.random.default_rng(seed)
-    found = [
+    distances = [
         squared_kernel_distance(
             one[chance.choice(len(one), size, replace=False)],
             other[chance.choice(len(other), size, replace=False)],
         )
         for _ in range(subsets)
     ]
-    return float(np.mean(found)), float(np.std(found))
+    return float(np.mean(distances)), float(np.std(distances))
 
 
 def squared_kernel_distance(one: Floats, other: Floats) -> float:

@@ -203,15 +203,15 @@ def predictions_in(results: Results, path: Path) -> Predictions:
     if results.kind != KIND:
         raise LearningError(f"{path}: found {results.kind}; allowed: {KIND}")
     wanted = {f.name for f in fields(Predictions)}
-    found = {**results.reported, **results.arrays}
-    if "predicted" in found:
-        without = np.full_like(found["predicted"], np.nan)
-        found = {**dict.fromkeys(_ADDED, without), **found}
-    if set(found) != wanted:
-        different = ", ".join(sorted(set(found) ^ wanted))
+    content = {**results.reported, **results.arrays}
+    if "predicted" in content:
+        without = np.full_like(content["predicted"], np.nan)
+        content = {**dict.fromkeys(_ADDED, without), **content}
+    if set(content) != wanted:
+        different = ", ".join(sorted(set(content) ^ wanted))
         raise LearningError(f"{path}: missing or unexpected: {different}")
     try:
-        return Predictions(**found)
+        return Predictions(**content)
     except LearningError as error:
         raise LearningError(f"{path}: {error}") from None
 
@@ -233,9 +233,9 @@ def _joined(parts: list[Predictions]) -> Predictions:
     if len(models) > 1:
         raise LearningError(f"{name}: found models {', '.join(models)}; allowed: one")
     rows = np.concatenate([one.rows for one in parts])
-    found, count = np.unique(rows, return_counts=True)
+    frames, count = np.unique(rows, return_counts=True)
     if count.max(initial=1) > 1:
-        twice = found[count > 1][0]
+        twice = frames[count > 1][0]
         raise LearningError(f"{name}: found row {twice} twice; allowed: each frame once")
     return _with(
         first,
@@ -244,8 +244,8 @@ def _joined(parts: list[Predictions]) -> Predictions:
 
 
 def _with(one: Predictions, changed: dict[str, Any]) -> Predictions:
-    kept = {f.name: getattr(one, f.name) for f in fields(one) if f.name not in changed}
-    return Predictions(**kept, **changed)
+    unchanged = {f.name: getattr(one, f.name) for f in fields(one) if f.name not in changed}
+    return Predictions(**unchanged, **changed)
 
 
 # The table of force errors: a row for each pair of sensors, training method, and role.
@@ -287,12 +287,12 @@ class ForceRow:
 
     def value(self, measure: str) -> float:
         """Return one of `MEASURES`."""
-        found = dict(zip(MAES, self.errors.mae, strict=True))
-        found |= dict(zip(RELATIVES, self.errors.relative, strict=True))
-        found |= dict(zip(R2S, self.errors.r2, strict=True))
-        found["r2_mean"] = self.errors.r2_mean
-        found["mae_shear_n"] = self.errors.shear
-        return found[measure]
+        values = dict(zip(MAES, self.errors.mae, strict=True))
+        values |= dict(zip(RELATIVES, self.errors.relative, strict=True))
+        values |= dict(zip(R2S, self.errors.r2, strict=True))
+        values["r2_mean"] = self.errors.r2_mean
+        values["mae_shear_n"] = self.errors.shear
+        return values[measure]
 
 
 MAES = tuple(f"mae_{name}_n" for name in MEASURED)
@@ -329,11 +329,11 @@ def unscored_lines(predictions: Iterable[Predictions]) -> list[dict[str, Any]]:
     lines = []
     for one in predictions:
         for place, axis in enumerate(AXES_NAMED[: len(AXES)]):
-            found = one.predicted[:, place]
-            if not np.isfinite(found).any() or np.isfinite(one.true[:, place]).any():
+            forces = one.predicted[:, place]
+            if not np.isfinite(forces).any() or np.isfinite(one.true[:, place]).any():
                 continue
             named = dict(zip(("source", "target", "method", "translator"), one.key, strict=True))
-            span = {"low_n": float(found.min()), "high_n": float(found.max())}
+            span = {"low_n": float(forces.min()), "high_n": float(forces.max())}
             lines.append({**named, "axis": axis, "frames": len(one), **span})
     return lines
 
@@ -346,8 +346,8 @@ def of_role(rows: Iterable[ForceRow], role: str) -> tuple[ForceRow, ...]:
 def variants(rows: Iterable[ForceRow]) -> tuple[tuple[str, str], ...]:
     """Return the distinct methods and translators: source-only first, the target's labels last."""
     order = {BEFORE: 0, TARGET: 2}
-    found = dict.fromkeys(row.variant for row in rows)
-    return tuple(sorted(found, key=lambda variant: order.get(variant[0], 1)))
+    distinct = dict.fromkeys(row.variant for row in rows)
+    return tuple(sorted(distinct, key=lambda variant: order.get(variant[0], 1)))
 
 
 def variant_name(variant: tuple[str, str]) -> str:

@@ -58,14 +58,15 @@ RESULTS = "*.npz"
 
 def read_folder(folder: Path) -> tuple[list[Predictions], list[TranslationScores]]:
     """Read the predictions and translation scores in a folder and its subfolders."""
-    found: tuple[list[Predictions], list[TranslationScores]] = [], []
+    forces: list[Predictions] = []
+    scores: list[TranslationScores] = []
     for path in sorted(folder.rglob(RESULTS)):
         results = read_results(path)
         if results.kind == predictions.KIND:
-            found[0].append(predictions.predictions_in(results, path))
+            forces.append(predictions.predictions_in(results, path))
         else:
-            found[1].append(translation.scores_in(results, path))
-    return found
+            scores.append(translation.scores_in(results, path))
+    return forces, scores
 
 
 # Forces in the report: errors before and after, compared with the paper, pair by pair.

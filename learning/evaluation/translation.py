@@ -41,7 +41,7 @@ class Overlap:
 
     common: NDArray[np.int64]
     """Pixels set in both (n,)."""
-    found: NDArray[np.int64]
+    evaluated: NDArray[np.int64]
     """Pixels set in the evaluated mask (n,)."""
     true: NDArray[np.int64]
     """Pixels set in the true mask (n,)."""
@@ -49,24 +49,24 @@ class Overlap:
     @property
     def dice(self) -> Floats:
         """Twice the common pixels over the sum of both (n,); 1 if both are empty."""
-        return _share(2 * self.common, self.found + self.true)
+        return _share(2 * self.common, self.evaluated + self.true)
 
     @property
     def iou(self) -> Floats:
         """Common pixels over those that are set in either (n,); 1 if both are empty."""
-        return _share(self.common, self.found + self.true - self.common)
+        return _share(self.common, self.evaluated + self.true - self.common)
 
     @property
     def area_ratio_error(self) -> Floats:
-        """|found / true - 1| (n,); NaN if the true mask is empty."""
+        """|evaluated / true - 1| (n,); NaN if the true mask is empty."""
         empty = self.true == 0
-        ratio = self.found / np.where(empty, 1, self.true)
+        ratio = self.evaluated / np.where(empty, 1, self.true)
         return np.where(empty, np.nan, np.abs(ratio - 1))
 
 
-def overlap(found: MaskArray, true: MaskArray) -> Overlap:
+def overlap(evaluated: MaskArray, true: MaskArray) -> Overlap:
     """Count the pixels that masks (n, h, w) have in common."""
-    pixels = (each.sum(axis=(1, 2), dtype=np.int64) for each in (found & true, found, true))
+    pixels = (each.sum(axis=(1, 2), dtype=np.int64) for each in (evaluated & true, evaluated, true))
     return Overlap(*pixels)
 
 
@@ -74,13 +74,13 @@ def _share(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Floats:
     return np.where(whole == 0, 1.0, part / np.where(whole == 0, 1, whole))
 
 
-def structural_similarity(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> Floats:
+def structural_similarity(evaluated: NDArray[np.uint8], true: NDArray[np.uint8]) -> Floats:
     """Return the structural similarity (n,) of images (n, h, w); 1 if they are equal.
 
     SSIM as defined by Wang et al. (2004), with Gaussian windows of 1.5 px.
     """
     window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    pairs = zip(found, true, strict=True)
+    pairs = zip(evaluated, true, strict=True)
     return np.array([metrics.structural_similarity(*pair, **window) for pair in pairs])
 
 
@@ -92,7 +92,7 @@ def structural_similarity(found: NDArray[np.uint8], true: NDArray[np.uint8]) -> 
 
 
 def marker_errors(
-    found: MaskArray, true: MaskArray, smallest_px: int = SMALLEST_PX
+    evaluated: MaskArray, true: MaskArray, smallest_px: int = SMALLEST_PX
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the errors of the markers of frames (n, h, w) with respect to the true frames.
 
@@ -100,14 +100,14 @@ def marker_errors(
     frames, and True for frames with a wrong number of markers (n,). Patches of fewer pixels than
     `smallest_px` are ignored.
     """
-    ours, here = _centres(find_blobs(found, smallest_px), len(found))
+    ours, here = _centres(find_blobs(evaluated, smallest_px), len(evaluated))
     theirs, there = _centres(find_blobs(true, smallest_px), len(true))
     apart = [_apart(one, other) for one, other in zip(here, there, strict=True)]
     return np.concatenate([np.empty((0, 2)), *apart]), ours != theirs
 
 
 def endpoint_errors(
-    found: MaskArray,
+    evaluated: MaskArray,
     reference: NDArray[np.bool_],
     displacement: NDArray[np.floating],
     lattice: Lattice,
@@ -120,14 +120,14 @@ def endpoint_errors(
     true frames shows by how much.
 
     Args:
-        found: Evaluated frames (n, 480, 640).
+        evaluated: Evaluated frames (n, 480, 640).
         reference: Image of their sensor without contact (480, 640).
         displacement: True displacement in each frame (n, rows, columns, 2) [px].
         lattice: Lattice of the displacement.
         smallest_px: Patches of fewer pixels are ignored.
     """
-    rest, blobs = find_blobs(reference[None], smallest_px), find_blobs(found, smallest_px)
-    _, centres = _centres(blobs.only(blobs.whole), len(found))
+    rest, blobs = find_blobs(reference[None], smallest_px), find_blobs(evaluated, smallest_px)
+    _, centres = _centres(blobs.only(blobs.whole), len(evaluated))
     apart = [np.empty((0, 2))]
     for here, field in zip(centres, displacement, strict=True):
         there = moved(rest.centre[rest.whole], field, lattice)
@@ -141,14 +141,14 @@ def _centres(blobs: Blobs, frames: int) -> tuple[NDArray[np.int64], list[Floats]
     return counts, np.split(blobs.centre, np.cumsum(counts)[:-1])
 
 
-def _apart(found: Floats, true: Floats) -> Floats:
-    """Return found - true (m, 2) [px] of mutual nearest neighbours."""
-    if not len(found) or not len(true):
+def _apart(evaluated: Floats, true: Floats) -> Floats:
+    """Return evaluated - true (m, 2) [px] of mutual nearest neighbours."""
+    if not len(evaluated) or not len(true):
         return np.empty((0, 2))
-    apart = np.linalg.norm(found[:, None] - true[None], axis=-1)
+    apart = np.linalg.norm(evaluated[:, None] - true[None], axis=-1)
     nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
-    both = back[nearest] == np.arange(len(found))
-    return np.asarray(found[both] - true[nearest[both]], np.float64)
+    both = back[nearest] == np.arange(len(evaluated))
+    return np.asarray(evaluated[both] - true[nearest[both]], np.float64)
 
 
 # Baselines of translators: frames that are available without translation.
@@ -159,21 +159,21 @@ Table = Mapping[str, NDArray[Any]]
 _BASELINES_AT_ONCE = 2**22  # distances computed at once
 
 
-def nearest_frames(table: Table, wanted: Rows, known: Rows) -> Rows:
+def nearest_frames(table: Table, wanted: Rows, candidates: Rows) -> Rows:
     """Return, for each wanted row (n,), the known row (m,) with the nearest motion (n,).
 
     Nearest is by Euclidean distance of commanded depth and position, among frames of the same
     phase, or of all phases if that phase is unknown. The indenter is ignored: the wanted one may be
     unseen.
     """
-    if not len(known):
+    if not len(candidates):
         raise LearningError("nearest frame: found no frames to choose from; allowed: one or more")
     nearest = np.empty(len(wanted), np.int64)
     phase = table["phase"][wanted]
     for code in np.unique(phase).tolist():
         here = np.flatnonzero(phase == code)
-        among = known[table["phase"][known] == code]
-        among = among if len(among) else known
+        among = candidates[table["phase"][candidates] == code]
+        among = among if len(among) else candidates
         step = max(_BASELINES_AT_ONCE // len(among), 1)
         for first in range(0, len(here), step):
             some = here[first : first + step]
@@ -321,12 +321,12 @@ def paired_rows(
     scores: Iterable[TranslationScores],
 ) -> tuple[tuple[TranslationScores, PairedScore], ...]:
     """Return the rows of paired frames without duplicates: they do not depend on the extractor."""
-    found: dict[tuple[str, ...], tuple[TranslationScores, PairedScore]] = {}
+    distinct: dict[tuple[str, ...], tuple[TranslationScores, PairedScore]] = {}
     for one in scores:
         for row in one.paired:
             key = one.source, one.target, one.translator, row.role, row.method
-            found.setdefault(key, (one, row))
-    return tuple(found.values())
+            distinct.setdefault(key, (one, row))
+    return tuple(distinct.values())
 
 
 def score_line(one: TranslationScores, row: PairedScore | DistanceScore) -> dict[str, Any]:
@@ -395,17 +395,17 @@ def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedSc
     sensor = real.sensor
     for first in range(0, len(packed), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        found, true = unpack(packed[part]), unpack(real.packed[part])
-        covered = overlap(found, true)
+        evaluated, true = unpack(packed[part]), unpack(real.packed[part])
+        covered = overlap(evaluated, true)
         dice.append(covered.dice)
         iou.append(covered.iou)
         ssim.append(structural_similarity(shrink(packed[part]), shrink(real.packed[part])))
         area.append(covered.area_ratio_error)
-        offsets, mismatched = marker_errors(found, true, real.smallest_px)
+        offsets, mismatched = marker_errors(evaluated, true, real.smallest_px)
         apart.append(offsets)
         wrong.append(mismatched)
         if sensor.fields is not None:
-            missed.append(_endpoint_errors(found, real, part))
+            missed.append(_endpoint_errors(evaluated, real, part))
     distance = np.linalg.norm(np.concatenate(apart), axis=1)
     epe = np.concatenate([np.empty((0, 2)), *missed])
     areas = np.concatenate(area)
@@ -426,7 +426,7 @@ def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedSc
     )
 
 
-def _endpoint_errors(found: NDArray[np.bool_], real: Real, part: slice) -> Floats:
+def _endpoint_errors(evaluated: NDArray[np.bool_], real: Real, part: slice) -> Floats:
     sensor, rows = real.sensor, real.rows[part]
     field = sensor.displacement(rows)
     reference = sensor.table["reference"][rows]
@@ -435,7 +435,9 @@ def _endpoint_errors(found: NDArray[np.bool_], real: Real, part: slice) -> Float
         here = reference == number
         no_contact = unpack(sensor.references[number])
         missed.append(
-            endpoint_errors(found[here], no_contact, field[here], sensor.lattice, real.smallest_px)
+            endpoint_errors(
+                evaluated[here], no_contact, field[here], sensor.lattice, real.smallest_px
+            )
         )
     return np.concatenate(missed)
 
@@ -478,11 +480,11 @@ def score_translation(
 
     source, target = (_sensor_of(archive, translated, end) for end in ("source", "target"))
     split.check(archive)
-    known = split.rows(target.table, "train")
+    training = split.rows(target.table, "train")
     drawn = [_pairs(source, target, translated, split, role, frames, seed) for role in roles]
     paired: list[PairedScore] = []
     distances: list[DistanceScore] = []
-    kept: dict[str, NDArray[np.float32]] = {}
+    samples: dict[str, NDArray[np.float32]] = {}
     total = sum(5 * len(rows) for rows, _, _ in drawn)
     done = 0
     for role, (real_rows, source_rows, translated_rows) in zip(roles, drawn, strict=True):
@@ -492,8 +494,8 @@ def score_translation(
             SOURCE: source.packed(source_rows),
             REFERENCE: target.references[target.table["reference"][real.rows]],
         }
-        if len(known):
-            shown[NEAREST] = target.packed(nearest_frames(target.table, real.rows, known))
+        if len(training):
+            shown[NEAREST] = target.packed(nearest_frames(target.table, real.rows, training))
         shown[FLOOR] = real.packed
         features = {}
         for method, packed in shown.items():
@@ -507,7 +509,7 @@ def score_translation(
             distances += _distances(features, halves, role, extractor.name, seed)
         for method in (SOURCE, TRANSLATED, FLOOR):
             there = halves if method == FLOOR else ~halves
-            kept.setdefault(method, features[method][there][:SHOWN].astype(np.float32))
+            samples.setdefault(method, features[method][there][:SHOWN].astype(np.float32))
     progress(total, total)
     return TranslationScores(
         source.name,
@@ -516,7 +518,7 @@ def score_translation(
         str(translated.attrs.get("model_sha256", "")),
         tuple(paired),
         tuple(distances),
-        kept,
+        samples,
     )
 
 
@@ -577,8 +579,8 @@ def _distances(
     real = features[FLOOR][halves]
     neighbours = min(NEIGHBOURS, len(halves) - 1)
     scores = []
-    for method, found in features.items():
-        other = found[~halves]
+    for method, values in features.items():
+        other = values[~halves]
         kernel, spread = kernel_distance(real, other, size=SUBSET, subsets=SUBSETS, seed=seed)
         scores.append(
             DistanceScore(

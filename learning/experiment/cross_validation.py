@@ -37,8 +37,8 @@ class Fold:
         for one in self.predictions:
             errors = force_errors(one.true, one.predicted, one.label_std)
             off = errors.mae[_FZ]
-            told = f", MAE Fz {off:.2f} N" if np.isfinite(off) else ""
-            parts.append(f"{one.method} R2{errors.of_axes} {errors.r2_mean:.3f}{told}")
+            normal = f", MAE Fz {off:.2f} N" if np.isfinite(off) else ""
+            parts.append(f"{one.method} R2{errors.of_axes} {errors.r2_mean:.3f}{normal}")
         return f"{self.indenter} left out: {'; '.join(parts)}"
 
 
@@ -70,14 +70,14 @@ def folds(
     for done, code in enumerate(codes.tolist()):
         progress(done, len(codes))
         held = np.flatnonzero(usable & (table["indenter"] == code))
-        known = np.flatnonzero(labelled & (table["indenter"] != code))
-        training, test = (load_presses(one, rows, form=form) for rows in (known, held))
+        training_rows = np.flatnonzero(labelled & (table["indenter"] != code))
+        training, test = (load_presses(one, rows, form=form) for rows in (training_rows, held))
         model = train_force(training, replace(settings, patience_epochs=None))
         forces: list[tuple[str, Floats]] = [(TARGET, model.predict(test))]
         if one.representation == SHADING:
             forces.append((BASELINE, ridge_forces(training, test)))
         rows = test.rows.numpy()
-        found = tuple(
+        predictions = tuple(
             predictions_of(
                 one,
                 archive.indenters,
@@ -91,18 +91,20 @@ def folds(
             )
             for method, predicted in forces
         )
-        yield Fold(archive.indenters[code], found)
+        yield Fold(archive.indenters[code], predictions)
     progress(len(codes), len(codes))
 
 
 def ridge_forces(training: Presses, test: Presses) -> Floats:
     """Return forces (n, 3) N by ridge regression on features of colours; NaN without labels."""
-    known = colour_features(training.images.cpu().numpy())
-    asked = colour_features(test.images.cpu().numpy())
+    training_features = colour_features(training.images.cpu().numpy())
+    test_features = colour_features(test.images.cpu().numpy())
     labels = training.wrench[:, :3].cpu().numpy().astype(np.float64)
     groups = training.of_frame.tolist()
-    forces = np.full((len(asked), _AXES), np.nan)
+    forces = np.full((len(test_features), _AXES), np.nan)
     for axis in range(_AXES):
         if np.isfinite(labels[:, axis]).any():
-            forces[:, axis] = fit_ridge(known, labels[:, axis], groups).predict(asked)
+            forces[:, axis] = fit_ridge(training_features, labels[:, axis], groups).predict(
+                test_features
+            )
     return forces

@@ -27,10 +27,10 @@ from recorder.progress import ItemProgress
 TESTED: tuple[Role, ...] = ("new_press", "new_indenter")
 
 
-def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair, ...]:
+def pairs_of(archive: MarkerArchive, names: Sequence[str] | None) -> tuple[Pair, ...]:
     """Return the requested pairs, SOURCE:TARGET; None: all directed pairs from labelled sensors."""
     labelled = labelled_sensors(archive)
-    if asked is None:
+    if names is None:
         if not labelled:
             raise LearningError(
                 f"{archive.name}: found no label of any sensor; allowed: one labelled source or "
@@ -43,7 +43,7 @@ def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair,
             if one in labelled and one != other
         )
     pairs = []
-    for text in asked:
+    for text in names:
         source, _, target = text.partition(":")
         if source == target or not {source, target} <= set(archive):
             raise LearningError(
@@ -60,15 +60,15 @@ def pairs_of(archive: MarkerArchive, asked: Sequence[str] | None) -> tuple[Pair,
 
 def labelled_sensors(archive: MarkerArchive, split: Split | None = None) -> frozenset[str]:
     """Return the sensors with a label of Fx, Fy or Fz in a located, or training, press."""
-    found = set()
+    labelled = set()
     for name, sensor in archive.items():
         table = sensor.table
         rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
         if split is not None:
             rows = split.rows(table, "train")
         if np.isfinite(table["wrench"][rows, :3]).any():
-            found.add(name)
-    return frozenset(found)
+            labelled.add(name)
+    return frozenset(labelled)
 
 
 def load_some(
@@ -124,9 +124,9 @@ def thinned(split: Split, most: int, seed: int) -> Split:
             presses += of_role
             continue
         order = generator(seed, "experiment", "scored", role).permutation(len(of_role))
-        kept = set(order[:most].tolist())
+        scored = set(order[:most].tolist())
         presses += [
-            press if number in kept else replace(press, role="validation")
+            press if number in scored else replace(press, role="validation")
             for number, press in enumerate(of_role)
         ]
     return replace(split, presses=tuple(sorted(presses, key=lambda press: press.location)))
@@ -213,7 +213,7 @@ def flow_fields(
     Presses are packed, each from its first frame on.
     """
     images = presses.images.cpu().numpy()
-    found = fields_of_presses(
+    fields = fields_of_presses(
         lambda first, end: images[first:end],
         presses.starts.numpy(),
         presses.references.cpu().numpy(),
@@ -223,7 +223,7 @@ def flow_fields(
         processes=processes,
         progress=progress,
     )
-    return torch.from_numpy(found)
+    return torch.from_numpy(fields)
 
 
 def _shown(

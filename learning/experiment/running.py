@@ -82,7 +82,7 @@ def run_experiment(
         )
     done = do_all(experiment, jobs)
     return write_report(
-        [found for each in done for found in each.predictions],
+        [predictions for each in done for predictions in each.predictions],
         [scores for each in done for scores in each.scores],
         places.report,
         title=settings.description,
@@ -180,15 +180,15 @@ def _do(task: Task) -> tuple[TaskResult, list[str]]:
 
 def _done(pool: Workers | Executor, tasks: Mapping[Task, Set[Task]], say: Say) -> list[TaskResult]:
     """Return results of tasks in order; each task starts when its dependencies are done."""
-    due, found = dict(tasks), dict[Task, TaskResult]()
+    due, results = dict(tasks), dict[Task, TaskResult]()
     running: dict[Future[tuple[TaskResult, list[str]]], Task] = {}
     while due or running:
-        for task in [task for task, needed in due.items() if needed <= found.keys()]:
+        for task in [task for task, needed in due.items() if needed <= results.keys()]:
             del due[task]
             running[pool.submit(_do, task)] = task
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             done, reported = future.result()
             for line in reported:
                 say(line)
-            found[running.pop(future)] = done
-    return [found[task] for task in tasks]
+            results[running.pop(future)] = done
+    return [results[task] for task in tasks]

@@ -202,8 +202,8 @@ class Tuning:
     @property
     def data(self) -> str:
         """Its data: the frames, and the twins that labelled them."""
-        made_from = "" if self.labels is None else self.labels.made_from
-        return f"{self.pair.name} {made_from}".rstrip()
+        twins = "" if self.labels is None else self.labels.made_from
+        return f"{self.pair.name} {twins}".rstrip()
 
     def labelled(self, presses: Presses) -> Presses:
         """Return presses with its labels."""
@@ -305,11 +305,13 @@ class Experiment:
 
     def own(self, sensor: str) -> TaskResult:
         """Train a sensor's own model; predict its own forces and those of its targets."""
-        asked = [(pair, BEFORE) for pair in self.pairs if pair.source == sensor]
+        comparisons = [(pair, BEFORE) for pair in self.pairs if pair.source == sensor]
         if any(pair.target == sensor for pair in self.pairs):
-            asked.append((Pair(sensor, sensor), TARGET))
+            comparisons.append((Pair(sensor, sensor), TARGET))
         model = partial(self._own_model, sensor)
-        return TaskResult([self._predicted(pair, method, "", model) for pair, method in asked])
+        return TaskResult(
+            [self._predicted(pair, method, "", model) for pair, method in comparisons]
+        )
 
     def translated(self, source: str, name: str) -> TaskResult:
         """Fine-tune models on a source's translated frames; predict targets, score translations."""
@@ -409,14 +411,14 @@ class Experiment:
                 translator=translator,
                 model=read_model_folder(folder).hash(),
             ).write(file)
-        found = read_predictions(file)
+        predictions = read_predictions(file)
         by = f" by {translator}" if translator else ""
         scored = "no label to compare with"
-        if found.is_scored:
-            errors = force_errors(found.true, found.predicted, found.label_std)
+        if predictions.is_scored:
+            errors = force_errors(predictions.true, predictions.predicted, predictions.label_std)
             scored = f"R2{errors.of_axes} {errors.r2_mean:.3f}"
         self.say(f"{pair.source} to {pair.target}, {method}{by}: {scored}")
-        return found
+        return predictions
 
     def _file(self, pair: Pair, method: str, translator: str) -> Path:
         parts = [pair.name, method, translator, "npz"]
@@ -509,11 +511,11 @@ class Experiment:
         """Return a target's presses for which forces are predicted, as images."""
         if sensor not in self._tested:
             most = self.settings.test_presses
-            found = self._load(sensor, TESTED, most, form="images")
-            if not len(found):
+            presses = self._load(sensor, TESTED, most, form="images")
+            if not len(presses):
                 roles = ", ".join(TESTED)
                 raise LearningError(f"{sensor}: found no presses of {roles} in the split")
-            self._tested[sensor] = found
+            self._tested[sensor] = presses
         return self._tested[sensor]
 
     def _load(

@@ -114,16 +114,16 @@ def _network(file: Path, tensors: Mapping[str, Tensor]) -> NetworkSettings:
 
 def _renamed(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return the tensors under our names; unknown ones keep theirs and are rejected later."""
-    found: dict[str, Tensor] = {}
+    renamed: dict[str, Tensor] = {}
     for name, each in tensors.items():
         if name.startswith(_GATES) or ".norm3." in name:  # norm3 is downsample.1 again
             continue
-        found[_name(name)] = each
+        renamed[_name(name)] = each
     for kind in ("weight", "bias"):
         gates = [tensors[f"{gate}{kind}"] for gate in _GATES if f"{gate}{kind}" in tensors]
         if gates:
-            found[f"memory.gates.{kind}"] = torch.cat(gates)
-    return found
+            renamed[f"memory.gates.{kind}"] = torch.cat(gates)
+    return renamed
 
 
 def _name(name: str) -> str:

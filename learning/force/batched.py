@@ -101,7 +101,7 @@ def train_batched(
             if variances:
                 unsure = torch.stack(variances)[:, rows]
                 sure = weights_of(superposed(unsure, sequences, axis=1), low, high)
-            losses = torch.vmap(lambda one, other, known: error(one, other, lengths, known))(  # noqa: B023
+            losses = torch.vmap(lambda one, other, weight: error(one, other, lengths, weight))(  # noqa: B023
                 normalised, wanted, sure
             )
             set_rate(optimiser, schedule.at(number))
@@ -121,8 +121,8 @@ def train_batched(
                     "learning_rate)"
                 )
     for number, model in enumerate(models):
-        found = {**weights, **buffers}
-        model.load_state_dict({name: each[number].detach() for name, each in found.items()})
+        tensors = {**weights, **buffers}
+        model.load_state_dict({name: each[number].detach() for name, each in tensors.items()})
     return [model.eval() for model in models]
 
 
@@ -142,8 +142,8 @@ def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
         "network.tail_norm": settings.network.tail_norm == "batch",
         "launch.mixed_precision": settings.launch.mixed_precision == "fp16",
     }
-    for key, found in alone.items():
-        if found:
+    for key, is_set in alone.items():
+        if is_set:
             raise LearningError(
                 f"{key}: found a setting that needs one model at a time; allowed for several: "
                 "norms none, instance or group, precision no or bf16"

@@ -91,7 +91,7 @@ def calibrated(
         presses = presses_of_rows(own, np.flatnonzero(calibrates & valid), model)
         predicted = model.predict(presses, progress=progress)
     used = presses.rows.numpy()
-    known = np.isfinite(wanted.forces[used]).any(axis=1)
+    labelled = np.isfinite(wanted.forces[used]).any(axis=1)
     indenters = tuple(sorted({str(name) for name in names[used]}))
     axes = fit_errors(predicted, wanted.forces[used], names[used])
     if all(axis is None for axis in axes):
@@ -104,11 +104,13 @@ def calibrated(
         scale=wanted.scale,
         largest=_largest(wanted.learned),
         learned=fit_learned(shapes(own, np.flatnonzero(learned & valid)), shapes(own, used)),
-        frames=int(known.sum()),
+        frames=int(labelled.sum()),
         indenters=indenters,
         errors_from=wanted.source,
     )
-    return Calibration(intervals, predicted[known], wanted.forces[used][known], names[used][known])
+    return Calibration(
+        intervals, predicted[labelled], wanted.forces[used][labelled], names[used][labelled]
+    )
 
 
 def calibrated_by_twin(
@@ -150,7 +152,7 @@ def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:
 
 def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
     """Return the shapes of frames (n, 7), as `shapes_of` does."""
-    found = np.zeros((len(rows), SHAPE))
+    values = np.zeros((len(rows), SHAPE))
     references = sensor.table["reference"]
     for first in range(0, len(rows), _AT_ONCE):
         part = rows[first : first + _AT_ONCE]
@@ -158,8 +160,8 @@ def shapes(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Floats:
         for number in np.unique(references[part]).tolist():
             own = references[part] == number
             (reference,) = unpack(sensor.references[number : number + 1])
-            found[first : first + len(part)][own] = shapes_of(masks[own], reference)
-    return found
+            values[first : first + len(part)][own] = shapes_of(masks[own], reference)
+    return values
 
 
 def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: ForceModel) -> Presses:
@@ -167,7 +169,7 @@ def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: Forc
     return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
 
 
-def told(calibration: Calibration) -> str:
+def interval_line(calibration: Calibration) -> str:
     """Return a line about intervals that are written beside a model."""
     intervals = calibration.intervals
     low, high = intervals.of(calibration.predicted)
@@ -179,5 +181,5 @@ def told(calibration: Calibration) -> str:
 
 
 def _largest(labels: Floats) -> tuple[float | None, float | None, float | None]:
-    found = [float(np.nanmax(np.abs(c))) if np.isfinite(c).any() else None for c in labels.T]
-    return found[0], found[1], found[2]
+    largest = [float(np.nanmax(np.abs(c))) if np.isfinite(c).any() else None for c in labels.T]
+    return largest[0], largest[1], largest[2]

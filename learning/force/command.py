@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
 
     def train(session: Session) -> Iterator[str]:
         def load(role: Role) -> list[Presses]:
-            found = []
+            loaded = []
             for name in sensors:
                 rows, form = split.rows(archive[name].table, role), settings.input.stored_form
                 if not len(rows):
@@ -106,8 +106,8 @@ def run(options: argparse.Namespace) -> int:
                     presses = load_presses(
                         archive[name], rows, device=session.device, form=form, progress=frames
                     )
-                found.append(source.of(presses))
-            return found
+                loaded.append(source.of(presses))
+            return loaded
 
         presses, validation = load("train"), load("validation")
         with session.stop:
@@ -120,8 +120,10 @@ def run(options: argparse.Namespace) -> int:
         return _delivered(out, archive, split, settings, model, presses, validation, own_twin)
 
     # By these, a live stream is read as the pictures were from which the model learned.
-    made_by = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
-    presets = {name: kept for name, each in made_by.items() if each and (kept := kept_preset(each))}
+    preset_of = {name: str(archive[name].attrs.get("preset", "")) for name in sensors}
+    presets = {
+        name: stored for name, each in preset_of.items() if each and (stored := kept_preset(each))
+    }
     metadata = {
         "sensors": sensors,
         **({"presets": presets} if presets else {}),
@@ -131,13 +133,13 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _sensors(asked: Sequence[str] | None, archive: MarkerArchive, split: Split) -> list[str]:
-    known = ", ".join(archive)
-    sensors = [*(asked or archive)]
-    if asked is None and len(sensors) > 1:
-        raise LearningError(f"--sensor: missing; known: {known}")
+def _sensors(names: Sequence[str] | None, archive: MarkerArchive, split: Split) -> list[str]:
+    available = ", ".join(archive)
+    sensors = [*(names or archive)]
+    if names is None and len(sensors) > 1:
+        raise LearningError(f"--sensor: missing; known: {available}")
     if unknown := [name for name in sensors if name not in archive]:
-        raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {known}")
+        raise LearningError(f"--sensor: found {', '.join(unknown)}; known: {available}")
     if held_out := [name for name in sensors if name in split.held_out_sensors]:
         raise LearningError(
             f"--sensor: found {', '.join(held_out)}, which the split holds out; allowed: "
@@ -233,7 +235,7 @@ def _with_intervals(
     out: Path, archive: MarkerArchive, sensor: ArchivedSensor, split: Split, model: ForceModel
 ) -> Iterator[str]:
     """Write intervals beside a model of its own twin's forces, and yield lines about them."""
-    from learning.force.calibrate import calibrated_by_twin, told
+    from learning.force.calibrate import calibrated_by_twin, interval_line
 
     try:
         calibration = calibrated_by_twin(archive, sensor.name, split, model)
@@ -248,4 +250,4 @@ def _with_intervals(
         )
         return
     calibration.intervals.write(out)
-    yield told(calibration)
+    yield interval_line(calibration)

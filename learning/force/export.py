@@ -59,9 +59,9 @@ def torch_stream(model: ForceModel, one: nn.Module | None = None) -> ForceStream
     """Return a stream that runs on the model's device by torch; `one` is in place of `OneFrame`."""
     run = OneFrame(model).eval() if one is None else one
 
-    def step(given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    def step(values: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         with torch.inference_mode():
-            tensors = {name: torch.from_numpy(value) for name, value in given.items()}
+            tensors = {name: torch.from_numpy(value) for name, value in values.items()}
             force, after = run(**{n: t.to(model.device) for n, t in tensors.items()})
         return force.cpu().numpy(), after.cpu().numpy()
 
@@ -77,7 +77,7 @@ def torch_stream(model: ForceModel, one: nn.Module | None = None) -> ForceStream
     )
 
 
-def made_up_frames(model: ForceModel, count: int, seed: int = 0) -> np.ndarray:
+def random_frames(model: ForceModel, count: int, seed: int = 0) -> np.ndarray:
     """Return random stored frames (count, ...) for comparisons and timing."""
     random = np.random.default_rng(seed)
     shape = (count, *stored_shape(model.inputs))
@@ -98,7 +98,7 @@ def export_onnx(model: ForceModel, path: str | os.PathLike[str]) -> float:
     # Export and comparison run on a CPU copy; the model stays on its device.
     model = copy.deepcopy(model).cpu().eval()
     inputs = model.inputs
-    frames = torch.from_numpy(made_up_frames(model, 2))
+    frames = torch.from_numpy(random_frames(model, 2))
     arguments: tuple[Tensor, ...] = (frames[:1], model.initial_state(1))
     if inputs.needs_reference:
         arguments += (frames[1:],)
@@ -135,15 +135,15 @@ def export_onnx(model: ForceModel, path: str | os.PathLike[str]) -> float:
 def _difference(model: ForceModel, file: Path) -> float:
     """Return the largest force difference over a few frames, as a fraction of the box."""
     streams = torch_stream(model), open_exported(file, threads=1)
-    first, *frames = made_up_frames(model, 1 + _FRAMES)
+    first, *frames = random_frames(model, 1 + _FRAMES)
     box = (model.high - model.low).numpy()
     for stream in streams:
         stream.reset(first if stream.inputs.needs_reference else None)
-    known = np.isfinite(box)
+    measured = np.isfinite(box)
     largest = 0.0
     for frame in frames:
         one, other = (stream.step(frame) for stream in streams)
-        if (np.isfinite(one) != known).any() or (np.isfinite(other) != known).any():
+        if (np.isfinite(one) != measured).any() or (np.isfinite(other) != measured).any():
             return np.inf
-        largest = max(largest, float(np.abs((one - other)[known] / box[known]).max()))
+        largest = max(largest, float(np.abs((one - other)[measured] / box[measured]).max()))
     return largest

@@ -92,11 +92,11 @@ class Learned:
     def distances(self, shapes: Floats) -> Floats:
         """Return the distance of shapes (n, 7) from the nearest learned one (n,)."""
         units, learned = self._arrays
-        found = [
+        squares = [
             np.square(shape - learned).sum(axis=1).min()
             for shape in np.asarray(shapes, np.float64) @ units
         ]
-        return np.sqrt(np.array(found, np.float64))
+        return np.sqrt(np.array(squares, np.float64))
 
     def is_far(self, shapes: Floats) -> NDArray[np.bool_]:
         """Return True for shapes (n, 7) that are beyond the limit."""
@@ -189,13 +189,13 @@ def read_intervals(folder: Path) -> Intervals | None:
         return None
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple(content.pop(key) for key in ("format", "format_version", "coverage"))
+        header = tuple(content.pop(key) for key in ("format", "format_version", "coverage"))
         del content["units"]
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
         raise LearningError(f"{path}: damaged: {error!r}") from None
-    if found != (FORMAT, FORMAT_VERSION, COVERAGE):
+    if header != (FORMAT, FORMAT_VERSION, COVERAGE):
         raise LearningError(
-            f"{path}: found format {found}; allowed: {(FORMAT, FORMAT_VERSION, COVERAGE)}; "
+            f"{path}: found format {header}; allowed: {(FORMAT, FORMAT_VERSION, COVERAGE)}; "
             "repeating the `tactile transfer` that made it writes it again"
         )
     return READER.build(Intervals, content, str(path))
@@ -224,20 +224,20 @@ def fit_errors(
         An error for each axis; None for an axis with fewer than `FEWEST` errors.
     """
     magnitude = np.sqrt(np.nansum(np.asarray(predicted, np.float64) ** 2, axis=1))
-    found: list[AxisError | None] = []
+    errors: list[AxisError | None] = []
     for axis in range(3):
         error = np.abs(predicted[:, axis] - wanted[:, axis])
-        known = np.isfinite(error)
-        if known.sum() < FEWEST:
-            found.append(None)
+        labelled = np.isfinite(error)
+        if labelled.sum() < FEWEST:
+            errors.append(None)
             continue
-        error, size = error[known], magnitude[known]
+        error, size = error[labelled], magnitude[labelled]
         base, slope = _line(size, error)
-        ratio, names = error / (base + slope * size), indenter[known]
+        ratio, names = error / (base + slope * size), indenter[labelled]
         _, place, count = np.unique(names, return_inverse=True, return_counts=True)
         quantile = _conformal(ratio, 1.0 / count[place]) * beyond_largest(len(count))
-        found.append(AxisError(quantile * base, quantile * slope))
-    return found[0], found[1], found[2]
+        errors.append(AxisError(quantile * base, quantile * slope))
+    return errors[0], errors[1], errors[2]
 
 
 def _conformal(values: Floats, weights: Floats) -> float:
@@ -287,11 +287,11 @@ def _line(size: Floats, error: Floats) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """A known force, and the one that the model predicts."""
+class ScaleSample:
+    """A true force, such as a weight's, and the one that the model predicts."""
 
-    known: float
-    """Known force along an axis [N]."""
+    true: float
+    """True force along an axis [N]."""
     predicted: float
     """Predicted one [N]."""
     error: float
@@ -299,35 +299,35 @@ class Held:
 
 
 def measured_scale(
-    held: Sequence[Held], prior: Scale, source: str, *, independent: int = 1
+    samples: Sequence[ScaleSample], prior: Scale, source: str, *, independent: int = 1
 ) -> tuple[float, Scale]:
     """Return the factor on predicted forces, and its remaining uncertainty.
 
-    The factor is the geometric mean of known over predicted forces, each with the inverse square
+    The factor is the geometric mean of true over predicted forces, each with the inverse square
     of its relative error as weight: where errors grow with the force, the strongest tells no more
     than others. Prior and measurement are combined by their precision (both are log-normal):
     weights that are too light for the model to see change little.
 
     Args:
-        held: Known forces.
+        samples: True and predicted forces.
         prior: Factor as known so far.
         source: Source of the knowledge, then.
         independent: Number of presses with an error of their own. Weights on one indenter have the
             same error, which does not average out: 1.
     """
-    if not held:
+    if not samples:
         raise LearningError("weights: found none; allowed: one or more")
-    known, predicted, error = np.array([(h.known, h.predicted, h.error) for h in held]).T
-    if not (known * predicted > 0).all():
-        wrong = int(np.flatnonzero(~(known * predicted > 0))[0])
+    true, predicted, error = np.array([(s.true, s.predicted, s.error) for s in samples]).T
+    if not (true * predicted > 0).all():
+        wrong = int(np.flatnonzero(~(true * predicted > 0))[0])
         raise LearningError(
-            f"weight {wrong + 1}: its force is {known[wrong]:.3f} N and the model predicts "
+            f"weight {wrong + 1}: its force is {true[wrong]:.3f} N and the model predicts "
             f"{predicted[wrong]:.3f} N; allowed: forces of the same sign (pressing is negative "
             "Fz); was the weight at rest on the sensor?"
         )
     spreads = np.log1p(np.maximum(error / np.abs(predicted), 1e-9)) / NORMAL
     shares = spreads**-2 / (spreads**-2).sum()
-    ratio = math.exp(float((shares * np.log(known / predicted)).sum()))
+    ratio = math.exp(float((shares * np.log(true / predicted)).sum()))
     own = float((shares * spreads).sum()) / math.sqrt(independent)
     both = prior.spread**2 + own**2
     weight = prior.spread**2 / both if both > 0 else 1.0
@@ -365,11 +365,11 @@ def fit_learned(learned: Floats, held_out: Floats) -> Learned:
     covariance = np.cov(learned.T)
     ridge = np.diag(_RIDGE * np.diag(covariance) + _LEAST)
     units = np.linalg.cholesky(np.linalg.inv(covariance + ridge))
-    kept = np.unique(np.linspace(0, len(learned) - 1, _KEPT).round().astype(int))
-    found = Learned(_rows(units), _rows((learned[kept] @ units).round(4)), math.inf)
-    distances = np.sort(found.distances(held_out))
+    chosen = np.unique(np.linspace(0, len(learned) - 1, _KEPT).round().astype(int))
+    unlimited = Learned(_rows(units), _rows((learned[chosen] @ units).round(4)), math.inf)
+    distances = np.sort(unlimited.distances(held_out))
     rank = min(len(distances), math.ceil((1 - FLAGGED) * (len(distances) + 1)))
-    return replace(found, limit=float(distances[rank - 1]))
+    return replace(unlimited, limit=float(distances[rank - 1]))
 
 
 def _rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
@@ -390,8 +390,8 @@ def shapes_of(masks: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Floats:
         their edges over that of an image [px of its width].
     """
     edge, area = _of_reference(reference.tobytes(), reference.shape)
-    found = np.zeros((len(masks), SHAPE))
-    for row, mask in zip(found, masks, strict=True):
+    shapes = np.zeros((len(masks), SHAPE))
+    for row, mask in zip(shapes, masks, strict=True):
         moved = _cells(mask != reference) / edge
         grown = (_cells(mask) - area) / area.mean()
         coarse = grown.reshape(_CELLS // 2, 2, _CELLS // 2, 2).mean(axis=(1, 3))
@@ -404,7 +404,7 @@ def shapes_of(masks: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Floats:
             100.0 * np.count_nonzero(mask) / mask.size,
             edge_length(mask) / mask.shape[1],
         )
-    return found
+    return shapes
 
 
 def edge_length(mask: NDArray[Any]) -> int:

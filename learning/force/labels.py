@@ -40,11 +40,13 @@ class Relabelling:
         rows = presses.rows.numpy()
         own = presses.wrench.double().cpu().numpy()
         forces = self.forces(rows, own, presses.depth.cpu().numpy(), presses.phase.cpu().numpy())
-        found = replace(presses, wrench=torch.from_numpy(forces).float().to(presses.wrench.device))
+        relabelled = replace(
+            presses, wrench=torch.from_numpy(forces).float().to(presses.wrench.device)
+        )
         if self.spread is None:
-            return found
+            return relabelled
         spread = torch.from_numpy(self.spread[rows]).float()
-        return replace(found, spread=spread.to(presses.wrench.device))
+        return replace(relabelled, spread=spread.to(presses.wrench.device))
 
 
 def by_twins(labels: Simulated) -> Relabelling:
@@ -128,5 +130,9 @@ def label_source(
     return LabelSource(
         compensated(stored),
         data=(weights_hash(Path(file)), f"{source}-to-{target}", choice),
-        method=next(each for each, known in CHOICE_OF_METHOD.items() if known == (choice or known)),
+        method=next(
+            each
+            for each, of_method in CHOICE_OF_METHOD.items()
+            if of_method == (choice or of_method)
+        ),
     )

@@ -259,8 +259,8 @@ class LivePredictor:
         masks, self._mask_of = _masks(self._preset, frames)
         self._contact = Contact(masks)
         self._inputs = [input_of(each, self._contact.reference) for each in self._networks]
-        for network, given in zip(self._networks, self._inputs, strict=True):
-            network.reset(given.reference)
+        for network, network_input in zip(self._networks, self._inputs, strict=True):
+            network.reset(network_input.reference)
         self._first.clear()
 
     def step(self, frame: Frame) -> LiveForce | None:
@@ -277,11 +277,11 @@ class LivePredictor:
         mask = self._mask_of(frame)
         contact = self._contact.step(mask)
         forces: list[Triple] = []
-        for network, given in zip(self._networks, self._inputs, strict=True):
+        for network, network_input in zip(self._networks, self._inputs, strict=True):
             if not contact:
                 network.reset()
-                given.restart()
-            x, y, z = network.step(given.of(mask)).tolist()
+                network_input.restart()
+            x, y, z = network.step(network_input.of(mask)).tolist()
             forces.append((x, y, z))
         motion = self._contact.motion_px
         interval, outside = None, False
@@ -344,19 +344,19 @@ def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset
     if network.inputs.frame[1:] == SHADING.shape:
         return preset(ShadingPreset.KIND)
     written = (model / CONFIG).is_file()
-    kept: dict[str, Any] = read_config(model).metadata.get("presets", {}) if written else {}
+    presets: dict[str, Any] = read_config(model).metadata.get("presets", {}) if written else {}
     name = None
     if sensor is not None:
-        name = kept.get(sensor) or preset_of_sensor(sensor)
-    if name is None and kept:
-        first, *others = kept.values()
+        name = presets.get(sensor) or preset_of_sensor(sensor)
+    if name is None and presets:
+        first, *others = presets.values()
         name = None if any(other != first for other in others) else first
     if name is None:
-        found = f"sensor {sensor!r} has none, and the model " + (
-            f"knows several: {', '.join(sorted(kept))}" if kept else "knows none"
+        reason = f"sensor {sensor!r} has none, and the model " + (
+            f"knows several: {', '.join(sorted(presets))}" if presets else "knows none"
         )
         raise LearningError(
-            f"--preset: missing: {found}; allowed: the one that the sensor's markers were found "
+            f"--preset: missing: {reason}; allowed: the one that the sensor's markers were found "
             f"with: {', '.join(names())}, or a .yaml file"
         )
     where = f"{model / CONFIG}.metadata.presets"

@@ -418,8 +418,8 @@ class ForceModel(nn.Module):
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes that the model was trained on; its forces on others are NaN."""
-        known = self.low.isfinite().tolist()
-        return tuple(name for name, is_known in zip(AXES, known, strict=True) if is_known)
+        measured = self.low.isfinite().tolist()
+        return tuple(name for name, is_measured in zip(AXES, measured, strict=True) if is_measured)
 
     def set_range(self, box: ForceRange) -> None:
         """Set the force range that 0 and 1 correspond to."""
@@ -520,9 +520,9 @@ def require_stored(frames: Tensor, inputs: InputSettings, name: str) -> None:
     expected = stored_shape(inputs)
     kind = torch.float32 if inputs.form == "field" else torch.uint8
     if tuple(frames.shape[1:]) != expected or frames.dtype != kind:
-        found = f"{tuple(frames.shape)} {str(frames.dtype).removeprefix('torch.')}"
+        actual = f"{tuple(frames.shape)} {str(frames.dtype).removeprefix('torch.')}"
         allowed = f"(n, {', '.join(map(str, expected))}) {str(kind).removeprefix('torch.')}"
-        raise LearningError(f"{name}: found {found}; allowed: {allowed}, for input {inputs.form}")
+        raise LearningError(f"{name}: found {actual}; allowed: {allowed}, for input {inputs.form}")
 
 
 def _reduced(images: Tensor, inputs: InputSettings) -> Tensor:
@@ -560,13 +560,13 @@ def load_force_model(
     folder = model_folder(name)
     if (kind := read_config(folder).kind) != KIND and kind in offered:
         return _foreign(kind, folder, device)
-    found = read_model_folder(folder, KIND)
+    stored = read_model_folder(folder, KIND)
     model = new_force_model(
-        found.config.settings.get("plugin"),
-        found.settings(NetworkSettings, "network"),
-        found.settings(InputSettings, "input"),
+        stored.config.settings.get("plugin"),
+        stored.settings(NetworkSettings, "network"),
+        stored.settings(InputSettings, "input"),
     )
-    return found.load(model, device)
+    return stored.load(model, device)
 
 
 def _foreign(name: str, folder: Path | None, device: str | torch.device) -> ForceModel:

@@ -74,10 +74,10 @@ class ForceStream:
         Raises:
             LearningError: The frame has another shape or type, or the reference is missing.
         """
-        force, self._state = self._step(self.given(frame))
+        force, self._state = self._step(self.step_inputs(frame))
         return np.asarray(force[0], np.float64)
 
-    def given(self, frame: Array) -> dict[str, Array]:
+    def step_inputs(self, frame: Array) -> dict[str, Array]:
         """Return the inputs of the next step by name, without running it.
 
         Raises:
@@ -149,12 +149,12 @@ def _onnxruntime(file: Path, threads: int) -> ForceStream:
         )
     except Exception as error:  # each kind of invalid file raises another class there
         raise LearningError(f"{file}: cannot be loaded as an ONNX model: {error}") from error
-    shapes = {given.name: tuple(given.shape) for given in session.get_inputs()}
-    images = {given.name for given in session.get_inputs() if given.type == "tensor(uint8)"}
+    shapes = {each.name: tuple(each.shape) for each in session.get_inputs()}
+    images = {each.name for each in session.get_inputs() if each.type == "tensor(uint8)"}
     inputs = _inputs(file, shapes, images)
 
-    def step(given: Mapping[str, Array]) -> tuple[Array, Array]:
-        force, after = session.run([FORCE, AFTER], dict(given))
+    def step(values: Mapping[str, Array]) -> tuple[Array, Array]:
+        force, after = session.run([FORCE, AFTER], dict(values))
         return force, after
 
     return ForceStream(step, inputs)
@@ -177,14 +177,14 @@ def _openvino(file: Path, threads: int, *, bf16: bool) -> ForceStream:
     if threads:
         wanted["INFERENCE_NUM_THREADS"] = threads
     compiled = core.compile_model(model, "CPU", wanted)
-    shapes = {given.any_name: tuple(given.shape) for given in compiled.inputs}
-    images = {given.any_name for given in compiled.inputs if given.element_type == openvino.Type.u8}
+    shapes = {each.any_name: tuple(each.shape) for each in compiled.inputs}
+    images = {each.any_name for each in compiled.inputs if each.element_type == openvino.Type.u8}
     inputs = _inputs(file, shapes, images)
     request = compiled.create_infer_request()
 
-    def step(given: Mapping[str, Array]) -> tuple[Array, Array]:
-        found = request.infer(dict(given))
-        return found[FORCE].copy(), found[AFTER].copy()
+    def step(values: Mapping[str, Array]) -> tuple[Array, Array]:
+        outputs = request.infer(dict(values))
+        return outputs[FORCE].copy(), outputs[AFTER].copy()
 
     return ForceStream(step, inputs)
 

@@ -335,8 +335,10 @@ def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange
     """
     forces = torch.cat([each.cpu() for each in labels])
     if settings.force_range == "authors":
-        known = forces.isfinite().any(dim=0).numpy()
-        low, high = (np.where(known, ends, np.nan).tolist() for ends in (AUTHORS.low, AUTHORS.high))
+        measured = forces.isfinite().any(dim=0).numpy()
+        low, high = (
+            np.where(measured, ends, np.nan).tolist() for ends in (AUTHORS.low, AUTHORS.high)
+        )
         return ForceRange((low[0], low[1], low[2]), (high[0], high[1], high[2]))
     if settings.sequences.flips:
         forces = torch.cat([forces, forces * forces.new_tensor([-1.0, -1.0, 1.0])])
@@ -362,15 +364,15 @@ def error(
         lengths: Number of valid frames of each sequence (b,); None: all.
         weights: Weights of the labels (b, s, 3); None: equal.
     """
-    known = ~wanted.isnan()
+    counted = ~wanted.isnan()
     if lengths is not None:
         counts = torch.tensor(lengths, device=wanted.device)
         inside = torch.arange(wanted.shape[1], device=wanted.device) < counts[:, None]
-        known = known & inside[..., None]
-    difference = torch.where(known, predicted - torch.where(known, wanted, 0.0), 0.0).abs()
+        counted = counted & inside[..., None]
+    difference = torch.where(counted, predicted - torch.where(counted, wanted, 0.0), 0.0).abs()
     if weights is None:
-        return difference.sum() / known.sum().clamp(min=1)
-    weights = torch.where(known, weights, 0.0)
+        return difference.sum() / counted.sum().clamp(min=1)
+    weights = torch.where(counted, weights, 0.0)
     return (weights * difference).sum() / weights.sum().clamp(min=1e-6)
 
 
@@ -561,12 +563,12 @@ def begun_model(
         load_weights(model, start_from.state_dict(), "start_from")
         for key in ("encoder_norm", "tail_norm", "tail_block"):
             # Tensors may be alike between these, and mean something else.
-            found = getattr(start_from.network, key)
+            actual = getattr(start_from.network, key)
             allowed = getattr(settings.network, key)
-            if found != allowed:
+            if actual != allowed:
                 raise LearningError(
-                    f"start_from: found network.{key} {found}; allowed: {allowed}, as the settings "
-                    "of the training say"
+                    f"start_from: found network.{key} {actual}; allowed: {allowed}, as the "
+                    "settings of the training say"
                 )
     model.set_range(force_range(labels, settings))
     if start_from is None and settings.start_at_mean:

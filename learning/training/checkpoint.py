@@ -198,9 +198,11 @@ def read_config(folder: Path) -> Config:
     if not path.is_file():
         raise LearningError(f"{folder}: found no {CONFIG}; allowed: the folder of a training run")
     content = READER.read(path)
-    known = Config.__dataclass_fields__
-    if unknown := sorted(set(content) - set(known)):
-        raise LearningError(f"{path}: unknown {', '.join(unknown)}; known: {', '.join(known)}")
+    allowed_keys = Config.__dataclass_fields__
+    if unknown := sorted(set(content) - set(allowed_keys)):
+        raise LearningError(
+            f"{path}: unknown {', '.join(unknown)}; known: {', '.join(allowed_keys)}"
+        )
     for key, kind in (("kind", str), ("settings", dict), ("data", str), ("code_version", str)):
         if not isinstance(content.get(key), kind):
             allowed = "text" if kind is str else "a mapping of keys to values"

@@ -169,14 +169,14 @@ class RunFolder:
 
     def latest(self) -> Path | None:
         """Return the newest checkpoint, or None."""
-        found = self._checkpoints()
-        return found[-1] if found else None
+        checkpoints = self._checkpoints()
+        return checkpoints[-1] if checkpoints else None
 
     def best(self) -> Path | None:
         """Return the checkpoint with the lowest score, the older if equal; None if unscored."""
         scored = [(read_config(path).score, path) for path in self._checkpoints()]
-        known = [(score, path) for score, path in scored if score is not None]
-        return min(known)[1] if known else None
+        with_score = [(score, path) for score, path in scored if score is not None]
+        return min(with_score)[1] if with_score else None
 
     def restore(
         self,
@@ -237,13 +237,13 @@ class RunFolder:
     def _checkpoints(self) -> list[Path]:
         """Return complete checkpoints, oldest first."""
         folder = self.path / CHECKPOINTS
-        found = [path for path in folder.glob("*") if path.name.isdecimal()]
-        return sorted(path for path in found if (path / CONFIG).is_file())
+        numbered = [path for path in folder.glob("*") if path.name.isdecimal()]
+        return sorted(path for path in numbered if (path / CONFIG).is_file())
 
     def _prune(self) -> None:
-        kept = {*self._checkpoints()[-self.keep :], self.best()}
+        retained = {*self._checkpoints()[-self.keep :], self.best()}
         for path in self._checkpoints():
-            if path not in kept:
+            if path not in retained:
                 shutil.rmtree(path)
         for name in (_WRITING, _REPLACED):
             for left in (self.path / CHECKPOINTS).glob(f"{name}*"):
@@ -256,8 +256,8 @@ class RunFolder:
             return
         newest = self.latest()
         last = 0 if newest is None else int(newest.name)
-        kept = [line for line in log.read_text(encoding="utf-8").splitlines() if _upto(line, last)]
-        replace_file(log, "".join(f"{line}\n" for line in kept).encode())
+        lines = [line for line in log.read_text(encoding="utf-8").splitlines() if _upto(line, last)]
+        replace_file(log, "".join(f"{line}\n" for line in lines).encode())
 
 
 def _require_same(folder: Path, config: Config) -> None:
@@ -453,15 +453,15 @@ class Stop:
         self._say, self._clock = say, clock
         self._before: dict[signal.Signals, Any] = {}
         self._since = 0.0
-        self.asked = False
+        self.requested = False
         """True if no further step should begin."""
 
     def agreed(self, launched: Accelerator) -> bool:
         """Return True if any process was asked to stop: all must end after the same step."""
         if launched.num_processes == 1:
-            return self.asked
-        asked = torch.tensor(float(self.asked), device=launched.device)
-        total: Any = launched.reduce(asked, reduction="sum")
+            return self.requested
+        requested = torch.tensor(float(self.requested), device=launched.device)
+        total: Any = launched.reduce(requested, reduction="sum")
         return bool(total > 0)
 
     def __enter__(self) -> Self:
@@ -481,8 +481,8 @@ class Stop:
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         now = self._clock()
-        if not self.asked:
-            self.asked, self._since = True, now
+        if not self.requested:
+            self.requested, self._since = True, now
             self._say("stopping: finishing and saving the current step; again stops at once")
         elif now - self._since > _ECHO:
             raise KeyboardInterrupt
@@ -491,7 +491,7 @@ class Stop:
 Progress = Callable[[int, int], None]
 
 
-def _untold(done: int, total: int) -> None:
+def _no_progress(done: int, total: int) -> None:
     """Report progress to nobody."""
 
 
@@ -505,9 +505,9 @@ class Session:
     """Folder from which it resumes, for log, checkpoints and model."""
     stop: Stop = field(default_factory=Stop)
     """Ctrl-C handler; enter it only where the current step can be completed first."""
-    progress: Progress = _untold
+    progress: Progress = _no_progress
     """Called with the number of steps done and the total."""
-    reading: Progress = _untold
+    reading: Progress = _no_progress
     """Called likewise as data is read."""
 
     @property
@@ -537,5 +537,5 @@ def session_of(run: RunFolder, launch: LaunchSettings, name: str) -> Iterator[Se
         Stop(functools.partial(print, file=sys.stderr)) as stop,
     ):
         yield Session(accelerator(launch), run, stop, steps)
-    if stop.asked and not run.finished:
+    if stop.requested and not run.finished:
         raise KeyboardInterrupt

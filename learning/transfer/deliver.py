@@ -146,15 +146,15 @@ def calibration_picture(calibration: Calibration) -> bytes:
     png = io.BytesIO()
     with chart(png, 9, 3.2) as figure:
         for axis, panel in enumerate(figure.subplots(1, 3)):
-            wanted, found = calibration.wanted[:, axis], calibration.predicted[:, axis]
+            wanted, predicted = calibration.wanted[:, axis], calibration.predicted[:, axis]
             if calibration.intervals.axes[axis] is None:
                 panel.set_title(f"{AXES[axis]}: not measured")
                 continue
             for name in np.unique(calibration.indenter):
                 own = calibration.indenter == name
-                panel.plot(wanted[own], found[own], ".", ms=4, label=name)
-            order = np.argsort(found)
-            panel.fill_betweenx(found[order], low[order, axis], high[order, axis], alpha=0.15)
+                panel.plot(wanted[own], predicted[own], ".", ms=4, label=name)
+            order = np.argsort(predicted)
+            panel.fill_betweenx(predicted[order], low[order, axis], high[order, axis], alpha=0.15)
             ends = np.nanmin(wanted), np.nanmax(wanted)
             panel.plot(ends, ends, "k-", lw=0.8)
             panel.set_title(AXES[axis])
@@ -195,8 +195,8 @@ def lines_of(card: Card) -> Iterator[str]:
         else:
             yield f"{name}: +- {one.base:.3f} N +- {100 * one.slope:.1f} % of the force"
     scale = intervals.scale
-    known = "scale assumed" if scale.assumed else "scale known"
+    certainty = "scale assumed" if scale.assumed else "scale known"
     yield (
-        f"{known}: {scale.source}; true forces are within 1/{scale.factor:.2f} and "
+        f"{certainty}: {scale.source}; true forces are within 1/{scale.factor:.2f} and "
         f"{scale.factor:.2f} times the predicted ones"
     )

@@ -124,12 +124,12 @@ def _peaks(archive: MarkerArchive, sensor: ArchivedSensor) -> dict[str, float]:
     table = sensor.table
     rows = table["valid"] & (table["location"] >= 0) & table["seen"]
     force = np.abs(table["wrench"][:, :3])
-    found: dict[str, float] = {}
+    peaks: dict[str, float] = {}
     for code in np.unique(table["indenter"][rows]):
         some = force[rows & (table["indenter"] == code)]
         if np.isfinite(some).any():
-            found[archive.indenters[int(code)]] = float(np.nanmax(some))
-    return found
+            peaks[archive.indenters[int(code)]] = float(np.nanmax(some))
+    return peaks
 
 
 def labels_by_place(
@@ -143,7 +143,7 @@ def labels_by_place(
 
     Labels are of all rows of the source's table (m, 3) [N].
     """
-    found = np.full((len(target["location"]), 3), np.nan)
+    matched = np.full((len(target["location"]), 3), np.nan)
     mine, its = _phases(source, begun=True), _phases(target, begun=False)
     for key in its.keys() & mine.keys():
         rows, at = its[key]
@@ -153,11 +153,11 @@ def labels_by_place(
         inside = (at >= own_at[0] - _BEYOND) & (at <= own_at[-1] + _BEYOND)
         for axis in range(3):
             values = labels[own, axis]
-            known = np.isfinite(values)
-            if known.any():
-                column = np.interp(at, own_at[known], values[known])
-                found[rows, axis] = np.where(inside, column, np.nan)
-    return found
+            labelled = np.isfinite(values)
+            if labelled.any():
+                column = np.interp(at, own_at[labelled], values[labelled])
+                matched[rows, axis] = np.where(inside, column, np.nan)
+    return matched
 
 
 def _phases(
@@ -167,7 +167,7 @@ def _phases(
 
     With `begun`, each phase begins with the last frame of the one before.
     """
-    found: dict[tuple[int, int], tuple[NDArray[np.int64], Floats]] = {}
+    phases: dict[tuple[int, int], tuple[NDArray[np.int64], Floats]] = {}
     for (location,), location_rows in press_rows(table).items():
         phase = table["phase"][location_rows]
         depth = np.asarray(table["depth"][location_rows], np.float64)
@@ -182,5 +182,5 @@ def _phases(
             measure = depth if code in _NORMAL or code < 0 else away
             most = measure.max()
             progress = measure[chosen] / most if most > 0 else np.zeros(chosen.sum())
-            found[location, code] = location_rows[chosen], progress
-    return found
+            phases[location, code] = location_rows[chosen], progress
+    return phases

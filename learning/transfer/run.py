@@ -60,7 +60,7 @@ _AS_DEEP = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class TransferRequest:
     """A transfer from a sensor with a gauge to one without."""
 
     source: Chosen
@@ -100,46 +100,46 @@ class Request:
         return self.out / "before"
 
 
-def run_transfer(asked: Request, say: Say = print) -> Card:
+def run_transfer(request: TransferRequest, say: Say = print) -> Card:
     """Run or continue a transfer, and return the card of its model."""
-    source, target = asked.source.name, asked.target.name
-    places = Places(asked.out, asked.out / "pairs.markers.zarr")
-    asked.out.mkdir(parents=True, exist_ok=True)
-    _begin(asked)
+    source, target = request.source.name, request.target.name
+    places = Places(request.out, request.out / "pairs.markers.zarr")
+    request.out.mkdir(parents=True, exist_ok=True)
+    _begin(request)
 
     # Presses of both sensors match by place; the target's labels stay behind.
-    own_curve = any(_is_same(path, asked.target.archive) for path in asked.priors)
+    own_curve = any(_is_same(path, request.target.archive) for path in request.priors)
     archive, matches = join_pair(
-        asked.source,
-        asked.target,
+        request.source,
+        request.target,
         places.archive,
-        asked.tolerances,
-        asked.unseen,
-        source_labels=asked.source_labels,
+        request.tolerances,
+        request.unseen,
+        source_labels=request.source_labels,
         keep_curve=own_curve,
     )
     for line in matches:
         say(line)
     split, calibrates = split_pair(
-        archive, source, places.split, asked.calibrate_on, asked.settings.seed
+        archive, source, places.split, request.calibrate_on, request.settings.seed
     )
     say(f"calibrate the intervals before the model learns them: {', '.join(calibrates)}")
 
     # Labels are scaled between the skins, if both have a force-depth curve or a twin.
-    curved = _compensated(asked, archive, places, say)
-    kinds = tuple(one for one in asked.settings.compensation if curved or one == SIMULATED)
+    curved = _compensated(request, archive, places, say)
+    kinds = tuple(one for one in request.settings.compensation if curved or one == SIMULATED)
     method = after(kinds)
-    settings = replace(asked.settings, compensation=kinds)
-    if asked.source_model is not None:
-        experiment = Experiment(places, settings, (), asked.device)
-        settings = experiment.adopt(source, asked.source_model)
+    settings = replace(request.settings, compensation=kinds)
+    if request.source_model is not None:
+        experiment = Experiment(places, settings, (), request.device)
+        settings = experiment.adopt(source, request.source_model)
     if method == UNSCALED:
-        _require_as_deep(asked, archive)
+        _require_as_deep(request, archive)
     run_experiment(
         places,
         settings,
         pairs=[f"{source}:{target}"],
-        device=asked.device,
+        device=request.device,
         processes=cores(),
         say=say,
     )
@@ -151,23 +151,23 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
     stored = read_stored(places.compensation) if method in CHOICE_OF_METHOD else None
     relabelled = relabelling(archive, Pair(source, target), method, stored)
     by_place = ByPlace(archive, source, target, relabelled)
-    trained = by_place.tune(trained, split, settings, asked.device, "by place")
-    scale = _scale(asked, method)
-    model = load_force_model(trained, asked.device)
+    trained = by_place.tune(trained, split, settings, request.device, "by place")
+    scale = _scale(request, method)
+    model = load_force_model(trained, request.device)
     calibration = by_place.calibrate(model, calibrates, scale)
     # Its errors are measured: the delivered model learns the indenters that calibrated as well.
     whole = split.trained_on(calibrates)
-    trained = by_place.tune(trained, whole, settings, asked.device, "all")
-    factor = 1.0 if method != UNSCALED or asked.ratio is None else asked.ratio
+    trained = by_place.tune(trained, whole, settings, request.device, "all")
+    factor = 1.0 if method != UNSCALED or request.ratio is None else request.ratio
     intervals = calibration.intervals.rescaled(factor, scale)
     factors = np.full(3, factor)
     history: tuple[str, ...] = ()
     curve: list[dict[str, str]] = []
-    if asked.labels is not None:
-        few = read_labels(asked.labels, asked.target.archive, asked.target.sensor)
-        given = factor * forces_at(archive[target], few.rows, load_force_model(trained))
-        curve = error_curve(few, given, intervals)
-        gains, scale, text = gains_of_labels(few, given, intervals)
+    if request.labels is not None:
+        few = read_labels(request.labels, request.target.archive, request.target.sensor)
+        predicted = factor * forces_at(archive[target], few.rows, load_force_model(trained))
+        curve = error_curve(few, predicted, intervals)
+        gains, scale, text = gains_of_labels(few, predicted, intervals)
         factors = factor * gains
         history = (text,)
         intervals = intervals.rescaled(gains.tolist(), scale)
@@ -182,44 +182,44 @@ def run_transfer(asked: Request, say: Say = print) -> Card:
         intervals=intervals,
         history=history,
     )
-    deliver(trained, asked.model, card, factors.tolist())
-    _deliver_before(places.model(f"force-{source}"), asked.before)
+    deliver(trained, request.model, card, factors.tolist())
+    _deliver_before(places.model(f"force-{source}"), request.before)
     scaled = replace(
         calibration,
         intervals=intervals,
         predicted=factors * calibration.predicted,
         wanted=factors * calibration.wanted,
     )
-    pictures = [*_pictures(asked, archive, places, scaled)]
-    write_report(asked.out / "report.html", card, matches, pictures, curve)
+    pictures = [*_pictures(request, archive, places, scaled)]
+    write_report(request.out / "report.html", card, matches, pictures, curve)
     for line in (*lines_of(card), *history):
         say(line)
     return card
 
 
-def _begin(asked: Request) -> None:
+def _begin(request: TransferRequest) -> None:
     """Write what the models of a folder are made of, or check that it is the same."""
     plain: dict[str, Any] = {
         **{
             name: f"{archive_fingerprint(each.archive)} {each.sensor} as {each.name}"
-            for name, each in (("source", asked.source), ("target", asked.target))
+            for name, each in (("source", request.source), ("target", request.target))
         },
-        "source_labels": asked.source_labels and weights_hash(asked.source_labels),
-        "source_model": str(asked.source_model and asked.source_model.resolve()),
-        "priors": sorted(str(path.resolve()) for path in asked.priors),
-        "calibrate_on": asked.calibrate_on and sorted(asked.calibrate_on),
-        "unseen": asked.unseen and sorted(asked.unseen),
-        "tolerances": asdict(asked.tolerances),
-        "twins": _twins(asked),
+        "source_labels": request.source_labels and weights_hash(request.source_labels),
+        "source_model": str(request.source_model and request.source_model.resolve()),
+        "priors": sorted(str(path.resolve()) for path in request.priors),
+        "calibrate_on": request.calibrate_on and sorted(request.calibrate_on),
+        "unseen": request.unseen and sorted(request.unseen),
+        "tolerances": asdict(request.tolerances),
+        "twins": _twins(request),
     }
-    require_same(asked.out / "transfer.json", plain)
+    require_same(request.out / "transfer.json", plain)
 
 
-def _twins(asked: Request) -> list[str] | None:
+def _twins(request: TransferRequest) -> list[str] | None:
     """Return the twins of both sensors; None if labels are not scaled by them."""
-    if SIMULATED not in asked.settings.compensation:
+    if SIMULATED not in request.settings.compensation:
         return None
-    sensors = (each.archive[each.sensor] for each in (asked.source, asked.target))
+    sensors = (each.archive[each.sensor] for each in (request.source, request.target))
     return [twin_forces(sensor).made_from for sensor in sensors]
 
 
@@ -227,18 +227,20 @@ def _is_same(path: Path, archive: MarkerArchive) -> bool:
     return path.exists() and path.resolve() == Path(archive.path).resolve()
 
 
-def _compensated(asked: Request, archive: MarkerArchive, places: Places, say: Say) -> bool:
+def _compensated(
+    request: TransferRequest, archive: MarkerArchive, places: Places, say: Say
+) -> bool:
     """Fit the skins' force-depth curves; return False if one of both has none."""
-    folders = [p for p in asked.priors if not _is_same(p, asked.target.archive)]
+    folders = [p for p in request.priors if not _is_same(p, request.target.archive)]
     sessions = [p for p in folders if not any(p.glob("*_down.csv"))]
     published = [p for p in folders if p not in sessions]
     if len(published) > 1:
         raise LearningError(f"--priors: found {len(published)} folders of CSV; allowed: one")
     curves = Curves(tuple(sessions), published[0] if published else None)
-    source, target = asked.source.name, asked.target.name
+    source, target = request.source.name, request.target.name
     without = sorted({source, target} & set(gather_priors(archive, curves).without))
     if without:
-        if asked.priors:
+        if request.priors:
             raise LearningError(
                 f"--priors: no force-depth curve of {', '.join(without)} in any of them; allowed: "
                 "a session of `tactile force-depth`, a folder of SENSOR_down.csv and "
@@ -258,38 +260,38 @@ def _compensated(asked: Request, archive: MarkerArchive, places: Places, say: Sa
     return True
 
 
-def _scale(asked: Request, method: str) -> Scale:
+def _scale(request: TransferRequest, method: str) -> Scale:
     """Return what is known of the scale before any weight or label."""
     if method == SIMULATED:
         text = "twins of both skins, which simulate every press; their ratio is assumed to hold"
-        return Scale(asked.within or CURVES, text, assumed=False)
+        return Scale(request.within or CURVES, text, assumed=False)
     if method != UNSCALED:
         text = "force-depth curves of both skins; their ratio is assumed to hold for all indenters"
-        return Scale(asked.within or CURVES, text, assumed=False)
-    ratio = 1.0 if asked.ratio is None else asked.ratio
+        return Scale(request.within or CURVES, text, assumed=False)
+    ratio = 1.0 if request.ratio is None else request.ratio
     text = (
-        f"assumed that {asked.target.name} takes {ratio:g} times the force of "
-        f"{asked.source.name} at the same place and fraction of depth; no force on it was ever "
+        f"assumed that {request.target.name} takes {ratio:g} times the force of "
+        f"{request.source.name} at the same place and fraction of depth; no force on it was ever "
         "known"
     )
-    return Scale(asked.within or NOTHING, text, assumed=True)
+    return Scale(request.within or NOTHING, text, assumed=True)
 
 
-def _require_as_deep(asked: Request, archive: MarkerArchive) -> None:
+def _require_as_deep(request: TransferRequest, archive: MarkerArchive) -> None:
     """Reject an assumed scale between sensors that are not pressed as deep."""
-    if asked.ratio is not None:
+    if request.ratio is not None:
         return
     deepest = []
-    for name in (asked.source.name, asked.target.name):
+    for name in (request.source.name, request.target.name):
         table = archive[name].table
         rows = table["valid"] & (table["location"] >= 0)
         deepest.append(float(table["depth"][rows].max()))
     if abs(deepest[0] - deepest[1]) > _AS_DEEP * max(deepest):
         raise LearningError(
-            f"{asked.source.name} was pressed {1e3 * deepest[0]:.2f} mm deep, {asked.target.name} "
-            f"{1e3 * deepest[1]:.2f} mm: at the same fraction of depth their forces differ by more "
-            "than the skins' moduli; allowed: --priors with force-depth curves, --force-ratio, or "
-            "a (simulated) source pressed as deep"
+            f"{request.source.name} was pressed {1e3 * deepest[0]:.2f} mm deep, "
+            f"{request.target.name} {1e3 * deepest[1]:.2f} mm: at the same fraction of depth their "
+            "forces differ by more than the skins' moduli; allowed: --priors with force-depth "
+            "curves, --force-ratio, or a (simulated) source pressed as deep"
         )
 
 
@@ -313,30 +315,30 @@ def _deliver_before(trained: Path, out: Path) -> None:
 
 
 def _pictures(
-    asked: Request, archive: MarkerArchive, places: Places, calibration: Calibration
+    request: TransferRequest, archive: MarkerArchive, places: Places, calibration: Calibration
 ) -> Iterator[tuple[str, bytes]]:
     """Yield captions and pictures of the report."""
     yield (
         "Predicted and expected forces on the indenters that calibrate",
         calibration_picture(calibration),
     )
-    pair = f"{asked.source.name}-to-{asked.target.name}"
-    found = read_predictions(places.predictions / f"{pair}.source-only.npz")
-    unseen = np.flatnonzero(~np.isin(found.indenter, calibration.intervals.indenters))
-    rows = unseen if len(unseen) else np.arange(len(found))
-    locations = np.unique(found.location[rows])
+    pair = f"{request.source.name}-to-{request.target.name}"
+    source_only = read_predictions(places.predictions / f"{pair}.source-only.npz")
+    unseen = np.flatnonzero(~np.isin(source_only.indenter, calibration.intervals.indenters))
+    rows = unseen if len(unseen) else np.arange(len(source_only))
+    locations = np.unique(source_only.location[rows])
     chosen = locations[np.linspace(0, len(locations) - 1, PRESSES).round().astype(int)]
-    rows = rows[np.isin(found.location[rows], chosen)]
-    rows = rows[np.lexsort((found.frame[rows], found.location[rows]))]
-    model = load_force_model(asked.model)
-    presses = presses_of_rows(archive[asked.target.name], found.rows[rows], model)
-    starts = np.flatnonzero(np.diff(found.location[rows], prepend=-1))
-    names = ", ".join(dict.fromkeys(found.indenter[rows].tolist()))
+    rows = rows[np.isin(source_only.location[rows], chosen)]
+    rows = rows[np.lexsort((source_only.frame[rows], source_only.location[rows]))]
+    model = load_force_model(request.model)
+    presses = presses_of_rows(archive[request.target.name], source_only.rows[rows], model)
+    starts = np.flatnonzero(np.diff(source_only.location[rows], prepend=-1))
+    names = ", ".join(dict.fromkeys(source_only.indenter[rows].tolist()))
     yield (
-        f"Forces of some presses of {asked.target.name}, of {names}",
+        f"Forces of some presses of {request.target.name}, of {names}",
         forces_picture(
             model.predict(presses),
-            found.predicted[rows],
+            source_only.predicted[rows],
             calibration.intervals,
             starts.tolist(),
         ),

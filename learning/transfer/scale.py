@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from learning.data.labels import Labels
 from learning.errors import LearningError
-from learning.force.intervals import Held, Intervals, Scale, measured_scale, read_intervals
+from learning.force.intervals import Intervals, Scale, ScaleSample, measured_scale, read_intervals
 from learning.force.model import load_force_model
 from learning.metrics import force_errors, spread_and_range
 from learning.transfer.by_place import forces_at
@@ -32,14 +32,14 @@ _GAP = 5
 
 
 def weigh(
-    model_folder: Path, out: Path, known: Sequence[float], predicted: Sequence[float]
+    model_folder: Path, out: Path, weights: Sequence[float], predicted: Sequence[float]
 ) -> Iterator[str]:
     """Write the model with the scale that weights give, and yield what is then known of it.
 
     Args:
         model_folder: A model that `tactile transfer` made.
         out: Folder to write.
-        known: Weights [N].
+        weights: Weights [N].
         predicted: Fz that the model predicts under each [N].
     """
     intervals = read_intervals(model_folder)
@@ -47,21 +47,21 @@ def weigh(
         raise LearningError(
             f"{model_folder}: found no interval of Fz; allowed: RUN/model of `tactile transfer`"
         )
-    if len(known) != len(predicted):
+    if len(weights) != len(predicted):
         raise LearningError(
-            f"--weights: found {len(known)}, and {len(predicted)} forces; allowed: one each"
+            f"--weights: found {len(weights)}, and {len(predicted)} forces; allowed: one each"
         )
     card = read_card(model_folder, intervals)
     axis = intervals.axes[2]
-    held = [
-        Held(-weight, force, axis.base + axis.slope * abs(force))
-        for weight, force in zip(known, predicted, strict=True)
+    samples = [
+        ScaleSample(-weight, force, axis.base + axis.slope * abs(force))
+        for weight, force in zip(weights, predicted, strict=True)
     ]
-    listed = ", ".join(f"{weight:.3f}" for weight in known)
+    listed = ", ".join(f"{weight:.3f}" for weight in weights)
     text = f"weights laid on the sensor: {listed} N"
-    value, scale = measured_scale(held, intervals.scale, text)
-    for one in held:
-        yield f"weight {-one.known:.3f} N: predicted {-one.predicted:.3f} N before"
+    value, scale = measured_scale(samples, intervals.scale, text)
+    for one in samples:
+        yield f"weight {-one.true:.3f} N: predicted {-one.predicted:.3f} N before"
     done = replace(
         card,
         intervals=intervals.rescaled(value, scale),
@@ -88,7 +88,7 @@ def forces_of_holds(path: Path, count: int) -> list[float]:
             f"{path}: found {len(holds)} holds ({listed}); allowed: {count}, one for each weight, "
             "each lifted off before the next"
         )
-    found = []
+    forces = []
     for number, (begin, end) in enumerate(holds, 1):
         half = force[begin + (end - begin) // 2 : end]
         # The hand that lifts a weight off is in the last tenth.
@@ -101,8 +101,8 @@ def forces_of_holds(path: Path, count: int) -> list[float]:
                 f"allowed: {100 * SETTLED:.0f} % of its {middle:.3f} N; let each weight rest for "
                 "seconds"
             )
-        found.append(middle)
-    return found
+        forces.append(middle)
+    return forces
 
 
 def forces_of_rows(model_folder: Path, named: str, rows: Sequence[int]) -> list[float]:
@@ -177,8 +177,8 @@ def gains_of_labels(
     text = f"scale from {labels.presses} labelled presses of the target"
     gains, scale = _gains(labels, predicted, intervals, labels.presses, text)
     listed = ", ".join(f"{gain:.3f}" for gain in gains)
-    told = f"factors of Fx, Fy, Fz {listed}" if np.ptp(gains) else f"factor {gains[0]:.3f}"
-    return gains, scale, f"{text}: {told}"
+    factors = f"factors of Fx, Fy, Fz {listed}" if np.ptp(gains) else f"factor {gains[0]:.3f}"
+    return gains, scale, f"{text}: {factors}"
 
 
 def error_curve(labels: Labels, predicted: Floats, intervals: Intervals) -> list[dict[str, str]]:
@@ -219,11 +219,11 @@ def _gains(
     value, scale = _scale(labels, predicted, intervals, presses, source)
     gains = np.full(3, value)
     for axis in range(3):
-        known = np.isfinite(labels.forces[:, axis]) & np.isfinite(predicted[:, axis])
-        known &= labels.press < presses
-        if len(np.unique(labels.press[known])) < GAINS_FROM:
+        labelled = np.isfinite(labels.forces[:, axis]) & np.isfinite(predicted[:, axis])
+        labelled &= labels.press < presses
+        if len(np.unique(labels.press[labelled])) < GAINS_FROM:
             continue
-        x, y = value * predicted[known, axis], labels.forces[known, axis]
+        x, y = value * predicted[labelled, axis], labels.forces[labelled, axis]
         gain = float((x * y).sum()) / max(float((x**2).sum()), 1e-12)
         gains[axis] *= min(max(gain, 1 / _GAIN_MOST), _GAIN_MOST)
     return gains, scale
@@ -233,7 +233,7 @@ def _scale(
     labels: Labels, predicted: Floats, intervals: Intervals, presses: int, source: str
 ) -> tuple[float, Scale]:
     """Return the scale by the strongest labelled force of each of the first presses."""
-    held: list[Held] = []
+    held: list[ScaleSample] = []
     low, high = intervals.rescaled(1.0, Scale(1.0, "", False)).of(predicted)
     error = 0.5 * (high - low)
     for press in range(presses):
@@ -244,7 +244,7 @@ def _scale(
         place, axis = divmod(int(np.nanargmax(size)), 3)
         row = rows[place]
         held.append(
-            Held(
+            ScaleSample(
                 float(labels.forces[row, axis]),
                 float(predicted[row, axis]),
                 float(error[row, axis]),

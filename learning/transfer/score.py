@@ -119,19 +119,19 @@ def score_of(new: NewFrames) -> Score:
     if not can_be_scored(true, predicted):
         raise LearningError("found no label to compare with; allowed: true forces of the target")
     low, high = new.intervals.of(predicted)
-    known = np.isfinite(true) & np.isfinite(low)
+    scored = np.isfinite(true) & np.isfinite(low)
     inside = (low <= true) & (true <= high)
     outside = new.intervals.is_outside(predicted, new.shapes)
     return Score(
         errors=force_errors(true, predicted, spread_and_range(true)[0]),
-        covered=_shares(inside, known),
-        covered_inside=_shares(inside, known & ~outside[:, None]),
+        covered=_shares(inside, scored),
+        covered_inside=_shares(inside, scored & ~outside[:, None]),
         outside=float(outside.mean()),
         width=axis_means(0.5 * (high - low)),
         indenters=new.indenters,
     )
 
 
-def _shares(inside: NDArray[np.bool_], known: NDArray[np.bool_]) -> Floats:
-    count = known.sum(axis=0)
-    return np.where(count > 0, (inside & known).sum(axis=0) / np.maximum(count, 1), np.nan)
+def _shares(inside: NDArray[np.bool_], scored: NDArray[np.bool_]) -> Floats:
+    count = scored.sum(axis=0)
+    return np.where(count > 0, (inside & scored).sum(axis=0) / np.maximum(count, 1), np.nan)

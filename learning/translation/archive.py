@@ -128,7 +128,7 @@ class TranslatedSensor:
         source, target = SensorView.of(self._source), SensorView.of(self._target)
         self._translator = for_pair(model.translator, source, target)
         self._device = model.device
-        self._made: tuple[tuple[int, ...], Rows, NDArray[np.uint8]] | None = None
+        self._last_press: tuple[tuple[int, ...], Rows, NDArray[np.uint8]] | None = None
         self.plan = SensorPlan(
             name=pair.name,
             rows=len(self._rows),
@@ -149,10 +149,12 @@ class TranslatedSensor:
     @property
     def simulated(self) -> Simulated | None:
         """Forces of the source's twin in its frames, None without."""
-        found = self._source.simulated
-        if found is None:
+        simulated = self._source.simulated
+        if simulated is None:
             return None
-        return replace(found, force=found.force[self._rows], spread=found.spread[self._rows])
+        return replace(
+            simulated, force=simulated.force[self._rows], spread=simulated.spread[self._rows]
+        )
 
     def read(self, rows: slice) -> Frames:
         """Translate some frames."""
@@ -163,8 +165,8 @@ class TranslatedSensor:
             here = np.flatnonzero((presses == press).all(axis=1))
             here = here[self._table["valid"][wanted[here]]]
             if len(here):
-                made, translated = self._press(tuple(press.tolist()))
-                packed[here] = translated[np.searchsorted(made, wanted[here])]
+                press_rows, translated = self._press(tuple(press.tolist()))
+                packed[here] = translated[np.searchsorted(press_rows, wanted[here])]
         table = {name: self._table[name][wanted] for name in GIVEN}
         table["reference"] = self._reference[wanted]
         lines = self._source.provenance(wanted)
@@ -175,7 +177,7 @@ class TranslatedSensor:
 
         The last translated press is cached, since it may extend beyond the requested rows.
         """
-        if self._made is None or self._made[0] != press:
+        if self._last_press is None or self._last_press[0] != press:
             of = (self._presses == np.array(press)).all(axis=1)
             rows = np.flatnonzero(of & self._table["valid"])
             rows = rows[np.argsort(self._table["frame"][rows], kind="stable")]
@@ -193,8 +195,8 @@ class TranslatedSensor:
                 seen = self._reference[rows] == number
                 packed[seen] = pack(translated.cpu().numpy()[seen])
             order = np.argsort(rows)
-            self._made = press, rows[order], packed[order]
-        return self._made[1:]
+            self._last_press = press, rows[order], packed[order]
+        return self._last_press[1:]
 
 
 def _sensor(archive: MarkerArchive, name: str) -> ArchivedSensor:
@@ -253,19 +255,19 @@ def target_references(
     A drifting target has one reference per contact point, and that of the same location is used.
     If the target was not pressed there, its first reference is used.
     """
-    known = np.flatnonzero((target["location"] >= 0) & target["valid"])
-    location, first = np.unique(target["location"][known], return_index=True)
-    found = np.zeros(len(locations), np.int16)
+    located = np.flatnonzero((target["location"] >= 0) & target["valid"])
+    location, first = np.unique(target["location"][located], return_index=True)
+    references = np.zeros(len(locations), np.int16)
     if len(location):
         place = np.minimum(np.searchsorted(location, locations), len(location) - 1)
         there = location[place] == locations
-        found[there] = target["reference"][known[first[place[there]]]]
-    return found
+        references[there] = target["reference"][located[first[place[there]]]]
+    return references
 
 
 def _marker_count(sensor: ArchivedSensor) -> MarkerCount | None:
-    found = sensor.attrs.get("marker_check")
-    return None if found is None else MarkerCount(**found)
+    stored = sensor.attrs.get("marker_check")
+    return None if stored is None else MarkerCount(**stored)
 
 
 # A contact sheet of a translated archive: source, translation, true target, difference.
@@ -275,7 +277,7 @@ Masks = NDArray[np.bool_]
 # Presses shown for each pair.
 FRAMES = 3
 # Colours of markers in only the translated or only the true frame.
-ONLY_MADE, ONLY_TRUE = (255, 150, 30), (70, 150, 255)
+ONLY_TRANSLATED, ONLY_TRUE = (255, 150, 30), (70, 150, 255)
 
 
 def draw_sheet(archive: MarkerArchive, translated: MarkerArchive, out: Path) -> None:
@@ -290,23 +292,28 @@ def dice(one: Masks, other: Masks) -> float:
     return 2 * int(np.count_nonzero(one & other)) / total if total else 1.0
 
 
-def _chosen(archive: MarkerArchive, made: ArchivedSensor) -> Iterator[tuple[str, str, list[Tile]]]:
+def _chosen(
+    archive: MarkerArchive, translated: ArchivedSensor
+) -> Iterator[tuple[str, str, list[Tile]]]:
     """Yield title, note and pictures of some of the deepest frames of a pair."""
-    names = [made.attrs.get(key) for key in ("source", "target")]
+    names = [translated.attrs.get(key) for key in ("source", "target")]
     for name in names:
         if name not in archive:
             raise LearningError(
-                f"{archive.name}: found no sensor {name!r}, which {made.name} was made from"
+                f"{archive.name}: found no sensor {name!r}, which {translated.name} was made from"
             )
     source, target = (archive[str(name)] for name in names)
-    rows = np.flatnonzero(made.table["valid"])
-    deepest = rows[made.table["depth"][rows] >= np.quantile(made.table["depth"][rows], 0.7)]
-    pairs = location_pairs(made.table, target.table)
+    rows = np.flatnonzero(translated.table["valid"])
+    deepest = rows[
+        translated.table["depth"][rows] >= np.quantile(translated.table["depth"][rows], 0.7)
+    ]
+    pairs = location_pairs(translated.table, target.table)
     paired = np.isin(pairs.source, deepest)
     of = dict(zip(pairs.source[paired].tolist(), pairs.target[paired].tolist(), strict=True))
     pool = np.array(sorted(of)) if of else deepest
     for row in pool[np.linspace(0, len(pool) - 1, min(FRAMES, len(pool))).astype(int)].tolist():
-        (before,), (after,) = source.masks([_row_of(source, made, row)]), made.masks([row])
+        (before,) = source.masks([_row_of(source, translated, row)])
+        (after,) = translated.masks([row])
         tiles = [
             Tile(marker_picture(before), ("source", "")),
             Tile(marker_picture(after), ("translated", "")),
@@ -318,31 +325,31 @@ def _chosen(archive: MarkerArchive, made: ArchivedSensor) -> Iterator[tuple[str,
                 Tile(marker_picture(true), ("target, pressed there", "")),
                 Tile(_difference(after, true), (agreement, "")),
             ]
-        yield _title(archive, made, row), "", tiles
+        yield _title(archive, translated, row), "", tiles
 
 
-def _row_of(source: ArchivedSensor, made: ArchivedSensor, row: int) -> int:
+def _row_of(source: ArchivedSensor, translated: ArchivedSensor, row: int) -> int:
     """Return the source row of a translated frame."""
     same = np.ones(len(source), np.bool_)
     for name in ("indenter", "target", "location", "frame"):
-        same &= source.table[name] == made.table[name][row]
-    found = np.flatnonzero(same)
-    if not len(found):
-        raise LearningError(f"{made.name}: row {row} was made from no frame of {source.name}")
-    return int(found[0])
+        same &= source.table[name] == translated.table[name][row]
+    matches = np.flatnonzero(same)
+    if not len(matches):
+        raise LearningError(f"{translated.name}: row {row} was made from no frame of {source.name}")
+    return int(matches[0])
 
 
-def _title(archive: MarkerArchive, made: ArchivedSensor, row: int) -> str:
-    table = made.table
+def _title(archive: MarkerArchive, translated: ArchivedSensor, row: int) -> str:
+    table = translated.table
     code = int(table["phase"][row])
     phase = PHASES[code].replace("_", " ") if code >= 0 else "no phase"
     indenter = archive.indenters[int(table["indenter"][row])]
     depth = 1e3 * table["depth"][row]
-    return f"{made.name}: {indenter}, target {table['target'][row]}, {phase}, {depth:.2f} mm"
+    return f"{translated.name}: {indenter}, target {table['target'][row]}, {phase}, {depth:.2f} mm"
 
 
-def _difference(made: Masks, true: Masks) -> NDArray[np.uint8]:
-    picture = marker_picture(made & true)
-    picture[made & ~true] = ONLY_MADE
-    picture[true & ~made] = ONLY_TRUE
+def _difference(translated: Masks, true: Masks) -> NDArray[np.uint8]:
+    picture = marker_picture(translated & true)
+    picture[translated & ~true] = ONLY_TRANSLATED
+    picture[true & ~translated] = ONLY_TRUE
     return picture

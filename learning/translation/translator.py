@@ -47,11 +47,11 @@ class SensorView:
 
 def shows_discs(reference: np.ndarray[Any, np.dtype[np.bool_]]) -> bool:
     """Return True if a reference mask (480, 640) shows a uSkin: discs at their drawn positions."""
-    found = marker_centres(reference)
-    if len(found) != TAXELS:
+    centres = marker_centres(reference)
+    if len(centres) != TAXELS:
         return False
     drawn = marker_centres(draw_discs(np.zeros((TAXELS, 3))))
-    apart = np.linalg.norm(drawn[:, None] - found[None], axis=-1)
+    apart = np.linalg.norm(drawn[:, None] - centres[None], axis=-1)
     return bool((apart.min(axis=1) <= _SAME_DISCS_PX).all())
 
 
@@ -117,10 +117,10 @@ def require_masks(
     """
     import torch
 
-    given = {"source": source, "target_reference": target_reference}
+    inputs = {"source": source, "target_reference": target_reference}
     if source_reference is not None:
-        given["source_reference"] = source_reference
-    for what, masks in given.items():
+        inputs["source_reference"] = source_reference
+    for what, masks in inputs.items():
         due = (len(source), HEIGHT, WIDTH) if what == "source" else (HEIGHT, WIDTH)
         if masks.dtype != torch.bool or tuple(masks.shape) != due:
             shape = ("n", *due[1:]) if what == "source" else due

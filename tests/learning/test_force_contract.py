@@ -17,7 +17,7 @@ from learning.cli import predict
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
 from learning.force import command
-from learning.force.export import export_onnx, made_up_frames, torch_stream
+from learning.force.export import export_onnx, random_frames, torch_stream
 from learning.force.live import open_live
 from learning.force.model import AXES, KIND, ForceModel, load_force_model, prepare
 from learning.force.stream import open_exported
@@ -71,7 +71,7 @@ def test_a_trained_model_opens_as_it_was(folder: Path) -> None:
 
 def test_frame_by_frame_is_the_whole_sequence(folder: Path) -> None:
     model = load_force_model(folder)
-    frames = torch.from_numpy(made_up_frames(model, 5))
+    frames = torch.from_numpy(random_frames(model, 5))
     reference = frames[:1] if model.inputs.needs_reference else None
     prepared = prepare(
         frames, None if reference is None else frames[:1].expand_as(frames), model.inputs
@@ -92,7 +92,7 @@ def test_frame_by_frame_is_the_whole_sequence(folder: Path) -> None:
 def test_the_exported_step_is_the_models(folder: Path) -> None:
     model = load_force_model(folder)
     assert export_onnx(model, folder / "model.onnx") < 1e-4
-    first, *frames = made_up_frames(model, 4)
+    first, *frames = random_frames(model, 4)
     streams = torch_stream(model), open_exported(folder)
     for stream in streams:
         stream.reset(first if model.inputs.needs_reference else None)

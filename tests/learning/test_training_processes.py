@@ -44,7 +44,7 @@ for step in range(20):
     optimiser.step()
     run.log(step + 1, {"loss": loss.item()})
     # The last process alone is asked; all of them stop.
-    stop.asked = stop.asked or (rank == ranks - 1 and step == stop_at)
+    stop.requested = stop.requested or (rank == ranks - 1 and step == stop_at)
     if stop.agreed(launched):
         break
 run.finish(step + 1, {"model": launched.unwrap_model(wrapped)})

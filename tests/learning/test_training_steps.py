@@ -110,9 +110,9 @@ def test_ctrl_c_asks_once_and_ends_at_once_the_second_time() -> None:
     now, reported = [0.0], []
     before = signal.getsignal(signal.SIGINT)
     with Stop(reported.append, clock=lambda: now[0]) as stop:
-        assert not stop.asked
+        assert not stop.requested
         os.kill(os.getpid(), signal.SIGTERM)
-        assert stop.asked
+        assert stop.requested
         # torchrun passes on a signal that the terminal has already sent.
         os.kill(os.getpid(), signal.SIGINT)
         now[0] = 5.0
@@ -126,5 +126,5 @@ def test_one_process_stops_when_it_was_asked() -> None:
     launched = accelerator(LaunchSettings(device="cpu"))
     stop = Stop()
     assert not stop.agreed(launched)
-    stop.asked = True
+    stop.requested = True
     assert stop.agreed(launched)

@@ -16,7 +16,7 @@ from learning.errors import LearningError
 from learning.force.export import (
     OneFrame,
     export_onnx,
-    made_up_frames,
+    random_frames,
     torch_stream,
 )
 from learning.force.model import ForceModel
@@ -97,7 +97,7 @@ def sample_of(presses: Presses, model: ForceModel) -> Sample:
 
 def sample_of_noise(model: ForceModel, count: int) -> Sample:
     """Return synthetic frames without labels, which take as long as real ones."""
-    frames = made_up_frames(model, count + 1)
+    frames = random_frames(model, count + 1)
     needed = model.inputs.needs_reference
     return Sample(frames[1:], np.array([0, count]), frames[:1] if needed else None, None)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from learning.data.matching import Chosen
 from learning.force.calibrate import presses_of_rows
-from learning.force.intervals import Held, Intervals, measured_scale
+from learning.force.intervals import Intervals, ScaleSample, measured_scale
 from learning.force.model import load_force_model
 from learning.transfer.score import NewFrames, Score, new_frames, score_of
 from recorder import MarkerArchive
@@ -139,7 +139,7 @@ def weighed(intervals: Intervals, known: float, predicted: float) -> tuple[float
     axis = intervals.axes[2]
     if axis is None:
         raise ValueError("the demo's model predicts Fz")
-    held = Held(known, predicted, axis.base + axis.slope * predicted)
+    held = ScaleSample(known, predicted, axis.base + axis.slope * predicted)
     value, scale = measured_scale([held], intervals.scale, "one weight")
     return value, intervals.rescaled(value, scale)
 

@@ -124,8 +124,8 @@ def _greys(path: Path) -> NDArray[np.uint8]:
     except (UnidentifiedImageError, OSError) as error:
         raise LearningError(f"{path}: no whole picture: {error}") from error
     if pixels.shape[:2] != (HEIGHT, WIDTH):
-        found = f"{pixels.shape[1]} x {pixels.shape[0]}"
-        raise LearningError(f"{path}: found {found} pixels; expected {WIDTH} x {HEIGHT}")
+        size = f"{pixels.shape[1]} x {pixels.shape[0]}"
+        raise LearningError(f"{path}: found {size} pixels; expected {WIDTH} x {HEIGHT}")
     return pixels
 
 
