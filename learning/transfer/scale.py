@@ -233,7 +233,7 @@ def _scale(
     labels: Labels, predicted: Floats, intervals: Intervals, presses: int, source: str
 ) -> tuple[float, Scale]:
     """Return the scale by the strongest labelled force of each of the first presses."""
-    held: list[ScaleSample] = []
+    samples: list[ScaleSample] = []
     low, high = intervals.rescaled(1.0, Scale(1.0, "", False)).of(predicted)
     error = 0.5 * (high - low)
     for press in range(presses):
@@ -243,11 +243,11 @@ def _scale(
             continue
         place, axis = divmod(int(np.nanargmax(size)), 3)
         row = rows[place]
-        held.append(
+        samples.append(
             ScaleSample(
                 float(labels.forces[row, axis]),
                 float(predicted[row, axis]),
                 float(error[row, axis]),
             )
         )
-    return measured_scale(held, intervals.scale, source, independent=len(held))
+    return measured_scale(samples, intervals.scale, source, independent=len(samples))

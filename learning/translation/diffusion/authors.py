@@ -89,11 +89,11 @@ def _adapter(
     path: Path, content: Mapping[str, Any], key: str, adapter: str, also: tuple[str, ...] = ()
 ) -> dict[str, torch.Tensor]:
     """Return the tensors under a key, with their adapter renamed."""
-    found = content.get(key)
-    if not isinstance(found, Mapping) or not found:
+    stored = content.get(key)
+    if not isinstance(stored, Mapping) or not stored:
         raise LearningError(f"{path}: {key}: missing; allowed: a checkpoint of the authors' code")
     tensors = {}
-    for name, tensor in found.items():
+    for name, tensor in stored.items():
         if not isinstance(tensor, torch.Tensor) or not (is_adapter(name) or name.startswith(also)):
             raise LearningError(f"{path}: {key}: found {name!r}; allowed: tensors of adapters")
         if not bool(tensor.isfinite().all()):
@@ -106,18 +106,18 @@ def _adapter(
 def _rank(
     path: Path, content: Mapping[str, Any], key: str, adapter: Mapping[str, torch.Tensor]
 ) -> int:
-    found = rank_of(adapter)
-    if content.get(key) != found:
-        raise LearningError(f"{path}: {key}: found {content.get(key)!r}; its tensors have {found}")
-    return found
+    rank = rank_of(adapter)
+    if content.get(key) != rank:
+        raise LearningError(f"{path}: {key}: found {content.get(key)!r}; its tensors have {rank}")
+    return rank
 
 
 def _require_targets(
-    path: Path, content: Mapping[str, Any], key: str, known: tuple[str, ...]
+    path: Path, content: Mapping[str, Any], key: str, targets: tuple[str, ...]
 ) -> None:
-    found = content.get(key)
-    if not isinstance(found, list | tuple | set) or set(found) != set(known):
-        raise LearningError(f"{path}: {key}: found {found!r}; allowed: {list(known)}")
+    stored = content.get(key)
+    if not isinstance(stored, list | tuple | set) or set(stored) != set(targets):
+        raise LearningError(f"{path}: {key}: found {stored!r}; allowed: {list(targets)}")
 
 
 def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
@@ -126,27 +126,29 @@ def import_checkpoint(path: Path, base: str, out: Path) -> tuple[str, int]:
     The network is built on the published weights, SD-Turbo in `base`, first, so that a checkpoint
     that does not fit is rejected before anything is written. `out` is new or empty.
     """
-    found = read_authors(path)
+    checkpoint = read_authors(path)
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise LearningError(f"{out}: is not empty; allowed: a new or empty folder")
     require_base_folder(base)
     preset = read_settings(TranslatorSettings, PRESETS, "authors_code")
-    preset = replace(preset, weights=Weights(base=base), vae_rank=found.vae_rank)
+    preset = replace(preset, weights=Weights(base=base), vae_rank=checkpoint.vae_rank)
     settings: MarkerVaeSettings
     network: MarkerToMarker | MarkerVae
-    if found.kind == "diffusion":
-        settings = preset = replace(preset, unet_rank=found.unet_rank)
+    if checkpoint.kind == "diffusion":
+        settings = preset = replace(preset, unet_rank=checkpoint.unet_rank)
         network = build(read_unet(base), read_vae(base), preset)
     else:
         settings = preset.of_marker_vae()
         network = MarkerVae(read_vae(base), settings)
-    load_weights(network, found.tensors, str(path))
+    load_weights(network, checkpoint.tensors, str(path))
     metadata = {
         BASE: fingerprint(base),
         "imported_from": f"{path.name} sha256 {weights_hash(path)}",
     }
-    run = RunFolder.open(out, found.kind, settings, "the authors' checkpoint", metadata=metadata)
+    run = RunFolder.open(
+        out, checkpoint.kind, settings, "the authors' checkpoint", metadata=metadata
+    )
     if run.finished:
         raise LearningError(f"{out}: a run is there; allowed: another folder")
     run.finish(0, {"model": network})
-    return found.kind, sum(tensor.numel() for tensor in found.tensors.values())
+    return checkpoint.kind, sum(tensor.numel() for tensor in checkpoint.tensors.values())

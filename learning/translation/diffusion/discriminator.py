@@ -49,13 +49,13 @@ class ClipFeatures(nn.Module):
         side = self.clip.config.image_size
         seen = functional.interpolate(images * 0.5 + 0.5, size=(side, side), mode="area")
         seen = (seen - self.get_buffer("mean")) / self.get_buffer("deviation")
-        found = self.clip(pixel_values=seen, output_hidden_states=True)
+        outputs = self.clip(pixel_values=seen, output_hidden_states=True)
         grid = side // self.clip.config.patch_size
         rasters = [
-            found.hidden_states[block][:, 1:].transpose(1, 2).unflatten(2, (grid, grid)).float()
+            outputs.hidden_states[block][:, 1:].transpose(1, 2).unflatten(2, (grid, grid)).float()
             for block in BLOCKS
         ]
-        return [*rasters, found.image_embeds.float()]
+        return [*rasters, outputs.image_embeds.float()]
 
 
 class DiscriminatorHeads(nn.Module):
@@ -82,8 +82,8 @@ class DiscriminatorHeads(nn.Module):
     def forward(self, features: Sequence[torch.Tensor]) -> list[torch.Tensor]:
         """Return logits of every level: (n, 1, h, w) of the rasters, (n, 1) of the vector."""
         *rasters, vector = features
-        judged = [head(raster) for head, raster in zip(self.rasters, rasters, strict=True)]
-        return [*judged, self.vector(vector)]
+        logits = [head(raster) for head, raster in zip(self.rasters, rasters, strict=True)]
+        return [*logits, self.vector(vector)]
 
 
 class Blur(nn.Module):
@@ -151,21 +151,21 @@ def _shift(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
         side = images.shape[axis]
         most = int(side * TRANSLATION + 0.5)
         shift = _integers(-most, most + 1, images, generator)
-        taken = places - shift
-        inside = (taken >= 0) & (taken < side)
-        index = taken.clamp(0, side - 1).expand_as(images)
+        origins = places - shift
+        inside = (origins >= 0) & (origins < side)
+        index = origins.clamp(0, side - 1).expand_as(images)
         images = images.gather(axis, index) * inside
     return images
 
 
 def _cut(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    kept = torch.zeros((), dtype=torch.bool, device=images.device)
+    outside = torch.zeros((), dtype=torch.bool, device=images.device)
     for axis, places in zip((2, 3), _places(images), strict=True):
         side = images.shape[axis]
         size = int(side * CUTOUT + 0.5)
         first = _integers(0, side + 1 - size % 2, images, generator) - size // 2
-        kept = kept | (places < first) | (places >= first + size)
-    return images * kept
+        outside = outside | (places < first) | (places >= first + size)
+    return images * outside
 
 
 def _places(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -224,7 +224,7 @@ def fuse(network: Any) -> None:
         network.unload_lora()
 
 
-def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
+def keep_in_state(module: nn.Module, belongs: Callable[[str], bool]) -> None:
     """Restrict the state of a module to the tensors whose names are kept.
 
     `state_dict` omits the others, which keep their initial values; `load_state_dict` does not
@@ -233,11 +233,11 @@ def keep_in_state(module: nn.Module, kept: Callable[[str], bool]) -> None:
 
     def leave_out(_: nn.Module, state: dict[str, Any], prefix: str, __: Any) -> None:
         for name in list(state):
-            if name.startswith(prefix) and not kept(name.removeprefix(prefix)):
+            if name.startswith(prefix) and not belongs(name.removeprefix(prefix)):
                 del state[name]
 
-    def not_missed(_: nn.Module, found: Any) -> None:
-        found.missing_keys[:] = [name for name in found.missing_keys if kept(name)]
+    def not_missed(_: nn.Module, keys: Any) -> None:
+        keys.missing_keys[:] = [name for name in keys.missing_keys if belongs(name)]
 
     module.register_state_dict_post_hook(leave_out)
     module.register_load_state_dict_post_hook(not_missed)
@@ -423,8 +423,8 @@ def build(
         rank = settings.vae_rank if vae_adapter is None else rank_of(vae_adapter)
         add_adapter(vae, VAE_ADAPTER, rank, VAE_TARGETS, seed=settings.seed)
     if vae_adapter is not None:
-        kept = {name: each for name, each in vae.state_dict().items() if not is_adapter(name)}
-        load_weights(vae, {**kept, **vae_adapter}, "the autoencoder's adapter")
+        published = {name: each for name, each in vae.state_dict().items() if not is_adapter(name)}
+        load_weights(vae, {**published, **vae_adapter}, "the autoencoder's adapter")
     if settings.gradient_checkpointing:
         unet.enable_gradient_checkpointing()
         vae.enable_gradient_checkpointing()
@@ -500,14 +500,14 @@ class MarkerVae(nn.Module):
         Without standard normal noise of a latent's shape, the posterior's mean is decoded.
         """
         true = self._native(images)
-        found = posterior(self.vae, true, 1.0)
-        latent = found.at(noise)
+        encoded = posterior(self.vae, true, 1.0)
+        latent = encoded.at(noise)
         if self.decode_scaled:
             latent = latent * float(self.vae.config.scaling_factor)
-        made = self.vae.decode(latent).sample.float()
-        variance = found.deviation**2
-        divergence = 0.5 * (found.mean**2 + variance - variance.log() - 1).sum(dim=(1, 2, 3))
-        return true, made, divergence
+        reconstruction = self.vae.decode(latent).sample.float()
+        variance = encoded.deviation**2
+        divergence = 0.5 * (encoded.mean**2 + variance - variance.log() - 1).sum(dim=(1, 2, 3))
+        return true, reconstruction, divergence
 
     def adapter(self) -> dict[str, torch.Tensor]:
         """Return the adapter's tensors under the names of the translator's autoencoder."""
@@ -523,15 +523,15 @@ class MarkerVae(nn.Module):
 
 def load_vae(folder: Path, device: str = "cpu") -> MarkerVae:
     """Return the marker VAE in a folder, in evaluation mode."""
-    found = read_model_folder(folder, MARKER_VAE)
-    return found.load(MarkerVae(read_vae(base_of(found)), found.settings(VaeSettings)), device)
+    stored = read_model_folder(folder, MARKER_VAE)
+    return stored.load(MarkerVae(read_vae(base_of(stored)), stored.settings(VaeSettings)), device)
 
 
 def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
     """Return the adapter in a marker VAE's folder, for weights with the fingerprint `base`."""
-    found = read_model_folder(Path(folder), MARKER_VAE)
-    require_base(found, base)
-    return vae_adapter_of(found.weights())
+    stored = read_model_folder(Path(folder), MARKER_VAE)
+    require_base(stored, base)
+    return vae_adapter_of(stored.weights())
 
 
 def vae_adapter_of(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -197,8 +197,8 @@ class Adversary:
 
     def seen(self, shown: torch.Tensor, batch: Batch) -> list[torch.Tensor]:
         """Return the features of augmented images (n, 3, h, w)."""
-        found: list[torch.Tensor] = self.features(augment(shown, batch.generator))
-        return found
+        features: list[torch.Tensor] = self.features(augment(shown, batch.generator))
+        return features
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,19 +222,19 @@ class Step:
         shown = []
         for number, batch in enumerate(batches):
             with self._synchronised(self.generator, number == len(batches) - 1):
-                made = self._made(batch)
-                parts = self._reconstruction(made, batch)
+                generated = self._generated(batch)
+                parts = self._reconstruction(generated, batch)
                 if self.adversary is not None:
-                    parts["adversarial"] = self.fooling(made, batch, self.adversary)
+                    parts["adversarial"] = self.fooling(generated, batch, self.adversary)
                 self.runs_on.backward(self._weighted(parts) * fraction)
             reported.append({name: part.detach() for name, part in parts.items()})
-            shown.append(made.detach())
+            shown.append(generated.detach())
         self._advance(self.generator)
         if self.adversary is not None:
             heads = self.adversary.heads
-            for number, (batch, made) in enumerate(zip(batches, shown, strict=True)):
+            for number, (batch, generated) in enumerate(zip(batches, shown, strict=True)):
                 # One pass for both, since every pass updates the spectral norms.
-                both = torch.cat((self._true(batch), made))
+                both = torch.cat((self._true(batch), generated))
                 with self._synchronised(heads, number == len(batches) - 1):
                     with torch.no_grad():
                         seen = self.adversary.seen(both, batch)
@@ -249,51 +249,51 @@ class Step:
 
     def two_pass(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Train one step on one batch as the authors' code does; return the unweighted losses."""
-        parts = self._reconstruction(self._made(batch), batch)
+        parts = self._reconstruction(self._generated(batch), batch)
         self.runs_on.backward(self._weighted(parts))
         self._advance(self.generator)
         if self.adversary is not None:
-            made = self._made(batch)
-            parts["adversarial"] = self.fooling(made, batch, self.adversary)
+            generated = self._generated(batch)
+            parts["adversarial"] = self.fooling(generated, batch, self.adversary)
             self.runs_on.backward(parts["adversarial"] * self.losses.adversarial)
             self._advance(self.generator)
-            heads, judged = self.adversary.heads, []
-            for shown, real in ((self._true(batch), True), (made.detach(), False)):
+            heads, heads_losses = self.adversary.heads, []
+            for shown, real in ((self._true(batch), True), (generated.detach(), False)):
                 with torch.no_grad():
                     seen = self.adversary.seen(shown, batch)
-                judged.append(multilevel_sigmoid(heads.network(seen), real=real))
-                self.runs_on.backward(judged[-1] * self.losses.adversarial)
+                heads_losses.append(multilevel_sigmoid(heads.network(seen), real=real))
+                self.runs_on.backward(heads_losses[-1] * self.losses.adversarial)
                 self._advance(heads)
-            parts["discriminator"] = judged[0] + judged[1]
+            parts["discriminator"] = heads_losses[0] + heads_losses[1]
         return {name: part.detach() for name, part in parts.items()}
 
-    def _made(self, batch: Batch) -> torch.Tensor:
-        made: torch.Tensor = self.generator.network(
+    def _generated(self, batch: Batch) -> torch.Tensor:
+        generated: torch.Tensor = self.generator.network(
             batch.source, batch.target_reference, batch.source_reference, batch.noise
         )
-        return made
+        return generated
 
     def _true(self, batch: Batch) -> torch.Tensor:
         network: MarkerToMarker = self.runs_on.unwrap_model(self.generator.network)
         return network.native(batch.target)
 
-    def _reconstruction(self, made: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
+    def _reconstruction(self, generated: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
         true = self._true(batch)
-        parts = {"square": functional.mse_loss(made, true)}
+        parts = {"square": functional.mse_loss(generated, true)}
         if self.perceptual is not None:
-            parts["perceptual"] = self.perceptual(made, true).mean()
+            parts["perceptual"] = self.perceptual(generated, true).mean()
         return parts
 
     def _weighted(self, parts: dict[str, torch.Tensor]) -> torch.Tensor:
         weighted = (getattr(self.losses, name) * part for name, part in parts.items())
         return sum(weighted, torch.zeros((), device=parts["square"].device))
 
-    def fooling(self, made: torch.Tensor, batch: Batch, adversary: Adversary) -> torch.Tensor:
+    def fooling(self, generated: torch.Tensor, batch: Batch, adversary: Adversary) -> torch.Tensor:
         """Return the generator's adversarial loss, with frozen heads."""
         # Unwrapped, so that the generator's backward pass does not synchronise the heads.
         heads = self.runs_on.unwrap_model(adversary.heads.network).requires_grad_(False)
         try:
-            return multilevel_sigmoid(heads(adversary.seen(made, batch)), real=True)
+            return multilevel_sigmoid(heads(adversary.seen(generated, batch)), real=True)
         finally:
             heads.requires_grad_(True)
 
@@ -376,13 +376,13 @@ def train(
             set_rate(side.optimiser, rate)
         numbers = range(step * settings.accumulation, (step + 1) * settings.accumulation)
         batches = [_batch(pairs, references, settings, each, rank, ranks) for each in numbers]
-        found = trained.two_pass(batches[0]) if settings.two_pass else trained.merged(batches)
+        reported = trained.two_pass(batches[0]) if settings.two_pass else trained.merged(batches)
 
         # Log, validation and checkpoint
         done = step + 1
         last, stop, score = done == settings.steps, session.passed(done, settings.steps), None
         if last or done == 1 or done % settings.log_every == 0:
-            message = {f"train/{name}": float(loss) for name, loss in found.items()}
+            message = {f"train/{name}": float(loss) for name, loss in reported.items()}
             for name, loss in message.items():
                 if not math.isfinite(loss):
                     raise LearningError(f"{name}: found {loss} on step {done}; allowed: finite")
@@ -414,8 +414,8 @@ def evaluate(
         part = pairs.of_pairs(chosen[first : first + _AT_ONCE])
         target, source = _latents(part, references, settings.source_reference, noise=None)
         with runs_on.autocast():
-            made = network(part.seen(part.pairs[:, 0]), target, source)
-        grey = network.grey(made).float() / 255
+            generated = network(part.seen(part.pairs[:, 0]), target, source)
+        grey = network.grey(generated).float() / 255
         true = part.seen(part.pairs[:, 1])[:, 0]
         square += float(((grey - true) ** 2).mean(dim=(1, 2)).sum())
         ours, theirs = grey > 0.5, true > 0.5
@@ -484,12 +484,14 @@ def run(options: argparse.Namespace) -> int:
     """Train as the options of `train diffusion` say; return the exit code."""
     if options.marker_vae is not None and options.start_from is not None:
         raise LearningError("--marker-vae, --from: found both; allowed: one, or neither")
-    given = [
+    overrides = [
         f"weights.{name}={json.dumps(getattr(options, name))}"
         for name in ("base", "clip", "vgg", "lpips")
         if getattr(options, name) is not None
     ]
-    settings = read_settings(TranslatorSettings, PRESETS, options.preset, [*options.set, *given])
+    settings = read_settings(
+        TranslatorSettings, PRESETS, options.preset, [*options.set, *overrides]
+    )
     train_in(
         options.out,
         *open_data(options),

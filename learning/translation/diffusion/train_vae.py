@@ -136,22 +136,22 @@ class MarkerVaeSettings(VaeSettings):
 
     def of_marker_vae(self) -> MarkerVaeSettings:
         """Return the settings that the marker VAE depends on, with its own precision."""
-        kept = {each.name: getattr(self, each.name) for each in fields(MarkerVaeSettings)}
+        values = {each.name: getattr(self, each.name) for each in fields(MarkerVaeSettings)}
         launch = replace(self.launch, mixed_precision=self.marker_vae.mixed_precision)
-        return MarkerVaeSettings(**{**kept, "launch": launch})
+        return MarkerVaeSettings(**{**values, "launch": launch})
 
 
 # Losses
 
 
 def _losses(
-    found: tuple[torch.Tensor, torch.Tensor, torch.Tensor], stage: VaeStage
+    outputs: tuple[torch.Tensor, torch.Tensor, torch.Tensor], stage: VaeStage
 ) -> dict[str, torch.Tensor]:
     """Return the total loss of the network's output, and its parts."""
-    true, made, divergence = found
+    true, reconstruction, divergence = outputs
     parts = {
-        "absolute": functional.l1_loss(made, true),
-        "square": functional.mse_loss(made, true),
+        "absolute": functional.l1_loss(reconstruction, true),
+        "square": functional.mse_loss(reconstruction, true),
         "divergence": divergence.mean(),
     }
     loss = sum((getattr(stage, name) * part for name, part in parts.items()), true.new_zeros(()))
@@ -240,14 +240,14 @@ def _evaluate(
     """Return mean losses on evenly spaced images, without random sampling."""
     count = min(settings.validated, len(images))
     chosen = torch.linspace(0, len(images) - 1, count).round().long().to(images.device)
-    found: dict[str, float] = {}
+    means: dict[str, float] = {}
     for part in torch.split(chosen, _AT_ONCE):
         with runs_on.autocast():
             losses = _losses(network(unit(images[part])), settings.marker_vae)
         for name, loss in losses.items():
             key = f"validation/{name}"
-            found[key] = found.get(key, 0.0) + float(loss) * len(part) / count
-    return found
+            means[key] = means.get(key, 0.0) + float(loss) * len(part) / count
+    return means
 
 
 def _noise(

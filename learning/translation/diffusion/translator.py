@@ -78,8 +78,8 @@ class DiffusionTranslator:
             None if each is None else each.expand(len(masks), -1, -1, -1) for each in (target, own)
         ]
         with self._arithmetic(device):
-            made = self._network(images, *expanded)
-        return enlarge_images(self._network.grey(made))
+            generated = self._network(images, *expanded)
+        return enlarge_images(self._network.grey(generated))
 
     def _latent(self, reference: torch.Tensor) -> torch.Tensor:
         """Return the latent (1, channels, h, w) of a mask without contact (480, 640)."""
@@ -109,26 +109,26 @@ def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTra
     Raises:
         LearningError: Not such a folder, or the published weights are missing or different.
     """
-    found, device = read_model_folder(Path(folder), KIND), torch.device(device)
-    network = load_network(found)
+    stored, device = read_model_folder(Path(folder), KIND), torch.device(device)
+    network = load_network(stored)
     fuse(network.unet)
     fuse(network.vae)
     lower = device.type == "cuda" and torch.cuda.is_bf16_supported()
     return DiffusionTranslator(
         network.to(device),
-        f"{KIND} {found.hash()[:8]}",
+        f"{KIND} {stored.hash()[:8]}",
         precision=torch.bfloat16 if lower else torch.float32,
     )
 
 
-def load_network(found: ModelFolder) -> MarkerToMarker:
+def load_network(stored: ModelFolder) -> MarkerToMarker:
     """Return the network in a folder, with adapters separate from the published weights."""
-    settings = found.settings(NetworkSettings)
-    own = found.weights()
-    base = base_of(found)
+    settings = stored.settings(NetworkSettings)
+    own = stored.weights()
+    base = base_of(stored)
     settings = replace(settings, gradient_checkpointing=False)
     if not settings.whole:
         settings = replace(settings, vae_rank=rank_of(vae_adapter_of(own)))
     network = build(read_unet(base), read_vae(base), settings)
-    load_weights(network, own, str(found.file()))
+    load_weights(network, own, str(stored.file()))
     return network

@@ -89,12 +89,12 @@ class PerceptualDistance(nn.Module):
 
     def _stages(self, images: torch.Tensor) -> list[torch.Tensor]:
         seen = (images - self.get_buffer("shift")) / self.get_buffer("scale")
-        found = []
+        stages = []
         for place, layer in enumerate(self.features):
             seen = layer(seen)
             if place in self.taps:
-                found.append(seen.float())
-        return found
+                stages.append(seen.float())
+        return stages
 
 
 def _unit(features: torch.Tensor) -> torch.Tensor:
@@ -230,29 +230,29 @@ def fingerprint(folder: str) -> str:
     return f"sha256:{seen.hexdigest()[:16]}"
 
 
-def require_base(found: ModelFolder, base: str) -> None:
+def require_base(stored: ModelFolder, base: str) -> None:
     """Reject published weights other than those the run was trained from."""
-    expected = found.config.metadata.get(BASE)
+    expected = stored.config.metadata.get(BASE)
     if expected != base:
         raise LearningError(
-            f"{found.path}: was trained from published weights {expected}, found {base}; "
+            f"{stored.path}: was trained from published weights {expected}, found {base}; "
             "allowed: the same ones"
         )
 
 
-def base_of(found: ModelFolder) -> str:
+def base_of(stored: ModelFolder) -> str:
     """Return the folder of the published weights that a run was trained from.
 
     It is `base/` in the run's folder (a folder or a link), else the path used in training.
     """
-    beside = found.path / BASE
-    folder = str(beside) if beside.exists() else found.settings(Weights, "weights").base
+    beside = stored.path / BASE
+    folder = str(beside) if beside.exists() else stored.settings(Weights, "weights").base
     if not (Path(folder) / "unet").is_dir():
         raise LearningError(
-            f"{found.path}: found no published weights in {folder!r}; link the folder of SD-Turbo "
+            f"{stored.path}: found no published weights in {folder!r}; link the folder of SD-Turbo "
             f"that it was trained from to {beside}"
         )
-    require_base(found, fingerprint(folder))
+    require_base(stored, fingerprint(folder))
     return folder
 
 
@@ -263,16 +263,16 @@ def _diffusers_model(model: Any, folder: str, part: str) -> nn.Module:
         config = json.loads((where / "config.json").read_text())
         # Built without initial weights, since all of them are read from the file.
         with torch.device("meta"):
-            made: nn.Module = model.from_config(config)
+            network: nn.Module = model.from_config(config)
     except (ValueError, TypeError, KeyError) as error:
         raise LearningError(f"{where / 'config.json'}: not of a {part}: {error}") from error
     path = _weights_file(where)
     tensors = {_new_name(name): tensor.float() for name, tensor in read_tensors(path).items()}
-    if any(True for _ in made.buffers()):
+    if any(True for _ in network.buffers()):
         raise LearningError(f"{where}: found a {part} with buffers; allowed: Stable Diffusion's")
-    made.to_empty(device="cpu")
-    load_weights(made, tensors, str(path))
-    return made
+    network.to_empty(device="cpu")
+    load_weights(network, tensors, str(path))
+    return network
 
 
 def _weights_file(where: Path, names: Sequence[str] = _WEIGHTS) -> Path:

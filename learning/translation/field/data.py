@@ -151,9 +151,9 @@ def _shifts(sensor: ArchivedSensor, rows: NDArray[np.int64], device: torch.devic
     if sensor.fields is None:
         shape = len(rows), 2, SIDE, SIDE
         return torch.full(shape, torch.nan, dtype=torch.half, device=device)
-    displacement, known = read_fields(sensor, rows, device=device)
+    displacement, defined = read_fields(sensor, rows, device=device)
     shift = from_displacement(displacement, sensor.lattice).half()
-    shift[~known.flatten(1).any(dim=1)] = torch.nan
+    shift[~defined.flatten(1).any(dim=1)] = torch.nan
     return shift
 
 
@@ -212,18 +212,19 @@ def draw_examples(
     generator: np.random.Generator,
 ) -> Examples:
     """Return a batch of examples, the same for the same generator."""
-    made = round(batch * settings.procedural) if len(bank.distances) else 0
+    procedural = round(batch * settings.procedural) if len(bank.distances) else 0
     rows = _rows(generator.integers(len(frames), size=batch), frames.device)
     places, sign = _views(batch, settings.move, generator, frames.device)
     shift = _moved_shifts(frames, rows, places, sign)
-    own = slice(0, batch - made)
+    own = slice(0, batch - procedural)
     seen = _looked_up(frames.seen(rows[own]), places[own])
     distance = _looked_up(frames.distance(rows[own]), places[own])
-    if not made:
+    if not procedural:
         return Examples(seen, distance, seen, shift, seen[:0], distance[:0])
-    pushed = _pushed(shift[batch - made :], settings, generator)
+    pushed = _pushed(shift[batch - procedural :], settings, generator)
     one, other = (
-        _rows(generator.integers(len(bank.distances), size=made), frames.device) for _ in range(2)
+        _rows(generator.integers(len(bank.distances), size=procedural), frames.device)
+        for _ in range(2)
     )
     fine = functional.interpolate(pushed, (IMAGE_SIDE, IMAGE_SIDE), mode="bicubic")
     material = pixel_grid(IMAGE_SIDE, frames.device) - fine

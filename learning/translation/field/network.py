@@ -161,8 +161,8 @@ class FieldUnet(nn.Module):
         for block in self.blocks:
             features = functional.interpolate(features, scale_factor=2, mode="nearest")
             features = block(torch.cat([features, scales.pop()], dim=1), condition)
-        found: Tensor = self.end(functional.silu(self.norm(features)))
-        return found
+        output: Tensor = self.end(functional.silu(self.norm(features)))
+        return output
 
 
 # Representation of deformations in the networks, and their application to a reference.
@@ -302,18 +302,18 @@ class FieldNet(nn.Module):
         [px].
         """
         deformation = frames.new_zeros(len(frames), CHANNELS, SIDE, SIDE)
-        found: list[Tensor] = []
+        deformations: list[Tensor] = []
         for _ in range(self.refinements):
             with torch.no_grad():
                 so_far = coverage(render(distance, deformation.float()))
             # Centred, since 0..1 would offset every feature of mostly dark images.
             seen = torch.cat([frames - so_far, frames + so_far - 0.5], dim=1)
             features = self.look_closer(functional.silu(self.look(seen)))
-            known = deformation.detach() / UNIT_PX
-            missing = self.update(torch.cat([features, known.to(features.dtype)], dim=1))
+            previous = deformation.detach() / UNIT_PX
+            missing = self.update(torch.cat([features, previous.to(features.dtype)], dim=1))
             deformation = deformation.detach() + coarse_growth(UNIT_PX * missing.float())
-            found.append(deformation)
-        return found
+            deformations.append(deformation)
+        return deformations
 
 
 # Network from one sensor's deformation to another's under the same press.
@@ -432,8 +432,8 @@ def signed_distance(masks: Tensor, reach: int = REACH_PX) -> Tensor:
     away = (far.abs() - _NEAR_PX).clamp(0.0, 1.0)
     distance = torch.lerp(_distance_by_blur(masks), far, away)
     # Every pixel keeps its sign, even an isolated one.
-    kept = torch.where(masks, distance.clamp(min=_LEAST_PX), distance.clamp(max=-_LEAST_PX))
-    return kept.unsqueeze(1)
+    signed = torch.where(masks, distance.clamp(min=_LEAST_PX), distance.clamp(max=-_LEAST_PX))
+    return signed.unsqueeze(1)
 
 
 def resampled(distance: Tensor, side: int) -> Tensor:

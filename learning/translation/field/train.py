@@ -178,11 +178,11 @@ def shift_error(deformation: Tensor, shift: Tensor, more: Tensor | float = 0.0) 
     The true shift (n, 2, h, w) is NaN where it is unknown and not counted; `more` is the square of
     other errors to add (n, h, w) [px^2].
     """
-    known = shift.isfinite().all(dim=1)
+    defined = shift.isfinite().all(dim=1)
     apart = (deformation[:, :2] - shift.nan_to_num()).square().sum(dim=1) + more
     # The gradient of the root is infinite at zero.
-    distance = (apart + 1e-6).sqrt() * known
-    return distance.sum(dim=(1, 2)) / known.sum(dim=(1, 2)).clamp(min=1)
+    distance = (apart + 1e-6).sqrt() * defined
+    return distance.sum(dim=(1, 2)) / defined.sum(dim=(1, 2)).clamp(min=1)
 
 
 def soft_dice(level: Tensor, images: Tensor) -> Tensor:
@@ -198,9 +198,9 @@ def dice(level: Tensor, images: Tensor) -> Tensor:
 
     Predicted frames are signed distances (n, 1, h, w) [px], true ones in 0..1.
     """
-    made, due = coverage(level) > 0.5, images > 0.5
-    both = (made & due).sum(dim=(1, 2, 3))
-    each = made.sum(dim=(1, 2, 3)) + due.sum(dim=(1, 2, 3))
+    predicted, due = coverage(level) > 0.5, images > 0.5
+    both = (predicted & due).sum(dim=(1, 2, 3))
+    each = predicted.sum(dim=(1, 2, 3)) + due.sum(dim=(1, 2, 3))
     return torch.where(
         each > 0, 2 * both / each.clamp(min=1), torch.ones_like(both, dtype=torch.float32)
     )
@@ -232,10 +232,10 @@ def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> T
         loss = image_loss(level, examples.shown, weights) + regularity_loss(deformation, weights)
         loss = loss + weights.truth * truth_error(deformation, examples.shift).mean()
         total = total + _EARLIER_LOOK**place * loss
-    made = len(examples.other)
-    if made:
-        level = render(examples.other_distance, looks[-1][-made:])
-        fraction = made / len(examples.seen)
+    procedural = len(examples.other)
+    if procedural:
+        level = render(examples.other_distance, looks[-1][-procedural:])
+        fraction = procedural / len(examples.seen)
         total = total + fraction * image_loss(level, examples.other, weights)
     return total
 
@@ -243,7 +243,7 @@ def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> T
 def map_loss(
     mapping: nn.Module,
     frames: Frames,
-    found: SourceDeformations,
+    deformations: SourceDeformations,
     pairs: Tensor,
     patterns: Tensor,
     weights: LossWeights,
@@ -254,7 +254,7 @@ def map_loss(
     first m pairs: between them the deformation of the source must not change.
     """
     source, target = frames.pairs[pairs].unbind(dim=1)
-    seen, distance = found.of(pairs), frames.distance(target)
+    seen, distance = deformations.of(pairs), frames.distance(target)
     scales = frames.scale(source), frames.scale(target)
     few = slice(patterns.shape[1])
     # One batch, as a GPU takes longer to launch a pass than to compute it.
@@ -293,19 +293,19 @@ def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_still": [], "shift_error_px": []}
     for part in _parts(rows):
         images, distance = frames.seen(part), frames.distance(part)
-        found = model.net(images, distance)[-1]
-        scores["dice"].append(dice(render(distance, found), images))
+        deformation = model.net(images, distance)[-1]
+        scores["dice"].append(dice(render(distance, deformation), images))
         scores["dice_still"].append(dice(distance, images))
         if frames.shift is not None:
             shift = frames.shift[part].float()
-            known = shift.isfinite().flatten(1).all(dim=1)
-            scores["shift_error_px"].append(shift_error(found, shift)[known])
+            defined = shift.isfinite().flatten(1).all(dim=1)
+            scores["shift_error_px"].append(shift_error(deformation, shift)[defined])
     return _means(scores)
 
 
 @torch.no_grad()
 def map_scores(
-    model: FieldModel, frames: Frames, found: SourceDeformations, most: int, seed: int
+    model: FieldModel, frames: Frames, deformations: SourceDeformations, most: int, seed: int
 ) -> dict[str, float]:
     """Score the map on at most `most` location pairs, chosen by the seed.
 
@@ -318,7 +318,7 @@ def map_scores(
         source, target = frames.pairs[part].unbind(dim=1)
         distance, images = frames.distance(target), frames.seen(target)
         scales = frames.scale(source), frames.scale(target)
-        deformation = found.of(part)
+        deformation = deformations.of(part)
         mapped = model.map(deformation, frames.distance(source), distance, *scales)
         still = transferred(deformation, scales[1] / scales[0])
         scores["dice"].append(dice(render(distance, mapped), images))
@@ -399,7 +399,7 @@ def train_field(
         few = len(pairs) // _OF_UNKNOWN if settings.loss.unknown and len(bank.distances) else 0
         drawn = chance.integers(max(1, len(bank.distances)), size=(2, few))
         patterns = bank.distances[torch.from_numpy(drawn).to(frames.device)].float()
-        return map_loss(network, frames, found, pairs, patterns, settings.loss)
+        return map_loss(network, frames, deformations, pairs, patterns, settings.loss)
 
     for name, stage, network, loss_of in (
         ("field", settings.field_stage, model.net, net_step),
@@ -413,7 +413,7 @@ def train_field(
         if name == "map":
             # From here the field net is frozen, so it is applied to every source once.
             model.eval()
-            found = source_deformations(model, frames)
+            deformations = source_deformations(model, frames)
             if held is not None and len(held.pairs):
                 held_deformations = source_deformations(model, held)
             else:

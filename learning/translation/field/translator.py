@@ -123,6 +123,6 @@ def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
     Raises:
         LearningError: No model, a model of another kind, or weights that do not fit.
     """
-    found = read_model_folder(Path(folder), KIND)
-    model = FieldModel(found.settings(NetSettings, "net"), found.settings(MapSettings, "map"))
-    return FieldTranslator(f"{KIND}[{found.hash()[:8]}]", found.load(model, device))
+    stored = read_model_folder(Path(folder), KIND)
+    model = FieldModel(stored.settings(NetSettings, "net"), stored.settings(MapSettings, "map"))
+    return FieldTranslator(f"{KIND}[{stored.hash()[:8]}]", stored.load(model, device))
