@@ -18,10 +18,10 @@ from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
 from learning.force.intervals import (
     AxisError,
-    Held,
     Intervals,
     Learned,
     Scale,
+    ScaleSample,
     beyond_largest,
     fit_errors,
     measured_scale,
@@ -155,25 +155,27 @@ def test_an_interval_contains_the_model_s_error_and_all_assumed_scales(tmp_path:
 
 
 def test_weights_fix_the_scale_as_far_as_the_model_sees_them() -> None:
-    exact = [Held(-known, -2.0 * known, 0.0) for known in (0.5, 1.0, 2.0)]
+    exact = [ScaleSample(-known, -2.0 * known, 0.0) for known in (0.5, 1.0, 2.0)]
     value, scale = measured_scale(exact, ASSUMED, "weights")
     assert value == pytest.approx(0.5)
     assert (scale.factor, scale.assumed) == (pytest.approx(1.0), False)
     # An error of 10 % of the force leaves 10 %; weights far below the error change little.
-    value, scale = measured_scale([Held(-1.0, -2.0, 0.2)], ASSUMED, "a weight")
+    value, scale = measured_scale([ScaleSample(-1.0, -2.0, 0.2)], ASSUMED, "a weight")
     assert 0.5 < value < 0.53
     assert 1.08 < scale.factor < 1.1
-    value, scale = measured_scale([Held(-0.01, -0.02, 0.5)], ASSUMED, "a feather")
+    value, scale = measured_scale([ScaleSample(-0.01, -0.02, 0.5)], ASSUMED, "a feather")
     assert 0.9 < value < 1.0
     assert 1.9 < scale.factor < 2.0
     # Where errors grow with the force, a strong weight tells as much as a light one, not all.
-    mixed = [Held(-1.0, -2.0, 0.4), Held(-4.0, -4.0, 0.8)]
+    mixed = [ScaleSample(-1.0, -2.0, 0.4), ScaleSample(-4.0, -4.0, 0.8)]
     value, scale = measured_scale(mixed, Scale(100.0, "unknown", assumed=True), "weights")
     assert value == pytest.approx(math.sqrt(0.5), rel=0.02)
     # Their errors are alike, so two tell no more than one.
     assert scale.factor == pytest.approx(1.2, rel=0.02)
     with pytest.raises(LearningError, match="weight 2: its force is -1"):
-        measured_scale([Held(-1.0, -1.0, 0.1), Held(-1.0, 0.1, 0.1)], ASSUMED, "a weight")
+        measured_scale(
+            [ScaleSample(-1.0, -1.0, 0.1), ScaleSample(-1.0, 0.1, 0.1)], ASSUMED, "a weight"
+        )
 
 
 def test_holds_of_a_live_recording_are_its_settled_contacts(tmp_path: Path) -> None:
