@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from learning.data.splits import SPLIT, Split, training_split
-from learning.training.run import RunFolder, Session, Stop, accelerator, described
+from learning.training.run import RunFolder, Stop, TrainingSession, accelerator, described
 from recorder import MarkerArchive
 from recorder.progress import ItemProgress
 
@@ -25,7 +25,7 @@ def run_training(
     kind: str,
     settings: Any,
     data: Iterable[str],
-    train: Callable[[Session], Iterable[str] | None],
+    train: Callable[[TrainingSession], Iterable[str] | None],
     *,
     split: Split | None = None,
     reading: str = "images",
@@ -66,7 +66,7 @@ def run_training(
         ItemProgress(reading, sys.stderr) as items,
         ItemProgress("steps", sys.stderr) as steps,
     ):
-        lines = train(Session(launched, run, stop, steps, items))
+        lines = train(TrainingSession(launched, run, stop, steps, items))
     if stop.agreed(launched) and not run.finished:
         print(f"{out}: stopped; the same command continues", file=sys.stderr)
         raise KeyboardInterrupt

@@ -29,12 +29,12 @@ from learning.data.images import LATTICE, SIDE, enlarge_images, inverse
 from learning.data.pairs import PairedFrames
 from learning.data.synthetic import pixel_grid, sample_patterns
 from learning.errors import LearningError
-from learning.training.run import METRICS, RunFolder, Session, described, generator
+from learning.training.run import METRICS, RunFolder, TrainingSession, described, generator
 from learning.training.run import accelerator as launched
 from learning.translation.diffusion.network import KIND, MarkerToMarker, fuse
 from learning.translation.diffusion.train import (
     PRESETS,
-    LossWeights,
+    DiffusionLossWeights,
     Pretrained,
     TranslatorSettings,
     train,
@@ -194,7 +194,7 @@ def check(
         replace_file(out, json.dumps(found, indent=2).encode() + b"\n")
     found["square"] = _falling(
         made,
-        replace(settings, batch=SAME, losses=LossWeights(adversarial=0, perceptual=0)),
+        replace(settings, batch=SAME, losses=DiffusionLossWeights(adversarial=0, perceptual=0)),
         side,
         lambda done, _: progress(total - steps + done, total),
     )
@@ -282,7 +282,7 @@ def _measured(
         progress(done, total)
 
     pairs = overfitted_pairs(SAME, side, device)
-    session = Session(runs_on, progress=stamp)
+    session = TrainingSession(runs_on, progress=stamp)
     network = train(pairs, networks(device), settings, session=session)
     seconds = times[settings.steps] - times[WARM]
     memory = torch.cuda.max_memory_allocated(device) / 2**30 if on_gpu else None
@@ -309,7 +309,7 @@ def _falling(
         run = RunFolder.open(Path(folder) / "run", KIND, settings, "random patterns")
         pairs = overfitted_pairs(SAME, side, runs_on.device)
         made = networks(runs_on.device)
-        train(pairs, made, settings, session=Session(runs_on, run, progress=progress))
+        train(pairs, made, settings, session=TrainingSession(runs_on, run, progress=progress))
         lines = map(json.loads, (run.path / METRICS).read_text().splitlines())
         return {str(line["step"]): line["train/square"] for line in lines}
 

@@ -23,7 +23,7 @@ from learning.data.presses import Presses, load_presses
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.force.model import ForceModel
-from learning.force.train import PRESETS, ForceSettings, train_force
+from learning.force.train import PRESETS, ForceModelSettings, train_force
 from learning.metrics import r_squared
 from recorder import MarkerArchive
 from recorder.command_line.options import add_device
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         if options.epochs is not None:
             stage = f"{{epochs: {options.epochs}, learning_rate: 0.001, schedule: cosine}}"
             sets.append(f"stages=[{stage}]")
-        settings = read_settings(ForceSettings, PRESETS, preset, sets)
+        settings = read_settings(ForceModelSettings, PRESETS, preset, sets)
         form = settings.input.stored_form
         if form not in loaded:
             with ItemProgress("frames", sys.stderr) as frames:
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         train, validation, test = loaded[form]
         scores = []
         for seed in range(options.seeds):
-            settings = read_settings(ForceSettings, PRESETS, preset, [*sets, f"seed={seed}"])
+            settings = read_settings(ForceModelSettings, PRESETS, preset, [*sets, f"seed={seed}"])
             model = train_force(train, settings, validation=validation)
             scores.append([*_scores(model, train, test)])
             print(f"{preset}, seed {seed}: {_line(np.array(scores[-1:]))}", file=sys.stderr)

@@ -57,14 +57,16 @@ def run(options: argparse.Namespace) -> int:
         raise LearningError("--split, --role: found one; allowed: both or neither")
 
     from learning.data.splits import read_split
-    from learning.translation.archive import Model, draw_sheet, translate_archive
+    from learning.translation.archive import NamedTranslator, draw_sheet, translate_archive
     from learning.translation.loading import hash_of, load_translator
     from recorder import MarkerArchive
 
     archive = MarkerArchive(options.archive)
     pairs = _pairs(archive, options)
     translator = load_translator(options.model, options.device)
-    model = Model(translator, Path(options.model).name, hash_of(options.model), options.device)
+    model = NamedTranslator(
+        translator, Path(options.model).name, hash_of(options.model), options.device
+    )
     with ItemProgress("frames", sys.stderr) as progress:
         count = translate_archive(
             archive,

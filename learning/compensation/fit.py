@@ -16,7 +16,7 @@ from learning.compensation.prior import (
     DEFAULT_D0,
     DEFAULT_WEIGHT,
     Branch,
-    ForceDepth,
+    ForceDepthCurve,
     Prior,
     compensate,
     curve_of_session,
@@ -192,7 +192,7 @@ class Gathered:
 
     priors: dict[str, Prior]
     """By sensor."""
-    measured: Mapping[str, ForceDepth]
+    measured: Mapping[str, ForceDepthCurve]
     """By sensor; not for sensors with given coefficients."""
     without: tuple[str, ...]
     """Sensors without a force-depth curve."""
@@ -210,7 +210,7 @@ def gather_priors(archive: MarkerArchive, curves: Curves = ARCHIVED) -> Gathered
         if name not in archive:
             raise LearningError(f"{archive.name}: no sensor {name}; known: {', '.join(archive)}")
     priors: dict[str, Prior] = {}
-    measured: dict[str, ForceDepth] = {}
+    measured: dict[str, ForceDepthCurve] = {}
     for name, sensor in archive.items():
         span = depth_range(sensor)
         if name in curves.ranges_mm:

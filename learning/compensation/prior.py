@@ -26,7 +26,7 @@ INDENTER = "prism"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ForceDepth:
+class ForceDepthCurve:
     """Force over depth of one sensor; all repeats combined."""
 
     sensor: str
@@ -44,7 +44,7 @@ class ForceDepth:
         return float(max(self.loading[:, 0].max(), self.unloading[:, 0].max()))
 
 
-def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> ForceDepth | None:
+def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> ForceDepthCurve | None:
     """Return the curve from force-depth rows of an archive's table; None without labelled ones.
 
     Such rows have location -1 and the phase `normal_inc` or `normal_dec`. Rows that are invalid or
@@ -65,7 +65,7 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
         )
     pairs = np.stack([table["depth"], force], axis=1)
     presses = len(np.unique(table["target"][rows]))
-    return ForceDepth(
+    return ForceDepthCurve(
         sensor,
         indenter,
         f"{presses} force-depth presses of the archive",
@@ -74,7 +74,7 @@ def curve_of_table(sensor: str, table: Table, indenters: Sequence[str]) -> Force
     )
 
 
-def curve_of_session(path: Path) -> ForceDepth:
+def curve_of_session(path: Path) -> ForceDepthCurve:
     """Return the curve from a session of `tactile force-depth`."""
     session = Session(path)
     curves = press_curves(session)
@@ -83,7 +83,7 @@ def curve_of_session(path: Path) -> ForceDepth:
         raise LearningError(
             f"{path}: found sensor {names[0]!r}, indenter {names[1]!r}; allowed: names"
         )
-    return ForceDepth(
+    return ForceDepthCurve(
         str(names[0]),
         str(names[1]),
         f"session {path.name}",
@@ -177,7 +177,7 @@ class Prior:
         return self.loading if loading else self.unloading
 
 
-def fit_prior(measured: ForceDepth, depth_range: float | None = None) -> Prior:
+def fit_prior(measured: ForceDepthCurve, depth_range: float | None = None) -> Prior:
     """Fit polynomials of degree 2 by least squares.
 
     `depth_range` is the depth that counts as 1 [m]; None: the greatest measured depth.

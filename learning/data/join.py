@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from learning.data.matching import (
     Chosen,
-    Pair,
-    Presses,
+    MatchReport,
+    PlacedPresses,
     Tolerances,
     compare,
     mapped,
@@ -50,7 +50,7 @@ class Joined:
     sensors: tuple[JoinedSensor, ...]
     indenters: tuple[str, ...]
     """Names, by code."""
-    pairs: tuple[Pair, ...]
+    pairs: tuple[MatchReport, ...]
     """Presses that matched, for each two sensors."""
     tolerances: Tolerances
 
@@ -221,7 +221,7 @@ def _require_seen_alike(sensors: Sequence[Chosen], unseen: tuple[str, ...] | Non
 
 
 def _numbered(
-    presses: Sequence[Presses], numbers: Sequence[Integers], indenters: tuple[str, ...]
+    presses: Sequence[PlacedPresses], numbers: Sequence[Integers], indenters: tuple[str, ...]
 ) -> tuple[list[Integers], list[Integers]]:
     """Return target and location of each press of each sensor, from the numbers of its places.
 
@@ -245,7 +245,7 @@ def _numbered(
     return [target[number] for number in numbers], [location[number] for number in numbers]
 
 
-def _merge(group: Integers, presses: Presses, number: Integers) -> None:
+def _merge(group: Integers, presses: PlacedPresses, number: Integers) -> None:
     """Give all places of one target the lowest group among them."""
     first: dict[tuple[str, int], int] = {}
     for name, target, place in zip(
@@ -257,7 +257,7 @@ def _merge(group: Integers, presses: Presses, number: Integers) -> None:
             group[group == high] = low
 
 
-def _require_targets_apart(presses: Presses, target: Integers) -> None:
+def _require_targets_apart(presses: PlacedPresses, target: Integers) -> None:
     own_target: dict[tuple[str, int], int] = {}
     for name, own, new in zip(
         presses.indenter.tolist(), presses.target.tolist(), target.tolist(), strict=True
@@ -270,7 +270,7 @@ def _require_targets_apart(presses: Presses, target: Integers) -> None:
 
 
 def _joined(
-    presses: Presses,
+    presses: PlacedPresses,
     sensors: Sequence[Chosen],
     indenters: tuple[str, ...],
     location: Integers,

@@ -72,7 +72,7 @@ class Chosen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Presses:
+class PlacedPresses:
     """The presses of a sensor that have a location, in the order of their targets."""
 
     of: Chosen
@@ -97,7 +97,7 @@ class Presses:
         """Return the number of presses."""
         return len(self.location)
 
-    def subset(self, rows: NDArray[Any]) -> Presses:
+    def subset(self, rows: NDArray[Any]) -> PlacedPresses:
         """Return some of the presses."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return replace(self, **{name: each[rows] for name, each in values.items() if name != "of"})
@@ -125,7 +125,7 @@ class Differences:
     """Infinite where only one of both has a direction."""
 
     @classmethod
-    def of(cls, one: Presses, other: Presses) -> Differences:
+    def of(cls, one: PlacedPresses, other: PlacedPresses) -> Differences:
         """Compare each press of `one` with each of `other`."""
         place = np.linalg.norm(one.place[:, None] - other.place[None], axis=-1)
         angle = _turn(one.angle[:, None], other.angle[None])
@@ -151,7 +151,7 @@ def _turn(one: Floats, other: Floats) -> Floats:
     return np.asarray(np.abs((one - other + math.pi) % (2 * math.pi) - math.pi))
 
 
-def read_presses(chosen: Chosen) -> Presses:
+def read_presses(chosen: Chosen) -> PlacedPresses:
     """Read where, how deep and in which direction a sensor was pressed."""
     sensor = chosen.archived
     where = f"{chosen.archive.name}: {chosen.sensor}"
@@ -205,7 +205,7 @@ def read_presses(chosen: Chosen) -> Presses:
     if not deepest > 0:
         raise LearningError(f"{where}: no press is deeper than 0 mm; allowed: known depths")
     names = np.array(chosen.archive.indenters)
-    return Presses(
+    return PlacedPresses(
         of=chosen,
         indenter=names[table["indenter"][rows]],
         target=table["target"][rows].astype(np.int64),
@@ -221,10 +221,10 @@ def read_presses(chosen: Chosen) -> Presses:
 # Matching: every press is given the number of a place, equal for those that matched.
 
 
-def match(sensors: Sequence[Presses], tolerances: Tolerances) -> list[Integers]:
+def match(sensors: Sequence[PlacedPresses], tolerances: Tolerances) -> list[Integers]:
     """Return the number of the place of each press of each sensor, equal where presses matched."""
     numbered: list[Integers] = []
-    matched: list[tuple[Presses, Integers]] = []
+    matched: list[tuple[PlacedPresses, Integers]] = []
     count = 0
     for presses in sensors:
         _require_apart(presses, tolerances)
@@ -248,12 +248,12 @@ def match(sensors: Sequence[Presses], tolerances: Tolerances) -> list[Integers]:
     return numbered
 
 
-def _blocks(presses: Presses) -> Iterator[Integers]:
+def _blocks(presses: PlacedPresses) -> Iterator[Integers]:
     for first in range(0, len(presses), _BLOCK):
         yield np.arange(first, min(first + _BLOCK, len(presses)), dtype=np.int64)
 
 
-def _require_apart(presses: Presses, tolerances: Tolerances) -> None:
+def _require_apart(presses: PlacedPresses, tolerances: Tolerances) -> None:
     """Reject a sensor that was pressed twice at one place within the tolerances."""
     for rows in _blocks(presses):
         near = Differences.of(presses.subset(rows), presses).alike(tolerances)[-1]
@@ -262,7 +262,7 @@ def _require_apart(presses: Presses, tolerances: Tolerances) -> None:
             raise _ambiguous(presses, int(rows[row]), presses, other, tolerances)
 
 
-def _require_one_each(presses: Presses, number: Integers, tolerances: Tolerances) -> None:
+def _require_one_each(presses: PlacedPresses, number: Integers, tolerances: Tolerances) -> None:
     order = np.argsort(number, kind="stable")
     twice = np.flatnonzero((np.diff(number[order]) == 0) & (number[order][1:] >= 0))
     if twice.size:
@@ -271,7 +271,11 @@ def _require_one_each(presses: Presses, number: Integers, tolerances: Tolerances
 
 
 def _require_all_near(
-    presses: Presses, number: Integers, others: Presses, numbers: Integers, tolerances: Tolerances
+    presses: PlacedPresses,
+    number: Integers,
+    others: PlacedPresses,
+    numbers: Integers,
+    tolerances: Tolerances,
 ) -> None:
     """Reject presses that are one place only by way of a third, which matches both."""
     _, rows, columns = np.intersect1d(number, numbers, assume_unique=True, return_indices=True)
@@ -283,7 +287,7 @@ def _require_all_near(
 
 
 def _ambiguous(
-    one: Presses, row: int, other: Presses, column: int, tolerances: Tolerances
+    one: PlacedPresses, row: int, other: PlacedPresses, column: int, tolerances: Tolerances
 ) -> LearningError:
     counterpart = "itself" if one is other else other.of.name
     return LearningError(
@@ -297,7 +301,7 @@ def _ambiguous(
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class MatchReport:
     """Presses of two sensors that matched, and reasons of the others."""
 
     one: str
@@ -333,8 +337,11 @@ class Pair:
 
 
 def compare(
-    one: Presses, other: Presses, numbers: tuple[Integers, Integers], tolerances: Tolerances
-) -> Pair:
+    one: PlacedPresses,
+    other: PlacedPresses,
+    numbers: tuple[Integers, Integers],
+    tolerances: Tolerances,
+) -> MatchReport:
     """Compare two sensors whose presses have the numbers that `match` returned."""
     _, rows, columns = np.intersect1d(*numbers, assume_unique=True, return_indices=True)
     mine, its = one.subset(rows), other.subset(columns)
@@ -343,7 +350,7 @@ def compare(
         rest = presses.subset(np.setdiff1d(np.arange(len(presses)), matched))
         for why in _reasons(rest, others, tolerances):
             unmatched[why] = unmatched.get(why, 0) + 1
-    return Pair(
+    return MatchReport(
         one=one.of.name,
         other=other.of.name,
         presses=(len(one), len(other)),
@@ -356,7 +363,7 @@ def compare(
     )
 
 
-def _paired(presses: Presses, number: Integers) -> dict[str, NDArray[Any]]:
+def _paired(presses: PlacedPresses, number: Integers) -> dict[str, NDArray[Any]]:
     """Return the columns of a sensor's table that pair frames, with numbers as locations."""
     table = presses.of.archived.table
     location = mapped(table["location"], presses.location, number)
@@ -370,7 +377,9 @@ def mapped(values: NDArray[Any], old: Integers, new: Integers) -> Integers:
     return np.where(values < 0, values, new[place])
 
 
-def _reasons(presses: Presses, others: Presses, tolerances: Tolerances) -> Iterator[str]:
+def _reasons(
+    presses: PlacedPresses, others: PlacedPresses, tolerances: Tolerances
+) -> Iterator[str]:
     """Yield why each press of one sensor matches none of another: the first difference."""
     who = f"{presses.of.name}, {{}}"
     for rows in _blocks(presses):

@@ -31,7 +31,7 @@ RESIZED = "bilinear to 299"
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ConvLayer:
     """One convolution of a branch."""
 
     name: str
@@ -44,7 +44,7 @@ class Step:
     """2 halves the sides, without padding."""
 
 
-Branch = tuple[Step, ...]
+Branch = tuple[ConvLayer, ...]
 _ACROSS, _DOWN = (1, 7), (7, 1)
 _THREE, _FIVE = (3, 3), (5, 5)
 
@@ -57,7 +57,7 @@ class Design:
     """Branches from the block's input."""
     pooled: int
     """Channels of the convolution after pooling; 0: none."""
-    forks: tuple[tuple[Step, Step], ...] = ()
+    forks: tuple[tuple[ConvLayer, ConvLayer], ...] = ()
     """Two parallel convolutions at the end of each of the last branches."""
     pooling: str = "mean"
     """`mean` or `max` of 3 x 3; `halve`: the maximum, with stride 2."""
@@ -66,12 +66,12 @@ class Design:
 def _fives(pooled: int) -> Design:
     return Design(
         (
-            (Step("branch1x1", 64),),
-            (Step("branch5x5_1", 48), Step("branch5x5_2", 64, _FIVE)),
+            (ConvLayer("branch1x1", 64),),
+            (ConvLayer("branch5x5_1", 48), ConvLayer("branch5x5_2", 64, _FIVE)),
             (
-                Step("branch3x3dbl_1", 64),
-                Step("branch3x3dbl_2", 96, _THREE),
-                Step("branch3x3dbl_3", 96, _THREE),
+                ConvLayer("branch3x3dbl_1", 64),
+                ConvLayer("branch3x3dbl_2", 96, _THREE),
+                ConvLayer("branch3x3dbl_3", 96, _THREE),
             ),
         ),
         pooled,
@@ -81,18 +81,18 @@ def _fives(pooled: int) -> Design:
 def _sevens(width: int) -> Design:
     return Design(
         (
-            (Step("branch1x1", 192),),
+            (ConvLayer("branch1x1", 192),),
             (
-                Step("branch7x7_1", width),
-                Step("branch7x7_2", width, _ACROSS),
-                Step("branch7x7_3", 192, _DOWN),
+                ConvLayer("branch7x7_1", width),
+                ConvLayer("branch7x7_2", width, _ACROSS),
+                ConvLayer("branch7x7_3", 192, _DOWN),
             ),
             (
-                Step("branch7x7dbl_1", width),
-                Step("branch7x7dbl_2", width, _DOWN),
-                Step("branch7x7dbl_3", width, _ACROSS),
-                Step("branch7x7dbl_4", width, _DOWN),
-                Step("branch7x7dbl_5", 192, _ACROSS),
+                ConvLayer("branch7x7dbl_1", width),
+                ConvLayer("branch7x7dbl_2", width, _DOWN),
+                ConvLayer("branch7x7dbl_3", width, _ACROSS),
+                ConvLayer("branch7x7dbl_4", width, _DOWN),
+                ConvLayer("branch7x7dbl_5", 192, _ACROSS),
             ),
         ),
         192,
@@ -100,14 +100,17 @@ def _sevens(width: int) -> Design:
 
 
 def _forked(pooling: str) -> Design:
-    def fork(name: str) -> tuple[Step, Step]:
-        return Step(f"{name}a", 384, (1, 3)), Step(f"{name}b", 384, (3, 1))
+    def fork(name: str) -> tuple[ConvLayer, ConvLayer]:
+        return ConvLayer(f"{name}a", 384, (1, 3)), ConvLayer(f"{name}b", 384, (3, 1))
 
     return Design(
         (
-            (Step("branch1x1", 320),),
-            (Step("branch3x3_1", 384),),
-            (Step("branch3x3dbl_1", 448), Step("branch3x3dbl_2", 384, _THREE)),
+            (ConvLayer("branch1x1", 320),),
+            (ConvLayer("branch3x3_1", 384),),
+            (
+                ConvLayer("branch3x3dbl_1", 448),
+                ConvLayer("branch3x3dbl_2", 384, _THREE),
+            ),
         ),
         192,
         (fork("branch3x3_2"), fork("branch3x3dbl_3")),
@@ -117,11 +120,11 @@ def _forked(pooling: str) -> Design:
 
 _HALVE_FIRST = Design(
     (
-        (Step("branch3x3", 384, _THREE, 2),),
+        (ConvLayer("branch3x3", 384, _THREE, 2),),
         (
-            Step("branch3x3dbl_1", 64),
-            Step("branch3x3dbl_2", 96, _THREE),
-            Step("branch3x3dbl_3", 96, _THREE, 2),
+            ConvLayer("branch3x3dbl_1", 64),
+            ConvLayer("branch3x3dbl_2", 96, _THREE),
+            ConvLayer("branch3x3dbl_3", 96, _THREE, 2),
         ),
     ),
     0,
@@ -129,12 +132,12 @@ _HALVE_FIRST = Design(
 )
 _HALVE_SECOND = Design(
     (
-        (Step("branch3x3_1", 192), Step("branch3x3_2", 320, _THREE, 2)),
+        (ConvLayer("branch3x3_1", 192), ConvLayer("branch3x3_2", 320, _THREE, 2)),
         (
-            Step("branch7x7x3_1", 192),
-            Step("branch7x7x3_2", 192, _ACROSS),
-            Step("branch7x7x3_3", 192, _DOWN),
-            Step("branch7x7x3_4", 192, _THREE, 2),
+            ConvLayer("branch7x7x3_1", 192),
+            ConvLayer("branch7x7x3_2", 192, _ACROSS),
+            ConvLayer("branch7x7x3_3", 192, _DOWN),
+            ConvLayer("branch7x7x3_4", 192, _THREE, 2),
         ),
     ),
     0,
@@ -156,16 +159,16 @@ _BLOCKS = (
 )
 
 
-class Convolution(nn.Module):
+class NormedConvolution(nn.Module):
     """Convolution, batch normalisation, ReLU."""
 
-    def __init__(self, before: int, step: Step, *, inside: bool = False) -> None:
+    def __init__(self, before: int, layer: ConvLayer, *, inside: bool = False) -> None:
         """Build the layer; without padding if `inside` or if it halves the sides."""
         super().__init__()
-        rows, columns = step.kernel
-        beyond = (0, 0) if inside or step.stride > 1 else (rows // 2, columns // 2)
-        self.conv = nn.Conv2d(before, step.width, step.kernel, step.stride, beyond, bias=False)
-        self.bn = nn.BatchNorm2d(step.width, eps=0.001)
+        rows, columns = layer.kernel
+        beyond = (0, 0) if inside or layer.stride > 1 else (rows // 2, columns // 2)
+        self.conv = nn.Conv2d(before, layer.width, layer.kernel, layer.stride, beyond, bias=False)
+        self.bn = nn.BatchNorm2d(layer.width, eps=0.001)
 
     def forward(self, images: Tensor) -> Tensor:
         """Return features."""
@@ -182,16 +185,16 @@ class Block(nn.Module):
         ends = []
         for branch in design.branches:
             width = before
-            for step in branch:
-                self.add_module(step.name, Convolution(width, step))
-                width = step.width
+            for layer in branch:
+                self.add_module(layer.name, NormedConvolution(width, layer))
+                width = layer.width
             ends.append(width)
         forked = ends[len(ends) - len(design.forks) :]
         for fork, width in zip(design.forks, forked, strict=True):
-            for step in fork:
-                self.add_module(step.name, Convolution(width, step))
+            for layer in fork:
+                self.add_module(layer.name, NormedConvolution(width, layer))
         if design.pooled:
-            self.branch_pool = Convolution(before, Step("branch_pool", design.pooled))
+            self.branch_pool = NormedConvolution(before, ConvLayer("branch_pool", design.pooled))
 
     def forward(self, features: Tensor) -> Tensor:
         """Return the concatenated features of all branches."""
@@ -199,13 +202,13 @@ class Block(nn.Module):
         plain = len(self.design.branches) - len(self.design.forks)
         for number, branch in enumerate(self.design.branches):
             inner = features
-            for step in branch:
-                inner = self.get_submodule(step.name)(inner)
+            for layer in branch:
+                inner = self.get_submodule(layer.name)(inner)
             if number < plain:
                 outputs.append(inner)
             else:
                 fork = self.design.forks[number - plain]
-                outputs += [self.get_submodule(step.name)(inner) for step in fork]
+                outputs += [self.get_submodule(layer.name)(inner) for layer in fork]
         pooled = self._pooled(features)
         return torch.cat([*outputs, self.branch_pool(pooled) if self.design.pooled else pooled], 1)
 
@@ -223,11 +226,11 @@ class Inception(nn.Module):
     def __init__(self) -> None:
         """Build it with untrained weights."""
         super().__init__()
-        self.Conv2d_1a_3x3 = Convolution(3, Step("", 32, _THREE, 2))
-        self.Conv2d_2a_3x3 = Convolution(32, Step("", 32, _THREE), inside=True)
-        self.Conv2d_2b_3x3 = Convolution(32, Step("", 64, _THREE))
-        self.Conv2d_3b_1x1 = Convolution(64, Step("", 80))
-        self.Conv2d_4a_3x3 = Convolution(80, Step("", 192, _THREE), inside=True)
+        self.Conv2d_1a_3x3 = NormedConvolution(3, ConvLayer("", 32, _THREE, 2))
+        self.Conv2d_2a_3x3 = NormedConvolution(32, ConvLayer("", 32, _THREE), inside=True)
+        self.Conv2d_2b_3x3 = NormedConvolution(32, ConvLayer("", 64, _THREE))
+        self.Conv2d_3b_1x1 = NormedConvolution(64, ConvLayer("", 80))
+        self.Conv2d_4a_3x3 = NormedConvolution(80, ConvLayer("", 192, _THREE), inside=True)
         width = 192
         for name, design, output_width in _BLOCKS:
             self.add_module(name, Block(width, design))

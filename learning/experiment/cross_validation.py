@@ -12,7 +12,7 @@ from learning.data.presses import Presses, load_presses
 from learning.errors import LearningError
 from learning.evaluation.baseline import colour_features, fit_ridge
 from learning.evaluation.predictions import BASELINE, TARGET, UNSEEN, Predictions, predictions_of
-from learning.force.train import ForceSettings, train_force
+from learning.force.train import ForceModelSettings, train_force
 from learning.metrics import force_errors
 from recorder import MarkerArchive
 from recorder.archive import SHADING
@@ -43,7 +43,7 @@ class Fold:
 
 
 def folds(
-    archive: MarkerArchive, sensor: str, settings: ForceSettings, progress: Progress
+    archive: MarkerArchive, sensor: str, settings: ForceModelSettings, progress: Progress
 ) -> Iterator[Fold]:
     """Train and predict with each indenter of a sensor left out in turn.
 

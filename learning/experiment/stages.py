@@ -45,11 +45,11 @@ from learning.experiment.settings import ExperimentSettings
 from learning.force.batched import train_batched
 from learning.force.labels import Relabelling, by_twins, compensated
 from learning.force.model import KIND, ForceModel, load_force_model
-from learning.force.train import PRESETS, ForceSettings, total_steps, train_force
+from learning.force.train import PRESETS, ForceModelSettings, total_steps, train_force
 from learning.metrics import force_errors
 from learning.training.checkpoint import read_model_folder
 from learning.training.run import RunFolder, session_of
-from learning.translation.archive import Model, Pair, translate_archive
+from learning.translation.archive import NamedTranslator, Pair, translate_archive
 from learning.translation.field import train as field_training
 from learning.translation.loading import hash_of, load_translator
 from learning.translation.translator import FLOW, SensorView, for_pair
@@ -102,7 +102,7 @@ class Places:
 
 def force_settings(
     experiment: ExperimentSettings, archive: MarkerArchive, device: str, *, tuning: bool = False
-) -> ForceSettings:
+) -> ForceModelSettings:
     """Return the settings of force models; with `tuning`, of fine-tuning on translated frames."""
     changed = experiment.overrides(
         *experiment.force.set,
@@ -110,7 +110,7 @@ def force_settings(
         f"launch.device={torch.device(device).type}",
     )
     try:
-        settings = read_settings(ForceSettings, PRESETS, experiment.force.preset, changed)
+        settings = read_settings(ForceModelSettings, PRESETS, experiment.force.preset, changed)
     except LearningError as error:
         raise LearningError(f"{'fine_tuning' if tuning else 'force'}: {error}") from None
     if settings.input.stored_form != "images":
@@ -316,7 +316,7 @@ class Experiment:
     def translated(self, source: str, name: str) -> TaskResult:
         """Fine-tune models on a source's translated frames; predict targets, score translations."""
         folder: str | Path = name if name == FLOW else self.places.model(name)
-        translator = Model(
+        translator = NamedTranslator(
             load_translator(folder, self.device), name, hash_of(folder), str(self.device)
         )
         pairs = [pair for pair in self.pairs if pair.source == source]
@@ -450,7 +450,7 @@ class Experiment:
     def _trained(
         self,
         name: str,
-        settings: ForceSettings,
+        settings: ForceModelSettings,
         data: str,
         frames: Callable[[], tuple[Presses, Presses | None]],
         *,
@@ -487,12 +487,12 @@ class Experiment:
             for (_, run), model in zip(due, models or (), strict=False):
                 run.finish(steps, {"model": model})
 
-    def _open(self, name: str, settings: ForceSettings, data: str) -> RunFolder:
+    def _open(self, name: str, settings: ForceModelSettings, data: str) -> RunFolder:
         """Open the run folder of a force model."""
         data = f"{self._data} {data}"
         return RunFolder.open(self.places.model(name), KIND, settings, data, keep=1)
 
-    def _force_settings(self, *, tuning: bool = False) -> ForceSettings:
+    def _force_settings(self, *, tuning: bool = False) -> ForceModelSettings:
         return force_settings(self.settings, self.archive, self.device, tuning=tuning)
 
     # Frames.
@@ -536,7 +536,7 @@ class Experiment:
         return presses if self.settings.memory else presses.each_frame_alone()
 
     def _translated(
-        self, pair: Pair, model: Model, fields: dict[tuple[float, float], torch.Tensor]
+        self, pair: Pair, model: NamedTranslator, fields: dict[tuple[float, float], torch.Tensor]
     ) -> Presses:
         """Return a source's training presses, translated to a target."""
         packed, _ = self._source(pair.source)
@@ -558,7 +558,9 @@ class Experiment:
                 )
             return warp_presses(packed, look, fields[scale], progress=progress)
 
-    def _scores(self, source: str, pairs: list[Pair], model: Model) -> list[TranslationScores]:
+    def _scores(
+        self, source: str, pairs: list[Pair], model: NamedTranslator
+    ) -> list[TranslationScores]:
         """Translate some test presses into an archive, and score its sensors."""
         settings = self.settings
         if not settings.scored_presses:

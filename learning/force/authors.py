@@ -17,8 +17,8 @@ from torch import Tensor
 from learning.config import read_settings
 from learning.data.presses import AUTHORS
 from learning.errors import LearningError
-from learning.force.model import KIND, ForceModel, NetworkSettings
-from learning.force.train import PRESETS, ForceSettings
+from learning.force.model import KIND, ForceModel, ForceNetworkSettings
+from learning.force.train import PRESETS, ForceModelSettings
 from learning.training.checkpoint import load_weights, weights_hash
 from learning.training.run import RunFolder
 
@@ -64,7 +64,7 @@ def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) ->
     for name in ("encoder", "memory", "tail"):
         value = getattr(network, name)
         changes.append(f"network.{name}={list(value) if isinstance(value, tuple) else value}")
-    settings = read_settings(ForceSettings, PRESETS, "authors_code", changes)
+    settings = read_settings(ForceModelSettings, PRESETS, "authors_code", changes)
     model = ForceModel(settings.network, settings.input)
     model.set_range(AUTHORS)
     box = {name: getattr(model, name) for name in ("low", "high")}
@@ -91,7 +91,7 @@ def _read(file: Path) -> dict[str, Tensor]:
     return {str(name): each for name, each in content.items()}
 
 
-def _network(file: Path, tensors: Mapping[str, Tensor]) -> NetworkSettings:
+def _network(file: Path, tensors: Mapping[str, Tensor]) -> ForceNetworkSettings:
     """Return the widths of a model, from the shapes of its tensors."""
 
     def width(name: str) -> int:
@@ -104,7 +104,7 @@ def _network(file: Path, tensors: Mapping[str, Tensor]) -> NetworkSettings:
     first, second, third = (
         width(f"base_network.layer{stage}.0.conv1.weight") for stage in (1, 2, 3)
     )
-    return NetworkSettings(
+    return ForceNetworkSettings(
         encoder=(first, second, third),
         memory=width("convgru.layers.0.convq.weight"),
         tail=(width("post_processing.0.conv1.weight"), width("post_processing.1.conv1.weight")),

@@ -21,7 +21,7 @@ from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.model import ForceModel, prepared_rows, require_form
 from learning.force.train import (
-    ForceSettings,
+    ForceModelSettings,
     begun_model,
     epoch_of,
     error,
@@ -35,7 +35,7 @@ from learning.force.train import (
     weights_of,
 )
 from learning.training.optim import set_rate
-from learning.training.run import Session, seed_torch
+from learning.training.run import TrainingSession, seed_torch
 
 # Frames prepared at once.
 _AT_ONCE = 256
@@ -43,8 +43,8 @@ _AT_ONCE = 256
 
 def train_batched(
     presses: Sequence[Presses],
-    settings: ForceSettings,
-    session: Session | None = None,
+    settings: ForceModelSettings,
+    session: TrainingSession | None = None,
     *,
     start_from: ForceModel | None = None,
 ) -> list[ForceModel] | None:
@@ -126,7 +126,7 @@ def train_batched(
     return [model.eval() for model in models]
 
 
-def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
+def _require_alike(presses: Sequence[Presses], settings: ForceModelSettings) -> None:
     """Reject presses and settings that models cannot share."""
     if not presses or not len(presses[0]):
         raise LearningError("presses: found none; allowed: one or more, of one or more sensors")
@@ -150,7 +150,7 @@ def _require_alike(presses: Sequence[Presses], settings: ForceSettings) -> None:
             )
 
 
-def _prepared(presses: Presses, settings: ForceSettings) -> Tensor:
+def _prepared(presses: Presses, settings: ForceModelSettings) -> Tensor:
     """Return all frames (n, planes, h, w) as network inputs."""
     rows = torch.arange(presses.frames, device=presses.device)
     return torch.cat(

@@ -39,7 +39,7 @@ _PRESSED = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class IntervalCalibration:
     """Intervals, and the forces that they were calibrated with."""
 
     intervals: Intervals
@@ -73,7 +73,7 @@ def calibrated(
     *,
     calibrates: Mask,
     learned: Mask,
-) -> Calibration:
+) -> IntervalCalibration:
     """Return the intervals of a model of a sensor.
 
     Args:
@@ -108,14 +108,14 @@ def calibrated(
         indenters=indenters,
         errors_from=wanted.source,
     )
-    return Calibration(
+    return IntervalCalibration(
         intervals, predicted[labelled], wanted.forces[used][labelled], names[used][labelled]
     )
 
 
 def calibrated_by_twin(
     archive: MarkerArchive, sensor: str, split: Split, model: ForceModel
-) -> Calibration | None:
+) -> IntervalCalibration | None:
     """Return the intervals of a model that learned from the forces of its sensor's own twin.
 
     What they are compared with are forces of the same twin, on the frames that the split has under
@@ -169,7 +169,7 @@ def presses_of_rows(sensor: ArchivedSensor, rows: NDArray[np.int64], model: Forc
     return load_presses(sensor, rows, device=model.device, form=model.inputs.stored_form)
 
 
-def interval_line(calibration: Calibration) -> str:
+def interval_line(calibration: IntervalCalibration) -> str:
     """Return a line about intervals that are written beside a model."""
     intervals = calibration.intervals
     low, high = intervals.of(calibration.predicted)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from learning.data.splits import Role, Split
     from learning.force.labels import LabelSource
     from learning.force.model import ForceModel
-    from learning.force.train import ForceSettings
-    from learning.training.run import Session
+    from learning.force.train import ForceModelSettings
+    from learning.training.run import TrainingSession
     from recorder import MarkerArchive
     from recorder.archive import ArchivedSensor
 
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
         if len(rows := split.rows(archive[name].table, "train")):
             source.of(press_table(archive[name], rows)).require_wrench()
 
-    def train(session: Session) -> Iterator[str]:
+    def train(session: TrainingSession) -> Iterator[str]:
         def load(role: Role) -> list[Presses]:
             loaded = []
             for name in sensors:
@@ -159,7 +159,7 @@ def _delivered(
     out: Path,
     archive: MarkerArchive,
     split: Split,
-    settings: ForceSettings,
+    settings: ForceModelSettings,
     model: ForceModel,
     presses: list[Presses],
     validation: list[Presses],

@@ -7,7 +7,7 @@
 Each frame is processed like the training data: markers by a preset of `learning.markers`, then the
 image or marker field that the network takes (`input_of`), then a network step that keeps its state.
 The first frames must show the sensor without contact. Training sequences are short and begin
-without contact, so the state is reset while nothing touches the sensor (`Contact`).
+without contact, so the state is reset while nothing touches the sensor (`ContactDetector`).
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def input_of(network: ForceStream, reference: Mask) -> NetworkInput:
             f"model: takes frames {shape}; allowed: images, or marker fields (3, {MAP_SIDE}, "
             f"{MAP_SIDE})"
         )
-    fields = Fields(reference)
+    fields = TrackedFields(reference)
     return NetworkInput(fields.of, fields.restart)
 
 
@@ -92,7 +92,7 @@ def _image(mask: Mask) -> NDArray[np.uint8]:
     return np.asarray(image, np.uint8)
 
 
-class Fields(FieldReader):
+class TrackedFields(FieldReader):
     """Marker fields (3, 32, 32), with markers tracked from frame to frame."""
 
     def of(self, mask: Mask) -> NDArray[np.float32]:
@@ -125,7 +125,7 @@ LEAST_LEVELS, NOISE_LEVELS = 0.3, 3.0
 STILL_FRAMES = 5
 
 
-class Contact:
+class ContactDetector:
     """Detects contact from the masks of one sensor."""
 
     reference: NDArray[Any]
@@ -234,7 +234,7 @@ class LivePredictor:
         """Intervals of the model; None if it has none."""
         self._preset, self._start_frames = chosen, start_frames
         self._first: list[Frame] = []
-        self._contact: Contact | None = None
+        self._contact: ContactDetector | None = None
         self._mask_of: MaskOf
         self._inputs: list[NetworkInput] = []
 
@@ -257,7 +257,7 @@ class LivePredictor:
         if not len(frames):
             raise LearningError("frames without contact: found none; allowed: one or more")
         masks, self._mask_of = _masks(self._preset, frames)
-        self._contact = Contact(masks)
+        self._contact = ContactDetector(masks)
         self._inputs = [input_of(each, self._contact.reference) for each in self._networks]
         for network, network_input in zip(self._networks, self._inputs, strict=True):
             network.reset(network_input.reference)

@@ -105,7 +105,7 @@ _SINGLE = ("image", "difference")
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkSettings:
+class ForceNetworkSettings:
     """Widths and norms; the defaults are the paper's (Methods, force prediction model)."""
 
     encoder: tuple[int, int, int] = (64, 96, 128)
@@ -197,7 +197,7 @@ class TailBlock(nn.Module):
         return torch.relu(self.skip(features) + self.branch(features))
 
 
-def image_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
+def image_encoder(settings: ForceNetworkSettings, planes: int) -> nn.Sequential:
     """Return the encoder of images (n, planes, h, w) into features (n, last width, h / 8, w / 8).
 
     RAFT's encoder (the paper, Methods; authors' code): 7 x 7 convolution, three stages of residual
@@ -220,7 +220,7 @@ def image_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
     return nn.Sequential(*parts)
 
 
-def field_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
+def field_encoder(settings: ForceNetworkSettings, planes: int) -> nn.Sequential:
     """Return the encoder of fields (n, planes, h, w) into features (n, last width, h / 2, w / 2).
 
     Fields are smooth, so half their resolution is sufficient.
@@ -236,7 +236,7 @@ def field_encoder(settings: NetworkSettings, planes: int) -> nn.Sequential:
     )
 
 
-def encoder(settings: NetworkSettings, inputs: InputSettings) -> nn.Sequential:
+def encoder(settings: ForceNetworkSettings, inputs: InputSettings) -> nn.Sequential:
     """Return the encoder for an input form."""
     make = field_encoder if inputs.form == "field" else image_encoder
     return make(settings, inputs.planes)
@@ -281,7 +281,7 @@ class ForceModel(nn.Module):
     high: Tensor
     may_be_nan = ("low", "high")
 
-    def __init__(self, network: NetworkSettings, inputs: InputSettings) -> None:
+    def __init__(self, network: ForceNetworkSettings, inputs: InputSettings) -> None:
         """Build the model; convolutions start with Kaiming weights, norms constant (Methods)."""
         super().__init__()
         self.network, self.inputs = network, inputs
@@ -532,7 +532,7 @@ def _reduced(images: Tensor, inputs: InputSettings) -> Tensor:
 
 
 def new_force_model(
-    plugin: str | None, network: NetworkSettings, inputs: InputSettings
+    plugin: str | None, network: ForceNetworkSettings, inputs: InputSettings
 ) -> ForceModel:
     """Return an untrained model: ours, or that of another package, which has its own settings."""
     if plugin is None:
@@ -563,7 +563,7 @@ def load_force_model(
     stored = read_model_folder(folder, KIND)
     model = new_force_model(
         stored.config.settings.get("plugin"),
-        stored.settings(NetworkSettings, "network"),
+        stored.settings(ForceNetworkSettings, "network"),
         stored.settings(InputSettings, "input"),
     )
     return stored.load(model, device)

@@ -23,8 +23,8 @@ from learning.errors import LearningError
 from learning.force.model import (
     AXES,
     ForceModel,
+    ForceNetworkSettings,
     InputSettings,
-    NetworkSettings,
     new_force_model,
     prepared_rows,
     require_form,
@@ -34,7 +34,7 @@ from learning.training.optim import Constant, Cosine, InversePower, Schedule, se
 from learning.training.run import (
     LaunchSettings,
     RunFolder,
-    Session,
+    TrainingSession,
     accelerator,
     generator,
     seed_torch,
@@ -50,7 +50,7 @@ PRESETS = Path(__file__).parent / "presets"
 
 
 @dataclass(frozen=True, slots=True)
-class StageSettings:
+class ForceStageSettings:
     """One stage of training."""
 
     epochs: int
@@ -108,13 +108,13 @@ class SequenceSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class ForceSettings:
+class ForceModelSettings:
     """A force model and its training."""
 
     description: str
     input: InputSettings
-    network: NetworkSettings
-    stages: tuple[StageSettings, ...]
+    network: ForceNetworkSettings
+    stages: tuple[ForceStageSettings, ...]
     optimiser: OptimiserSettings
     sequences: SequenceSettings
     plugin: str | None = None
@@ -151,14 +151,14 @@ class ForceSettings:
             )
 
 
-def read_force_settings(preset: str, overrides: Sequence[str] = ()) -> ForceSettings:
+def read_force_settings(preset: str, overrides: Sequence[str] = ()) -> ForceModelSettings:
     """Return the settings of a preset; with `plugin`, network and input are that model's.
 
     Args:
         preset: Name of a preset, or a YAML file.
         overrides: `key=value` or `key.sub=value`, the value in YAML.
     """
-    settings = read_settings(ForceSettings, PRESETS, preset, overrides)
+    settings = read_settings(ForceModelSettings, PRESETS, preset, overrides)
     if settings.plugin is None:
         return settings
     model = new_force_model(settings.plugin, settings.network, settings.input)
@@ -328,7 +328,7 @@ def _gathered(values: Sequence[Tensor], sequences: Sequences, device: torch.devi
 # Range of the forces (a box) that a model's output spans.
 
 
-def force_range(labels: Sequence[Tensor], settings: ForceSettings) -> ForceRange:
+def force_range(labels: Sequence[Tensor], settings: ForceModelSettings) -> ForceRange:
     """Return the force range (a box) of a model's output; NaN for axes without a label.
 
     If images are mirrored, shear has both signs, and the box includes both.
@@ -430,8 +430,8 @@ class TrainState:
 
 def train_force(
     presses: Presses | Sequence[Presses],
-    settings: ForceSettings,
-    session: Session | None = None,
+    settings: ForceModelSettings,
+    session: TrainingSession | None = None,
     *,
     validation: Presses | Sequence[Presses] = (),
     start_from: ForceModel | None = None,
@@ -448,7 +448,7 @@ def train_force(
             sensors without a label among them are left out.
         start_from: A model with the same network, for the initial weights.
     """
-    session = session or Session(accelerator(settings.launch))
+    session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
     ranks, rank = runs_on.num_processes, runs_on.process_index
 
@@ -552,7 +552,7 @@ def _groups(presses: Presses | Sequence[Presses]) -> list[Presses]:
 
 def begun_model(
     labels: Sequence[Tensor],
-    settings: ForceSettings,
+    settings: ForceModelSettings,
     start_from: ForceModel | None,
     device: torch.device,
 ) -> ForceModel:
@@ -579,7 +579,7 @@ def begun_model(
 
 
 def epoch_of(
-    groups: Sequence[Presses], stage: StageSettings, settings: ForceSettings, number: int
+    groups: Sequence[Presses], stage: ForceStageSettings, settings: ForceModelSettings, number: int
 ) -> Epoch:
     """Return a pass over the presses of all sensors, or of the only sensor of a stage."""
     sensors = range(len(groups))
@@ -590,7 +590,7 @@ def epoch_of(
     return epoch(starts, sensors, settings.sequences, settings.seed, number)
 
 
-def total_steps(groups: Sequence[Presses], settings: ForceSettings, ranks: int = 1) -> int:
+def total_steps(groups: Sequence[Presses], settings: ForceModelSettings, ranks: int = 1) -> int:
     """Return the number of steps of all stages with `ranks` processes, without an early end."""
     return sum(
         stage.epochs * epoch_of(groups, stage, settings, 0).steps(ranks)
@@ -598,7 +598,7 @@ def total_steps(groups: Sequence[Presses], settings: ForceSettings, ranks: int =
     )
 
 
-def schedule_of(stage: StageSettings, steps: int) -> Schedule:
+def schedule_of(stage: ForceStageSettings, steps: int) -> Schedule:
     """Return the learning-rate schedule of a stage with `steps` steps."""
     rate, warm_up = stage.learning_rate, min(stage.warm_up_steps, steps - 1)
     if stage.schedule == "cosine":

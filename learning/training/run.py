@@ -496,7 +496,7 @@ def _no_progress(done: int, total: int) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Session:
+class TrainingSession:
     """Surroundings of a training: where it computes and writes, who stops and watches it."""
 
     accelerator: Accelerator
@@ -527,7 +527,7 @@ class Session:
 
 
 @contextlib.contextmanager
-def session_of(run: RunFolder, launch: LaunchSettings, name: str) -> Iterator[Session]:
+def session_of(run: RunFolder, launch: LaunchSettings, name: str) -> Iterator[TrainingSession]:
     """Yield the surroundings of a training in this process, which show its steps as `name`.
 
     A stop that was requested meanwhile is raised as Ctrl-C once the block is left.
@@ -536,6 +536,6 @@ def session_of(run: RunFolder, launch: LaunchSettings, name: str) -> Iterator[Se
         ItemProgress(name, sys.stderr) as steps,
         Stop(functools.partial(print, file=sys.stderr)) as stop,
     ):
-        yield Session(accelerator(launch), run, stop, steps)
+        yield TrainingSession(accelerator(launch), run, stop, steps)
     if stop.requested and not run.finished:
         raise KeyboardInterrupt

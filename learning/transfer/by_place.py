@@ -22,7 +22,7 @@ from learning.data.presses import load_presses
 from learning.data.splits import Split
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.stages import force_settings
-from learning.force.calibrate import Calibration, Wanted, calibrated, presses_of_rows
+from learning.force.calibrate import IntervalCalibration, Wanted, calibrated, presses_of_rows
 from learning.force.intervals import Scale
 from learning.force.labels import Relabelling
 from learning.force.model import KIND, ForceModel, load_force_model
@@ -67,7 +67,9 @@ class ByPlace:
         source, target = (self.archive[name].table for name in (self.source, self.target))
         return labels_by_place(source, self.labels, target)
 
-    def calibrate(self, model: ForceModel, indenters: Sequence[str], scale: Scale) -> Calibration:
+    def calibrate(
+        self, model: ForceModel, indenters: Sequence[str], scale: Scale
+    ) -> IntervalCalibration:
         """Return the intervals of a model of the target.
 
         Args:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from learning.config import settings_to_dict
 from learning.errors import LearningError
-from learning.force.calibrate import Calibration
+from learning.force.calibrate import IntervalCalibration
 from learning.force.export import export_onnx
 from learning.force.intervals import COVERAGE, AxisError, Intervals
 from learning.force.model import AXES, ForceModel, load_force_model
@@ -140,7 +140,7 @@ def write_report(
     replace_file(out, page.encode())
 
 
-def calibration_picture(calibration: Calibration) -> bytes:
+def calibration_picture(calibration: IntervalCalibration) -> bytes:
     """Draw predicted over expected forces of held-out indenters, with intervals."""
     low, high = calibration.intervals.of(calibration.predicted)
     png = io.BytesIO()

@@ -26,7 +26,7 @@ from learning.evaluation.predictions import LABEL_FREE, after, read_predictions
 from learning.experiment.running import run_experiment
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.stages import Experiment, Places, relabelling
-from learning.force.calibrate import Calibration, presses_of_rows
+from learning.force.calibrate import IntervalCalibration, presses_of_rows
 from learning.force.export import export_onnx
 from learning.force.intervals import Scale
 from learning.force.model import load_force_model
@@ -315,7 +315,10 @@ def _deliver_before(trained: Path, out: Path) -> None:
 
 
 def _pictures(
-    request: TransferRequest, archive: MarkerArchive, places: Places, calibration: Calibration
+    request: TransferRequest,
+    archive: MarkerArchive,
+    places: Places,
+    calibration: IntervalCalibration,
 ) -> Iterator[tuple[str, bytes]]:
     """Yield captions and pictures of the report."""
     yield (

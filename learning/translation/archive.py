@@ -62,7 +62,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class NamedTranslator:
     """A translator and its recorded identity."""
 
     translator: Translator
@@ -79,7 +79,7 @@ def translate_archive(
     archive: MarkerArchive,
     out: Path,
     pairs: Sequence[Pair],
-    model: Model,
+    model: NamedTranslator,
     *,
     split: Split | None = None,
     roles: Sequence[Role] = (),
@@ -118,7 +118,9 @@ def translate_archive(
 class TranslatedSensor:
     """Frames of one sensor, translated to another sensor on demand."""
 
-    def __init__(self, archive: MarkerArchive, pair: Pair, model: Model, rows: Rows) -> None:
+    def __init__(
+        self, archive: MarkerArchive, pair: Pair, model: NamedTranslator, rows: Rows
+    ) -> None:
         """Prepare both sensors and the rows of the source; nothing is translated yet."""
         self._source, self._target = _sensor(archive, pair.source), _sensor(archive, pair.target)
         self._table = self._source.table

@@ -13,7 +13,7 @@ from support.made_up_archives import made_up_archive
 from learning.compensation.fit import read_stored
 from learning.compensation.prior import (
     Branch,
-    ForceDepth,
+    ForceDepthCurve,
     Prior,
     compensate,
     curve_of_session,
@@ -45,7 +45,7 @@ def spring(name: str, down: tuple[float, float], up: tuple[float, float] | None 
     loading, unloading = (
         np.stack([DEPTH, a * DEPTH**2 + b * DEPTH], axis=1) for a, b in (down, up or down)
     )
-    return fit_prior(ForceDepth(name, "prism", "made up", loading, unloading))
+    return fit_prior(ForceDepthCurve(name, "prism", "made up", loading, unloading))
 
 
 def test_labels_of_one_spring_become_those_of_another() -> None:
@@ -86,7 +86,7 @@ def test_loading_and_unloading_have_ratios_of_their_own() -> None:
 
 def test_sensors_of_unlike_depth_are_compared_at_the_same_share_of_their_ranges() -> None:
     shallow, deep = (
-        fit_prior(ForceDepth(name, "prism", "made up", curve, curve), depth_range=reach)
+        fit_prior(ForceDepthCurve(name, "prism", "made up", curve, curve), depth_range=reach)
         for name, reach, factor in (("gelsight", 1.0e-3, 2.0), ("tacpalm", 4.5e-3, 1.0))
         for fraction in (np.linspace(0.05, 1.0, 20),)
         for curve in (np.stack([fraction * reach, factor * (fraction + fraction**2)], axis=1),)
@@ -168,7 +168,7 @@ def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
 )
 def test_curves_that_say_nothing_are_refused(curve: np.ndarray, message: str) -> None:
     with pytest.raises(LearningError, match=message):
-        fit_prior(ForceDepth("skin", "prism", "made up", curve, curve))
+        fit_prior(ForceDepthCurve("skin", "prism", "made up", curve, curve))
 
 
 def test_published_coefficients_are_of_depth_in_mm_or_of_its_share() -> None:
@@ -197,7 +197,7 @@ def test_priors_that_fit_are_trusted_and_noise_is_not() -> None:
     noisy = []
     for name in ("one", "same"):
         curve = np.stack([DEPTH, SOFT[1] * DEPTH + random.normal(scale=1.0, size=12)], axis=1)
-        noisy.append(fit_prior(ForceDepth(name, "prism", "made up", curve, curve)))
+        noisy.append(fit_prior(ForceDepthCurve(name, "prism", "made up", curve, curve)))
     chosen = best_for_priors(noisy[0], noisy[1])
     assert chosen is not None
     assert chosen[1] < 0.5

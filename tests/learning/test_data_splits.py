@@ -23,7 +23,7 @@ from learning.data.splits import (
 )
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training
-from learning.training.run import Session
+from learning.training.run import TrainingSession
 from recorder import MarkerArchive, SessionError
 
 
@@ -249,7 +249,7 @@ def test_a_training_keeps_its_split_in_its_folder(
     opened, split = open_data(options)
     weights = {"model": {"w": torch.zeros(1)}}
 
-    def train(session: Session) -> None:
+    def train(session: TrainingSession) -> None:
         session.run.finish(1, weights)
 
     settings = tiny()

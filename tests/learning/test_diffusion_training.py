@@ -30,7 +30,12 @@ from learning.training.run import METRICS, LaunchSettings, RunFolder, accelerato
 from learning.translation.diffusion import train as translator
 from learning.translation.diffusion.discriminator import ClipFeatures, DiscriminatorHeads
 from learning.translation.diffusion.network import MarkerVae, build
-from learning.translation.diffusion.train import LossWeights, TranslatorSettings, evaluate, train
+from learning.translation.diffusion.train import (
+    DiffusionLossWeights,
+    TranslatorSettings,
+    evaluate,
+    train,
+)
 from learning.translation.diffusion.train_vae import train_vae
 
 PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
@@ -43,7 +48,9 @@ def test_presets_are_what_paper_supplement_and_code_say() -> None:
     }
     for name, batch in (("paper_main", 16), ("paper_supplement", 4)):
         assert reported[name].optimiser.rate == Constant(5e-6, warm_up=500)
-        assert reported[name].losses == LossWeights(adversarial=0.5, perceptual=5.0, square=1.0)
+        assert reported[name].losses == DiffusionLossWeights(
+            adversarial=0.5, perceptual=5.0, square=1.0
+        )
         assert (reported[name].batch, reported[name].steps, reported[name].train_vae) == (
             batch,
             100_000,
@@ -56,7 +63,7 @@ def test_presets_are_what_paper_supplement_and_code_say() -> None:
         )
     code = reported["authors_code"]
     assert code.optimiser.rate == Constant(5e-5)
-    assert code.losses == LossWeights(adversarial=0.5, perceptual=1.0, square=5.0)
+    assert code.losses == DiffusionLossWeights(adversarial=0.5, perceptual=1.0, square=5.0)
     assert (code.pixel_range, code.two_pass, code.train_vae) == ("zero_one", True, False)
     assert all(
         (each.unet_rank, each.vae_rank, each.optimiser.clip_norm) == (8, 4, 1.0)
@@ -89,7 +96,7 @@ def test_the_loss_falls() -> None:
         unet_rank=8,
         vae_rank=8,
         sample_latents=False,
-        losses=LossWeights(adversarial=0, perceptual=0),
+        losses=DiffusionLossWeights(adversarial=0, perceptual=0),
         optimiser=replace(settings.optimiser, rate=Constant(0.02)),
     )
     pairs, runs_on = striped_pairs(2), accelerator(settings.launch)
@@ -137,10 +144,10 @@ def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
     side = translator.Side(heads, torch.optim.AdamW(heads.parameters()))
     adversary = translator.Adversary(ClipFeatures(clip), side)
     runs_on = accelerator(LaunchSettings(device="cpu"))
-    step = translator.Step(runs_on, LossWeights(), 1.0, side, None, adversary)
+    step = translator.TrainingStep(runs_on, DiffusionLossWeights(), 1.0, side, None, adversary)
     made = (torch.rand(1, 3, SIDE, SIDE) * 2 - 1).requires_grad_()
     nothing = torch.zeros(1)
-    batch = translator.Batch(nothing, nothing, nothing, None, None, torch.Generator())
+    batch = translator.TranslationBatch(nothing, nothing, nothing, None, None, torch.Generator())
     step.fooling(made, batch, adversary).backward()
     assert made.grad is not None
     assert float(made.grad.abs().sum()) > 0

@@ -32,7 +32,7 @@ from learning.evaluation.translation import (
     require_alone,
     score_translation,
 )
-from learning.translation.archive import Model, Pair, translate_archive
+from learning.translation.archive import NamedTranslator, Pair, translate_archive
 from recorder import MarkerArchive
 
 
@@ -68,7 +68,9 @@ def split(archive: MarkerArchive) -> Split:
 @pytest.fixture(scope="module")
 def translated(archive: MarkerArchive, tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
     out = tmp_path_factory.mktemp("translated") / "still.markers.zarr"
-    translate_archive(archive, out, [Pair("dots", "grid")], Model(Still(), "still", "0" * 64))
+    translate_archive(
+        archive, out, [Pair("dots", "grid")], NamedTranslator(Still(), "still", "0" * 64)
+    )
     return MarkerArchive(out)
 
 

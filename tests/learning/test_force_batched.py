@@ -16,10 +16,10 @@ from learning.force.batched import train_batched
 from learning.force.labels import Relabelling, by_twins
 from learning.force.model import InputSettings
 from learning.force.train import (
-    ForceSettings,
+    ForceModelSettings,
+    ForceStageSettings,
     OptimiserSettings,
     SequenceSettings,
-    StageSettings,
     train_force,
 )
 from learning.training.run import LaunchSettings
@@ -27,8 +27,8 @@ from recorder.archive import Simulated
 
 SETTINGS = toy(
     stages=(
-        StageSettings(epochs=2, learning_rate=3e-3, schedule="cosine", warm_up_steps=1),
-        StageSettings(epochs=1, learning_rate=1e-3),
+        ForceStageSettings(epochs=2, learning_rate=3e-3, schedule="cosine", warm_up_steps=1),
+        ForceStageSettings(epochs=1, learning_rate=1e-3),
     ),
     network=replace(TOY.network, encoder_norm="instance", tail_norm="group"),
     optimiser=OptimiserSettings(name="adamw", weight_decay=0.01, clip=0.05),
@@ -132,7 +132,7 @@ def test_it_stops_when_it_is_asked_to() -> None:
         ),
     ],
 )
-def test_what_models_cannot_share_is_refused(settings: ForceSettings, key: str) -> None:
+def test_what_models_cannot_share_is_refused(settings: ForceModelSettings, key: str) -> None:
     with pytest.raises(LearningError, match=f"{key}: found a setting that needs one model"):
         train_batched(_shown(), settings)
 
@@ -147,6 +147,6 @@ def test_other_presses_are_refused() -> None:
 def test_a_loss_that_is_no_number_names_the_sensor() -> None:
     presses = _shown()
     broken = replace(presses[1], references=presses[1].references, wrench=presses[1].wrench * 0)
-    settings = replace(SETTINGS, stages=(StageSettings(epochs=2, learning_rate=1e30),))
+    settings = replace(SETTINGS, stages=(ForceStageSettings(epochs=2, learning_rate=1e30),))
     with pytest.raises(LearningError, match=r"loss of [abc]: found"):
         train_batched([presses[0], broken], settings)

@@ -22,7 +22,7 @@ from learning.force.live import open_live
 from learning.force.model import AXES, KIND, ForceModel, load_force_model, prepare
 from learning.force.stream import open_exported
 from learning.force.train import read_force_settings, train_force
-from learning.training.run import RunFolder, Session, accelerator
+from learning.training.run import RunFolder, TrainingSession, accelerator
 from learning.translation.loading import hash_of
 
 NAMES = ("ours", "alone", "field", "mean-force")
@@ -55,7 +55,7 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
         )
     presses = noise_presses(form=settings.input.stored_form)
     run = RunFolder.open(tmp_path / name, KIND, settings, "noise")
-    train_force(presses, settings, Session(accelerator(settings.launch), run))
+    train_force(presses, settings, TrainingSession(accelerator(settings.launch), run))
     return tmp_path / name
 
 

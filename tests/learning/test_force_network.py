@@ -9,12 +9,12 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from learning.config import preset_names, read_settings
 from learning.errors import LearningError
-from learning.force.model import ForceModel, InputSettings, NetworkSettings, prepare
-from learning.force.train import PRESETS, ForceSettings, error
+from learning.force.model import ForceModel, ForceNetworkSettings, InputSettings, prepare
+from learning.force.train import PRESETS, ForceModelSettings, error
 
 
 def _preset(name: str) -> ForceModel:
-    settings = read_settings(ForceSettings, PRESETS, name)
+    settings = read_settings(ForceModelSettings, PRESETS, name)
     with torch.device("meta"):
         return ForceModel(settings.network, settings.input)
 
@@ -56,7 +56,7 @@ def test_presets_make_models_that_take_what_they_say(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["displacement", "shading"])
 def test_presets_whose_input_is_0_without_contact_keep_the_size_of_a_change(name: str) -> None:
-    settings = read_settings(ForceSettings, PRESETS, name)
+    settings = read_settings(ForceModelSettings, PRESETS, name)
     torch.manual_seed(0)
     encoder = ForceModel(settings.network, settings.input).encoder
     frames = torch.randn(2, settings.input.planes, 64, 64)
@@ -67,7 +67,7 @@ def test_presets_whose_input_is_0_without_contact_keep_the_size_of_a_change(name
 
 @pytest.mark.parametrize("norm", ["instance", "batch"])
 def test_streaming_frame_by_frame_is_the_whole_sequence(norm: str) -> None:
-    network = NetworkSettings(
+    network = ForceNetworkSettings(
         encoder=(4, 4, 8),
         blocks=1,
         memory=8,
@@ -109,7 +109,7 @@ def _gradients(model: ForceModel, frames: torch.Tensor, lengths: tuple[int, ...]
 
 
 def test_padding_changes_neither_forces_nor_gradients_nor_statistics() -> None:
-    network = NetworkSettings(
+    network = ForceNetworkSettings(
         encoder=(4, 4, 8), blocks=1, memory=8, tail=(8, 8), encoder_norm="batch", tail_norm="batch"
     )
     frames = torch.randn(3, 5, 2, 32, 32)
@@ -200,4 +200,4 @@ def test_frames_that_do_not_fit_are_refused(frames: torch.Tensor, message: str) 
 )
 def test_settings_that_make_no_model_are_refused(override: str, message: str) -> None:
     with pytest.raises(LearningError, match=message):
-        read_settings(ForceSettings, PRESETS, "tiny", [override])
+        read_settings(ForceModelSettings, PRESETS, "tiny", [override])

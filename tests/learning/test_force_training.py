@@ -18,10 +18,10 @@ from learning.force.batched import train_batched
 from learning.force.labels import Relabelling
 from learning.force.model import KIND, ForceModel, InputSettings
 from learning.force.train import (
-    ForceSettings,
+    ForceModelSettings,
+    ForceStageSettings,
     Sequences,
     SequenceSettings,
-    StageSettings,
     begun_model,
     epoch,
     error,
@@ -38,8 +38,8 @@ from tests.support.few import few
 # All state that a run has to restore.
 EVERYTHING = toy(
     stages=(
-        StageSettings(epochs=3, learning_rate=3e-3, schedule="authors", one_sensor=True),
-        StageSettings(epochs=3, learning_rate=1e-2, schedule="cosine", warm_up_steps=2),
+        ForceStageSettings(epochs=3, learning_rate=3e-3, schedule="authors", one_sensor=True),
+        ForceStageSettings(epochs=3, learning_rate=1e-2, schedule="cosine", warm_up_steps=2),
     ),
     network=replace(TOY.network, encoder_norm="batch", tail_norm="batch", dropout=0.1),
     sequences=SequenceSettings(batch=2, flips=True, presses=2),
@@ -49,7 +49,7 @@ SEVERAL = [noise_presses(4, seed=1), noise_presses(5, seed=2)]
 HELD = noise_presses(2, seed=3)
 
 
-def _open(path: Path, settings: ForceSettings = TOY) -> RunFolder:
+def _open(path: Path, settings: ForceModelSettings = TOY) -> RunFolder:
     return RunFolder.open(path, KIND, settings, "data")
 
 
@@ -63,7 +63,7 @@ def _left(model: ForceModel, presses: Presses) -> float:
 @pytest.mark.slow
 def test_it_overfits_a_batch() -> None:
     presses = noise_presses(2)
-    settings = toy(stages=(StageSettings(epochs=60, learning_rate=1e-2, schedule="cosine"),))
+    settings = toy(stages=(ForceStageSettings(epochs=60, learning_rate=1e-2, schedule="cosine"),))
     assert _left(train_force(presses, settings), presses) < 0.25
 
 
@@ -72,7 +72,7 @@ def test_a_displacement_model_learns_from_marker_fields() -> None:
     presses = noise_presses(2, form="field")
     settings = toy(
         input=InputSettings(form="field"),
-        stages=(StageSettings(epochs=60, learning_rate=1e-2, schedule="cosine"),),
+        stages=(ForceStageSettings(epochs=60, learning_rate=1e-2, schedule="cosine"),),
     )
     assert _left(train_force(presses, settings), presses) < 0.25
 
@@ -107,7 +107,7 @@ def test_a_finished_run_is_a_model_that_predicts_the_same(tmp_path: Path) -> Non
     run = _open(tmp_path / "run")
     trained = train_force(presses, TOY, session(TOY, run))
     opened = load_force_model(tmp_path / "run")
-    assert read_model_folder(tmp_path / "run", KIND).settings(ForceSettings) == TOY
+    assert read_model_folder(tmp_path / "run", KIND).settings(ForceModelSettings) == TOY
     assert (opened.network, opened.inputs, opened.training) == (TOY.network, TOY.input, False)
     assert np.array_equal(opened.predict(presses), trained.predict(presses))
 
@@ -128,7 +128,7 @@ def test_what_a_model_is_made_of_must_fit(tmp_path: Path) -> None:
 
 def test_validation_keeps_the_best_weights_and_ends_a_stage() -> None:
     presses, held = noise_presses(3, seed=1), noise_presses(2, seed=2)
-    patient = toy(stages=(StageSettings(epochs=15, learning_rate=0.1),), patience_epochs=2)
+    patient = toy(stages=(ForceStageSettings(epochs=15, learning_rate=0.1),), patience_epochs=2)
     steps: list[int] = []
     watched = replace(session(patient), progress=lambda done, total: steps.append(done))
     predictor = train_force(presses, patient, watched, validation=held)
@@ -141,7 +141,7 @@ def test_validation_keeps_the_best_weights_and_ends_a_stage() -> None:
 def test_starting_from_a_model_begins_with_its_weights() -> None:
     presses = noise_presses(3)
     first = train_force(presses, TOY)
-    still = toy(stages=(StageSettings(epochs=1, learning_rate=1e-12),))
+    still = toy(stages=(ForceStageSettings(epochs=1, learning_rate=1e-12),))
     second = train_force(presses, still, start_from=first)
     assert np.allclose(first.predict(presses), second.predict(presses), atol=1e-4)
     wider = replace(TOY, network=replace(TOY.network, memory=12))
@@ -187,7 +187,7 @@ def test_presses_that_cannot_be_learned_from_are_refused_and_nothing_is_written(
 def test_a_loss_that_is_no_number_ends_training_and_leaves_the_last_checkpoint(
     tmp_path: Path,
 ) -> None:
-    wild = toy(stages=(StageSettings(epochs=4, learning_rate=1e38),))
+    wild = toy(stages=(ForceStageSettings(epochs=4, learning_rate=1e38),))
     wild = replace(wild, optimiser=replace(wild.optimiser, name="sgd", clip=None))
     run = _open(tmp_path / "run", wild)
     with pytest.raises(LearningError, match="loss: found nan"):
@@ -316,7 +316,7 @@ def test_superposed_fields_let_a_model_predict_forces_beyond_its_training() -> N
     strong = replace(weak, images=1.7 * weak.images, wrench=1.7 * weak.wrench)
     settings = toy(
         input=InputSettings(form="field", field_scale_px=1.0),
-        stages=(StageSettings(epochs=60, learning_rate=2e-2, schedule="cosine"),),
+        stages=(ForceStageSettings(epochs=60, learning_rate=2e-2, schedule="cosine"),),
         sequences=SequenceSettings(batch=6, lengths="whole"),
         range_margin=0.05,
     )
@@ -354,7 +354,8 @@ def test_a_model_of_fz_alone_predicts_fz_alone(tmp_path: Path, box: str) -> None
     presses = noise_presses(2)
     some = _measured(presses, 2)
     settings = toy(
-        stages=(StageSettings(epochs=15, learning_rate=2e-2, schedule="cosine"),), force_range=box
+        stages=(ForceStageSettings(epochs=15, learning_rate=2e-2, schedule="cosine"),),
+        force_range=box,
     )
     run = _open(tmp_path / "run", settings)
     train_force(some, settings, session(settings, run), validation=_measured(presses, 2))
@@ -390,7 +391,7 @@ def test_sensors_with_other_gauges_train_one_model() -> None:
 
 def test_models_trained_together_know_the_axes_of_their_labels() -> None:
     presses = noise_presses(3)
-    settings = toy(stages=(StageSettings(epochs=1, learning_rate=1e-2),))
+    settings = toy(stages=(ForceStageSettings(epochs=1, learning_rate=1e-2),))
     one, two = train_batched([_measured(presses, 2), presses], settings)  # type: ignore[misc]
     assert (one.axes, two.axes) == (("Fz",), ("Fx", "Fy", "Fz"))
     alone = train_force(_measured(presses, 2), settings)

@@ -24,7 +24,7 @@ from support.simulated_archives import LAYER, make
 
 from learning.data.genforce.importing import Choices, import_folder
 from learning.data.join import join
-from learning.data.matching import Chosen, Presses, Tolerances, match
+from learning.data.matching import Chosen, PlacedPresses, Tolerances, match
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.markers.build import archive_sessions
@@ -374,14 +374,14 @@ def test_a_shuffled_archive_joins_to_the_same_pairs(tmp_path: Path) -> None:
     assert len(found[0]) == 4 * len(SMALL)
 
 
-def presses_of(plan: PressShear, order: Sequence[int], moved: Sequence[float]) -> Presses:
+def presses_of(plan: PressShear, order: Sequence[int], moved: Sequence[float]) -> PlacedPresses:
     """Return presses without an archive, each off by `moved` in x."""
     targets = [list(plan.targets())[index] for index in order]
     place = np.array([target.origin[:2] for target in targets])
     place[:, 0] += moved
     depth = np.array([target.depth for target in targets])
     names = ["sphere" if index % 2 else "cone" for index in order]
-    return Presses(
+    return PlacedPresses(
         of=Chosen(archive=None, sensor="s", name="s"),  # type: ignore[arg-type]
         indenter=np.array(names),
         target=np.arange(len(order)),

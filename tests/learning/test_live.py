@@ -11,7 +11,7 @@ from support.marker_truth import VIEWS
 
 from learning.data.images import shrink
 from learning.errors import LearningError
-from learning.force.live import STILL_FRAMES, Contact, LivePredictor, _preset_for, open_live
+from learning.force.live import STILL_FRAMES, ContactDetector, LivePredictor, _preset_for, open_live
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset
 from learning.markers.displacement import FieldReader
@@ -126,7 +126,7 @@ def test_a_light_touch_is_contact_and_noise_is_not() -> None:
     chosen = TaxelPreset("noise")
     scans = NO_CONTACT + random.normal(scale=2.1, size=(60, 16, 3))
     masks = taxel_masks(scans, NO_CONTACT, chosen)
-    contact = Contact(masks[:10])
+    contact = ContactDetector(masks[:10])
     assert not any(contact.step(mask) for mask in masks[10:])
     assert contact.step(taxel_masks(touched(z=400.0), NO_CONTACT, chosen))
 
@@ -172,9 +172,9 @@ def test_a_model_of_marker_fields_is_shown_those_of_the_training_data() -> None:
     )
     for scan in scans:
         predictor.step(scan)
-    due = FieldReader(Contact(taxel_masks(NO_CONTACT[None], NO_CONTACT, chosen)).reference).maps(
-        taxel_masks(scans, NO_CONTACT, chosen), ordered=True
-    )
+    due = FieldReader(
+        ContactDetector(taxel_masks(NO_CONTACT[None], NO_CONTACT, chosen)).reference
+    ).maps(taxel_masks(scans, NO_CONTACT, chosen), ordered=True)
     assert np.allclose(np.array(stub.frames), due, atol=1e-5)
     assert np.abs(due[-1]).max() > 1.0
 

@@ -15,7 +15,7 @@ from learning.errors import LearningError
 from learning.training.checkpoint import Config
 from learning.translation import archive as translating
 from learning.translation import load_translator
-from learning.translation.archive import Model, Pair, dice, translate_archive
+from learning.translation.archive import NamedTranslator, Pair, dice, translate_archive
 from learning.translation.flow import FlowTranslator
 from learning.translation.loading import hash_of
 from learning.translation.translator import SensorView, for_pair
@@ -23,7 +23,7 @@ from recorder import MarkerArchive, SessionError
 from recorder.archive import UNIT_ROWS, check_archive, location_pairs, write_simulated
 from recorder.store.files import LOCAL
 
-FLOW = Model(FlowTranslator(), "flow", hash_of("flow"))
+FLOW = NamedTranslator(FlowTranslator(), "flow", hash_of("flow"))
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_a_frame_that_is_not_there_stays_away(translated):
 
 def test_presses_are_translated_whole_and_in_order(archive, tmp_path):
     asked: list[tuple[int, bool]] = []
-    model = Model(Same(asked), "same", "0")
+    model = NamedTranslator(Same(asked), "same", "0")
     translate_archive(archive, tmp_path / "same.markers.zarr", [Pair("grid", "dots")], model)
     assert asked == [(8, True), *[(9, True)] * 4]
     made = MarkerArchive(tmp_path / "same.markers.zarr")["grid-to-dots"]
@@ -107,7 +107,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(archive, tmp_path, monkeypatch)
     monkeypatch.setattr(translating, "UNIT_ROWS", 5)
     monkeypatch.setattr(translating, "CHUNK_ROWS", 5)
     pairs = [Pair("grid", "dots")]
-    model = Model(Same([]), "same", "0")
+    model = NamedTranslator(Same([]), "same", "0")
     whole, out = tmp_path / "whole.markers.zarr", tmp_path / "stopped.markers.zarr"
     translate_archive(archive, whole, pairs, model)
 
@@ -125,7 +125,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(archive, tmp_path, monkeypatch)
 
 
 def test_another_model_does_not_go_on_with_an_archive(archive, translated):
-    other = Model(Same([]), "same", "1")
+    other = NamedTranslator(Same([]), "same", "1")
     before = translated["dots-to-grid"].packed([1])
     with pytest.raises(SessionError, match="is not the archive that was planned"):
         translate_archive(archive, translated.path, [Pair("dots", "grid")], other)
@@ -159,7 +159,7 @@ def test_a_part_of_a_split_is_translated_alone(archive, tmp_path):
     split = make_split(archive, validation=0.0, new_press=0.5)
     out = tmp_path / "part.markers.zarr"
     roles = ("new_indenter", "new_press")
-    model = Model(Same([]), "same", "0")
+    model = NamedTranslator(Same([]), "same", "0")
     translate_archive(archive, out, [Pair("dots", "grid")], model, split=split, roles=roles)
     table = MarkerArchive(out)["dots-to-grid"].table
     assert set(split.role(table["location"])) == set(roles)

@@ -15,7 +15,7 @@ from learning.translation import SensorView, load_translator
 from learning.translation.field.data import (
     Bank,
     ExampleSettings,
-    Frames,
+    FieldFrames,
     draw_examples,
     gather_role,
     random_shifts,
@@ -52,7 +52,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
 
 
 @pytest.fixture(scope="module")
-def frames(archive: MarkerArchive) -> Frames:
+def frames(archive: MarkerArchive) -> FieldFrames:
     found = gather_role(archive, make_split(archive), tuple(archive), "train")
     assert found is not None
     return found
@@ -161,7 +161,7 @@ def test_random_shifts_fold_nothing() -> None:
 
 @pytest.mark.slow
 def test_examples_are_the_same_for_the_same_numbers_and_show_what_they_say(
-    frames: Frames,
+    frames: FieldFrames,
 ) -> None:
     settings = ExampleSettings(patterns=3, edge_px=0.0, missing=0.0)
     bank = Bank.drawn(3, np.random.default_rng(1), CPU)
@@ -182,7 +182,7 @@ def test_examples_are_the_same_for_the_same_numbers_and_show_what_they_say(
 
 
 def test_frames_are_those_of_the_role_and_pairs_share_place_and_phase(
-    archive: MarkerArchive, frames: Frames
+    archive: MarkerArchive, frames: FieldFrames
 ) -> None:
     split = make_split(archive)
     table = archive["dots"].table

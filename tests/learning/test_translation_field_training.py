@@ -18,7 +18,7 @@ from learning.errors import LearningError
 from learning.training.run import RunFolder
 from learning.translation import load_translator
 from learning.translation.field import command as train_field_verb
-from learning.translation.field.data import Frames, gather_role
+from learning.translation.field.data import FieldFrames, gather_role
 from learning.translation.field.train import (
     PRESETS,
     FieldSettings,
@@ -52,14 +52,14 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
 
 
 @pytest.fixture(scope="module")
-def frames(archive: MarkerArchive) -> Frames:
+def frames(archive: MarkerArchive) -> FieldFrames:
     found = gather_role(archive, make_split(archive), tuple(archive), "train")
     assert found is not None
     return found
 
 
 @pytest.fixture(scope="module")
-def trained(frames: Frames) -> dict[str, Tensor]:
+def trained(frames: FieldFrames) -> dict[str, Tensor]:
     """Return the weights after an uninterrupted training with `SETTINGS`."""
     return train_field(frames, SETTINGS).state_dict()
 
@@ -78,7 +78,7 @@ def test_every_parameter_learns(trained: dict[str, Tensor]) -> None:
 
 
 @pytest.mark.slow
-def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: Frames) -> None:
+def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: FieldFrames) -> None:
     settings = tiny(**steps(0, 2))
     before = untrained(settings).net.state_dict()
     after = train_field(frames, settings).net.state_dict()
@@ -95,7 +95,7 @@ def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: Frames) -> No
     ],
 )
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(
-    frames: Frames, trained: dict[str, Tensor], tmp_path: Path, stopped_after: int
+    frames: FieldFrames, trained: dict[str, Tensor], tmp_path: Path, stopped_after: int
 ) -> None:
     run = RunFolder.open(tmp_path / "run", "field", SETTINGS, "data")
     train_field(frames, SETTINGS, session=session(SETTINGS, run, stopped_after))
@@ -112,13 +112,13 @@ def test_a_training_that_was_stopped_ends_as_one_that_was_not(
     assert any("map/validation_dice" in json.loads(line) for line in log)
 
 
-def test_training_without_pairs_for_the_map_is_refused(frames: Frames) -> None:
+def test_training_without_pairs_for_the_map_is_refused(frames: FieldFrames) -> None:
     with pytest.raises(LearningError, match="pairs: found none"):
         train_field(replace(frames, pairs=frames.pairs[:0]), tiny(**steps(1, 1)))
 
 
 def test_a_loss_that_is_lost_ends_the_training_and_saves_nothing(
-    frames: Frames, tmp_path: Path
+    frames: FieldFrames, tmp_path: Path
 ) -> None:
     settings = tiny(**steps(30, 0), **{"field_stage.learning_rate": 1e30})
     run = RunFolder.open(tmp_path / "run", "field", settings, "data")
@@ -127,7 +127,7 @@ def test_a_loss_that_is_lost_ends_the_training_and_saves_nothing(
     assert run.latest() is None
 
 
-def test_weights_of_another_network_are_refused(frames: Frames, tmp_path: Path) -> None:
+def test_weights_of_another_network_are_refused(frames: FieldFrames, tmp_path: Path) -> None:
     settings = tiny(**steps(1, 0))
     run = RunFolder.open(tmp_path / "a", "field", settings, "data")
     train_field(frames, settings, session=session(settings, run))
@@ -158,7 +158,7 @@ def test_the_command_trains_a_model_that_translates(archive: MarkerArchive, tmp_
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_one_batch_is_learned_by_heart(frames: Frames) -> None:
+def test_one_batch_is_learned_by_heart(frames: FieldFrames) -> None:
     few = replace(
         frames,
         images=frames.images[:4],

@@ -412,9 +412,9 @@ def write_model(folder: Path) -> None:
     from learning.data.presses import AUTHORS
     from learning.force.export import export_onnx
     from learning.force.model import ForceModel
-    from learning.force.train import PRESETS, ForceSettings
+    from learning.force.train import PRESETS, ForceModelSettings
 
-    settings = read_settings(ForceSettings, PRESETS, "tiny", [])
+    settings = read_settings(ForceModelSettings, PRESETS, "tiny", [])
     torch.manual_seed(0)
     model = ForceModel(settings.network, settings.input).eval()
     model.set_range(AUTHORS)

@@ -8,23 +8,28 @@ from typing import Any
 import torch
 
 from learning.data.presses import Presses
-from learning.force.model import InputSettings, NetworkSettings
-from learning.force.train import ForceSettings, OptimiserSettings, SequenceSettings, StageSettings
+from learning.force.model import ForceNetworkSettings, InputSettings
+from learning.force.train import (
+    ForceModelSettings,
+    ForceStageSettings,
+    OptimiserSettings,
+    SequenceSettings,
+)
 
-TOY = ForceSettings(
+TOY = ForceModelSettings(
     description="a few thousand weights",
     input=InputSettings(form="both", side_px=32),
-    network=NetworkSettings(
+    network=ForceNetworkSettings(
         encoder=(4, 4, 8), blocks=1, memory=8, tail=(8, 8), encoder_norm="none", tail_norm="none"
     ),
-    stages=(StageSettings(epochs=2, learning_rate=1e-2),),
+    stages=(ForceStageSettings(epochs=2, learning_rate=1e-2),),
     optimiser=OptimiserSettings(weight_decay=0.0),
     sequences=SequenceSettings(batch=2),
     patience_epochs=None,
 )
 
 
-def toy(**changes: Any) -> ForceSettings:
+def toy(**changes: Any) -> ForceModelSettings:
     """Return the toy settings with some values replaced."""
     return replace(TOY, **changes)
 

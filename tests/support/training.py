@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from learning.training.run import RunFolder, Session, Stop, accelerator
+from learning.training.run import RunFolder, Stop, TrainingSession, accelerator
 
 
 class StopAfter(Stop):
@@ -20,6 +20,8 @@ class StopAfter(Stop):
         return self.asked
 
 
-def session(settings: Any, run: RunFolder | None = None, stop_after: int = 0) -> Session:
+def session(settings: Any, run: RunFolder | None = None, stop_after: int = 0) -> TrainingSession:
     """Return a session on the device of the settings, in a folder or in memory."""
-    return Session(accelerator(settings.launch), run or RunFolder.nowhere(), StopAfter(stop_after))
+    return TrainingSession(
+        accelerator(settings.launch), run or RunFolder.nowhere(), StopAfter(stop_after)
+    )

@@ -47,7 +47,7 @@ from learning.errors import LearningError
 from learning.experiment.frames import look_of, translate_presses
 from learning.force.labels import Relabelling, by_twins, compensated
 from learning.force.model import ForceModel
-from learning.force.train import PRESETS, ForceSettings, train_force
+from learning.force.train import PRESETS, ForceModelSettings, train_force
 from learning.metrics import r_squared
 from learning.training.run import generator
 from learning.translation.loading import load_translator
@@ -298,7 +298,7 @@ def trained(
     given = [f"seed={study.seed}", "patience_epochs=null", *NETS[preset]]
     if study.device.type == "cpu":
         given.append("launch.mixed_precision=no")
-    found = read_settings(ForceSettings, PRESETS, preset, given)
+    found = read_settings(ForceModelSettings, PRESETS, preset, given)
     groups = [presses] if isinstance(presses, Presses) else presses
     if compensation is not None:
         groups = [compensation.of(each) for each in groups]

@@ -103,12 +103,12 @@ def _models(options: argparse.Namespace) -> dict[str, ForceModel]:
     from learning.data.presses import AUTHORS
     from learning.force import ForceModel, load_force_model
     from learning.force.train import PRESETS as PRESET_FOLDER
-    from learning.force.train import ForceSettings
+    from learning.force.train import ForceModelSettings
     from learning.training.run import seed_torch
 
     def untrained(preset: str) -> ForceModel:
         """Return a model of a preset with random weights and the authors' force range."""
-        settings = read_settings(ForceSettings, PRESET_FOLDER, preset)
+        settings = read_settings(ForceModelSettings, PRESET_FOLDER, preset)
         seed_torch(settings.seed, "force", "weights")
         model = ForceModel(settings.network, settings.input)
         model.set_range(AUTHORS)

@@ -56,10 +56,10 @@ from learning.force.labels import compensated
 from learning.force.model import KIND as FORCE
 from learning.force.model import ForceModel, load_force_model
 from learning.force.train import PRESETS as NET_PRESETS
-from learning.force.train import ForceSettings, StageSettings, train_force
+from learning.force.train import ForceModelSettings, ForceStageSettings, train_force
 from learning.metrics import r_squared
 from learning.training.checkpoint import read_model_folder
-from learning.training.run import RunFolder, Session, Stop, accelerator, generator
+from learning.training.run import RunFolder, Stop, TrainingSession, accelerator, generator
 from learning.translation.diffusion import train as m2m
 from learning.translation.diffusion.network import KIND as M2M
 from learning.translation.diffusion.network import MARKER_VAE as VAE
@@ -191,7 +191,7 @@ class Chain:
 
 
 def fitting(
-    chain: Chain, name: str, part: str, launch: Any, train: Callable[[int, Session], object]
+    chain: Chain, name: str, part: str, launch: Any, train: Callable[[int, TrainingSession], object]
 ) -> int:
     """Return the number of steps, or epochs, that fit in a job's time; read it if it is stored.
 
@@ -215,7 +215,7 @@ def fitting(
     units = PROBED_EPOCHS if part == "net" else PROBE
     while True:
         stamps.clear()
-        train(units, Session(accelerator(launch), progress=stamp))
+        train(units, TrainingSession(accelerator(launch), progress=stamp))
         total = len(stamps)
         if total >= 4:
             # Medians of both halves: a start, or work between two stages, is no step.
@@ -239,13 +239,13 @@ def _stored(chain: Chain, name: str, part: str, per_unit: float) -> int:
 @contextmanager
 def run_of(
     chain: Chain, name: str, kind: str, settings: Any, data: str, metadata: Any = None
-) -> Iterator[tuple[RunFolder, Session]]:
+) -> Iterator[tuple[RunFolder, TrainingSession]]:
     """Yield the folder of a training and its session; on a stop the job ends, to be repeated."""
     began = time.perf_counter()
     launched = accelerator(settings.launch)
     run = RunFolder.open(chain.model(name), kind, settings, data, metadata=metadata)
     with Stop(lambda line: print(line, file=sys.stderr)) as stop:
-        yield run, Session(launched, run, stop)
+        yield run, TrainingSession(launched, run, stop)
         if not run.finished:
             raise KeyboardInterrupt
     seconds = round(time.perf_counter() - began, 1)
@@ -302,7 +302,7 @@ def vae(chain: Chain) -> None:
         given = [*_common(chain, steps), *(f"marker_vae.{each}" for each in stage)]
         return read_settings(m2m.TranslatorSettings, m2m.PRESETS, "ours", given).of_marker_vae()
 
-    def train(steps: int, session: Session) -> None:
+    def train(steps: int, session: TrainingSession) -> None:
         train_vae(images, read_vae(chain.base), settings(steps), None, session)
 
     steps = fitting(chain, "vae", "vae", settings(PROBE).launch, train)
@@ -344,7 +344,7 @@ def _translator(
         given += ["losses={adversarial: 0, perceptual: 0, square: 1}"]
         return read_settings(m2m.TranslatorSettings, m2m.PRESETS, "paper_main", given)
 
-    def train(steps: int, session: Session) -> None:
+    def train(steps: int, session: TrainingSession) -> None:
         networks = m2m.Pretrained(read_unet(chain.base), read_vae(chain.base))
         m2m.train(pairs, networks, settings(steps), None, session, **begun)
 
@@ -370,7 +370,7 @@ def field_translator(chain: Chain) -> None:
         half += [f"seed={chain.seed}", f"validate_every_steps={steps}"]
         return read_settings(field.FieldSettings, field.PRESETS, preset, [*given, *half])
 
-    def train(steps: int, session: Session) -> None:
+    def train(steps: int, session: TrainingSession) -> None:
         field.train_field(without, settings(steps), None, session)
 
     steps = fitting(chain, "field", "field", settings(PROBE).launch, train)
@@ -399,18 +399,18 @@ def net(
     presses = presses if compensation is None else compensated(compensation).of(presses)
     folder = chain.model(name)
 
-    def settings(epochs: int) -> ForceSettings:
+    def settings(epochs: int) -> ForceModelSettings:
         given = [f"seed={SEED}", "patience_epochs=null"]
         if chain.device.type == "cuda":
             given += RECIPES.get(preset, ())
         given += changed
-        found = read_settings(ForceSettings, NET_PRESETS, preset, given)
+        found = read_settings(ForceModelSettings, NET_PRESETS, preset, given)
         stages = found.stages if start_from is None else found.stages[-1:]
         count = max(1, epochs // len(stages))
         own = tuple(shortened(stage, count, len(presses), found) for stage in stages)
         return replace(found, stages=own)
 
-    def train(epochs: int, session: Session) -> None:
+    def train(epochs: int, session: TrainingSession) -> None:
         own = settings(epochs)
         train_force(presses, own, session, start_from=start_from)
 
@@ -422,8 +422,8 @@ def net(
 
 
 def shortened(
-    stage: StageSettings, epochs: int, presses: int, settings: ForceSettings
-) -> StageSettings:
+    stage: ForceStageSettings, epochs: int, presses: int, settings: ForceModelSettings
+) -> ForceStageSettings:
     """Return a stage of another number of epochs."""
     steps = epochs * -(-presses // settings.sequences.batch)
     return replace(stage, epochs=epochs, warm_up_steps=min(stage.warm_up_steps, steps // 10))
@@ -551,7 +551,7 @@ def memory(chain: Chain, sensor: str) -> None:
     of_a_press = frames_of_a_press(chain.archive)
     for preset in chain.size.nets:
         form = form_of(preset)
-        batch = read_settings(ForceSettings, NET_PRESETS, preset, []).sequences.batch
+        batch = read_settings(ForceModelSettings, NET_PRESETS, preset, []).sequences.batch
         alone = ("input.alone=true", f"sequences.batch={batch * of_a_press}")
         for method, name, changed in (
             ("own labels", f"{preset}-{sensor}", ()),

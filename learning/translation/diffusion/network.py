@@ -131,7 +131,7 @@ class VaeSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NetworkSettings(VaeSettings):
+class DiffusionNetworkSettings(VaeSettings):
     """The translator's network."""
 
     conditioning: Conditioning = "patch_tokens"
@@ -280,7 +280,7 @@ _LOG_VARIANCE = -30.0, 20.0  # limits of the posterior in Stable Diffusion's aut
 
 
 @dataclass(frozen=True, slots=True)
-class Posterior:
+class LatentPosterior:
     """Normal distribution of latents, scaled for the UNet."""
 
     mean: torch.Tensor
@@ -292,9 +292,9 @@ class Posterior:
         """Return the latent for standard normal noise; the mean if there is none."""
         return self.mean if noise is None else self.mean + self.deviation * noise
 
-    def rows(self, index: torch.Tensor) -> Posterior:
+    def rows(self, index: torch.Tensor) -> LatentPosterior:
         """Return the posterior of some of the images."""
-        return Posterior(self.mean[index], self.deviation[index])
+        return LatentPosterior(self.mean[index], self.deviation[index])
 
 
 class ReferenceEncoder(nn.Module):
@@ -368,12 +368,12 @@ class MarkerToMarker(nn.Module):
         decoded: torch.Tensor = self.vae.decode(clean / self.scaling).sample
         return decoded.float().clamp(-1, 1)
 
-    def posterior(self, images: torch.Tensor) -> Posterior:
+    def posterior(self, images: torch.Tensor) -> LatentPosterior:
         """Return the posterior of images (n, 1, h, w) in [0, 1] by the trainable encoder."""
         return posterior(self.vae, self.native(images), self.scaling)
 
     @torch.no_grad()
-    def reference_posterior(self, images: torch.Tensor) -> Posterior:
+    def reference_posterior(self, images: torch.Tensor) -> LatentPosterior:
         """Return the posterior of images without contact (n, 1, h, w) by the frozen encoder."""
         return posterior(self.reference, self.native(images), self.scaling)
 
@@ -393,7 +393,7 @@ class MarkerToMarker(nn.Module):
         return {name: each for name, each in self.named_parameters() if each.requires_grad}
 
 
-def posterior(half: Any, native: torch.Tensor, scaling: float) -> Posterior:
+def posterior(half: Any, native: torch.Tensor, scaling: float) -> LatentPosterior:
     """Return the posterior of images (n, 3, h, w) in the networks' range.
 
     `half` has an `encoder` and an optional `quant_conv`; `scaling` leads from its latents to the
@@ -404,13 +404,13 @@ def posterior(half: Any, native: torch.Tensor, scaling: float) -> Posterior:
         moments = half.quant_conv(moments)
     mean, log_variance = moments.float().chunk(2, dim=1)
     deviation = (log_variance.clamp(*_LOG_VARIANCE) / 2).exp()
-    return Posterior(mean * scaling, deviation * scaling)
+    return LatentPosterior(mean * scaling, deviation * scaling)
 
 
 def build(
     unet: Any,
     vae: Any,
-    settings: NetworkSettings,
+    settings: DiffusionNetworkSettings,
     *,
     vae_adapter: Mapping[str, torch.Tensor] | None = None,
 ) -> MarkerToMarker:

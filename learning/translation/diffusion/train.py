@@ -35,7 +35,7 @@ from learning.errors import LearningError
 from learning.train_command import open_data, run_training
 from learning.training.checkpoint import load_weights, read_model_folder
 from learning.training.optim import set_rate
-from learning.training.run import Session, accelerator
+from learning.training.run import TrainingSession, accelerator
 from learning.training.run import batch as sampled
 from learning.training.run import generator as chance
 from learning.translation.diffusion.discriminator import (
@@ -46,9 +46,9 @@ from learning.translation.diffusion.discriminator import (
 )
 from learning.translation.diffusion.network import (
     KIND,
+    DiffusionNetworkSettings,
+    LatentPosterior,
     MarkerToMarker,
-    NetworkSettings,
-    Posterior,
     build,
     load_vae_adapter,
     vae_adapter_of,
@@ -82,7 +82,7 @@ _AT_ONCE = 16  # images encoded or evaluated at once
 
 
 @dataclass(frozen=True, slots=True)
-class LossWeights:
+class DiffusionLossWeights:
     """Weights in the translator's loss (the paper, eq. 5)."""
 
     adversarial: float = 0.5
@@ -99,12 +99,12 @@ class LossWeights:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TranslatorSettings(MarkerVaeSettings, NetworkSettings):
+class TranslatorSettings(MarkerVaeSettings, DiffusionNetworkSettings):
     """A diffusion translator and its training, with that of its marker VAE."""
 
     optimiser: Optimiser
     """Settings of each optimiser; the discriminator has its own."""
-    losses: LossWeights = field(default_factory=LossWeights)
+    losses: DiffusionLossWeights = field(default_factory=DiffusionLossWeights)
     """Weights of the losses."""
     sample_latents: bool = True
     """True if training samples latents from the posterior; inference uses its mean."""
@@ -161,7 +161,7 @@ def read_pretrained(settings: TranslatorSettings) -> Pretrained:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Batch:
+class TranslationBatch:
     """Inputs and true outputs of the generator."""
 
     source: torch.Tensor
@@ -195,18 +195,18 @@ class Adversary:
     features: ClipFeatures
     heads: Side
 
-    def seen(self, shown: torch.Tensor, batch: Batch) -> list[torch.Tensor]:
+    def seen(self, shown: torch.Tensor, batch: TranslationBatch) -> list[torch.Tensor]:
         """Return the features of augmented images (n, 3, h, w)."""
         features: list[torch.Tensor] = self.features(augment(shown, batch.generator))
         return features
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class TrainingStep:
     """One step of generator and discriminator."""
 
     runs_on: Accelerator
-    losses: LossWeights
+    losses: DiffusionLossWeights
     clip_norm: float
     """Gradient norm above which gradients are clipped; 0: no clipping."""
     generator: Side
@@ -215,7 +215,7 @@ class Step:
     adversary: Adversary | None
     """None if its weight is 0."""
 
-    def merged(self, batches: Sequence[Batch]) -> dict[str, torch.Tensor]:
+    def merged(self, batches: Sequence[TranslationBatch]) -> dict[str, torch.Tensor]:
         """Train one step on its batches; return the mean of each unweighted loss."""
         fraction = 1 / len(batches)
         reported: list[dict[str, torch.Tensor]] = []
@@ -247,7 +247,7 @@ class Step:
             self._advance(heads)
         return {name: torch.stack([each[name] for each in reported]).mean() for name in reported[0]}
 
-    def two_pass(self, batch: Batch) -> dict[str, torch.Tensor]:
+    def two_pass(self, batch: TranslationBatch) -> dict[str, torch.Tensor]:
         """Train one step on one batch as the authors' code does; return the unweighted losses."""
         parts = self._reconstruction(self._generated(batch), batch)
         self.runs_on.backward(self._weighted(parts))
@@ -267,17 +267,19 @@ class Step:
             parts["discriminator"] = heads_losses[0] + heads_losses[1]
         return {name: part.detach() for name, part in parts.items()}
 
-    def _generated(self, batch: Batch) -> torch.Tensor:
+    def _generated(self, batch: TranslationBatch) -> torch.Tensor:
         generated: torch.Tensor = self.generator.network(
             batch.source, batch.target_reference, batch.source_reference, batch.noise
         )
         return generated
 
-    def _true(self, batch: Batch) -> torch.Tensor:
+    def _true(self, batch: TranslationBatch) -> torch.Tensor:
         network: MarkerToMarker = self.runs_on.unwrap_model(self.generator.network)
         return network.native(batch.target)
 
-    def _reconstruction(self, generated: torch.Tensor, batch: Batch) -> dict[str, torch.Tensor]:
+    def _reconstruction(
+        self, generated: torch.Tensor, batch: TranslationBatch
+    ) -> dict[str, torch.Tensor]:
         true = self._true(batch)
         parts = {"square": functional.mse_loss(generated, true)}
         if self.perceptual is not None:
@@ -288,7 +290,9 @@ class Step:
         weighted = (getattr(self.losses, name) * part for name, part in parts.items())
         return sum(weighted, torch.zeros((), device=parts["square"].device))
 
-    def fooling(self, generated: torch.Tensor, batch: Batch, adversary: Adversary) -> torch.Tensor:
+    def fooling(
+        self, generated: torch.Tensor, batch: TranslationBatch, adversary: Adversary
+    ) -> torch.Tensor:
         """Return the generator's adversarial loss, with frozen heads."""
         # Unwrapped, so that the generator's backward pass does not synchronise the heads.
         heads = self.runs_on.unwrap_model(adversary.heads.network).requires_grad_(False)
@@ -317,7 +321,7 @@ def train(
     pretrained: Pretrained,
     settings: TranslatorSettings,
     validation: PairedFrames | None = None,
-    session: Session | None = None,
+    session: TrainingSession | None = None,
     *,
     vae_adapter: Mapping[str, torch.Tensor] | None = None,
     start_from: Mapping[str, torch.Tensor] | None = None,
@@ -335,7 +339,7 @@ def train(
     """
     if not len(pairs.pairs):
         raise LearningError("pairs: found none; allowed: one or more")
-    session = session or Session(accelerator(settings.launch))
+    session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
     rank, ranks = runs_on.process_index, runs_on.num_processes
 
@@ -365,7 +369,7 @@ def train(
     if runs_on.scaler is not None:
         states["scaler"] = runs_on.scaler
     perceptual = pretrained.perceptual.to(device) if losses.perceptual else None
-    trained = Step(runs_on, losses, own.clip_norm, sides[0], perceptual, adversary)
+    trained = TrainingStep(runs_on, losses, own.clip_norm, sides[0], perceptual, adversary)
 
     # Loop. Random numbers depend only on seed, step and process, so a resumed run is identical.
     done, score = run.restore(models, states), None
@@ -429,25 +433,25 @@ def evaluate(
 
 def encoded_references(
     network: MarkerToMarker, references: torch.Tensor, runs_on: Accelerator
-) -> Posterior:
+) -> LatentPosterior:
     """Return the posteriors of images without contact (K, h, w) uint8 by the frozen encoder."""
     with runs_on.autocast():
         parts = [
             network.reference_posterior(unit(part)) for part in torch.split(references, _AT_ONCE)
         ]
-    return Posterior(
+    return LatentPosterior(
         torch.cat([part.mean for part in parts]), torch.cat([part.deviation for part in parts])
     )
 
 
 def _batch(
     pairs: PairedFrames,
-    references: Posterior,
+    references: LatentPosterior,
     settings: TranslatorSettings,
     number: int,
     rank: int,
     ranks: int,
-) -> Batch:
+) -> TranslationBatch:
     """Return one batch; random numbers depend only on seed, number and rank."""
     device = pairs.device
     count = len(pairs.pairs)
@@ -464,11 +468,14 @@ def _batch(
     )
     own = None if noise is None else noise[0]
     images = [chosen.seen(rows) for rows in chosen.pairs.unbind(dim=1)]
-    return Batch(images[0], images[1], target, source, own, generator)
+    return TranslationBatch(images[0], images[1], target, source, own, generator)
 
 
 def _latents(
-    pairs: PairedFrames, references: Posterior, source_reference: bool, noise: torch.Tensor | None
+    pairs: PairedFrames,
+    references: LatentPosterior,
+    source_reference: bool,
+    noise: torch.Tensor | None,
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
     """Return the latents of the targets' references, and of the sources if they are an input."""
     drawn = (None, None) if noise is None else (noise[0], noise[1])
@@ -537,13 +544,13 @@ def train_in(
         state, begun = before.weights(), before.hash()
         vae_adapter = vae_adapter_of(state)
 
-    def read_images(session: Session) -> list[torch.Tensor]:
+    def read_images(session: TrainingSession) -> list[torch.Tensor]:
         """Return the frames of training and validation, for the marker VAE."""
         chosen = [archive[name] for name in sensors]
         every = [[split.rows(each.table, role) for each in chosen] for role in roles]
         return [read_frames_of(chosen, each, session.device, session.reading) for each in every]
 
-    def train_it(session: Session) -> None:
+    def train_it(session: TrainingSession) -> None:
         adapter = vae_adapter
         if not begun and settings.marker_vae.steps:
             adapter = marker_vae_of(settings, frames, partial(read_images, session), session)

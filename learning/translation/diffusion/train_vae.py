@@ -26,7 +26,7 @@ from learning.training.run import (
     LaunchSettings,
     Precision,
     RunFolder,
-    Session,
+    TrainingSession,
     accelerator,
     generator,
 )
@@ -166,7 +166,7 @@ def train_vae(
     vae: Any,
     settings: MarkerVaeSettings,
     validation: torch.Tensor | None = None,
-    session: Session | None = None,
+    session: TrainingSession | None = None,
 ) -> MarkerVae:
     """Train the autoencoder and return it.
 
@@ -179,7 +179,7 @@ def train_vae(
     """
     if not len(images):
         raise LearningError("images: found none; allowed: one or more")
-    session = session or Session(accelerator(settings.launch))
+    session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device
     rank, ranks = runs_on.process_index, runs_on.num_processes
     images = images.to(device)
@@ -271,7 +271,7 @@ def marker_vae_of(
     settings: MarkerVaeSettings,
     data: str,
     read: Callable[[], Sequence[torch.Tensor]],
-    session: Session,
+    session: TrainingSession,
 ) -> dict[str, torch.Tensor] | None:
     """Train or resume the marker VAE of a translator in `marker-vae/` of its run's folder.
 
@@ -285,7 +285,9 @@ def marker_vae_of(
         if not run.finished:
             images, validation = read()
             held = validation if len(validation) else None
-            inner = Session(accelerator(own.launch), run, session.stop, steps, session.reading)
+            inner = TrainingSession(
+                accelerator(own.launch), run, session.stop, steps, session.reading
+            )
             with session.stop:
                 train_vae(images, read_vae(own.weights.base), own, held, inner)
             if inner.stopping():

@@ -11,8 +11,8 @@ from learning.data.images import enlarge_images, shrink_masks, unit
 from learning.training.checkpoint import ModelFolder, load_weights, read_model_folder
 from learning.translation.diffusion.network import (
     KIND,
+    DiffusionNetworkSettings,
     MarkerToMarker,
-    NetworkSettings,
     build,
     fuse,
     rank_of,
@@ -123,7 +123,7 @@ def load(folder: str | Path, device: torch.device | str = "cpu") -> DiffusionTra
 
 def load_network(stored: ModelFolder) -> MarkerToMarker:
     """Return the network in a folder, with adapters separate from the published weights."""
-    settings = stored.settings(NetworkSettings)
+    settings = stored.settings(DiffusionNetworkSettings)
     own = stored.weights()
     base = base_of(stored)
     settings = replace(settings, gradient_checkpointing=False)

@@ -70,7 +70,7 @@ class ExampleSettings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Frames(PairedFrames):
+class FieldFrames(PairedFrames):
     """Frames with what the field net compares them with, all on one device."""
 
     distances: Tensor
@@ -98,7 +98,7 @@ def gather_role(
     every: int = 1,
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Frames | None:
+) -> FieldFrames | None:
     """Return the frames of some sensors that have a role; None if no press has it.
 
     They are every n-th frame of a press, and all paired frames.
@@ -126,7 +126,7 @@ def gather_role(
         distances.append(own)
         views.append(SensorView.of(sensor))
     shift = torch.cat(shifts)
-    return Frames(
+    return FieldFrames(
         **vars(paired),
         distances=torch.cat(distances),
         scales=torch.tensor([(v.mm_per_column, v.mm_per_row) for v in views]).to(device),
@@ -205,7 +205,7 @@ class Examples:
 
 
 def draw_examples(
-    frames: Frames,
+    frames: FieldFrames,
     bank: Bank,
     settings: ExampleSettings,
     batch: int,
@@ -269,7 +269,7 @@ def _views(
     return grid * sign[:, None, None] + offset[:, None, None], sign
 
 
-def _moved_shifts(frames: Frames, rows: Tensor, places: Tensor, sign: Tensor) -> Tensor:
+def _moved_shifts(frames: FieldFrames, rows: Tensor, places: Tensor, sign: Tensor) -> Tensor:
     """Return the true shifts (n, 2, 64, 64) in views of frames; NaN where unknown."""
     if frames.shift is None:
         shape = len(rows), 2, SIDE, SIDE

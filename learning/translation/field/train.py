@@ -29,12 +29,12 @@ from learning.data.splits import Split
 from learning.errors import LearningError
 from learning.train_command import open_data, run_training
 from learning.training.optim import Cosine, set_rate
-from learning.training.run import LaunchSettings, Session, accelerator, generator
+from learning.training.run import LaunchSettings, TrainingSession, accelerator, generator
 from learning.translation.field.data import (
     Bank,
     Examples,
     ExampleSettings,
-    Frames,
+    FieldFrames,
     draw_examples,
     gather_role,
 )
@@ -58,7 +58,7 @@ PRESETS = Path(__file__).parent / "presets"
 
 
 @dataclass(frozen=True, slots=True)
-class LossWeights:
+class FieldLossWeights:
     """Weights of the parts of the loss."""
 
     cross_entropy: float = 1.0
@@ -82,7 +82,7 @@ class LossWeights:
 
 
 @dataclass(frozen=True, slots=True)
-class StageSettings:
+class FieldStageSettings:
     """One stage of training: the field net, then the map."""
 
     steps: int
@@ -105,14 +105,14 @@ class FieldSettings:
     """A field model and its training."""
 
     description: str
-    field_stage: StageSettings
+    field_stage: FieldStageSettings
     """Stage of the field net, on frames of all sensors and on random patterns."""
-    map_stage: StageSettings
+    map_stage: FieldStageSettings
     """Stage of the map, on location pairs."""
     net: NetSettings = field(default_factory=NetSettings)
     map: MapSettings = field(default_factory=MapSettings)
     examples: ExampleSettings = field(default_factory=ExampleSettings)
-    loss: LossWeights = field(default_factory=LossWeights)
+    loss: FieldLossWeights = field(default_factory=FieldLossWeights)
     every_frame: int = 4
     """The field net is trained on every n-th frame of a press, and on all paired frames."""
     weight_decay: float = 1e-2
@@ -145,7 +145,7 @@ _RAMP_PX = 0.55
 _CERTAIN = 8.0
 
 
-def image_loss(level: Tensor, images: Tensor, weights: LossWeights) -> Tensor:
+def image_loss(level: Tensor, images: Tensor, weights: FieldLossWeights) -> Tensor:
     """Return the loss of deformed references against images in 0..1, both (n, 1, h, w).
 
     `level` is their signed distance [px].
@@ -155,7 +155,7 @@ def image_loss(level: Tensor, images: Tensor, weights: LossWeights) -> Tensor:
     return weights.cross_entropy * entropy + weights.dice * (1 - soft_dice(level, images).mean())
 
 
-def regularity_loss(deformation: Tensor, weights: LossWeights) -> Tensor:
+def regularity_loss(deformation: Tensor, weights: FieldLossWeights) -> Tensor:
     """Return the regularisation loss of a deformation (n, 3, h, w): roughness and growth."""
     shift, growth = deformation[:, :2], deformation[:, 2:]
     bent = shift.diff(n=2, dim=2).square().mean() + shift.diff(n=2, dim=3).square().mean()
@@ -224,7 +224,7 @@ class SourceDeformations:
         return self.deformation[self.place[pairs]].float()
 
 
-def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> Tensor:
+def net_loss(looks: list[Tensor], examples: Examples, weights: FieldLossWeights) -> Tensor:
     """Return the loss of the field net's deformations, one (n, 3, 64, 64) per pass."""
     total = torch.zeros((), device=examples.seen.device)
     for place, deformation in enumerate(reversed(looks)):
@@ -242,11 +242,11 @@ def net_loss(looks: list[Tensor], examples: Examples, weights: LossWeights) -> T
 
 def map_loss(
     mapping: nn.Module,
-    frames: Frames,
+    frames: FieldFrames,
     deformations: SourceDeformations,
     pairs: Tensor,
     patterns: Tensor,
-    weights: LossWeights,
+    weights: FieldLossWeights,
 ) -> Tensor:
     """Return the loss of the map on some pairs, by their indices (n,).
 
@@ -283,7 +283,7 @@ AT_ONCE = 64
 
 
 @torch.no_grad()
-def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[str, float]:
+def net_scores(model: FieldModel, frames: FieldFrames, most: int, seed: int) -> dict[str, float]:
     """Score the field net on at most `most` of the sensors' own frames, chosen by the seed.
 
     Returns `dice` of the deformed reference with the frame, `dice_still` of the unchanged
@@ -305,7 +305,7 @@ def net_scores(model: FieldModel, frames: Frames, most: int, seed: int) -> dict[
 
 @torch.no_grad()
 def map_scores(
-    model: FieldModel, frames: Frames, deformations: SourceDeformations, most: int, seed: int
+    model: FieldModel, frames: FieldFrames, deformations: SourceDeformations, most: int, seed: int
 ) -> dict[str, float]:
     """Score the map on at most `most` location pairs, chosen by the seed.
 
@@ -328,7 +328,7 @@ def map_scores(
 
 
 @torch.no_grad()
-def source_deformations(model: FieldModel, frames: Frames) -> SourceDeformations:
+def source_deformations(model: FieldModel, frames: FieldFrames) -> SourceDeformations:
     """Return the field net's deformation of each pair's source."""
     every = torch.unique(frames.pairs[:, 0], return_inverse=True)
     sources, place = every[0], every[1]
@@ -359,10 +359,10 @@ _LOG_EVERY_STEPS = 20
 
 
 def train_field(
-    frames: Frames,
+    frames: FieldFrames,
     settings: FieldSettings,
-    validation: Frames | None = None,
-    session: Session | None = None,
+    validation: FieldFrames | None = None,
+    session: TrainingSession | None = None,
 ) -> FieldModel:
     """Train a field model and return it in evaluation mode.
 
@@ -372,7 +372,7 @@ def train_field(
         validation: Validation frames and pairs; None: no validation.
         session: Surroundings of the training; None: in memory, on the device of the settings.
     """
-    session = session or Session(accelerator(settings.launch))
+    session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on = session.run, session.accelerator
     steps = settings.field_stage.steps + settings.map_stage.steps
     if settings.map_stage.steps and not len(frames.pairs):
@@ -500,7 +500,7 @@ def train_in(
     """
     sensors = [*(sensors or split.trained_sensors(archive))]
 
-    def train(session: Session) -> None:
+    def train(session: TrainingSession) -> None:
         frames, validation = (
             gather_role(
                 archive,
