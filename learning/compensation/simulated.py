@@ -1,4 +1,4 @@
-"""Labels by simulation: labels of one sensor, for another as far as twins of both tell.
+"""Labels by simulation: labels of one sensor for another, from forces of the twins of both.
 
 `tactile sim labels` adds a twin's forces to a sensor of an archive. A label f of the source becomes
 

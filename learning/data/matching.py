@@ -83,7 +83,7 @@ class PlacedPresses:
     location: Integers
     """Location in its archive (p,)."""
     place: Floats
-    """Place before the shear (p, 2) [m]; NaN if no frame tells it."""
+    """Place before the shear (p, 2) [m]; NaN if no frame has it."""
     depth: Floats
     """Largest depth (p,) [m]."""
     fraction: Floats

@@ -34,7 +34,7 @@ Mask = NDArray[np.bool_]
 
 # Masks unpacked at once.
 _AT_ONCE = 256
-# Frames whose normal force is above this part of the largest tell the spread of a twin's forces.
+# Frames whose normal force is above this part of the largest give the spread of a twin's forces.
 _PRESSED = 0.25
 
 

@@ -200,7 +200,7 @@ def _delivered(
 
 
 def _partly_labelled(model: ForceModel, presses: Sequence[Presses]) -> Iterator[str]:
-    """Yield lines on axes and frames without a label, of which the loss knows nothing."""
+    """Yield lines on axes and frames without a label, which the loss ignores."""
     from learning.force.model import AXES
 
     for each in presses:

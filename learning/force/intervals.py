@@ -283,7 +283,7 @@ def _line(size: Floats, error: Floats) -> tuple[float, float]:
     return max(base, 0.1 * mean, 1e-6), slope
 
 
-# Scale: what a known force tells about the factor between predicted and true forces.
+# Scale: the factor between predicted and true forces, by forces that are known.
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,8 +304,8 @@ def measured_scale(
     """Return the factor on predicted forces, and its remaining uncertainty.
 
     The factor is the geometric mean of true over predicted forces, each with the inverse square
-    of its relative error as weight: where errors grow with the force, the strongest tells no more
-    than others. Prior and measurement are combined by their precision (both are log-normal):
+    of its relative error as weight: where errors grow with the force, the strongest counts no
+    more than others. Prior and measurement are combined by their precision (both are log-normal):
     weights that are too light for the model to see change little.
 
     Args:

@@ -57,7 +57,7 @@ class InputSettings:
     field_scale_px: float = 10.0
     """Divisor of displacements [px of the 640 x 480 image]."""
     alone: bool = False
-    """True if each frame is judged alone: the state starts again at each, in training and later.
+    """True if each frame is predicted alone: the state starts again at each, in training and later.
     With few recordings a state learns the course of their presses instead of forces."""
     shading_scale: float = 32.0
     """Divisor of the change of colours [grey levels]."""

@@ -109,7 +109,7 @@ class Choices:
     surfaces_mm: Mapping[str, float] = field(default_factory=dict)
     """Sensors whose depth files hold heights, and the height of their surface [mm]."""
     plans: Mapping[str, PressShear] = field(default_factory=dict)
-    """Plans of sensors in a training folder: the number of a press tells its place, direction and
+    """Plans of sensors in a training folder: the number of a press gives its place, direction and
     depth."""
     unseen: tuple[str, ...] = UNSEEN
     """Indenters that models may not be trained on."""
@@ -118,7 +118,7 @@ class Choices:
     turns_deg: Mapping[str, float] = field(default_factory=dict)
     """Angle from the robot's x axis to the image's, counter-clockwise, by raw sensor [deg].
 
-    Poses of a run are in the robot's frame, and nothing in it tells how the sensor stood there."""
+    Poses of a run are in the robot's frame, and how the sensor stood there is not stored."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -321,7 +321,7 @@ def _forces(folder: Path, place: Path, files: tuple[Path, ...]) -> tuple[Array, 
     return read_forces(folder / place / "ft.csv", files)
 
 
-# Training data. What a plan tells, the folder does not: it has its ends of phases, but no times.
+# Training data. A folder has the ends of phases, but no times; places and depths are in a plan.
 
 _BY_PLAN = "the plan, by the number of the press; evenly spaced within a phase"
 

@@ -22,7 +22,7 @@ from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]
 
-# Number of presses compared, evenly spaced; fewer than FEWEST do not tell a turn.
+# Number of presses compared, evenly spaced; fewer than FEWEST give no turn.
 _PRESSES, _FEWEST = 24, 4
 # Largest standard error of a turn [deg], and residual of motions over their size.
 _ERROR_DEG, _RESIDUAL = 1.0, 0.3
@@ -54,7 +54,7 @@ def turn_of(
     references: Packed,
     read: ReadMask,
 ) -> Turn | None:
-    """Return the turn of a sensor; None if its presses do not tell it.
+    """Return the turn of a sensor; None if its presses do not determine it.
 
     The presses have positions along the axes of the robot; `references` are packed masks without
     contact (K, 38400).
