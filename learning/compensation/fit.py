@@ -33,7 +33,7 @@ from learning.compensation.search import (
     best_for_priors,
     depth_range,
     paired_labels,
-    tried,
+    scored_choice,
 )
 from learning.compensation.simulated import simulated_r2
 from learning.config import READER
@@ -301,7 +301,7 @@ def find_compensation(
         split: File of a split, whose training presses count; None: labels of all seen indenters.
     """
     gathered = gather_priors(archive, curves)
-    wanted = _wanted(archive, gathered, pairs)
+    wanted = _pairs_of(archive, gathered, pairs)
     compensated = []
     with ItemProgress("pairs", sys.stderr) as progress:
         for done, (source, target) in enumerate(wanted):
@@ -313,15 +313,15 @@ def find_compensation(
 
 
 def _chosen(source: Prior, target: Prior, paired: Paired | None) -> StoredPair:
-    default = tried(paired, source, target, DEFAULT_D0, DEFAULT_WEIGHT)
+    default = scored_choice(paired, source, target, DEFAULT_D0, DEFAULT_WEIGHT)
     choices: dict[str, Choice] = {"default": default}
     d0s = _d0_of_paper(source, target)
     fitted = best_for_priors(source, target, d0s)
     if fitted is not None:
-        choices["priors"] = tried(paired, source, target, *fitted)
+        choices["priors"] = scored_choice(paired, source, target, *fitted)
     if paired is not None:
         choices["oracle"] = best_for_labels(paired, source, target, d0s)
-    before = tried(paired, source, target, 0.0, 0.0)
+    before = scored_choice(paired, source, target, 0.0, 0.0)
     return StoredPair(
         source.sensor, target.sensor, before, choices, 0 if paired is None else len(paired)
     )
@@ -338,7 +338,7 @@ def _d0_of_paper(source: Prior, target: Prior) -> tuple[float, ...]:
     return tuple(mm * 1e-3 / spans[0] for mm in D0_MM if mm * 1e-3 < spans[0])
 
 
-def _wanted(
+def _pairs_of(
     archive: MarkerArchive, gathered: Gathered, pairs: Sequence[tuple[str, str]] | None
 ) -> list[tuple[str, str]]:
     how = (
@@ -373,8 +373,8 @@ def tables(compensation: StoredCompensation, gathered: Gathered) -> Iterator[str
     )
     for prior in compensation.priors.values():
         yield (
-            f"{prior.sensor:<14}{1e3 * prior.depth_range:>6.2f} mm  {_said(prior.loading)}"
-            f"  {_said(prior.unloading)}  {prior.source}"
+            f"{prior.sensor:<14}{1e3 * prior.depth_range:>6.2f} mm  {_fit_text(prior.loading)}"
+            f"  {_fit_text(prior.unloading)}  {prior.source}"
         )
     if gathered.without:
         yield f"without a force-depth curve: {', '.join(gathered.without)}"
@@ -427,7 +427,7 @@ def _labels_by_twins(
             yield f"R2 of labels, {pair.source} > {pair.target}: {listed}  simulated {r2:.2f}"
 
 
-def _said(branch: Branch) -> str:
+def _fit_text(branch: Branch) -> str:
     half, whole = branch.compression(np.array([0.5, 1.0]))
     rms = "-" if branch.residual is None else f"{branch.residual:.3f}"
     return f"{half:>11.2f} {whole:>8.2f}{rms:>8}"

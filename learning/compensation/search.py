@@ -85,7 +85,9 @@ class Paired:
         return len(self.source)
 
 
-def tried(paired: Paired | None, source: Prior, target: Prior, d0: float, weight: float) -> Choice:
+def scored_choice(
+    paired: Paired | None, source: Prior, target: Prior, d0: float, weight: float
+) -> Choice:
     """Return a choice, with its error if the target's labels are known."""
     if paired is None or not len(paired):
         return Choice(d0, weight, None)
@@ -122,7 +124,9 @@ def best_for_labels(
 
     Starting depths `d0s` are fractions of the source's range.
     """
-    choices = [tried(paired, source, target, d0, weight) for weight in WEIGHTS for d0 in d0s]
+    choices = [
+        scored_choice(paired, source, target, d0, weight) for weight in WEIGHTS for d0 in d0s
+    ]
     return min(choices, key=lambda choice: np.inf if choice.error is None else choice.error)
 
 
@@ -168,7 +172,7 @@ def paired_labels(
     """
     one, other = archive[source], archive[target]
     pairs = location_pairs(one.table, other.table)
-    usable = learned_from(archive, one, pairs.source, split)
+    usable = training_mask(archive, one, pairs.source, split)
     forces = one.table["wrench"][pairs.source, :3], other.table["wrench"][pairs.target, :3]
     both = np.isfinite(forces[0]) & np.isfinite(forces[1])
     usable &= both.any(axis=1)
@@ -189,7 +193,7 @@ def depth_range(sensor: ArchivedSensor) -> float | None:
     return deepest if deepest > 0 else None
 
 
-def learned_from(
+def training_mask(
     archive: MarkerArchive, sensor: ArchivedSensor, rows: NDArray[np.int64], split: Path | None
 ) -> NDArray[np.bool_]:
     """Return a mask (n,) of the rows that may be trained on: of a split, or of seen indenters."""

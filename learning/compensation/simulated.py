@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.compensation.search import label_r2, learned_from
+from learning.compensation.search import label_r2, training_mask
 from learning.errors import LearningError
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor, Simulated, location_pairs, press_rows
@@ -72,7 +72,7 @@ def simulated_r2(
     if one.simulated is None or other.simulated is None:
         return None
     pairs = location_pairs(one.table, other.table)
-    training = learned_from(archive, one, pairs.source, split)
+    training = training_mask(archive, one, pairs.source, split)
     labels = simulated_labels(one, other).force[pairs.source[training]]
     true = other.table["wrench"][pairs.target[training], :3]
     return label_r2(true, labels)

@@ -199,7 +199,7 @@ def make_split(
     _require_among("held_out_sensors", held_out_sensors, archive)
     places = presses_of(archive)
     if unseen is None:
-        unseen = _said_unseen(archive)
+        unseen = _stored_unseen(archive)
     else:
         _require_among("unseen", unseen, archive.indenters)
     states: dict[tuple[str, int], list[int]] = {}
@@ -314,7 +314,7 @@ def _shuffled(presses: Iterable[tuple[str, int]], seed: int) -> list[tuple[str, 
     return [(indenter, target) for _, indenter, target in sorted(turns)]
 
 
-def _said_unseen(archive: MarkerArchive) -> tuple[str, ...]:
+def _stored_unseen(archive: MarkerArchive) -> tuple[str, ...]:
     codes = [sensor.table["indenter"][~sensor.table["seen"]] for sensor in archive.values()]
     return tuple(archive.indenters[code] for code in np.unique(np.concatenate(codes)).tolist())
 

@@ -287,8 +287,8 @@ class TranslationScores:
             "target": self.target,
             "translator": self.translator,
             "model": self.model,
-            "paired": [_said(row) for row in self.paired],
-            "distances": [_said(row) for row in self.distances],
+            "paired": [_json_row(row) for row in self.paired],
+            "distances": [_json_row(row) for row in self.distances],
         }
         write_results(path, Results(KIND, reported, dict(self.features)))
 
@@ -349,7 +349,7 @@ def require_alone(scores: Sequence[TranslationScores]) -> None:
             seen.add(key)
 
 
-def _said(row: PairedScore | DistanceScore) -> dict[str, Any]:
+def _json_row(row: PairedScore | DistanceScore) -> dict[str, Any]:
     """Return a row as JSON values; NaN becomes null."""
     return {key: None if value != value else value for key, value in asdict(row).items()}
 

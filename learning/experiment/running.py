@@ -142,7 +142,7 @@ def do_all(experiment: Experiment, jobs: int) -> list[TaskResult]:
     # A copy has none of the cached data, which each process reads for itself.
     alike = replace(experiment, say=print)
     with Workers(jobs, _begin_worker, alike, patient=True, fewer="fewer jobs") as workers:
-        return _done(workers, experiment.tasks, experiment.say)
+        return _results_of(workers, experiment.tasks, experiment.say)
 
 
 # The experiment in a process of the pool.
@@ -178,7 +178,9 @@ def _do(task: Task) -> tuple[TaskResult, list[str]]:
     return done, [*_said]
 
 
-def _done(pool: Workers | Executor, tasks: Mapping[Task, Set[Task]], say: Say) -> list[TaskResult]:
+def _results_of(
+    pool: Workers | Executor, tasks: Mapping[Task, Set[Task]], say: Say
+) -> list[TaskResult]:
     """Return results of tasks in order; each task starts when its dependencies are done."""
     due, results = dict(tasks), dict[Task, TaskResult]()
     running: dict[Future[tuple[TaskResult, list[str]]], Task] = {}

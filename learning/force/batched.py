@@ -22,9 +22,9 @@ from learning.errors import LearningError
 from learning.force.model import ForceModel, prepared_rows, require_form
 from learning.force.train import (
     ForceModelSettings,
-    begun_model,
     epoch_of,
     error,
+    initial_model,
     mirrored,
     optimiser_of,
     schedule_of,
@@ -64,7 +64,7 @@ def train_batched(
         each.require_wrench()
     labels = [each.wrench for each in presses]
     variances = variances_of(presses)
-    models = [begun_model([each], settings, start_from, device) for each in labels]
+    models = [initial_model([each], settings, start_from, device) for each in labels]
     forces = torch.stack(labels)  # (k, n, 3)
     low, high = (
         torch.stack([getattr(model, name) for model in models])[:, None, None]

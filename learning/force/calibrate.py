@@ -45,14 +45,14 @@ class IntervalCalibration:
     intervals: Intervals
     predicted: Floats
     """Forces (n, 3) that the model predicts on frames of the calibrating indenters [N]."""
-    wanted: Floats
+    expected: Floats
     """Forces that they are compared with (n, 3) [N]."""
     indenter: NDArray[np.str_]
     """Indenter of each (n,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wanted:
+class ExpectedForces:
     """Forces that those of a model are compared with."""
 
     forces: Floats
@@ -69,7 +69,7 @@ def calibrated(
     archive: MarkerArchive,
     sensor: str,
     model: ForceModel,
-    wanted: Wanted,
+    expected: ExpectedForces,
     *,
     calibrates: Mask,
     learned: Mask,
@@ -80,7 +80,7 @@ def calibrated(
         archive: Presses of the sensor.
         sensor: Its name.
         model: Its model.
-        wanted: Forces to compare with.
+        expected: Forces to compare with.
         calibrates: True for the rows (n,) of the table that calibrate, which it did not learn from.
         learned: True for rows (n,) that it learned from.
     """
@@ -91,25 +91,25 @@ def calibrated(
         presses = presses_of_rows(own, np.flatnonzero(calibrates & valid), model)
         predicted = model.predict(presses, progress=progress)
     used = presses.rows.numpy()
-    labelled = np.isfinite(wanted.forces[used]).any(axis=1)
+    labelled = np.isfinite(expected.forces[used]).any(axis=1)
     indenters = tuple(sorted({str(name) for name in names[used]}))
-    axes = fit_errors(predicted, wanted.forces[used], names[used])
+    axes = fit_errors(predicted, expected.forces[used], names[used])
     if all(axis is None for axis in axes):
         raise LearningError(
             f"{', '.join(indenters)}: {len(used)} frames of {sensor}, fewer than {FEWEST} of which "
-            f"have a force on any axis by {wanted.source}; allowed: more places"
+            f"have a force on any axis by {expected.source}; allowed: more places"
         )
     intervals = Intervals(
         axes=axes,
-        scale=wanted.scale,
-        largest=_largest(wanted.learned),
+        scale=expected.scale,
+        largest=_largest(expected.learned),
         learned=fit_learned(shapes(own, np.flatnonzero(learned & valid)), shapes(own, used)),
         frames=int(labelled.sum()),
         indenters=indenters,
-        errors_from=wanted.source,
+        errors_from=expected.source,
     )
     return IntervalCalibration(
-        intervals, predicted[labelled], wanted.forces[used][labelled], names[used][labelled]
+        intervals, predicted[labelled], expected.forces[used][labelled], names[used][labelled]
     )
 
 
@@ -132,13 +132,13 @@ def calibrated_by_twin(
     if not calibrates.any():
         return None
     labels = twin_forces(archive[sensor])
-    wanted = Wanted(
+    expected = ExpectedForces(
         labels.force,
         f"forces of {labels.made_from}",
         scale_of_twin(archive[sensor], np.flatnonzero(calibrates)),
         labels.force[learned],
     )
-    return calibrated(archive, sensor, model, wanted, calibrates=calibrates, learned=learned)
+    return calibrated(archive, sensor, model, expected, calibrates=calibrates, learned=learned)
 
 
 def scale_of_twin(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> Scale:

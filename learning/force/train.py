@@ -466,7 +466,7 @@ def train_force(
     variances = variances_of(groups)
 
     # Model
-    model = begun_model(labels, settings, start_from, device)
+    model = initial_model(labels, settings, start_from, device)
     network: nn.Module = runs_on.prepare(model)
     optimiser = runs_on.prepare(optimiser_of(model.parameters(), settings.optimiser))
 
@@ -550,7 +550,7 @@ def _groups(presses: Presses | Sequence[Presses]) -> list[Presses]:
     return [presses] if isinstance(presses, Presses) else list(presses)
 
 
-def begun_model(
+def initial_model(
     labels: Sequence[Tensor],
     settings: ForceModelSettings,
     start_from: ForceModel | None,

@@ -22,7 +22,12 @@ from learning.data.presses import load_presses
 from learning.data.splits import Split
 from learning.experiment.settings import ExperimentSettings
 from learning.experiment.stages import force_settings
-from learning.force.calibrate import IntervalCalibration, Wanted, calibrated, presses_of_rows
+from learning.force.calibrate import (
+    ExpectedForces,
+    IntervalCalibration,
+    calibrated,
+    presses_of_rows,
+)
 from learning.force.intervals import Scale
 from learning.force.labels import Relabelling
 from learning.force.model import KIND, ForceModel, load_force_model
@@ -62,7 +67,7 @@ class ByPlace:
         return labels
 
     @cached_property
-    def wanted(self) -> Floats:
+    def expected(self) -> Floats:
         """These labels at the target's frames (n, 3) [N]; NaN without one."""
         source, target = (self.archive[name].table for name in (self.source, self.target))
         return labels_by_place(source, self.labels, target)
@@ -80,10 +85,10 @@ class ByPlace:
         table = self.archive[self.target].table
         calibrates = np.isin(np.array(self.archive.indenters)[table["indenter"]], indenters)
         text = f"{self.source}'s labels at the same place, scaled between the skins"
-        wanted = Wanted(self.wanted, text, scale, self.labels)
+        expected = ExpectedForces(self.expected, text, scale, self.labels)
         learned = table["seen"] & ~calibrates
         return calibrated(
-            self.archive, self.target, model, wanted, calibrates=calibrates, learned=learned
+            self.archive, self.target, model, expected, calibrates=calibrates, learned=learned
         )
 
     def tune(
@@ -101,7 +106,7 @@ class ByPlace:
         sensor = self.archive[self.target]
         rows = split.rows(sensor.table, "train")
         location = sensor.table["location"][rows]
-        matched = np.unique(location[np.isfinite(self.wanted[rows]).any(axis=1)])
+        matched = np.unique(location[np.isfinite(self.expected[rows]).any(axis=1)])
         rows = rows[np.isin(location, matched)]
         if not len(rows):
             return trained
@@ -113,7 +118,7 @@ class ByPlace:
         run = RunFolder.open(folder, KIND, tuning, data, keep=1)
         if not run.finished:
             presses = load_presses(sensor, rows, device=device)
-            labels = torch.from_numpy(self.wanted[presses.rows.numpy()]).float()
+            labels = torch.from_numpy(self.expected[presses.rows.numpy()]).float()
             presses = replace(presses, wrench=labels.to(presses.device))
             before = load_force_model(trained, device)
             with session_of(run, tuning.launch, f"steps of {self.target} by place") as session:
@@ -127,8 +132,8 @@ def forces_at(
     """Return the forces that a model predicts in some rows (n, 3) [N], from their whole presses."""
     table = sensor.table
     keys = np.stack([table[name] for name in ("location", "indenter", "target")], axis=1)
-    wanted = np.unique(keys[rows], axis=0)
-    whole = (keys[:, None] == wanted[None]).all(axis=-1).any(axis=1) & table["valid"]
+    pressed = np.unique(keys[rows], axis=0)
+    whole = (keys[:, None] == pressed[None]).all(axis=-1).any(axis=1) & table["valid"]
     presses = presses_of_rows(sensor, np.flatnonzero(whole), model)
     order = {row: place for place, row in enumerate(presses.rows.tolist())}
     return model.predict(presses)[[order[int(row)] for row in rows]]

@@ -146,16 +146,16 @@ def calibration_picture(calibration: IntervalCalibration) -> bytes:
     png = io.BytesIO()
     with chart(png, 9, 3.2) as figure:
         for axis, panel in enumerate(figure.subplots(1, 3)):
-            wanted, predicted = calibration.wanted[:, axis], calibration.predicted[:, axis]
+            expected, predicted = calibration.expected[:, axis], calibration.predicted[:, axis]
             if calibration.intervals.axes[axis] is None:
                 panel.set_title(f"{AXES[axis]}: not measured")
                 continue
             for name in np.unique(calibration.indenter):
                 own = calibration.indenter == name
-                panel.plot(wanted[own], predicted[own], ".", ms=4, label=name)
+                panel.plot(expected[own], predicted[own], ".", ms=4, label=name)
             order = np.argsort(predicted)
             panel.fill_betweenx(predicted[order], low[order, axis], high[order, axis], alpha=0.15)
-            ends = np.nanmin(wanted), np.nanmax(wanted)
+            ends = np.nanmin(expected), np.nanmax(expected)
             panel.plot(ends, ends, "k-", lw=0.8)
             panel.set_title(AXES[axis])
             panel.set_xlabel("expected [N]")

@@ -178,7 +178,7 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
         method=method,
         translator=translator,
         seen=tuple(sorted({each.indenter for each in split.presses if each.role == "train"})),
-        pairs=_met(archive, source, target),
+        pairs=_matched_presses(archive, source, target),
         intervals=intervals,
         history=history,
     )
@@ -188,7 +188,7 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
         calibration,
         intervals=intervals,
         predicted=factors * calibration.predicted,
-        wanted=factors * calibration.wanted,
+        expected=factors * calibration.expected,
     )
     pictures = [*_pictures(request, archive, places, scaled)]
     write_report(request.out / "report.html", card, matches, pictures, curve)
@@ -295,7 +295,7 @@ def _require_as_deep(request: TransferRequest, archive: MarkerArchive) -> None:
         )
 
 
-def _met(archive: MarkerArchive, source: str, target: str) -> int:
+def _matched_presses(archive: MarkerArchive, source: str, target: str) -> int:
     """Return the number of presses that match."""
     one, other = (archive[name].table["location"] for name in (source, target))
     return len(np.intersect1d(one[one >= 0], other[other >= 0]))

@@ -25,7 +25,7 @@ from learning.compensation.search import (
     best_for_labels,
     best_for_priors,
     paired_labels,
-    tried,
+    scored_choice,
 )
 from learning.compensation.simulated import simulated_labels, simulated_r2
 from learning.data.genforce.format import Compensation
@@ -152,7 +152,7 @@ def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
     whole, _ = compensate(np.nan_to_num(labels), DEPTH, phase, soft, hard, 0.0, 1.0)
     assert np.isnan(found[:, 0]).all()
     assert np.array_equal(found[:, 1:], whole[:, 1:])
-    choice = tried(Paired(labels, 2 * labels, DEPTH, phase), soft, hard, 0.0, 0.0)
+    choice = scored_choice(Paired(labels, 2 * labels, DEPTH, phase), soft, hard, 0.0, 0.0)
     assert choice.axes[0] is None
     assert choice.axes[1:] == pytest.approx(np.abs(labels[:, 1:]).mean(axis=0))
     assert choice.error == pytest.approx(np.linalg.norm(labels[:, 1:], axis=1).mean())

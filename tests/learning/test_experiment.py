@@ -32,7 +32,7 @@ from learning.experiment.frames import (
 )
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.experiment.stages import Places, TaskResult, force_settings, translator_training
-from learning.force.train import begun_model, epoch
+from learning.force.train import epoch, initial_model
 from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
@@ -196,7 +196,7 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
     }
     reported: list[str] = []
     with ThreadPoolExecutor(2) as pool:
-        assert len(running._done(pool, tasks, reported.append)) == 4
+        assert len(running._results_of(pool, tasks, reported.append)) == 4
     # The slow job ends only when the one that depends on the quick job has begun.
     assert begun[2:] == [after_quick, after_slow]
     assert set(begun) == set(tasks)
@@ -280,7 +280,7 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
     def begun(*changed: str) -> tuple[torch.Tensor, list[int]]:
         chosen = force_settings(settings(*changed), archive, "cpu")
         labels = [torch.tensor([[-1.0, -1.0, -2.0], [1.0, 1.0, 0.0]])]
-        model = begun_model(labels, chosen, None, CPU)
+        model = initial_model(labels, chosen, None, CPU)
         passed = epoch([np.arange(0, 90, 9)], [0], chosen.sequences, chosen.seed, 0)
         order = [int(press) for _, presses in passed.strings for press in presses]
         return torch.cat([each.flatten() for each in model.parameters()]), order

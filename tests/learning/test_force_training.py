@@ -22,12 +22,12 @@ from learning.force.train import (
     ForceStageSettings,
     Sequences,
     SequenceSettings,
-    begun_model,
     epoch,
     error,
     force_range,
     forces_of,
     frames_of,
+    initial_model,
     superposed,
     train_force,
 )
@@ -377,7 +377,7 @@ def test_unmeasured_axes_leave_no_trace_in_what_is_learned() -> None:
     one, two = (train_force(each, toy(start_at_mean=False)) for each in (some, other))
     torch.testing.assert_close(one.state_dict(), two.state_dict(), equal_nan=True)
     # The rows of the last layer that belong to Fx and Fy are as at the beginning.
-    begun = begun_model([some.wrench], toy(start_at_mean=False), None, torch.device("cpu"))
+    begun = initial_model([some.wrench], toy(start_at_mean=False), None, torch.device("cpu"))
     assert torch.equal(one.head.weight[:2], begun.head.weight[:2])
     assert not torch.equal(one.head.weight[2], begun.head.weight[2])
 
