@@ -7,7 +7,7 @@ from pathlib import Path
 FOREIGN = """
 import torch
 
-from learning.force.model import ForceModel, InputSettings, NetworkSettings
+from learning.force.model import ForceModel, ForceNetworkSettings, InputSettings
 from learning.training.checkpoint import read_model_folder
 from learning.translation import require_masks
 
@@ -34,7 +34,7 @@ def load_nothing(folder, device):
 class MeanForce(ForceModel):
     # An encoder of its own: means of 8 x 8 pixels.
     def __init__(self):
-        network = NetworkSettings(encoder=(4, 4, 8), blocks=1, memory=8, tail=(8, 8))
+        network = ForceNetworkSettings(encoder=(4, 4, 8), blocks=1, memory=8, tail=(8, 8))
         super().__init__(network, InputSettings(form="image", side_px=32))
         self.encoder = torch.nn.Sequential(
             torch.nn.AvgPool2d(8), torch.nn.Conv2d(1, 8, 1), torch.nn.ReLU()

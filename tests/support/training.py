@@ -16,8 +16,8 @@ class StopAfter(Stop):
 
     def agreed(self, launched: object) -> bool:
         self._left -= 1
-        self.asked = self.asked or self._left == 0
-        return self.asked
+        self.requested = self.requested or self._left == 0
+        return self.requested
 
 
 def session(settings: Any, run: RunFolder | None = None, stop_after: int = 0) -> TrainingSession:
