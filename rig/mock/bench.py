@@ -25,7 +25,6 @@ import numpy as np
 from recorder.command_line.extras import extra_of
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.worlds import Noise, SimulatedSpec, Sources
-from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.config import from_si
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.mock_names import ARM_FILE, PORTS, PRESS_FILE, WORLD_FILE
@@ -59,12 +58,10 @@ class ProcessGroup:
     Args:
         folder: Run folder; `<name>.json` holds the settings of each process, `<name>.log` its
             stderr.
-        clock: Clock.
     """
 
-    def __init__(self, folder: Path, clock: Clock) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._clock = clock
         self.processes: dict[str, subprocess.Popen[str]] = {}
         """The processes, by name."""
 
@@ -109,11 +106,9 @@ class ProcessGroup:
             stdout = process.stdout
             if stdout is None:
                 raise RuntimeError(f"{name}: started without a pipe")
-            deadline_ns = self._clock.now_ns() + round(_READY_TIMEOUT * SECOND_NS)
             with selectors.DefaultSelector() as selector:
                 selector.register(stdout, selectors.EVENT_READ)
-                selector.select((deadline_ns - self._clock.now_ns()) / SECOND_NS)
-                line = stdout.readline() if selector.select(0) else ""
+                line = stdout.readline() if selector.select(_READY_TIMEOUT) else ""
             if not line.startswith("ready"):
                 word = self.last_word(name)
                 missing = re.match(r"ModuleNotFoundError: No module named '([\w.]+)'", word)
@@ -163,7 +158,7 @@ class MockBench(ProcessGroup):
         truth: Path | None = None,
         devices: Collection[str] = _KINDS,
     ) -> None:
-        super().__init__(folder, SystemClock())
+        super().__init__(folder)
         self.host = free_loopback()
         self.file = file.at(self.host, folder)
         """The bench with the addresses of the emulators."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from recorder import Session
 from rig.bench.bench import Bench, BenchLimits, Preflight
-from rig.core.clock import SECOND_NS, Clock
+from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost
 from rig.core.playback import FAILED, POSITION, SYNC, position_path, stated_rate, sync_path
 from rig.core.shared_memory import SharedLatest
@@ -45,11 +45,10 @@ class Players(ProcessGroup):
         run: int,
         hosts: Mapping[str, str],
         folder: Path,
-        clock: Clock,
         *,
         speed: float,
     ) -> None:
-        super().__init__(folder, clock)
+        super().__init__(folder)
         self._sync = SharedLatest.create(sync_path(folder), SYNC)
         self._positions = {
             name: SharedLatest.create(position_path(folder, name), POSITION) for name in names

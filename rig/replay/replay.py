@@ -431,7 +431,6 @@ class ReplayedRun:
             self._run,
             self._hosts,
             self._folder,
-            self._clock,
             speed=self._speed,
         ).__enter__()
         return self
