@@ -23,7 +23,6 @@ import numpy as np
 
 from rig.acquire.control import Control
 from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
-from rig.acquire.request import CollectRequest
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.streams import check_clear, tip_position
 from rig.bench.bench import Bench
@@ -506,9 +505,10 @@ class Stages:
             if after_target is not None:
                 after_target(target, Recorded(clock, bench, segments, since))
 
-        request = CollectRequest(folder / "none.zarr", plan, len(plan), after_target=after)
         driven: Any = arm
-        runner = PlanRunner(streams, driven, interlocks, writer, live, request, run=0, zeros={})
+        runner = PlanRunner(
+            streams, driven, interlocks, writer, live, plan, after_target=after, run=0, zeros={}
+        )
         try:
             x, y, z = tip_position(streams)
             pose = bench.tool_pose((x, y, max(bench.arm.retract, z)))

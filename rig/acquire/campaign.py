@@ -14,7 +14,7 @@ from recorder import Session, SessionError
 from recorder.catalogue import Catalogue, Row
 from recorder.progress import duration
 from recorder.store import replace_file
-from rig.acquire.request import finished_targets, first_open_target
+from rig.acquire.completed import finished_targets, first_open_target
 from rig.bench.bench import Bench, BenchFile, find_bench
 from rig.bench.indenter import find_indenter
 from rig.core.config import build, read_yaml

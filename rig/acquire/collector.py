@@ -1,4 +1,4 @@
-"""Collection of one session, from the first device check to the final summary."""
+"""Collection of one session: the operator's request, and its way from device check to summary."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import contextlib
 import getpass
 import importlib.metadata
 import logging
+import math
 import platform
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,10 @@ from recorder.command_line.errors import (
 )
 from recorder.command_line.options import next_command
 from recorder.session import accounts_of, clock_lines, loss_lines, time_lines
+from rig.acquire.calibration.store import Calibration
+from rig.acquire.completed import first_open_target
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.plan_runner import LiveLine, PlanRunner, last_line, rise_clear, zero_stand_ins
-from rig.acquire.request import CollectRequest, first_open_target
 from rig.acquire.streams import (
     Streams,
     check_clear,
@@ -37,10 +39,10 @@ from rig.acquire.streams import (
 from rig.bench.bench import Bench
 from rig.bench.guards import guard_limits, guards_of, statement
 from rig.core.clock import ClockAnchor, SystemClock
-from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
-from trajectories import Plan, plan_to_json
+from trajectories import Plan, Target, plan_from_json, plan_to_json
 
 logger = logging.getLogger(__name__)
 
@@ -54,6 +56,100 @@ _EXIT_CODES: dict[type[BaseException], int] = {
     SessionError: EXIT_DEVICE_LOST,
     OSError: EXIT_DEVICE_LOST,
 }
+
+
+@dataclass(frozen=True, slots=True)
+class CollectRequest:
+    """Request of the operator."""
+
+    path: Path
+    """The session: a new one, or with `resume` a stopped one."""
+    plan: Plan
+    """Targets of the session."""
+    total: int
+    """Number of the plan's targets in the session."""
+    resume: bool = False
+    """Continue with the first incomplete target."""
+    again: tuple[int, ...] = ()
+    """With `resume`, indices of targets to press again, done or not; readers use the last press."""
+    operator: str = ""
+    """Name of the operator; empty: the login name."""
+    mock_sources: dict[str, Any] | None = None
+    """Recordings that a mock bench's emulators play, for the session's attributes."""
+    calibration: Calibration = field(default_factory=Calibration)
+    """Earlier calibration that applies to this session."""
+    contact_change: float = math.inf
+    """Change of the signal that ends an approach on a bench without a gauge, in standard
+    deviations of its noise; inf: none does."""
+    after_target: Callable[[Target], None] | None = None
+    """Called after each target, with the tip clear of the surface."""
+    go_on: str = ""
+    """Command that continues the session if it stops, or repeats it; empty: none is shown."""
+
+    @classmethod
+    def of(
+        cls,
+        bench: Bench,
+        path: Path,
+        plan: Plan | None = None,
+        *,
+        targets: int | None = None,
+        resume: bool = False,
+        again: tuple[int, ...] = (),
+        **others: Any,
+    ) -> CollectRequest:
+        """Check a request against a bench: its plan or `plan`, or that of the resumed session.
+
+        `targets` is the number of targets to press, None for all.
+        """
+        if not resume and path.exists():
+            raise SessionError(f"{path}: exists already; resume it or choose another name")
+        plan = bench.trajectory if plan is None else plan
+        total = len(plan) if targets is None else targets
+        if resume:
+            plan, total = _resumed(path, bench)
+        if not 1 <= total <= len(plan):
+            raise ConfigError(f"--targets: found {total}; allowed: 1 to {len(plan)}")
+        if unknown := [index + 1 for index in again if not 0 <= index < total]:
+            raise ConfigError(f"--again: found {unknown[0]}; allowed: targets 1 to {total}")
+        bench.check_limits(plan)
+        return cls(path, plan, total, resume, again, **others)
+
+    def to_press(self, first: int) -> tuple[Target, ...]:
+        """Return the targets of this run in order: those to press again, and those from `first`."""
+        return tuple(
+            target
+            for target in self.plan.targets()
+            if first <= target.index < self.total or target.index in self.again
+        )
+
+    def is_complete(self) -> bool:
+        """Return True if the session has nothing to resume: it was closed with all targets done."""
+        session = Session(self.path)
+        done = first_open_target(self.plan, session.segments, self.total) == self.total
+        return done and session.status == "complete"
+
+
+def _resumed(path: Path, bench: Bench) -> tuple[Plan, int]:
+    """Return plan and number of targets of a session, which must be of the bench."""
+    session = Session(path)
+    attrs = session.attrs
+    if attrs["sensor"] != bench.sensor:
+        raise ConfigError(
+            f"--sensor: found {bench.sensor!r}; {path} was recorded with {attrs['sensor']!r}"
+        )
+    recorded, present = set(session.streams), {row.name for row in bench.rows}
+    if recorded != present:
+        raise ConfigError(
+            f"{path}: was recorded with the streams {', '.join(sorted(recorded))}; the bench file "
+            f"has {', '.join(sorted(present))}; continue with the bench file of the recording "
+            "(--bench), or record a new session"
+        )
+    try:
+        plan = plan_from_json(attrs["plan"])
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return plan, int(attrs["targets_wanted"])
 
 
 class Collector:
@@ -124,7 +220,15 @@ class Collector:
                 self._page.begin(control, live.progress, request.path, first)
             zeros = {name: tare["mean"] - self._bias[name] for name, tare in tares.items()}
             runner = PlanRunner(
-                streams, arm, interlocks, writer, live, request, run=run, zeros=zeros
+                streams,
+                arm,
+                interlocks,
+                writer,
+                live,
+                request.plan,
+                after_target=request.after_target,
+                run=run,
+                zeros=zeros,
             )
             stop: BaseException | None = None
             try:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
@@ -21,7 +21,6 @@ from recorder import OUTCOMES, SessionError, SessionWriter
 from recorder.progress import duration
 from recorder.spec import frame_columns, reference_spec
 from rig.acquire.control import DeadManReleased, Interlocks
-from rig.acquire.request import CollectRequest
 from rig.acquire.streams import Streams, check_no_contact, no_mean, tip_position
 from rig.bench.bench import KINDS
 from rig.core.clock import SECOND_NS
@@ -29,7 +28,7 @@ from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import Mode
 from rig.core.paced_line import PacedLine
 from rig.devices.arm.arm import Arm, MoveResult
-from trajectories import PHASES, Move, Point, Target, dome_height
+from trajectories import PHASES, Move, Plan, Point, Target, dome_height
 
 logger = logging.getLogger(__name__)
 
@@ -205,7 +204,8 @@ class PlanRunner:
             row, and for pauses before every target.
         writer: The session.
         live: The progress line.
-        request: Request of the operator.
+        plan: The plan, which has the moves of each target.
+        after_target: Called after each target, with the tip clear of the surface.
         run: Number of this run.
         zeros: Reading of each F/T sensor without contact after the tare (6,) [N, N m], by stream.
     """
@@ -217,8 +217,9 @@ class PlanRunner:
         interlocks: Interlocks,
         writer: SessionWriter,
         live: LiveLine,
-        request: CollectRequest,
+        plan: Plan,
         *,
+        after_target: Callable[[Target], None] | None = None,
         run: int,
         zeros: Mapping[str, np.ndarray],
     ) -> None:
@@ -229,7 +230,8 @@ class PlanRunner:
         self._control = interlocks.control
         self._writer = writer
         self._live = live
-        self._request = request
+        self._plan = plan
+        self._after_target = after_target
         self._run = run
         self._zeros = zeros
         # Contact point at whose p0 the tip is; None: at none.
@@ -241,7 +243,6 @@ class PlanRunner:
 
     def press(self, targets: Iterable[Target]) -> None:
         """Press targets of the plan, one after the other."""
-        after_target = self._request.after_target
         for target in targets:
             self._live.at(target, None)
             limited = self.limited
@@ -249,9 +250,9 @@ class PlanRunner:
                 pass
             self.done += 1
             self._live.ended(target, "limited" if self.limited > limited else "done")
-            if after_target is not None:
+            if self._after_target is not None:
                 self._live.end()
-                after_target(target)
+                self._after_target(target)
 
     def _attempt(self, target: Target) -> bool:
         """Press a target from its start; return False if the dead-man pedal was released."""
@@ -367,7 +368,7 @@ class PlanRunner:
             )
 
     def _press_target(self, target: Target) -> None:
-        for move in self._request.plan.moves(target):
+        for move in self._plan.moves(target):
             self._live.at(target, move)
             result = self._move(move.end, mode="guarded", record=move)
             if result.outcome == "force_limited":

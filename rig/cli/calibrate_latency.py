@@ -9,7 +9,7 @@ from pathlib import Path
 from recorder import Session
 from rig.acquire.calibration import latency, store
 from rig.acquire.calibration.store import LatencyCalibration
-from rig.acquire.request import CollectRequest
+from rig.acquire.collector import CollectRequest
 from rig.cli.options import recording_options
 from rig.cli.recording import Recording, measured, record, recording_of
 from rig.core.config import to_si

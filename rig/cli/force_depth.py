@@ -8,7 +8,7 @@ from pathlib import Path
 from recorder import Session, SessionError
 from recorder.session import press_curves, save_curves
 from rig.acquire.calibration.store import require_gauge
-from rig.acquire.request import CollectRequest
+from rig.acquire.collector import CollectRequest
 from rig.cli.options import recording_options
 from rig.cli.recording import Recording, record, recording_of
 from rig.core.errors import ConfigError

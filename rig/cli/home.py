@@ -11,9 +11,17 @@ from recorder import Session
 from recorder.command_line.errors import EXIT_DONE
 from rig.acquire.calibration import home, store
 from rig.acquire.calibration.store import require_gauge
-from rig.acquire.request import CollectRequest, StageStopped
+from rig.acquire.collector import CollectRequest
 from rig.cli.options import recording_options, require_terminal
-from rig.cli.recording import Recording, measured, record, recording_of, stage, started_bench
+from rig.cli.recording import (
+    Recording,
+    StageStopped,
+    measured,
+    record,
+    recording_of,
+    stage,
+    started_bench,
+)
 from rig.core.config import to_si
 
 

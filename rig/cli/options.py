@@ -35,7 +35,7 @@ from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
 from trajectories import Plan
 
 if TYPE_CHECKING:
-    from rig.acquire.request import CollectRequest
+    from rig.acquire.collector import CollectRequest
     from rig.monitor.collection import CollectionPage
 
 

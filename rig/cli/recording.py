@@ -20,8 +20,7 @@ from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from recorder.command_line.options import next_command
 from rig.acquire.calibration import store
 from rig.acquire.calibration.store import Calibration
-from rig.acquire.collector import Collector
-from rig.acquire.request import CollectRequest, StageStopped
+from rig.acquire.collector import Collector, CollectRequest
 from rig.bench import guards
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.worlds import Sources
@@ -256,6 +255,14 @@ def _slowed(calibration: Calibration, depth: float, bench: Bench) -> Bench:
 
 def _show(lines: list[str]) -> None:
     print("\n".join(lines), flush=True)
+
+
+class StageStopped(Exception):
+    """A stage was stopped; `code` is the exit code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"exit code {code}")
+        self.code = code
 
 
 def stage(

@@ -23,8 +23,8 @@ import numpy as np
 from recorder import OUTCOMES, Session, SessionError
 from recorder.command_line.options import next_command
 from recorder.store import ImageTail, open_tail
+from rig.acquire.collector import CollectRequest
 from rig.acquire.control import Control
-from rig.acquire.request import CollectRequest
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import Bench
 from rig.core.clock import SECOND_NS, Clock, SystemClock

@@ -26,8 +26,8 @@ from recorder.command_line.options import next_command
 from recorder.session import thumbnails
 from rig.acquire.calibration.store import FOLDER, SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, marked, progress_of, write_marks
+from rig.acquire.completed import finished_targets
 from rig.acquire.preview import draw
-from rig.acquire.request import finished_targets
 from rig.bench.bench import BENCHES_FOLDER, Bench, BenchFile
 from rig.bench.indenter import find_indenter, indenter_names
 from rig.core.clock import SECOND_NS, Clock

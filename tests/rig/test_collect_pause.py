@@ -16,8 +16,8 @@ from support import hidraw_nodes
 from support.collecting import Collection, faults_of
 
 from recorder import OUTCOMES, Session
+from rig.acquire.completed import first_open_target
 from rig.acquire.control import Control, Interrupted
-from rig.acquire.request import first_open_target
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder import OUTCOMES
-from rig.acquire.request import CollectRequest, first_open_target
+from rig.acquire.collector import CollectRequest
+from rig.acquire.completed import first_open_target
 from trajectories import PressShear
 
 PLAN = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3, points=(1,))

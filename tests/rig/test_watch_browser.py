@@ -14,8 +14,8 @@ from support.layout import OVERFLOW
 from support.live_quality import GELSIGHT, PLACES, picture, recording
 
 from benchmarks.chromium import CHROMIUM, Chromium
+from rig.acquire.collector import CollectRequest
 from rig.acquire.control import Control
-from rig.acquire.request import CollectRequest
 from rig.core.packaged import BENCHES
 from rig.monitor.access import AccessPolicy
 from rig.monitor.collection import CollectionJob, CollectionPage

@@ -15,7 +15,7 @@ from support.watching import BENCH, TARGETS
 
 from recorder.command_line.errors import CommandError
 from recorder.command_line.options import Parser
-from rig.acquire.request import CollectRequest
+from rig.acquire.collector import CollectRequest
 from rig.cli.options import add_page, benches_option, calibration_options, opened_page
 from rig.monitor.collection import CollectionJob, CollectionPage
 from trajectories import ForceDepth

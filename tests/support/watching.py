@@ -13,7 +13,7 @@ import simplejpeg
 from websockets.sync.client import ClientConnection, connect
 
 from recorder import SessionWriter, StreamWriter, camera_spec
-from rig.acquire.request import CollectRequest
+from rig.acquire.collector import CollectRequest
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import BenchFile
 from rig.core.clock import SystemClock

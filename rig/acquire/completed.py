@@ -1,0 +1,51 @@
+"""Targets that a session has completed, from which `--resume` continues."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from recorder import OUTCOMES
+from trajectories import Plan
+
+_COMPLETE = OUTCOMES.index("complete")
+_FORCE_LIMITED = OUTCOMES.index("force_limited")
+
+
+def first_open_target(plan: Plan, segments: Mapping[str, np.ndarray], total: int) -> int:
+    """Return the index of the first of `total` targets that is not done; `total` if all are."""
+    done = finished_targets(plan, segments, total)
+    return next((index for index in range(total) if index not in done), total)
+
+
+def finished_targets(plan: Plan, segments: Mapping[str, np.ndarray], total: int) -> set[int]:
+    """Return the indices of those of `total` targets that are done.
+
+    A target is done when all its phases were completed in the same attempt, or when it ended at the
+    force limit (pressing it again would end there again). A run may hold several attempts at a
+    target: a new one begins with a phase already completed in the last, or after an interruption.
+    """
+    complete: dict[tuple[int, int], set[int]] = {}
+    attempts: dict[int, list[set[int]]] = {}
+    limited: set[int] = set()
+    rows = zip(
+        segments["target"], segments["phase"], segments["outcome"], segments["run"], strict=True
+    )
+    for target, phase, outcome, run in rows:
+        key = (int(target), int(run))
+        if outcome == _COMPLETE:
+            if key not in complete or phase in complete[key]:
+                complete[key] = set()
+                attempts.setdefault(int(target), []).append(complete[key])
+            complete[key].add(int(phase))
+        elif outcome == _FORCE_LIMITED:
+            limited.add(int(target))
+        else:
+            complete.pop(key, None)
+    found = {index for index in limited if index < total}
+    for target in plan.targets():
+        wanted = {move.phase for move in plan.moves(target)}
+        if target.index < total and any(wanted <= a for a in attempts.get(target.index, ())):
+            found.add(target.index)
+    return found
