@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from learning.indenters import coded
-from recorder import Session, Stream
-from recorder.session import quaternion, surface_heights
+from recorder.session import Session, Stream, quaternion, surface_heights
 from recorder.spec import AXES, PHASES
 
 if TYPE_CHECKING:

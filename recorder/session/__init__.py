@@ -3,21 +3,31 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from recorder.session.align import EXPOSURE, Window, captured, linear, quaternion
+from recorder.session.clocks import clock_lines
+from recorder.session.columns import Stream
+from recorder.session.frames import in_frame, surface_heights
+from recorder.session.loss import loss_lines
+from recorder.session.reader import Session, accounts_of
+from recorder.session.stream_writer import StreamWriter
+from recorder.session.uncertainty import sigmas_of, time_lines
+from recorder.session.writer import SessionWriter
+
 if TYPE_CHECKING:
-    from recorder.session.align import EXPOSURE, captured, linear, quaternion
-    from recorder.session.clocks import clock_lines
-    from recorder.session.frames import in_frame, surface_heights
-    from recorder.session.loss import loss_lines
     from recorder.session.press_curve import press_curves, save_curves
-    from recorder.session.reader import accounts_of
-    from recorder.session.sheet import thumbnails
-    from recorder.session.uncertainty import sigmas_of, time_lines
+    from recorder.session.sheet import contact_sheet, thumbnails
 
 __all__ = [
     "EXPOSURE",
+    "Session",
+    "SessionWriter",
+    "Stream",
+    "StreamWriter",
+    "Window",
     "accounts_of",
     "captured",
     "clock_lines",
+    "contact_sheet",
     "in_frame",
     "linear",
     "loss_lines",
@@ -30,26 +40,16 @@ __all__ = [
     "time_lines",
 ]
 
-# Module of each name; imported on demand, as a reader needs neither tails nor drawings.
-_MODULES = {
-    "EXPOSURE": "align",
-    "accounts_of": "reader",
-    "captured": "align",
-    "clock_lines": "clocks",
-    "in_frame": "frames",
-    "linear": "align",
-    "loss_lines": "loss",
+# Module of each drawing; imported on demand, since only these need Pillow.
+_DRAWINGS = {
+    "contact_sheet": "sheet",
     "press_curves": "press_curve",
-    "quaternion": "align",
     "save_curves": "press_curve",
-    "sigmas_of": "uncertainty",
-    "surface_heights": "frames",
     "thumbnails": "sheet",
-    "time_lines": "uncertainty",
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    if name not in _DRAWINGS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_DRAWINGS[name]}"), name)

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from recorder import Session, SessionError, SessionWriter, contact_sheet
 from recorder.command_line.errors import (
     EXIT_DEVICE_LOST,
     EXIT_DONE,
@@ -24,7 +23,16 @@ from recorder.command_line.errors import (
     EXIT_SAFETY_STOP,
 )
 from recorder.command_line.options import next_command
-from recorder.session import accounts_of, clock_lines, loss_lines, time_lines
+from recorder.errors import SessionError
+from recorder.session import (
+    Session,
+    SessionWriter,
+    accounts_of,
+    clock_lines,
+    contact_sheet,
+    loss_lines,
+    time_lines,
+)
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.completed import first_open_target
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker

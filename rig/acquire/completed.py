@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from recorder import OUTCOMES
+from recorder.spec import OUTCOMES
 from trajectories import Plan
 
 _COMPLETE = OUTCOMES.index("complete")

@@ -17,9 +17,10 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from recorder import OUTCOMES, SessionError, SessionWriter
+from recorder.errors import SessionError
 from recorder.progress import duration
-from recorder.spec import frame_columns, reference_spec
+from recorder.session import SessionWriter
+from recorder.spec import OUTCOMES, frame_columns, reference_spec
 from rig.acquire.control import DeadManReleased, Interlocks
 from rig.acquire.streams import Streams, check_no_contact, no_mean, tip_position
 from rig.bench.bench import KINDS

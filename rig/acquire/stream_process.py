@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recorder import SessionError, StreamWriter
+from recorder.errors import SessionError
+from recorder.session import StreamWriter
 from rig.bench.bench import KINDS, Bench
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from recorder import SessionError
 from recorder.command_line.options import next_command
+from recorder.errors import SessionError
 from rig.acquire.control import Interlocks
 from rig.acquire.stream_process import COUNTERS, StreamJob, run_stream
 from rig.bench.bench import Bench, BenchStream

@@ -15,19 +15,20 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from recorder import (
+from recorder.command_line.extras import extra_of
+from recorder.errors import SessionError
+from recorder.spec import (
     Column,
-    SessionError,
     StreamSpec,
     Traits,
     arm_wrench_spec,
     camera_spec,
+    check_streams,
     force_spec,
     pose_spec,
+    signal_of,
     taxels_spec,
 )
-from recorder.command_line.extras import extra_of
-from recorder.spec import check_streams, signal_of
 from rig.bench.indenter import find_indenter, paper_indenters
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.clock import Clock

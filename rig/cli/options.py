@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder import Session
 from recorder.command_line.options import next_command
+from recorder.session import Session
 from rig.acquire.calibration import store
 from rig.acquire.control import Interrupted
 from rig.bench.bench import (

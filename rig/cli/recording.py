@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from recorder import Session
 from recorder.command_line.errors import EXIT_DONE, EXIT_SAFETY_STOP
 from recorder.command_line.options import next_command
+from recorder.session import Session
 from rig.acquire.calibration import store
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.collector import Collector, CollectRequest

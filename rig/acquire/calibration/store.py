@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import Session, SessionError, Stream
 from recorder.command_line.options import next_command
+from recorder.errors import SessionError
+from recorder.session import Session, Stream
 from recorder.settings import describe, yaml_text
 from recorder.store import replace_file
 from rig.bench.bench import Bench
