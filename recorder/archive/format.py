@@ -23,7 +23,6 @@ from recorder.spec import ARCHIVE_FORMAT, PHASES
 from recorder.store.documents import merge_attrs, read_attrs, read_document, write_group
 from recorder.store.files import LOCAL, Files, replace_file, sync_directory
 from recorder.store.layout import Array, ArrayLayout, packed_index
-from recorder.store.reader import ColumnReader
 
 FORMAT_VERSION = 1
 WRITING, COMPLETE = "writing", "complete"
@@ -648,11 +647,11 @@ def require_plain_name(name: object) -> str:
     return name
 
 
-def read_whole(archive: Path, files: Files, group: str, name: str) -> NDArray[Any]:
-    """Return an array that is written last, from a group of the archive such as `SENSOR/table`."""
-    if read_archive_attrs(archive, files)["status"] != COMPLETE:
+def late_array(sensor: Path, name: str, files: Files) -> ArchiveArray:
+    """Return an array of a sensor that is written last, such as `table/depth`."""
+    if read_archive_attrs(sensor.parent, files)["status"] != COMPLETE:
         raise SessionError(
-            f"{group}/{name}: exists only once all units are written; the archive is still being "
-            "written"
+            f"{sensor.name}/{name}: exists only once all units are written; the archive is still "
+            "being written"
         )
-    return ColumnReader(ArchiveArray.load(archive / group / name, files)).read()
+    return ArchiveArray.load(sensor / name, files)

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +20,21 @@ from recorder.archive.format import (
     MASKS,
     SIMULATED,
     ArchiveArray,
+    late_array,
     read_archive_attrs,
     read_sensor,
-    read_whole,
     require_plain_name,
 )
 from recorder.errors import SessionError
 from recorder.markers import SMALLEST_PX, Lattice, count_markers, unpack
 from recorder.store.files import LOCAL, Files, locate
-from recorder.store.reader import ColumnReader, Table
+from recorder.store.layout import Array
+from recorder.store.reader import ColumnReader, Kept
 
 Rows = Sequence[int] | NDArray[np.integer[Any]] | slice
 
 
-def _rows_of(reader: ColumnReader, rows: Rows) -> np.ndarray[Any, Any]:
+def _rows_of(reader: ColumnReader, rows: Rows) -> Array:
     """Return some rows (n, ...) in the requested order; each chunk is decoded once."""
     if isinstance(rows, slice):
         start, stop, step = rows.indices(len(reader))
@@ -63,13 +64,40 @@ class Simulated:
     """The twin and settings that they are from."""
 
 
+class SensorTable(Mapping[str, Array]):
+    """Columns of a sensor's table, read on access; those used last are kept in memory."""
+
+    def __init__(self, sensor: Path, files: Files) -> None:
+        """Provide the columns of the table in the group of a sensor."""
+        self._sensor, self._files = sensor, files
+        self._columns: Kept[Array] = Kept()
+
+    def __getitem__(self, name: str) -> Array:
+        """Return a column (n, ...)."""
+        if name not in COLUMNS:
+            table, names = self._sensor / "table", ", ".join(COLUMNS)
+            raise KeyError(f"{table}: no column {name!r}; known: {names}")
+        values = self._columns.get(name)
+        if values is None:
+            array = late_array(self._sensor, f"table/{name}", self._files)
+            values = self._columns.put(name, ColumnReader(array).read())
+        return values
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(COLUMNS)
+
+    def __len__(self) -> int:
+        """Return the number of columns."""
+        return len(COLUMNS)
+
+
 class ArchivedSensor:
     """One sensor of an archive: its frames, their references and their table."""
 
     def __init__(self, path: Path, files: Files = LOCAL) -> None:
         """Open a sensor; use `MarkerArchive` instead."""
         self.name, self.path, self.files = path.name, path, files
-        self._read_whole = partial(read_whole, path.parent, files)
         self._stored = read_sensor(path, files)
         self.attrs = self._stored.attrs
         self.representation = self._stored.representation
@@ -78,11 +106,7 @@ class ArchivedSensor:
         """Array of the frames."""
         self._frames = ColumnReader(self.layout)
         self._references = ColumnReader(self._stored.references)
-        self.table: Mapping[str, np.ndarray[Any, Any]] = Table(
-            path / "table",
-            tuple(COLUMNS),
-            partial(self._read_whole, f"{self.name}/table"),
-        )
+        self.table: Mapping[str, Array] = SensorTable(path, files)
         """Columns (n, ...) by name, read on first access."""
 
     def __len__(self) -> int:
@@ -201,7 +225,7 @@ class ArchivedSensor:
         Raises:
             SessionError: A chunk is missing or corrupt, or the archive is still being written.
         """
-        text = self._read_whole(self.name, "sources")
+        text = ColumnReader(late_array(self.path, "sources", self.files)).read()
         return [line.tobytes().rstrip(b"\0").decode() for line in text]
 
     def provenance(self, rows: Rows) -> list[str]:
@@ -222,9 +246,9 @@ class ArchivedSensor:
         kept = {place.name for place in self.files.groups(self.path / "table")}
         if not kept.issuperset(SIMULATED):
             return None
-        force, spread = (self._read_whole(f"{self.name}/table", name) for name in SIMULATED)
-        layout = ArchiveArray.load(self.path / "table" / "simulated", self.files)
-        return Simulated(force, spread, str(layout.attrs.get("made_from", "")))
+        arrays = [late_array(self.path, f"table/{name}", self.files) for name in SIMULATED]
+        force, spread = (ColumnReader(array).read() for array in arrays)
+        return Simulated(force, spread, str(arrays[0].attrs.get("made_from", "")))
 
     def _required_fields(self) -> ColumnReader:
         if self.fields is None:
