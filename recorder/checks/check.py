@@ -188,7 +188,7 @@ def _check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
             yield Finding("missing-chunk", where, f"{more} missing, first {missing[0]}")
             continue
         try:
-            Table.of_group(session / name, files)[group.name]
+            Table(session / name, files)[group.name]
         except SessionError as error:
             yield Finding("bad-crc", where, str(error))
     if len(set(lengths.values())) > 1:

@@ -205,10 +205,10 @@ class Session:
         declared = read_order(self.path / "streams", self.files)
         self.order = [name for name in declared if name in self.streams]
         self.order += sorted(self.streams.keys() - set(declared))
-        self.targets = Table.of_group(self.path / "targets", self.files)
+        self.targets = Table(self.path / "targets", self.files)
         self.segments = StreamTable(Stream(self.path / "segments", self.files, live=live))
         self.reference = StreamTable(Stream(self.path / "reference", self.files, live=live))
-        self.frames = Table.of_group(self.path / "frames", self.files)
+        self.frames = Table(self.path / "frames", self.files)
         self._losses: dict[int, dict[str, Losses]] = {}
         self._spans: dict[int, tuple[int, int] | None] = {}
 

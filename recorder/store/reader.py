@@ -10,11 +10,10 @@ from __future__ import annotations
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 from weakref import WeakValueDictionary
 
 import google_crc32c
@@ -382,24 +381,20 @@ class GrowingReader(ColumnReader):
 class Table(Mapping[str, Array]):
     """Columns of a group, read on access; those used last are kept in memory."""
 
-    def __init__(self, path: Path, names: tuple[str, ...], load: Callable[[str], Array]) -> None:
-        """Provide the columns `names`, read by `load(name)`."""
-        self._path = path
-        self._names = names
-        self._load = load
+    def __init__(self, path: Path, files: Files = LOCAL) -> None:
+        """Provide the columns of a group written by `write_table`; none if there is no group."""
+        self._path, self._files = path, files
+        self._names = table_columns(path, files)
         self._read: Kept[Array] = Kept()
-
-    @classmethod
-    def of_group(cls, path: Path, files: Files = LOCAL) -> Self:
-        """Return the table in a group written by `write_table`; empty if there is none."""
-        return cls(path, table_columns(path, files), partial(read_table_column, path, files))
 
     def __getitem__(self, name: str) -> Array:
         """Return a column (n, ...)."""
         if name not in self._names:
             raise KeyError(f"{self._path}: no column {name!r}; known: {', '.join(self._names)}")
         values = self._read.get(name)
-        return self._read.put(name, self._load(name)) if values is None else values
+        if values is None:
+            values = self._read.put(name, read_table_column(self._path, self._files, name))
+        return values
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""

@@ -341,7 +341,7 @@ def test_dying_while_frames_are_built_leaves_the_old_ones_or_none(
             patch.setattr(Path, "rename", dying)
             write_frames(path, 40)
             raise KeyboardInterrupt
-        frames = Table.of_group(path / "frames")
+        frames = Table(path / "frames")
         assert not frames or all((frames[n] == whole[n]).all() for n in ("t_ns", "image"))
         if not frames:
             with pytest.raises(SessionError, match="missing; the manifest of run 0 names it"):

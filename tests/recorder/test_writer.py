@@ -98,7 +98,7 @@ def test_a_table_of_any_length_reads_back(rows: int, tmp_path: Path) -> None:
     numbers = np.arange(rows)
     columns = {"row": numbers, "force": np.stack([numbers + 0.5, -numbers], axis=1)}
     write_table(tmp_path / "table", columns, {})
-    table = Table.of_group(tmp_path / "table")
+    table = Table(tmp_path / "table")
     group = zarr.open_group(tmp_path / "table", mode="r")
     for name, values in columns.items():
         np.testing.assert_array_equal(table[name], values)
@@ -111,7 +111,7 @@ def test_other_values_of_a_table_under_the_same_checksum_are_refused(tmp_path: P
     chunk, other = (tmp_path / name / "force/c/0" for name in ("table", "other"))
     chunk.write_bytes(other.read_bytes()[:-4] + chunk.read_bytes()[-4:])
     with pytest.raises(SessionError, match=r"force/c/0: the chunk does not match its checksum"):
-        Table.of_group(tmp_path / "table")["force"]
+        Table(tmp_path / "table")["force"]
 
 
 def test_a_dark_frame_is_stored_like_any_other(tmp_path: Path) -> None:
