@@ -18,9 +18,8 @@ from recorder.errors import SessionError
 from recorder.spec import Column, Traits
 from recorder.store import images
 from recorder.store.files import LOCAL, Files
-from recorder.store.growing import LiveRows, LiveStream
 from recorder.store.layout import StreamLayout
-from recorder.store.reader import ColumnReader, Kept
+from recorder.store.reader import ColumnReader, Kept, LiveRows, LiveStream
 
 Array = np.ndarray[Any, Any]
 

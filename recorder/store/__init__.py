@@ -1,8 +1,8 @@
 """Storage on disk: shards that act as logs, journals, columns and atomic file changes."""
 
 from recorder.store.files import replace_file, sync_directory
-from recorder.store.growing import ImageTail, open_tail
 from recorder.store.images import decode_jpeg
+from recorder.store.reader import ImageTail, open_tail
 
 __all__ = [
     "ImageTail",

@@ -19,9 +19,9 @@ from recorder import (
     recover,
 )
 from recorder.session.columns import Stream
-from recorder.store.growing import LiveStream
 from recorder.store.journal import Journal
 from recorder.store.layout import HEADER, StreamLayout, create_stream
+from recorder.store.reader import LiveStream
 
 TARGETS = {
     "point": np.zeros(1, np.int16),

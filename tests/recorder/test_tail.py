@@ -9,8 +9,8 @@ import pytest
 import simplejpeg
 
 from recorder import SessionError, StreamWriter, camera_spec, force_spec
-from recorder.store.growing import open_tail
 from recorder.store.layout import create_stream
+from recorder.store.reader import open_tail
 
 SHAPE = (24, 32, 3)
 
