@@ -101,11 +101,12 @@ class Traits:
     """One of `CLOCKS`."""
     stamp: str = "end"
     """One of `STAMPS`: the moment that `device_t` is of, if the clock is `monotonic`."""
+    defaults: KindDefaults = field(init=False, repr=False, compare=False)
+    """Defaults of the kind."""
 
-    @property
-    def defaults(self) -> KindDefaults:
-        """Defaults of the kind."""
-        return KINDS.get(self.kind, KINDS["values"])
+    def __post_init__(self) -> None:
+        """Look up the defaults of the kind."""
+        object.__setattr__(self, "defaults", KINDS.get(self.kind, KINDS["values"]))
 
     @classmethod
     def read(cls, name: str, attrs: Mapping[str, Any]) -> Self:

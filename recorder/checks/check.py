@@ -110,7 +110,7 @@ def _check(
             for layout in StreamLayout.load(group, files).columns:
                 damage, crcs = _check_chunks(path, layout)
                 findings += damage
-                if layout.column.is_image:
+                if layout.is_image:
                     contents[group.name] = crcs
         yield from findings
         if any(finding.code not in ("torn-tail", "journal-left") for finding in findings):

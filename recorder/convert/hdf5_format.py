@@ -72,7 +72,7 @@ def _fill(file: Any, session: Session, options: Options, progress: ReportItems) 
         group = file.create_group(name)
         _set_attrs(group, stream.attrs)
         for layout in stream.layout.columns:
-            if layout.column.is_image:
+            if layout.is_image:
                 for row in _write_images(group, stream, layout.column, options):
                     progress(done + row, total)
             else:

@@ -439,6 +439,11 @@ class ColumnLayout(ArrayLayout):
             codec=self.codec,
         )
 
+    @property
+    def is_image(self) -> bool:
+        """True if a row is an image, stored as one chunk."""
+        return self.column.is_image
+
     def partial(self, number: int) -> Path:
         """Return the path of the shard while it grows."""
         final = self.shard(number)
@@ -555,8 +560,8 @@ class StreamLayout:
         check_rate(attrs.get("rate_hz"), files.name(path))
         check_stream_attrs(attrs, files.name(path))
         columns = [ColumnLayout.load(path / str(name), files) for name in names]
-        small = tuple(column for column in columns if not column.column.is_image)
-        images_ = [column for column in columns if column.column.is_image]
+        small = tuple(column for column in columns if not column.is_image)
+        images_ = [column for column in columns if column.is_image]
         if not small or len({column.rows_per_chunk for column in small}) != 1:
             raise SessionError(f"{path}: the columns {names} are not chunked alike")
         return cls(path, small, images_[0] if images_ else None)

@@ -39,7 +39,7 @@ class OpenShard:
         path = layout.partial(number)
         path.parent.mkdir(parents=True, exist_ok=True)
         end = records[-1].end if records else 0
-        step = STEP if layout.column.is_image else 0
+        step = STEP if layout.is_image else 0
         self._log = RecordLog(path, end=end, below=layout.path, step=step)
 
     def __len__(self) -> int:
