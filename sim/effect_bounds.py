@@ -19,7 +19,8 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.fem.newton import path_of
 from sim.layer import Layer
-from sim.metrics import Outcome, force_scale, marker_pixels, outcome_of, seen
+from sim.metrics import Outcome, marker_pixels, outcome_of, seen
+from sim.result import force_scale
 from sim.scene import Body, Effects, Inertia, Scene
 from sim.tiers import simulate
 
@@ -39,7 +40,7 @@ class Change:
     """Difference between two solutions of one scene; F frames."""
 
     fraction: tuple[float, ...]
-    """Change of the force along x, y or z of each frame, over `sim.metrics.force_scale` (F,)."""
+    """Change of the force along x, y or z of each frame, over `sim.result.force_scale` (F,)."""
     force: float
     """Largest change of the force along x, y or z [N]."""
     marker: float

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from sim.errors import SceneError
-from sim.result import Result
+from sim.result import Result, force_scale
 from sim.scene import Body
 
 # The parts of a result that are compared.
@@ -70,21 +70,11 @@ def seen(place: Array) -> Array:
 
 Array = NDArray[np.float64]
 
-# Fraction of the largest force below which a frame's error is no longer divided by its own force.
-WEAK = 0.1
-
 
 def force_errors(outcome: Outcome, reference: Outcome) -> tuple[Array, Array]:
     """Return `Errors.force` (F, 3) [N] and `Errors.force_share` (F, 3)."""
     force = np.abs(outcome.force - reference.force)
     return force, force / force_scale(reference.force)[:, None]
-
-
-def force_scale(force: Array) -> Array:
-    """Return the scale of errors: each force's norm, but at least `WEAK` of the largest (F,)."""
-    size = np.linalg.norm(force, axis=1)
-    least = max(WEAK * float(size.max(initial=0.0)), float(np.finfo(float).tiny))
-    return np.asarray(np.maximum(size, least))
 
 
 def marker_errors(outcome: Outcome, reference: Outcome, body: Body) -> Array:

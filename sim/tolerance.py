@@ -34,21 +34,15 @@ from sim.error_estimate import (
     pixel_of,
     side_distance,
     unknown_at_side,
+    vanishing_share,
     with_estimate,
+    with_symmetry,
 )
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
-from sim.metrics import (
-    Tolerance,
-    force_scale,
-    marker_errors,
-    outcome_of,
-    tolerance_of,
-    with_unit,
-)
-from sim.result import ContactTier, Result
+from sim.metrics import Tolerance, marker_errors, outcome_of, tolerance_of, with_unit
+from sim.result import ContactTier, Result, force_scale
 from sim.scene import Scene
-from sim.symmetry import vanishing_share, with_symmetry
 from sim.tiers import simulate
 
 if TYPE_CHECKING:

@@ -28,9 +28,9 @@ from recorder.progress import duration
 from recorder.store import replace_file
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
-from sim.metrics import force_scale, tolerance_of
+from sim.metrics import tolerance_of
 from sim.planning import plan
-from sim.result import Result
+from sim.result import Result, force_scale
 from sim.scene import Scene
 from sim.tiers import simulate
 from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from recorder.progress import Progress
 from sim.cli.options import body_of, effects_of, indenter_of, split_shape
-from sim.error_estimate import describe_error
+from sim.error_estimate import notes
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.layer import Layer
@@ -30,9 +30,6 @@ from sim.tiers import simulate
 # Results in millimetres and newtons, as one JSON object or as a table.
 
 Array = NDArray[np.float64]
-
-# An edge radius below this fraction of an element is worth a note.
-EDGE_NOTE_SHARE = 0.999
 
 
 def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
@@ -133,31 +130,6 @@ def stages(result: Result, seconds: float) -> str:
     """Return one line with the total time and the time of each stage."""
     parts = ", ".join(f"{name} {value:.2f}" for name, value in result.record["seconds"].items())
     return f"{seconds:.2f} s ({parts})"
-
-
-def notes(result: Result) -> list[str]:
-    """Return remarks on the accuracy and validity of the result; may be empty."""
-    solid = result.scene.indenter.solid
-    reported = [] if solid is None else list(solid.notes)
-    if result.tier == "fem":
-        body = result.scene.body
-        size = max(
-            body.size_x / result.record["mesh"]["cells"][0],
-            body.size_y / result.record["mesh"]["cells"][1],
-        )
-        edge = result.scene.indenter.sharpest
-        if edge < EDGE_NOTE_SHARE * size:
-            reported.append(
-                f"the indenter's sharpest radius, {edge * 1e3:g} mm, is finer than the elements, "
-                f"{size * 1e3:.3g} mm: the force still depends on the mesh"
-            )
-    if "error" in result.record:
-        reported.append(describe_error(result.record["error"]))
-    if "plan" in result.record:
-        reported += [f"taken: {result.record['plan']['why']}", *result.record["plan"]["notes"]]
-    if "precision_reason" in result.record:
-        reported.append(result.record["precision_reason"])
-    return reported
 
 
 def _plain(values: NDArray[Any]) -> list[Any]:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
-from sim.contact_size import touched_by, width_of
 from sim.fem.balance import READ
 from sim.fem.mesh import Mesh
 from sim.fem.sizing import resolved
-from sim.result import Quality, Result
+from sim.result import Quality, Result, touched_by, width_of
 from sim.scene import Scene
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sim.contact_size import half_widths, pixel_edges
 from sim.indenters import Indenter
+from sim.result import half_widths, pixel_edges
 from sim.scene import Body, Scene
 
 Array = NDArray[np.float64]

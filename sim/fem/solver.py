@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 
 from recorder.progress import span_of
-from sim.contact_size import touched_by
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem import Fem, Precision
@@ -27,8 +26,7 @@ from sim.fem.sizing import (
 from sim.fem.stepping import Batch, Crossed
 from sim.fem.verdict import OVERLAP_GOOD, checked, overlap_shares
 from sim.indenters.device import traits_of
-from sim.metrics import WEAK
-from sim.result import Outcome, Result, with_beginning
+from sim.result import WEAK, Outcome, Result, touched_by, with_beginning
 from sim.scene import Motion, Scene
 
 Progress = Callable[[float], None]

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from sim.contact_size import width_of
 from sim.errors import SimulationDiverged
 from sim.fem.assembly import Assembly
 from sim.fem.contact import OVERLAPS
@@ -41,7 +40,7 @@ from sim.fem.verdict import (
     overlap_place,
     shares,
 )
-from sim.result import SIDES, Outcome
+from sim.result import SIDES, Outcome, width_of
 
 # Samples along a side of a face at which overlap is measured, for frames and for intermediate
 # states; and the number of states per step, its end included.

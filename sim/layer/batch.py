@@ -547,7 +547,7 @@ class LayerBatch:
             )
 
     def _widths(self, rows: Whole, which: Any, read: Any) -> Array:
-        """Return the widths of the contacts of presses (N,) [m], as `sim.contact_size.width_of`."""
+        """Return the widths of the contacts of presses (N,) [m], as `sim.result.width_of`."""
         touches = read["touched"] > 0
         if not touches.any():
             return np.zeros(len(rows))

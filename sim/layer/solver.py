@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.contact_size import width_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
 from sim.layer.spectral import Grid, convolutions
-from sim.result import Quality, Result, no_quality
+from sim.result import Quality, Result, no_quality, width_of
 from sim.scene import Scene, Viscosity
 
 # History of a relaxing layer: the stress in its Maxwell branches, per pixel.

@@ -11,7 +11,8 @@ from sim.indenters import sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
 from sim.markers.camera import DISTANCE, FOCAL
-from sim.metrics import WEAK, Outcome, marker_pixels, marker_places, outcome_of, seen
+from sim.metrics import Outcome, marker_pixels, marker_places, outcome_of, seen
+from sim.result import WEAK
 from sim.scene import Body, Scene, press
 
 BODY = Body()

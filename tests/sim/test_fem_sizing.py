@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sim.contact_size import half_widths
 from sim.fem import Fem, solver
 from sim.fem.sizing import (
     FLATTER,
@@ -21,7 +20,7 @@ from sim.fem.sizing import (
 from sim.fem.solver import refines, simulate_fem
 from sim.indenters import sphere
 from sim.indenters.shapes import bar
-from sim.result import Result
+from sim.result import Result, half_widths
 from sim.scene import Body, Scene, press
 
 

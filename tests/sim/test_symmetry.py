@@ -11,12 +11,11 @@ import pytest
 from support import stl_files as files
 
 from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate
-from sim.error_estimate import with_estimate
+from sim.error_estimate import PLANES, asymmetry, planes_of, vanishing_share, with_estimate
 from sim.fem import Fem
 from sim.indenters import Indenter, box, flat_punch, from_stl, named, plane, sphere
 from sim.metrics import tolerance_of
 from sim.scene import Gravity
-from sim.symmetry import PLANES, asymmetry, planes_of, vanishing_share
 from sim.tolerance import extrapolated
 
 SMALL = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)

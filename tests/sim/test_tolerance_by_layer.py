@@ -13,8 +13,7 @@ from benchmarks.sim.independent.comparison import round_tasks
 from sim import Body, Fem, Layer, Scene, plan, press, simulate
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, sphere
-from sim.metrics import force_scale
-from sim.result import Result
+from sim.result import Result, force_scale
 from sim.scene import Effects, Friction, through
 
 # A contact 33 pixels wide, pressed by a fortieth of the thickness: 5.7 % by its estimate.

@@ -23,8 +23,8 @@ from benchmarks.sim.launches import in_launches
 from benchmarks.sim.spent import spent_by
 from recorder.progress import duration
 from sim.errors import SceneError, SimulationDiverged
-from sim.metrics import WEAK, outcome_of
-from sim.result import Result
+from sim.metrics import outcome_of
+from sim.result import WEAK, Result
 from sim.scene import Scene, press
 
 # Depth of the press that loads the kernels before a measurement [m].

@@ -25,8 +25,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import sphere
 from sim.layer import Layer
-from sim.metrics import force_scale
-from sim.result import Outcome
+from sim.result import Outcome, force_scale
 from sim.scene import Body, Scene, press
 from sim.tiers import simulate_many
 

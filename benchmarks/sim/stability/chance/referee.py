@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from benchmarks.sim.stability.chance import bounds, overlap
 from benchmarks.sim.stability.chance.footprint import footprint, half_wall, inside_by
 from benchmarks.sim.stability.laws import Law, at_least, at_most
-from sim.metrics import force_scale
-from sim.result import Result
+from sim.result import Result, force_scale
 from sim.scene import Scene
 
 Array = NDArray[np.float64]
