@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast, get_args
 
-from recorder.command_line.options import add_device, numbers
+from recorder.command_line.options import add_device, numbers, positive, whole
 from sim.device import ready_device
 from sim.errors import SceneError
 from sim.fem import Fem
@@ -34,7 +34,18 @@ from sim.indenters import (
 )
 from sim.indenters.solid import REACH, Unit, Up
 from sim.layer import Layer
-from sim.scene import Body, Effects, Footprint, Friction, Gravity, Inertia, Viscosity
+from sim.scene import (
+    Body,
+    Effects,
+    Footprint,
+    Friction,
+    Gravity,
+    Inertia,
+    Motion,
+    Scene,
+    Viscosity,
+    press,
+)
 
 # Readers of option values: numbers, lists of numbers, pairs.
 
@@ -207,11 +218,44 @@ STEPS_MAX = 1000
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """Add options of scene, solver and output."""
+    _add_motion_options(parser)
     add_indenter_options(parser)
     _add_body_options(parser)
     _add_effect_options(parser)
     _add_solver_options(parser)
     _add_output_options(parser)
+
+
+def scene_of(options: argparse.Namespace) -> Scene:
+    """Return the scene that the options describe."""
+    motion = motion_of(options)
+    return Scene(
+        indenter=indenter_of(options),
+        motion=motion,
+        body=body_of(options),
+        effects=effects_of(options),
+    )
+
+
+def motion_of(options: argparse.Namespace) -> Motion:
+    """Return the motion that the options describe."""
+    before = 0.0
+    for index, depth in enumerate(options.depths):
+        if depth == before:
+            raise SceneError(
+                f"--depths[{index}]: {depth!r} mm; allowed: another depth than {before!r} mm, "
+                "where the tip already is"
+            )
+        before = depth
+    return press(
+        [metres(depth) for depth in options.depths],
+        hold=options.hold or 0.0,
+        shear=metres(options.shear or 0.0),
+        angle=math.radians(options.angle),
+        steps=options.steps,
+        at=(metres(options.at[0]), metres(options.at[1])),
+        speed=metres(options.speed),
+    )
 
 
 def body_of(options: argparse.Namespace) -> Body:
@@ -258,6 +302,60 @@ def tier_option(text: str) -> Layer | Fem:
         pass
     raise argparse.ArgumentTypeError(
         f"{text!r}; allowed: layer, fem, or fem:FINENESS with a fineness of 0.1 to 10"
+    )
+
+
+def tier_of(options: argparse.Namespace) -> Layer | Fem:
+    """Return the tier that the options name, `fem` if none; it must agree with the tolerance."""
+    tier: Layer | Fem = options.tier or Fem()
+    if options.tolerance is not None and tier not in (Layer(), Fem()):
+        raise SceneError("--tier: fem with a fineness and --tolerance; allowed: either")
+    if options.tolerance is None and options.effects != "all":
+        raise SceneError(
+            f"--effects: {options.effects!r} without --tolerance; allowed: with one, such as "
+            '"2 %", "0.05 N" or "0.5 px"'
+        )
+    return tier
+
+
+def _add_motion_options(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("motion")
+    group.add_argument(
+        "--depths",
+        type=numbers(),
+        default=(0.5, 1.0, 1.5),
+        metavar="MM,...",
+        help="depths to go to in turn, from the touched surface [mm] (0.5,1,1.5)",
+    )
+    group.add_argument(
+        "--hold", type=positive, metavar="S", help="rest at the last depth for this time [s] (none)"
+    )
+    group.add_argument(
+        "--shear",
+        type=positive,
+        metavar="MM",
+        help="then move sideways by this length, back, and lift [mm] (none)",
+    )
+    group.add_argument(
+        "--angle",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="direction of the shear, from x towards y [deg] (%(default)s)",
+    )
+    group.add_argument(
+        "--steps",
+        type=whole(1, STEPS_MAX),
+        default=1,
+        metavar="N",
+        help="frames of each press, hold, shear, return and lift (%(default)s)",
+    )
+    group.add_argument(
+        "--speed",
+        type=float,
+        default=10.0,
+        metavar="MM/S",
+        help="speed of the tip; matters to viscosity and inertia only [mm/s] (%(default)s)",
     )
 
 

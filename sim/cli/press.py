@@ -1,82 +1,245 @@
-"""`tactile sim press`: press to a sequence of depths, and hold or shear there."""
+"""`tactile sim press`: press to a sequence of depths, hold or shear there, and show the result."""
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
+import os
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
 
-from recorder.command_line.options import numbers, positive, whole
-from sim.cli.options import STEPS_MAX, add_scene_options, metres
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.progress import Progress
+from sim.cli.options import add_scene_options, scene_of, split_shape, tier_of
+from sim.error_estimate import notes
 from sim.errors import SceneError
-from sim.scene import Motion, press
+from sim.layer import Layer
+from sim.result import ContactTier, Quality, Result
+from sim.scene import Scene
+from sim.tiers import simulate
+
+Array = NDArray[np.float64]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
-    group = parser.add_argument_group("motion")
-    group.add_argument(
-        "--depths",
-        type=numbers(),
-        default=(0.5, 1.0, 1.5),
-        metavar="MM,...",
-        help="depths to go to in turn, from the touched surface [mm] (0.5,1,1.5)",
-    )
-    group.add_argument(
-        "--hold", type=positive, metavar="S", help="rest at the last depth for this time [s] (none)"
-    )
-    group.add_argument(
-        "--shear",
-        type=positive,
-        metavar="MM",
-        help="then move sideways by this length, back, and lift [mm] (none)",
-    )
-    group.add_argument(
-        "--angle",
-        type=float,
-        default=0.0,
-        metavar="DEG",
-        help="direction of the shear, from x towards y [deg] (%(default)s)",
-    )
-    group.add_argument(
-        "--steps",
-        type=whole(1, STEPS_MAX),
-        default=1,
-        metavar="N",
-        help="frames of each press, hold, shear, return and lift (%(default)s)",
-    )
-    group.add_argument(
-        "--speed",
-        type=float,
-        default=10.0,
-        metavar="MM/S",
-        help="speed of the tip; matters to viscosity and inertia only [mm/s] (%(default)s)",
-    )
     add_scene_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press, show every frame with contact and return the exit code."""
-    from sim.cli.report import run_motion
+    """Press, show and save every frame with contact and return the exit code."""
+    began = time.perf_counter()
+    scene = scene_of(options)
+    if options.plan_effects:
+        return _show_effects(scene, options)
+    picture = _picture_path(options)
+    _make_room(options.save, picture)
+    result = _simulated(scene, options)
+    seconds = time.perf_counter() - began
+    if options.save is not None:
+        from sim.store import save_results
 
-    before = 0.0
-    for index, depth in enumerate(options.depths):
-        if depth == before:
-            raise SceneError(
-                f"--depths[{index}]: {depth!r} mm; allowed: another depth than {before!r} mm, "
-                "where the tip already is"
-            )
-        before = depth
-    return run_motion(options, motion_of(options))
+        save_results(options.save, [result])
+    if picture is not None:
+        from sim.plot import save_picture
+
+        save_picture(result, picture)
+    if options.json:
+        print(json.dumps(as_json(result, seconds=seconds), allow_nan=False))
+        return 0
+    print(heading(result))
+    print()
+    for line in table(result):
+        print(line)
+    print()
+    print(stages(result, seconds))
+    for note in notes(result):
+        print(f"note: {note}")
+    for path in (options.save, picture):
+        if path is not None:
+            print(path)
+    return 0
 
 
-def motion_of(options: argparse.Namespace) -> Motion:
-    """Return the motion that the options describe."""
-    return press(
-        [metres(depth) for depth in options.depths],
-        hold=options.hold or 0.0,
-        shear=metres(options.shear or 0.0),
-        angle=math.radians(options.angle),
-        steps=options.steps,
-        at=(metres(options.at[0]), metres(options.at[1])),
-        speed=metres(options.speed),
+def _show_effects(scene: Scene, options: argparse.Namespace) -> int:
+    """Print the estimated contribution of each effect and return the exit code."""
+    from sim.device import ready_device
+    from sim.planning import plan_effects
+
+    kernels = ready_device(options.device)
+    with Progress("press", sys.stderr, kernels=kernels) as progress:
+        influence = plan_effects(scene, options.tolerance, device=options.device, progress=progress)
+    print(json.dumps(influence.record(), allow_nan=False) if options.json else influence)
+    return 0
+
+
+def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
+    tier = tier_of(options)
+    only: ContactTier | None = None
+    if options.tier is not None:
+        only = "layer" if isinstance(tier, Layer) else "fem"
+    kernels = None
+    if not isinstance(tier, Layer):
+        from sim.device import ready_device
+
+        kernels = ready_device(options.device)
+    with Progress("press", sys.stderr, kernels=kernels) as progress:
+        if options.tolerance is None:
+            return simulate(scene, tier, device=options.device, progress=progress)
+        from sim.planning import plan
+
+        within = plan(
+            scene,
+            options.tolerance,
+            only=only,
+            effects=options.effects,
+            device=options.device,
+            progress=progress,
+        )
+        return within.run(progress=progress)
+
+
+def _picture_path(options: argparse.Namespace) -> Path | None:
+    """Return the path of the picture, or None if no picture is requested."""
+    path: Path | None = options.out
+    if path is None:
+        shape, _ = split_shape(options.shape)
+        return None if options.json else Path(f"press-{Path(shape).stem}.png")
+    if path.suffix.lower() != ".png":
+        raise SceneError(f"--out: {path}; allowed: a name that ends in .png")
+    return path
+
+
+def _make_room(save: Path | None, picture: Path | None) -> None:
+    """Check, before simulating, that the results can be written."""
+    if save is not None and save.exists():
+        raise SceneError(f"--save: {save} exists; allowed: a new path")
+    for path in (save, picture):
+        if path is None:
+            continue
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not os.access(path.parent, os.W_OK):
+            raise PermissionError(f"{path.parent}: not writable")
+
+
+# Results in millimetres and newtons, as one JSON object or as a table.
+
+
+def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
+    """Return all frames but the first, which only touches, as plain JSON values.
+
+    Args:
+        result: Result of the simulation.
+        seconds: Total wall-clock time.
+    """
+    scene, frames = result.scene, slice(1, None)
+    tip = np.array(scene.motion.tip, float)[frames] * 1e3
+    force, torque = result.wrench[frames, :3], result.wrench[frames, 3:]
+    effects = result.record.get("effects")
+    quality = {
+        one.name: _plain(getattr(result.quality, one.name)[frames]) for one in fields(Quality)
+    }
+    return {
+        "depth_mm": _plain(-tip[:, 2]),
+        "force_n": _plain(-force[:, 2]),
+        "seconds": round(seconds, 4),
+        "time_s": _plain(np.array(scene.motion.time, float)[frames]),
+        "tip_mm": _plain(tip),
+        "wrench_n_nm": _plain(np.concatenate([force, torque], axis=1)),
+        "indenter": {
+            "name": scene.indenter.name,
+            "edge_radius_mm": scene.indenter.edge_radius * 1e3,
+            "tilt_deg": [math.degrees(angle) for angle in scene.indenter.tilt],
+        },
+        "tier": result.tier,
+        "effects": list(scene.effects.key),
+        "mesh": result.record["mesh"],
+        "precision": result.record["precision"],
+        "device": result.record["device"],
+        "plan": result.record.get("plan"),
+        "error": result.record.get("error"),
+        "seconds_by_stage": result.record["seconds"],
+        "quality": quality,
+        "notes": notes(result),
+        # If only needed effects were simulated, the estimates of all.
+        **({"effects_plan": effects} if isinstance(effects, dict) else {}),
+    }
+
+
+def table(result: Result) -> list[str]:
+    """Return a table's lines, one row per frame but the first, without empty columns."""
+    motion, quality, force = result.scene.motion, result.quality, result.force
+    tip = np.array(motion.tip, float) * 1e3
+    timed = {"viscosity", "inertia"} & set(result.scene.effects.key)
+    sheared = np.abs(force[:, :2]).max(axis=0) > 1e-3 * np.abs(force).max()
+    columns: list[tuple[str, str, Array, bool]] = [
+        ("time [s]", ".4g", np.array(motion.time, float), bool(timed)),
+        ("x [mm]", "z.3f", tip[:, 0], bool(tip[:, 0].any())),
+        ("y [mm]", "z.3f", tip[:, 1], bool(tip[:, 1].any())),
+        ("depth [mm]", "z.3f", -tip[:, 2], True),
+        ("force [N]", "z.4f", -force[:, 2], True),
+        ("Fx [N]", "z.4f", force[:, 0], bool(sheared[0])),
+        ("Fy [N]", "z.4f", force[:, 1], bool(sheared[1])),
+        ("residual", ".0e", quality.residual, True),
+        ("contact", ".0e", quality.contact, True),
+        ("balance", ".0e", quality.balance, True),
+        ("energy gap", "z.4f", quality.energy_gap, True),
+        ("det F min", "z.3f", quality.det_f_min, True),
+        ("slip excess", ".0e", quality.slip_excess, True),
+        ("newton", "z.0f", quality.newton.astype(float), True),
+        ("cg", "z.0f", quality.cg.astype(float), bool(quality.cg.any())),
+    ]
+    shown = [
+        [heading, *(format(value, form) for value in values[1:])]
+        for heading, form, values, wanted in columns
+        if wanted and np.isfinite(values).any()
+    ]
+    widths = [max(len(cell) for cell in column) for column in shown]
+    return [
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+        for row in zip(*shown, strict=True)
+    ]
+
+
+def heading(result: Result) -> str:
+    """Return one line that describes the scene, the tier, the mesh and the device."""
+    scene, body = result.scene, result.scene.body
+    size = "x".join(f"{side * 1e3:g}" for side in (body.size_x, body.size_y, body.thickness))
+    dome = f", dome {body.dome_radius * 1e3:g} mm" if body.dome_radius else ""
+    outline = ", ellipse" if body.footprint == "ellipse" else ""
+    edge = scene.indenter.edge_radius
+    edges = f", edges {edge * 1e3:g} mm" if edge else ""
+    cells = result.record["mesh"].get("cells") or result.record["mesh"]["grid"]
+    mesh = "x".join(str(count) for count in cells)
+    effects = ", ".join(scene.effects.key) or "no effects"
+    return (
+        f"{scene.indenter.name}{edges}; body {size} mm{outline}{dome}, {body.modulus / 1e6:g} MPa, "
+        f"nu {body.poisson:g}; {effects}; {result.tier} {mesh}, {result.record['precision']}, "
+        f"{result.record['device']}"
     )
+
+
+def stages(result: Result, seconds: float) -> str:
+    """Return one line with the total time and the time of each stage."""
+    parts = ", ".join(f"{name} {value:.2f}" for name, value in result.record["seconds"].items())
+    return f"{seconds:.2f} s ({parts})"
+
+
+def _plain(values: NDArray[Any]) -> list[Any]:
+    """Return lists of numbers, with None for non-finite ones, which JSON cannot represent."""
+    return [_plain_item(value) for value in values.tolist()]
+
+
+def _plain_item(value: Any) -> Any:
+    if isinstance(value, Iterable):
+        return [_plain_item(one) for one in value]
+    if isinstance(value, float):
+        return value + 0.0 if math.isfinite(value) else None
+    return value
