@@ -47,8 +47,3 @@ def det_less_one_function(real):
 def numpy_of(real):
     """Return NumPy's scalar type for one of Warp's."""
     return np.float32 if real == wp.float32 else np.float64
-
-
-def native_of(real):
-    """Return the name in C++ of one of Warp's scalar types."""
-    return "float" if real == wp.float32 else "double"

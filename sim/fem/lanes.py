@@ -17,7 +17,7 @@ from string import Template
 import warp as wp
 
 from sim.fem.arrays import material_struct, mesh_struct
-from sim.scalars import matrix_of, native_of, vector_of
+from sim.scalars import matrix_of, vector_of
 
 # Elements that a thread computes at once.
 AT_ONCE = 8
@@ -393,6 +393,11 @@ _VISCOUS_METRIC = """
                     for (int l = 0; l < 3; ++l)
                         metric += inv[r][k] * past[k][l] * inv[s][l] * w[q];
 """
+
+
+def native_of(real):
+    """Return the name in C++ of one of Warp's scalar types."""
+    return "float" if real == wp.float32 else "double"
 
 
 @functools.cache

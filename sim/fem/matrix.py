@@ -2,7 +2,7 @@
 # Warp gives kernels their types itself; mypy cannot follow annotations made at run time.
 """Tangent assembled on the 27-point stencil of the grid of nodes, and its product with vectors.
 
-`matrix[env, n, s]` is the 3x3 block that couples node n to its neighbour in slot s (`fem.mesh`).
+`matrix[env, n, s]` is the 3x3 block that couples node n to its neighbour in slot s.
 Blocks outside the grid, and in rows and columns of fixed nodes, are zero. Assembly, once per Newton
 iteration, costs about as much as 3 matrix-free products; each product is then about ten times
 cheaper on a CPU.
@@ -21,14 +21,59 @@ motions, and Newton's method takes three times the iterations or does not end
 import functools
 from itertools import pairwise
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from sim.fem.arrays import array_of, contact_struct, mesh_struct
 from sim.fem.balance import RUN
 from sim.fem.element import element_rows_kernel
-from sim.fem.lanes import AT_ONCE, blocks_kernel
-from sim.fem.mesh import CENTRE, CORNERS, SLOTS, Mesh, colour_order, face_slots, slot_offsets
-from sim.scalars import matrix_of, native_of, vector_of
+from sim.fem.lanes import AT_ONCE, blocks_kernel, native_of
+from sim.fem.mesh import CORNERS, Mesh
+from sim.scalars import matrix_of, vector_of
+
+# Neighbours on the regular grid of nodes: slots of the 27-point stencil, and colours.
+#
+# A slot is a step (di, dj, dk) of the grid, each -1, 0 or 1: s = 9 (di + 1) + 3 (dj + 1) + dk + 1.
+
+SLOTS = 27
+# Slot of a node itself.
+CENTRE = 13
+
+
+def slot_offsets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Return the node number of each slot's neighbour relative to the node (27,)."""
+    plane, row = (cells[1] + 1) * (cells[2] + 1), cells[2] + 1
+    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    offsets: NDArray[np.int64] = steps @ np.array([plane, row, 1])
+    return offsets
+
+
+def neighbours(cells: tuple[int, int, int]) -> NDArray[np.int64]:
+    """Return the node of each slot (N, 27); -1 outside the grid."""
+    shape = np.array(cells) + 1
+    place = np.stack(np.unravel_index(np.arange(shape.prod()), shape), axis=-1)
+    steps = np.stack(np.unravel_index(np.arange(SLOTS), (3, 3, 3)), axis=-1) - 1
+    there = place[:, None] + steps
+    inside = ((there >= 0) & (there < shape)).all(axis=-1)
+    return np.where(inside, np.arange(shape.prod())[:, None] + slot_offsets(cells), -1)
+
+
+def face_slots(mesh: Mesh) -> NDArray[np.int64]:
+    """Return the slot of corner b of a face relative to its corner a (S, 4, 4)."""
+    difference = mesh.faces[:, None, :] - mesh.faces[:, :, None]
+    offsets = slot_offsets(mesh.cells)
+    slots: NDArray[np.int64] = np.argmax(difference[..., None] == offsets, axis=-1)
+    return slots
+
+
+def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[int]]:
+    """Return elements by colour, no two of a colour sharing a node (E,), and colour starts (9,)."""
+    place = np.stack(np.unravel_index(np.arange(np.prod(cells)), cells), axis=-1) % 2
+    colour = place @ np.array([4, 2, 1])
+    begins = np.searchsorted(np.sort(colour), np.arange(9))
+    return np.argsort(colour, kind="stable"), begins.tolist()
+
 
 # Product of a row of the stencil with a vector, in a CPU's wide registers.
 #

@@ -82,21 +82,17 @@ class Mesh:
     """True for nodes that move (N,): all but those on the base."""
     node_volume: NDArray[np.float64]
     """Volume lumped to each node (N,)."""
+    finest: float
+    """Side of the smallest element in plan, in thicknesses."""
+    topmost: float
+    """Height of the topmost elements, in thicknesses."""
+    top: NDArray[np.int64]
+    """Node numbers of the top (X, Y)."""
+    top_area: Array
+    """Area of the nodes of the top (X, Y); inf outside a round body."""
     fraction: NDArray[np.float64] | None = None
     """Fraction of each column of elements within a round footprint (X - 1, Y - 1), which weights
     its elements; 0 means no elements. None: all columns are whole."""
-
-    @property
-    def finest(self) -> float:
-        """Side of the smallest element in plan, in thicknesses."""
-        return float(max(np.diff(self.x).min(), np.diff(self.y).min()))
-
-    @property
-    def topmost(self) -> float:
-        """Height of the topmost elements, in thicknesses."""
-        middle = (0, 0) if self.fraction is None else (self.cells[0] // 2, self.cells[1] // 2)
-        column = self.top[middle]
-        return float(self.nodes[column, 2] - self.nodes[column - 1, 2])
 
     @property
     def beside(self) -> NDArray[np.bool_]:
@@ -105,26 +101,6 @@ class Mesh:
             return np.zeros((len(self.x), len(self.y)), dtype=bool)
         empty = np.pad(self.fraction == 0, 1, constant_values=True)
         return np.asarray(empty[1:, 1:] & empty[:-1, 1:] & empty[1:, :-1] & empty[:-1, :-1])
-
-    @property
-    def top(self) -> NDArray[np.int64]:
-        """Node numbers of the top (X, Y)."""
-        nx, ny, nz = self.cells
-        grid = np.arange(len(self.nodes)).reshape(nx + 1, ny + 1, nz + 1)
-        return grid[:, :, -1]
-
-    @property
-    def top_faces(self) -> NDArray[np.int32]:
-        """Columns of nodes at the corners of each face of the top (X Y, 4), the first faces."""
-        nx, ny, nz = self.cells
-        return self.faces[: nx * ny] // (nz + 1)
-
-    @property
-    def top_area(self) -> Array:
-        """Area of the nodes of the top (X, Y); inf outside a round body."""
-        corners, each = self.top_faces, np.repeat(self.face_area[: len(self.top_faces)], 4)
-        area = np.bincount(corners.ravel(), each, len(self.x) * len(self.y))
-        return np.where(area > 0, area, np.inf).reshape(len(self.x), len(self.y))
 
     @property
     def base(self) -> NDArray[np.int64]:
@@ -259,6 +235,8 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
         volume = _node_volumes(grid["elements"], weight, len(nodes))
         # The sides of the grid lie outside the body.
         area = np.concatenate([area[: inside.size] * inside.ravel(), 0 * area[inside.size :]])
+    top = grid["top"]
+    column = top[0, 0] if inside is None else top[cells[0] // 2, cells[1] // 2]
     return Mesh(
         cells=cells,
         x=x,
@@ -269,6 +247,9 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
         weight=weight,
         face_area=area,
         node_volume=volume,
+        finest=float(max(np.diff(x).min(), np.diff(y).min())),
+        topmost=float(nodes[column, 2] - nodes[column - 1, 2]),
+        top_area=_top_area(grid["faces"], area, cells),
         fraction=inside,
         **grid,
     )
@@ -292,6 +273,7 @@ def _topology(cells: tuple[int, int, int]) -> dict[str, NDArray[Any]]:
         "node_elements": _around(elements, count, 8),
         "node_faces": _around(faces, count, 4),
         "free": free,
+        "top": grid[:, :, -1].astype(np.int64),
     }
 
 
@@ -369,6 +351,14 @@ def _face_areas(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return area / 8
 
 
+def _top_area(faces: NDArray[np.int32], area: Array, cells: tuple[int, int, int]) -> Array:
+    """Return the area of each node of the top (X, Y), from that of the faces (S,)."""
+    nx, ny, nz = cells
+    corners, each = faces[: nx * ny] // (nz + 1), np.repeat(area[: nx * ny], 4)
+    nodal = np.bincount(corners.ravel(), each, (nx + 1) * (ny + 1))
+    return np.where(nodal > 0, nodal, np.inf).reshape(nx + 1, ny + 1)
+
+
 def _around(cells: NDArray[np.int32], count: int, most: int) -> NDArray[np.int32]:
     """Return the cells around each of `count` nodes as `cell * corners + corner`, -1 filled."""
     corners = cells.shape[1]
@@ -380,49 +370,6 @@ def _around(cells: NDArray[np.int32], count: int, most: int) -> NDArray[np.int32
     if corners * len(cells) > np.iinfo(np.int32).max:
         raise SceneError(f"mesh: {len(cells)} cells; allowed: up to {2**31 // corners}")
     return around
-
-
-# Neighbours on the regular grid of nodes: slots of the 27-point stencil, and colours.
-#
-# A slot is a step (di, dj, dk) of the grid, each -1, 0 or 1: s = 9 (di + 1) + 3 (dj + 1) + dk + 1.
-
-SLOTS = 27
-# Slot of a node itself.
-CENTRE = 13
-
-
-def slot_offsets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Return the node number of each slot's neighbour relative to the node (27,)."""
-    plane, row = (cells[1] + 1) * (cells[2] + 1), cells[2] + 1
-    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    offsets: NDArray[np.int64] = steps @ np.array([plane, row, 1])
-    return offsets
-
-
-def neighbours(cells: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Return the node of each slot (N, 27); -1 outside the grid."""
-    shape = np.array(cells) + 1
-    place = np.stack(np.unravel_index(np.arange(shape.prod()), shape), axis=-1)
-    steps = np.stack(np.unravel_index(np.arange(SLOTS), (3, 3, 3)), axis=-1) - 1
-    there = place[:, None] + steps
-    inside = ((there >= 0) & (there < shape)).all(axis=-1)
-    return np.where(inside, np.arange(shape.prod())[:, None] + slot_offsets(cells), -1)
-
-
-def face_slots(mesh: Mesh) -> NDArray[np.int64]:
-    """Return the slot of corner b of a face relative to its corner a (S, 4, 4)."""
-    difference = mesh.faces[:, None, :] - mesh.faces[:, :, None]
-    offsets = slot_offsets(mesh.cells)
-    slots: NDArray[np.int64] = np.argmax(difference[..., None] == offsets, axis=-1)
-    return slots
-
-
-def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[int]]:
-    """Return elements by colour, no two of a colour sharing a node (E,), and colour starts (9,)."""
-    place = np.stack(np.unravel_index(np.arange(np.prod(cells)), cells), axis=-1) % 2
-    colour = place @ np.array([4, 2, 1])
-    begins = np.searchsorted(np.sort(colour), np.arange(9))
-    return np.argsort(colour, kind="stable"), begins.tolist()
 
 
 # Meshes that follow the contacts of scenes.

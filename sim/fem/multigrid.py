@@ -20,8 +20,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim.fem.arrays import array_of
-from sim.fem.matrix import row_function, zero_blocks
-from sim.fem.mesh import CENTRE, SLOTS, Mesh, slot_offsets
+from sim.fem.matrix import CENTRE, SLOTS, row_function, slot_offsets, zero_blocks
+from sim.fem.mesh import Mesh
 from sim.scalars import matrix_of, vector_of
 
 # Columns per block of GPU threads, which adds up their sums.

@@ -17,11 +17,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from sim.fem import Fem
-from sim.fem.arrays import axpy, copy_active
+from sim.fem.arrays import array_of, axpy, copy_active
 from sim.fem.assembly import Assembly
 from sim.fem.cg import ConjugateGradient
 from sim.fem.element import SETTLINGS, STIFFER
-from sim.scalars import numpy_of
 from sim.scene import Scene
 
 # Least determinant of the deformation gradient of a trial state, and of an accepted one.
@@ -318,9 +317,7 @@ class Newton:
         assembly = self._assembly
         if (length == 1.0).all():
             return self._whole
-        return wp.array(
-            length.astype(numpy_of(assembly.real)), dtype=assembly.real, device=assembly.device
-        )
+        return array_of(length, assembly.real, assembly.real, assembly.device)
 
     def work(self, chosen: np.ndarray, duration: np.ndarray) -> np.ndarray:
         """Return the indenter's work over the step that led to the current state (B,) [E T^3].

@@ -47,8 +47,9 @@ def _alone(assembly: Any, env: int, tip: np.ndarray) -> tuple[dict[str, Any], np
     overlap = of(assembly.face_overlap)
     columns = len(mesh.x) * len(mesh.y)
     nodal = np.zeros((columns, 3))
-    for row in rows[rows < len(mesh.top_faces)].tolist():
-        np.add.at(nodal, mesh.top_faces[row], of(contact.force)[row])
+    top_faces = mesh.faces[: mesh.cells[0] * mesh.cells[1]] // (mesh.cells[2] + 1)
+    for row in rows[rows < len(top_faces)].tolist():
+        np.add.at(nodal, top_faces[row], of(contact.force)[row])
     top = np.concatenate([u[mesh.top.ravel()], nodal], axis=1)
     return {
         "force": force.sum(axis=(0, 1)),

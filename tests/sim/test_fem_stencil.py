@@ -13,8 +13,7 @@ from support.fem_tangents import COUNT, FILLED, GRID, Tangents, spread_out
 from sim import Body, Effects, Friction, Scene, press, simulate
 from sim.fem import Fem, assembly
 from sim.fem.balance import RUN
-from sim.fem.matrix import BlockMatrix
-from sim.fem.mesh import SLOTS, colour_order, face_slots, neighbours
+from sim.fem.matrix import SLOTS, BlockMatrix, colour_order, face_slots, neighbours
 from sim.indenters import named
 from sim.scalars import vector_of
 

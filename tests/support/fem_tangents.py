@@ -11,8 +11,8 @@ from support.fem_oracles import Array, Material
 
 from benchmarks.sim.stability.planted import planted
 from sim.fem.contact import face_rule
-from sim.fem.matrix import BlockMatrix
-from sim.fem.mesh import SLOTS, Mesh, neighbours
+from sim.fem.matrix import SLOTS, BlockMatrix, neighbours
+from sim.fem.mesh import Mesh
 
 GRID = oracle.domed_mesh()
 # Two bodies on one grid.
