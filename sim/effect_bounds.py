@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
-from sim.fem.newton import path_of
+from sim.fem.stepping import path_of
 from sim.layer import Layer
 from sim.metrics import Outcome, marker_pixels, outcome_of, seen
 from sim.result import force_scale

@@ -245,7 +245,7 @@ def seconds_of(scene: Scene, tier: Layer | Fem, mesh: Mesh | None = None) -> flo
     if isinstance(tier, Layer):
         return SECONDS_LAYER + SECONDS_LAYER_FRAME * len(scene.motion)
     from sim.fem.mesh import meshes_of
-    from sim.fem.newton import path_of
+    from sim.fem.stepping import path_of
 
     mesh = meshes_of([scene], tier)[0] if mesh is None else mesh
     path = path_of(scene, tier, *([mesh.finest] if tier.follows else []))

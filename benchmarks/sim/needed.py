@@ -25,8 +25,8 @@ from recorder.progress import duration
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.fem.mesh import meshes_of
-from sim.fem.newton import path_of
 from sim.fem.sizing import stages_of
+from sim.fem.stepping import path_of
 from sim.metrics import Kind, outcome_of, tolerance_of, with_unit
 from sim.needed import FINENESS, EffectsPlan, plan_many
 from sim.result import Outcome, Result

@@ -2,26 +2,24 @@
 # Warp's arrays and kernels are typed at run time; mypy cannot follow them.
 """Newton's method on a batch in which every environment has its own step and iteration.
 
+Its linear equations are solved by conjugate gradients, in the second half of this file.
+
 The tangent is solved inexactly, and steps are accepted by the slope along them: the directional
 derivative keeps its digits where a difference of energies is lost in round-off. With friction the
 limit follows the pressure from iteration to iteration, so that the coupled state converges.
 """
 
-from __future__ import annotations
-
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
-from sim.fem import Fem
-from sim.fem.arrays import array_of, axpy, copy_active
+from sim.fem.arrays import Graphs, array_of, axpy, copy_active
 from sim.fem.assembly import Assembly
-from sim.fem.cg import ConjugateGradient
+from sim.fem.balance import LANES
 from sim.fem.element import SETTLINGS, STIFFER
-from sim.scene import Scene
+from sim.scalars import vector_of
 
 # Least determinant of the deformation gradient of a trial state, and of an accepted one.
 DET_TRIAL, DET_FLOOR = 0.02, 0.05
@@ -347,212 +345,306 @@ class Newton:
         return np.where(long, (work + 2 * middle) / 3, work)
 
 
-# Path of one press along its motion: the choice of steps, and the halving of failed ones.
+# Preconditioned conjugate gradients on all environments at once, each stopping independently.
+#
+# The only data read back from the device are the indices of running environments, every `LOOK`
+# iterations, and one array of `SCALARS` at the end. The beginning and the iterations in between, of
+# five kernels each, are graphs, recorded once per number of launched rows. A row holds the index of
+# an environment, or -1. When half of the environments have finished, the others move together and
+# half as many rows are launched, since idle threads take time as well. Dot products are float64
+# whichever precision the vectors have.
 
-Array = NDArray[np.float64]
+# Iterations between checks for running environments: free on the CPU, a stop on a GPU, where one
+# with coarser grids takes much longer than the check.
+LOOK, LOOK_GRIDS = {"cpu": 1, "cuda": 8}, {"cpu": 1, "cuda": 2}
 
-# Time [s] after which any material has relaxed: how long a body stood before a motion begins.
-FULL_RELAXATION_TIME = 1e9
-# Failed attempts, of ever shorter steps from one place, after which the next may take long.
-PATIENT_AFTER = (2, 5)
-# Determinant of the last accepted state, over the least accepted one, below which its elements are
-# all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
-NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
-# Steps of a path that may end with the skin inside itself, or leap through the indenter, and be
-# halved. A shorter one may lead to a state without a fold; one that grows with the depth does so in
-# any steps.
-CROSSED_MOST = 3
-# Largest ratio of a step to the last one that was accepted.
-GROWTH = 1.5
-# Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
-RELAXATION_STEPS = 4
-STEPS_MAX = 16
-# Longest step in sides of the smallest elements, if the mesh follows the contact, and the number of
-# steps in the depth that need not be exceeded. Longer steps bring too many elements into contact at
-# once, and Newton's method takes several times the iterations.
-FINE_STEPS, DEPTH_STEPS = 1.0, 10.0
+# Mark that replaces the target accuracy: stop here, the tangent is not convex.
+CONCAVE = 1e300
+# Scalars per environment: r.z, target of r.r, step length, direction update (beta), slope, number
+# of iterations.
+SCALARS = 6
 
 
-@dataclass(slots=True)
-class Path:
-    """Progress of one press along its motion; lengths in thicknesses.
+@functools.cache
+def _cg_kernels(real, lanes: int):
+    """Return the kernels for one precision; `lanes` threads add up a sum: 1, or a whole block."""
+    vec3 = vector_of(real)
 
-    Segment 0 leads from above the body straight to the first waypoint, in no time: a motion that
-    begins inside the body arrived there at once. Segment k leads to waypoint k. Weight acts from
-    the start; if the body does not converge under all of it, it is ramped up over segment 0.
+    @wp.func
+    def total(sums: wp.array3d(dtype=wp.float64), env: int, lane: int, which: int):
+        """Return a dot product from its partial sums."""
+        whole = wp.float64(0.0)
+        for part in range(lane, sums.shape[1], lanes):
+            whole += sums[env, part, which]
+        if wp.static(lanes > 1):
+            whole = wp.tile_sum(wp.tile(whole))[0]
+        return whole
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def start(
+        # In:
+        which: wp.array(dtype=wp.int32),
+        residual: wp.array2d(dtype=vec3),
+        # Out:
+        solution_out: wp.array2d(dtype=vec3),
+        r_out: wp.array2d(dtype=vec3),
+        p_out: wp.array2d(dtype=vec3),
+        product_out: wp.array2d(dtype=vec3),
+        scalars_out: wp.array2d(dtype=wp.float64),
+    ):
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        if n == 0:
+            for column in range(SCALARS):
+                scalars_out[env, column] = wp.float64(0.0)
+        solution_out[env, n] = vec3()
+        p_out[env, n] = vec3()
+        product_out[env, n] = vec3()
+        r_out[env, n] = residual[env, n]
+
+    def comparison(first: bool):
+        """Return the kernel that ends solves by their residual, at the start or later."""
+
+        @wp.kernel(enable_backward=False, module="unique")
+        def compare(
+            # In:
+            sums: wp.array3d(dtype=wp.float64),
+            accuracy: wp.array(dtype=wp.float64),
+            # In and out:
+            which: wp.array(dtype=wp.int32),
+            scalars_out: wp.array2d(dtype=wp.float64),
+        ):
+            row, lane = wp.tid()
+            env = which[row]
+            if env < 0:
+                return
+            rz = total(sums, env, lane, 0)
+            rr = total(sums, env, lane, 1)
+            if lane == 0:
+                ended = rr == wp.float64(0.0)
+                if wp.static(first):
+                    scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
+                else:
+                    scalars_out[env, 3] = rz / scalars_out[env, 0]
+                    ended = not (rr > scalars_out[env, 1])
+                scalars_out[env, 0] = rz
+                if ended:
+                    which[row] = -1
+                elif not (rz > wp.float64(0.0)):
+                    # Nor is the preconditioner positive definite, if it is made from such a
+                    # tangent.
+                    scalars_out[env, 1] = wp.float64(CONCAVE)
+                    which[row] = -1
+
+        return compare
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def step_length(
+        # In:
+        sums: wp.array3d(dtype=wp.float64),
+        # In and out:
+        which: wp.array(dtype=wp.int32),
+        scalars_out: wp.array2d(dtype=wp.float64),
+    ):
+        row, lane = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        curvature = total(sums, env, lane, 0)
+        if lane == 0:
+            if curvature > wp.float64(0.0):
+                scalars_out[env, 2] = scalars_out[env, 0] / curvature
+            else:
+                # Not convex along p: keep the solution so far; in the first iteration step along p.
+                scalars_out[env, 2] = wp.float64(0.0)
+                if scalars_out[env, 5] == wp.float64(0.0):
+                    scalars_out[env, 2] = wp.float64(1.0)
+                scalars_out[env, 1] = wp.float64(CONCAVE)
+            # The right-hand side times p is r.z: all later residuals are orthogonal to it.
+            scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
+            scalars_out[env, 5] = scalars_out[env, 5] + wp.float64(1.0)
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def turn(
+        # In:
+        which: wp.array(dtype=wp.int32),
+        scalars: wp.array2d(dtype=wp.float64),
+        z: wp.array2d(dtype=vec3),
+        # In and out:
+        p_out: wp.array2d(dtype=vec3),
+    ):
+        row, n = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        p_out[env, n] = z[env, n] + p_out[env, n] * real(scalars[env, 3])
+
+    return start, comparison(first=True), step_length, comparison(first=False), turn
+
+
+class ConjugateGradient:
+    """Solver of tangent x = residual for B environments of N nodes; it owns its vectors.
+
+    Args:
+        real: Warp's scalar type.
+        environments: B.
+        nodes: N.
+        device: Device of the vectors.
+        matrix: Tangent: `product(which, p, product, sums)` writes tangent p and the partial sums
+            of p . tangent p, (B, `matrix.parts`, 1), for the environments `which` (R,).
+        preconditioner: `choose(running)` sets and returns the number of `grids` that the running
+            environments, by index, need; `advance` steps along p and writes z and the partial sums
+            of r.z and r.r, (B, `preconditioner.parts`, 2).
+        gather: Launch fewer rows as environments end; by default only on a GPU.
+        record: Record iterations as a graph; both may only launch kernels then.
     """
 
-    corners: Array
-    """Start and waypoints (F + 1, 3)."""
-    times: Array
-    """Time of each corner [s] (F + 1,); the first is before the body was touched."""
-    longest: float
-    """Length of the longest step."""
-    shortest_time: float
-    """Shortest time that a step has to resolve [s]; inf if nothing depends on time."""
-    halvings_max: int
-    heavy: bool = False
-    """True if the body has weight."""
-    ramped: bool = False
-    """True if the weight is ramped up over segment 0."""
-    segment: int = 0
-    fraction: float = 0.0
-    """Completed fraction of the segment."""
-    step: float = 1.0
-    """Fraction of the segment that the next step may take."""
-    halvings: int = 0
-    failed: int = 0
-    """Failed attempts since the last accepted step."""
-    hard: bool = False
-    """True if another batch, in float32, has failed on this path."""
-    patient_left: int = PATIENT_IN_ALL
-    """Iterations that patient steps may still take."""
-    nearly_crushed: bool = False
-    """True if elements of the last accepted state have little volume left."""
-    crushed: int = 0
-    """Steps since then that failed because elements lost their volume."""
-    crossed: int = 0
-    """Steps of the whole path in which something has passed through the skin."""
-    ended: str = ""
-    """Reason why shorter steps are of no use, if so."""
-    tried: list[str] = field(default_factory=list)
+    def __init__(
+        self,
+        real,
+        environments: int,
+        nodes: int,
+        device: str,
+        matrix,
+        preconditioner,
+        *,
+        gather: bool | None = None,
+        record: bool = True,
+    ) -> None:
+        vec3 = vector_of(real)
+        shape = (environments, nodes)
+        self._real = real
+        self._device = wp.get_device(device)
+        self._matrix, self._preconditioner = matrix, preconditioner
+        self._shape = shape
+        self.solution = wp.zeros(shape, dtype=vec3, device=device)
+        """Solution (B, N)."""
+        self._r = wp.zeros(shape, dtype=vec3, device=device)
+        self._p = wp.zeros(shape, dtype=vec3, device=device)
+        self._z = wp.zeros(shape, dtype=vec3, device=device)
+        self._product = wp.zeros(shape, dtype=vec3, device=device)
+        parts = environments, matrix.parts, 1
+        self._along = wp.zeros(parts, dtype=wp.float64, device=device)
+        parts = environments, preconditioner.parts, 2
+        self._sums = wp.zeros(parts, dtype=wp.float64, device=device)
+        self._which = self._all_rows = wp.zeros(environments, dtype=wp.int32, device=device)
+        self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
+        self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
+        self._ended = np.zeros((environments, SCALARS))
+        self._graphs = Graphs(self._device, record=record)
+        self._gathers = self._device.is_cuda if gather is None else gather
+        self._lanes = LANES if self._device.is_cuda else 1
+        self._launched = wp.Event(self._device) if self._device.is_cuda else None
 
-    @property
-    def patient(self) -> bool:
-        """True if the next step may take long, as shorter ones would not help."""
-        return self.failed in PATIENT_AFTER or (self.hard and self.failed == 0)
+    def solve(
+        self,
+        chosen: np.ndarray,
+        residual,
+        accuracy,
+        most: int,
+        meanwhile: Callable[[Callable[[], bool]], None] | None = None,
+    ) -> np.ndarray:
+        """Fill `solution` of the chosen environments and return their numbers of iterations (B,).
 
-    def patience(self, newton_max: int) -> float:
-        """Return how many times as many iterations as usual a patient step may take."""
-        return 1.0 + min(PATIENT - 1.0, max(self.patient_left, 0) / newton_max)
-
-    @property
-    def finished(self) -> bool:
-        """True if the last waypoint was reached."""
-        return self.segment == len(self.corners) - 1
-
-    @property
-    def length(self) -> float:
-        """Length of the current segment."""
-        return self._length_of(self.segment)
-
-    @property
-    def limit(self) -> float:
-        """Largest fraction of the segment that one step may take."""
-        return 1.0 / self._steps_of(self.segment)
-
-    @property
-    def steps(self) -> float:
-        """Number of steps of all segments, if none is halved."""
-        return sum(self._steps_of(segment) for segment in range(len(self.corners) - 1))
-
-    def _length_of(self, segment: int) -> float:
-        return float(np.linalg.norm(self.corners[segment + 1] - self.corners[segment]))
-
-    def _steps_of(self, segment: int) -> float:
-        duration = self.times[segment + 1] - self.times[segment]
-        by_time = min(STEPS_MAX, max(1.0, duration / self.shortest_time * RELAXATION_STEPS))
-        if not segment:
-            by_time = 1.0
-        by_way = np.ceil(self._length_of(segment) / self.longest)
-        return float(max(1.0, by_way, np.ceil(by_time)))
-
-    def goal(self) -> tuple[float, Array, float]:
-        """Return the fraction of the segment after the next step, tip (3,), and time [s]."""
-        step = min(self.step, self.limit)
-        left = 1.0 - self.fraction
-        step = left if left < 1.2 * step else min(step, left)
-        fraction = 1.0 if step == left else self.fraction + step
-        start, end = self.corners[self.segment], self.corners[self.segment + 1]
-        duration = (self.times[self.segment + 1] - self.times[self.segment]) * step
-        if self.segment == 0:
-            duration = FULL_RELAXATION_TIME if self.length == 0 else 0.0
-        return fraction, start + (end - start) * fraction, float(duration)
-
-    def load(self, fraction: float) -> float:
-        """Return the fraction of the weight that acts after a fraction of the current segment."""
-        return fraction if self.ramped and self.segment == 0 else 1.0
-
-    def accept(self, fraction: float, *, nearly_crushed: bool = False) -> bool:
-        """Accept the step; return True if a waypoint was reached."""
-        step = fraction - self.fraction
-        self.failed = self.crushed = 0
-        self.nearly_crushed = nearly_crushed
-        if fraction < 1.0:
-            self.fraction = fraction
-            self.step = step * GROWTH
-            return False
-        travel = step * self.length
-        self.segment += 1
-        self.fraction, self.halvings = 0.0, 0
-        self.tried.clear()
-        self.step = 1.0
-        if not self.finished and self.length > 0 and travel > 0:
-            self.step = max(travel, 0.25 * self.longest) * GROWTH / self.length
-        return True
-
-    def go_on(self, halvings_max: int) -> None:
-        """Try the failed step again, now with up to `halvings_max` halvings.
-
-        First attempts are patient from now on.
+        Args:
+            chosen: True for the environments to solve (B,).
+            residual: Right-hand side (B, N).
+            accuracy: Target of |r| / |residual|, float64 NumPy (B,).
+            most: Most iterations; the graph in which this is reached is completed.
+            meanwhile: Called when a GPU has work to do, with a function that is true while it has.
         """
-        self.step *= 2.0**self.failed
-        self.halvings, self.halvings_max, self.failed = 0, halvings_max, 0
-        self.hard = True
-        self.tried.clear()
+        running = np.flatnonzero(chosen)
+        self._gather(running, renew=True)
+        self._accuracy.assign(accuracy)
+        grids = self._preconditioner.choose(running)
+        begins = "begin", residual.ptr, len(self._which), grids
+        with self._graphs.recorded(begins) as done_by_graph:
+            if not done_by_graph:
+                self._begin(residual)
+        kind, done = "cuda" if self._device.is_cuda else "cpu", 0
+        while len(running) and done < most:
+            look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
+            goes_on = "go on", len(self._which), grids
+            with self._graphs.recorded(goes_on) as done_by_graph:
+                if not done_by_graph:
+                    self._iterate(look)
+            if meanwhile is not None and self._launched is not None:
+                wp.record_event(self._launched)
+                meanwhile(lambda: not self._launched.is_complete)
+            done += look
+            rows = self._which.numpy()
+            running = rows[rows >= 0]
+            if len(running):
+                self._gather(running)
+                grids = self._preconditioner.choose(running)
+        self._ended = self._scalars.numpy().copy()
+        return np.where(chosen, self._ended[:, 5], 0.0).astype(int)
 
-    def refuse(
-        self, fraction: float, message: str, *, crushed: bool = False, crossed: str = ""
-    ) -> bool:
-        """Reject the step and halve it; return True if there is a smaller one to try.
+    def status(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return -(right-hand side) . solution, and True for solves that ended concave (B,).
 
-        `crushed` is set if its elements have lost their volume. `crossed` says where something has
-        passed through its skin, if it has.
+        Those met a direction along which the tangent is not convex. It is that of the last solve of
+        each environment.
         """
-        step = fraction - self.fraction
-        self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")
-        self.ramped |= self.heavy and self.segment == 0 and self.fraction == 0
-        self.step = step / 2
-        self.halvings += 1
-        self.failed += 1
-        self.crushed += crushed
-        self.crossed += bool(crossed)
-        if crossed and (self.crossed == CROSSED_MOST or not self.length):
-            self.ended = crossed
-        elif self.nearly_crushed and self.crushed >= CRUSHED_MOST:
-            self.ended = "elements are crushed: the skin folds there, or is pressed flat"
-        elif self.patient_left <= 0 and self.failed >= PATIENT_AFTER[0]:
-            self.ended = f"{PATIENT_IN_ALL} further iterations have not led past such places"
-        if self.ended:
-            return False
-        return self.halvings <= self.halvings_max and (
-            self.length > 0 or (self.ramped and self.segment == 0)
+        return self._ended[:, 4], self._ended[:, 1] >= CONCAVE
+
+    def _gather(self, running: np.ndarray, *, renew: bool = False) -> None:
+        """Launch at most twice as many rows as are running, if rows are gathered at all.
+
+        `running` are indices of environments; `renew` them if there are others than before.
+        """
+        rows = self._shape[0]
+        while self._gathers and rows > 1 and len(running) <= rows // 2:
+            rows //= 2
+        if renew or rows < len(self._which):
+            found = np.full(rows, -1, np.int32)
+            found[: len(running)] = running
+            self._which = self._all_rows[:rows]
+            self._which.assign(found)
+
+    def _begin(self, residual) -> None:
+        start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
+        vectors = [self.solution, self._r, self._p, self._product]
+        self._launch(start, [residual], [*vectors, self._scalars])
+        self._advance()
+        self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
+        self._launch(turn, [self._scalars, self._z], [self._p])
+
+    def _iterate(self, times: int) -> None:
+        _start, _begin, step_length, change, turn = _cg_kernels(self._real, self._lanes)
+        for _time in range(times):
+            self._matrix.product(self._which, self._p, self._product, self._along)
+            self._total(step_length, [self._along], [self._which, self._scalars])
+            self._advance()
+            self._total(change, [self._sums, self._accuracy], [self._which, self._scalars])
+            self._launch(turn, [self._scalars, self._z], [self._p])
+
+    def _advance(self) -> None:
+        self._preconditioner.advance(
+            self._which,
+            self._scalars,
+            (self._p, self._product),
+            (self.solution, self._r, self._z),
+            self._sums,
         )
 
+    def _total(self, kernel, inputs, outputs) -> None:
+        wp.launch(
+            kernel,
+            dim=(len(self._which), self._lanes),
+            inputs=inputs,
+            outputs=outputs,
+            device=self._device,
+            block_dim=LANES,
+        )
 
-def path_of(scene: Scene, numerics: Fem, finest: float = np.inf) -> Path:
-    """Return the path of a scene's tip, in units of the body's thickness.
-
-    `finest` is the side of the smallest elements, if the mesh follows the contact.
-    """
-    unit = scene.body.thickness
-    tip = np.asarray(scene.motion.tip) / unit
-    start = tip[0].copy()
-    start[2] = max(start[2], 0.0)
-    longest = max(scene.indenter.sharpest / 2, unit / 50)
-    if numerics.step_travel is not None:
-        longest = min(longest, numerics.step_travel)
-    elif scene.effects.friction is not None:
-        longest = min(longest, unit / 40)
-    longest = min(longest, max(FINE_STEPS * finest * unit, scene.motion.depth_max / DEPTH_STEPS))
-    shortest = np.inf
-    if scene.effects.viscosity is not None:
-        shortest = min(scene.effects.viscosity.times)
-    return Path(
-        corners=np.concatenate([start[None], tip]),
-        times=np.concatenate([[0.0], np.asarray(scene.motion.time)]),
-        longest=longest / unit,
-        shortest_time=shortest,
-        halvings_max=numerics.halvings,
-        heavy=scene.effects.gravity is not None,
-    )
+    def _launch(self, kernel, inputs, outputs) -> None:
+        wp.launch(
+            kernel,
+            dim=(len(self._which), self._shape[1]),
+            inputs=[self._which, *inputs],
+            outputs=outputs,
+            device=self._device,
+        )

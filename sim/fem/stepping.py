@@ -10,25 +10,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path as File
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.errors import SimulationDiverged
+from sim.fem import Fem
 from sim.fem.assembly import Assembly
 from sim.fem.contact import OVERLAPS
 from sim.fem.frames import Collector, Spent
-from sim.fem.newton import (
-    DET_FLOOR,
-    NEARLY_CRUSHED,
-    PATIENCE,
-    ROUNDING,
-    Newton,
-    Path,
-    path_of,
-)
+from sim.fem.newton import DET_FLOOR, PATIENCE, PATIENT, PATIENT_IN_ALL, ROUNDING, Newton
 from sim.fem.sizing import Sizes, finer_at
 from sim.fem.verdict import (
     FOLD,
@@ -41,6 +35,9 @@ from sim.fem.verdict import (
     shares,
 )
 from sim.result import SIDES, Outcome, width_of
+from sim.scene import Scene
+
+Array = NDArray[np.float64]
 
 # Samples along a side of a face at which overlap is measured, for frames and for intermediate
 # states; and the number of states per step, its end included.
@@ -79,6 +76,218 @@ def on_host(device: str, function: Callable[..., Any], *items: Iterable[Any]) ->
 
     with ThreadPoolExecutor(min(THREADS, cores())) as pool:
         return list(pool.map(function, *items))
+
+
+# Path of one press along its motion: the choice of steps, and the halving of failed ones.
+
+# Time [s] after which any material has relaxed: how long a body stood before a motion begins.
+FULL_RELAXATION_TIME = 1e9
+# Failed attempts, of ever shorter steps from one place, after which the next may take long.
+PATIENT_AFTER = (2, 5)
+# Determinant of the last accepted state, over the least accepted one, below which its elements are
+# all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
+NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
+# Steps of a path that may end with the skin inside itself, or leap through the indenter, and be
+# halved. A shorter one may lead to a state without a fold; one that grows with the depth does so in
+# any steps.
+CROSSED_MOST = 3
+# Largest ratio of a step to the last one that was accepted.
+GROWTH = 1.5
+# Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
+RELAXATION_STEPS = 4
+STEPS_MAX = 16
+# Longest step in sides of the smallest elements, if the mesh follows the contact, and the number of
+# steps in the depth that need not be exceeded. Longer steps bring too many elements into contact at
+# once, and Newton's method takes several times the iterations.
+FINE_STEPS, DEPTH_STEPS = 1.0, 10.0
+
+
+@dataclass(slots=True)
+class Path:
+    """Progress of one press along its motion; lengths in thicknesses.
+
+    Segment 0 leads from above the body straight to the first waypoint, in no time: a motion that
+    begins inside the body arrived there at once. Segment k leads to waypoint k. Weight acts from
+    the start; if the body does not converge under all of it, it is ramped up over segment 0.
+    """
+
+    corners: Array
+    """Start and waypoints (F + 1, 3)."""
+    times: Array
+    """Time of each corner [s] (F + 1,); the first is before the body was touched."""
+    longest: float
+    """Length of the longest step."""
+    shortest_time: float
+    """Shortest time that a step has to resolve [s]; inf if nothing depends on time."""
+    halvings_max: int
+    heavy: bool = False
+    """True if the body has weight."""
+    ramped: bool = False
+    """True if the weight is ramped up over segment 0."""
+    segment: int = 0
+    fraction: float = 0.0
+    """Completed fraction of the segment."""
+    step: float = 1.0
+    """Fraction of the segment that the next step may take."""
+    halvings: int = 0
+    failed: int = 0
+    """Failed attempts since the last accepted step."""
+    hard: bool = False
+    """True if another batch, in float32, has failed on this path."""
+    patient_left: int = PATIENT_IN_ALL
+    """Iterations that patient steps may still take."""
+    nearly_crushed: bool = False
+    """True if elements of the last accepted state have little volume left."""
+    crushed: int = 0
+    """Steps since then that failed because elements lost their volume."""
+    crossed: int = 0
+    """Steps of the whole path in which something has passed through the skin."""
+    ended: str = ""
+    """Reason why shorter steps are of no use, if so."""
+    tried: list[str] = field(default_factory=list)
+
+    @property
+    def patient(self) -> bool:
+        """True if the next step may take long, as shorter ones would not help."""
+        return self.failed in PATIENT_AFTER or (self.hard and self.failed == 0)
+
+    def patience(self, newton_max: int) -> float:
+        """Return how many times as many iterations as usual a patient step may take."""
+        return 1.0 + min(PATIENT - 1.0, max(self.patient_left, 0) / newton_max)
+
+    @property
+    def finished(self) -> bool:
+        """True if the last waypoint was reached."""
+        return self.segment == len(self.corners) - 1
+
+    @property
+    def length(self) -> float:
+        """Length of the current segment."""
+        return self._length_of(self.segment)
+
+    @property
+    def limit(self) -> float:
+        """Largest fraction of the segment that one step may take."""
+        return 1.0 / self._steps_of(self.segment)
+
+    @property
+    def steps(self) -> float:
+        """Number of steps of all segments, if none is halved."""
+        return sum(self._steps_of(segment) for segment in range(len(self.corners) - 1))
+
+    def _length_of(self, segment: int) -> float:
+        return float(np.linalg.norm(self.corners[segment + 1] - self.corners[segment]))
+
+    def _steps_of(self, segment: int) -> float:
+        duration = self.times[segment + 1] - self.times[segment]
+        by_time = min(STEPS_MAX, max(1.0, duration / self.shortest_time * RELAXATION_STEPS))
+        if not segment:
+            by_time = 1.0
+        by_way = np.ceil(self._length_of(segment) / self.longest)
+        return float(max(1.0, by_way, np.ceil(by_time)))
+
+    def goal(self) -> tuple[float, Array, float]:
+        """Return the fraction of the segment after the next step, tip (3,), and time [s]."""
+        step = min(self.step, self.limit)
+        left = 1.0 - self.fraction
+        step = left if left < 1.2 * step else min(step, left)
+        fraction = 1.0 if step == left else self.fraction + step
+        start, end = self.corners[self.segment], self.corners[self.segment + 1]
+        duration = (self.times[self.segment + 1] - self.times[self.segment]) * step
+        if self.segment == 0:
+            duration = FULL_RELAXATION_TIME if self.length == 0 else 0.0
+        return fraction, start + (end - start) * fraction, float(duration)
+
+    def load(self, fraction: float) -> float:
+        """Return the fraction of the weight that acts after a fraction of the current segment."""
+        return fraction if self.ramped and self.segment == 0 else 1.0
+
+    def accept(self, fraction: float, *, nearly_crushed: bool = False) -> bool:
+        """Accept the step; return True if a waypoint was reached."""
+        step = fraction - self.fraction
+        self.failed = self.crushed = 0
+        self.nearly_crushed = nearly_crushed
+        if fraction < 1.0:
+            self.fraction = fraction
+            self.step = step * GROWTH
+            return False
+        travel = step * self.length
+        self.segment += 1
+        self.fraction, self.halvings = 0.0, 0
+        self.tried.clear()
+        self.step = 1.0
+        if not self.finished and self.length > 0 and travel > 0:
+            self.step = max(travel, 0.25 * self.longest) * GROWTH / self.length
+        return True
+
+    def go_on(self, halvings_max: int) -> None:
+        """Try the failed step again, now with up to `halvings_max` halvings.
+
+        First attempts are patient from now on.
+        """
+        self.step *= 2.0**self.failed
+        self.halvings, self.halvings_max, self.failed = 0, halvings_max, 0
+        self.hard = True
+        self.tried.clear()
+
+    def refuse(
+        self, fraction: float, message: str, *, crushed: bool = False, crossed: str = ""
+    ) -> bool:
+        """Reject the step and halve it; return True if there is a smaller one to try.
+
+        `crushed` is set if its elements have lost their volume. `crossed` says where something has
+        passed through its skin, if it has.
+        """
+        step = fraction - self.fraction
+        self.tried.append(f"segment {self.segment}, step of {step:.3g} of it: {message}")
+        self.ramped |= self.heavy and self.segment == 0 and self.fraction == 0
+        self.step = step / 2
+        self.halvings += 1
+        self.failed += 1
+        self.crushed += crushed
+        self.crossed += bool(crossed)
+        if crossed and (self.crossed == CROSSED_MOST or not self.length):
+            self.ended = crossed
+        elif self.nearly_crushed and self.crushed >= CRUSHED_MOST:
+            self.ended = "elements are crushed: the skin folds there, or is pressed flat"
+        elif self.patient_left <= 0 and self.failed >= PATIENT_AFTER[0]:
+            self.ended = f"{PATIENT_IN_ALL} further iterations have not led past such places"
+        if self.ended:
+            return False
+        return self.halvings <= self.halvings_max and (
+            self.length > 0 or (self.ramped and self.segment == 0)
+        )
+
+
+def path_of(scene: Scene, numerics: Fem, finest: float = np.inf) -> Path:
+    """Return the path of a scene's tip, in units of the body's thickness.
+
+    `finest` is the side of the smallest elements, if the mesh follows the contact.
+    """
+    unit = scene.body.thickness
+    tip = np.asarray(scene.motion.tip) / unit
+    start = tip[0].copy()
+    start[2] = max(start[2], 0.0)
+    longest = max(scene.indenter.sharpest / 2, unit / 50)
+    if numerics.step_travel is not None:
+        longest = min(longest, numerics.step_travel)
+    elif scene.effects.friction is not None:
+        longest = min(longest, unit / 40)
+    longest = min(longest, max(FINE_STEPS * finest * unit, scene.motion.depth_max / DEPTH_STEPS))
+    shortest = np.inf
+    if scene.effects.viscosity is not None:
+        shortest = min(scene.effects.viscosity.times)
+    return Path(
+        corners=np.concatenate([start[None], tip]),
+        times=np.concatenate([[0.0], np.asarray(scene.motion.time)]),
+        longest=longest / unit,
+        shortest_time=shortest,
+        halvings_max=numerics.halvings,
+        heavy=scene.effects.gravity is not None,
+    )
+
+
+# Batches of presses that advance together.
 
 
 @dataclass(frozen=True, slots=True)

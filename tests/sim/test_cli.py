@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sim.cli import report
+from sim.cli import press as press_command
 from sim.cli.options import indenter_of
 from sim.errors import SimulationDiverged
 from sim.store import load_result
@@ -240,7 +240,7 @@ def test_no_solution_is_told_with_what_was_tried(
             "lost at 1 mm; state: /x/state.npz", attempts, Path("/x/state.npz")
         )
 
-    monkeypatch.setattr(report, "simulate", diverge)
+    monkeypatch.setattr(press_command, "simulate", diverge)
     assert main(["sim", "press", *QUICK]) == 1
     message = capsys.readouterr().err
     assert message.startswith("no solution: lost at 1 mm; state: /x/state.npz")

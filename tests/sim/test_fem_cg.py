@@ -9,7 +9,7 @@ from support import fem_oracles as oracle
 from support.fem_oracles import Array
 from support.few import few
 
-from sim.fem.cg import ConjugateGradient
+from sim.fem.newton import ConjugateGradient
 
 NODES = 40
 SIZE = 3 * NODES

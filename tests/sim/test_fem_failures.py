@@ -25,8 +25,9 @@ from sim import (
     simulate_many,
 )
 from sim.fem import Fem, Precision
-from sim.fem.newton import CRUSHED_MOST, PATIENT, PATIENT_IN_ALL, Newton, Path, path_of
+from sim.fem.newton import PATIENT, PATIENT_IN_ALL, Newton
 from sim.fem.solver import precision_for_finer
+from sim.fem.stepping import CRUSHED_MOST, Path, path_of
 from sim.fem.verdict import checked
 from sim.indenters import flat_punch, sphere
 
