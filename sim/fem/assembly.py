@@ -54,7 +54,7 @@ from sim.fem.lanes import AT_ONCE, forces_kernel
 from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
 from sim.fem.multigrid import Multigrid
-from sim.indenters.device import PartTable
+from sim.indenters.device import PartTable, Traits, traits_of
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
@@ -370,9 +370,14 @@ class SolverState:
         return array_of(values, dtype, self._real, self._device)
 
 
-def is_split(scenes: Sequence[Scene]) -> bool:
-    """True if the pressure of one of the bodies is split."""
-    return min(split_factor(scene.body.poisson) for scene in scenes) < 1.0
+def kernels_of(scenes: Sequence[Scene]) -> tuple[tuple[str, ...], Traits, bool]:
+    """Return what the kernels of a batch are compiled for.
+
+    The effects that are on, the traits of the indenters, and True if the pressure of one of the
+    bodies is split (`sim.fem.element.VolumePressure`).
+    """
+    split = min(split_factor(scene.body.poisson) for scene in scenes) < 1.0
+    return scenes[0].effects.key, traits_of([scene.indenter for scene in scenes]), split
 
 
 class Assembly:
@@ -399,13 +404,11 @@ class Assembly:
         """Side of the smallest elements in plan of each environment (B,) [T]."""
         self.min_force_scale = MIN_FORCE_SCALE[precision] * np.minimum(1.0, self.finest / WIDE) ** 2
         """Least force by which residuals are divided (B,) [E T^2]."""
-        self.effects = scenes[0].effects.key
+        self.effects, traits, self.split = kernels_of(scenes)
         self.environments = len(scenes)
         vec3 = vector_of(real)
         rule = face_rule(POINTS)
         self.points = len(rule[1])
-        self.split = is_split(scenes)
-        """True if the pressure of the elements is split (`sim.fem.element.VolumePressure`)."""
         on_gpu = wp.get_device(device).is_cuda
         kernel = element_kernels if on_gpu else forces_kernel
         self._element = kernel(real, "viscosity" in self.effects, self.split)
@@ -428,8 +431,8 @@ class Assembly:
             device=device,
         )
         self._table = table.struct
-        self._contact = contact_kernels(real, "friction" in self.effects, table.traits)
-        self._overlap = overlap_kernel(real, table.traits)
+        self._contact = contact_kernels(real, "friction" in self.effects, traits)
+        self._overlap = overlap_kernel(real, traits)
         self._work = work_kernel(real, "friction" in self.effects)
 
         environments, count = self.environments, len(mesh.nodes)

@@ -452,8 +452,9 @@ def meshes_of(
     `sizes` are those that the contacts of each scene require, if the mesh follows them; without
     them they are estimated here.
     """
-    if numerics.follows:
-        sizes = sizes or [stages_of(scene)[0].sizes for scene in scenes]
+    if sizes is None and numerics.follows:
+        sizes = [stages_of(scene)[0].sizes for scene in scenes]
+    if sizes is not None:
         asked = [
             (scene, size, numerics.fineness, numerics.elements_max)
             for scene, size in zip(scenes, sizes, strict=True)

@@ -13,20 +13,15 @@ from recorder.progress import span_of
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem import Fem, Precision
-from sim.fem.assembly import is_split
 from sim.fem.mesh import Mesh, meshes_of
+from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
 from sim.fem.sizing import (
-    NOTHING,
     Sizes,
     coarser_than_required,
-    finer_at,
-    sizes_of,
     stages_of,
 )
-from sim.fem.stepping import Batch, Crossed
-from sim.fem.verdict import OVERLAP_GOOD, checked, overlap_shares
-from sim.indenters.device import traits_of
-from sim.result import WEAK, Outcome, Result, touched_by, with_beginning
+from sim.fem.stepping import Batch, Crossed, batch_key
+from sim.result import Outcome, Result, with_beginning
 from sim.scene import Motion, Scene
 
 Progress = Callable[[float], None]
@@ -41,9 +36,9 @@ REFINED = 1.2
 # A mesh is rebuilt again if the last time multiplied what was coarse by less than this, or if the
 # solution is of no use as it is.
 LESS_COARSE = 0.9
-# Element size over that required by the solution's own contact: above the first the mesh is
-# rebuilt, above the second a finer mesh is built for that contact from the start.
-TOO_COARSE, COARSE = 1.6, 1.25
+# Element size over that required by the solution's own contact above which a finer mesh is built
+# for that contact from the start.
+COARSE = 1.25
 # Overlap over the width above which a mesh 1.6 times as fine is expected to have one that is too
 # large as well: it falls with the square of the elements' size.
 OVERLAP_LASTS = 0.1
@@ -139,7 +134,7 @@ def _following(
                 useful = isinstance(checked(outcome), Result)
                 if useful and coarse[i] >= LESS_COARSE * before:
                     continue
-                lasting[i] = lasting[i].joined(_wanted_of_overlap(outcome, OVERLAP_LASTS))
+                lasting[i] = lasting[i].joined(wanted_of_overlap(outcome, OVERLAP_LASTS))
             sizes[i] = sizes[i].joined(more)
             again.setdefault(precision_for_finer(outcome, numerics), []).append(i)
         for precision, chosen in again.items():
@@ -176,52 +171,11 @@ def precision_for_finer(found: Result | Crossed, numerics: Fem) -> Precision:
     return "float64" if double else numerics.precision
 
 
-def coarseness(result: Result) -> float:
-    """Return how much too coarse the solution finds its mesh; 1 or less is fine enough."""
-    fineness = result.record["mesh"]["fineness"]
-    ratio = coarser_than_required(
-        _required_by(result), result.surface_x, result.surface_y, fineness
-    )
-    overlap = overlap_shares(result, result.quality.overlap).max(initial=0.0)
-    return max(ratio / TOO_COARSE, float(overlap) / OVERLAP_GOOD)
-
-
-def more_wanted(result: Result) -> Sizes | None:
-    """Return the element sizes that the solution requires beyond its mesh; None if fine enough."""
-    fineness = result.record["mesh"]["fineness"]
-    x, y = result.surface_x, result.surface_y
-    found = _required_by(result)
-    wanted = _wanted_of_overlap(result, OVERLAP_GOOD)
-    if coarser_than_required(found, x, y, fineness) > TOO_COARSE:
-        wanted = wanted.joined(found)
-    return None if wanted is NOTHING else wanted
-
-
-def _wanted_of_overlap(result: Result, most: float) -> Sizes:
-    """Return smaller elements where the overlap is largest, if its fraction is more than `most`."""
-    if overlap_shares(result, result.quality.overlap).max(initial=0.0) <= most:
-        return NOTHING
-    fineness = result.record["mesh"]["fineness"]
-    place = result.record["overlap"]["place"]
-    return finer_at(place, result.surface_x, result.surface_y, fineness)
-
-
-def _required_by(result: Result) -> Sizes:
-    """Return the element sizes required by the contacts of a solution."""
-    x, y, thickness = result.surface_x, result.surface_y, result.scene.body.thickness
-    force = np.linalg.norm(result.force, axis=1)
-    found = Sizes((), (), np.inf)
-    for frame in np.flatnonzero((force >= WEAK * force.max()) & (force > 0)).tolist():
-        touched = touched_by(result.traction[frame])
-        found = found.joined(sizes_of(touched, x, y, thickness))
-    return found
-
-
 def _sizes_for_finer(sizes: Sizes, outcome: Outcome) -> Sizes:
     """Return the sizes for a finer mesh, with those of the solution's contacts where finer."""
     if isinstance(outcome, SimulationDiverged):
         return sizes
-    mesh, found = outcome.record["mesh"], _required_by(outcome)
+    mesh, found = outcome.record["mesh"], required_by(outcome)
     ratio = coarser_than_required(found, outcome.surface_x, outcome.surface_y, mesh["fineness"])
     return sizes.joined(found) if "made_anew" in mesh or ratio > COARSE else sizes
 
@@ -301,8 +255,7 @@ def _batches(
     """Group scenes into batches of the same mesh topology and kernels, limited in size."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
-        kernels = scene.effects.key, traits_of([scene.indenter]), is_split([scene])
-        key = scene.body.thickness, mesh.cells, kernels, _penalty(scene, mesh, numerics)
+        key = batch_key(scene, mesh), _penalty(scene, mesh, numerics)
         alike.setdefault(key, []).append(index)
     most = ELEMENTS_SIDE_BY_SIDE["cuda" if wp.get_device(device).is_cuda else "cpu"]
     batches = []

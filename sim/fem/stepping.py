@@ -19,22 +19,24 @@ from numpy.typing import NDArray
 
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
-from sim.fem.assembly import Assembly
+from sim.fem.assembly import Assembly, kernels_of
 from sim.fem.contact import OVERLAPS
-from sim.fem.frames import Collector, Spent
+from sim.fem.mesh import Mesh
 from sim.fem.newton import DET_FLOOR, PATIENCE, PATIENT, PATIENT_IN_ALL, ROUNDING, Newton
-from sim.fem.sizing import Sizes, finer_at
-from sim.fem.verdict import (
+from sim.fem.outcome import (
     FOLD,
     LEAP,
     OVERLAP_MOST,
     PASSED,
+    Collector,
     Kind,
+    Spent,
     advice,
     overlap_place,
     shares,
 )
-from sim.result import SIDES, Outcome, width_of
+from sim.fem.sizing import Sizes, finer_at
+from sim.result import Outcome, width_of
 from sim.scene import Scene
 
 Array = NDArray[np.float64]
@@ -316,6 +318,11 @@ class Reached:
     """Time of the batch."""
 
 
+def batch_key(scene: Scene, mesh: Mesh) -> tuple[object, ...]:
+    """Return what presses of one batch have in common: unit of length, topology and kernels."""
+    return scene.body.thickness, mesh.cells, kernels_of([scene])
+
+
 class Batch:
     """Presses on meshes of one topology, each with a separate path and step.
 
@@ -335,7 +342,7 @@ class Batch:
         self._area = np.array([mesh.top_area for mesh in meshes])[..., None]
         self._stress = np.array([scene.body.modulus for scene in scenes])[:, None, None, None]
         self._paths: list[Path] = [
-            path_of(scene, numerics, *([mesh.finest] if numerics.follows else []))
+            path_of(scene, numerics, mesh.finest if np.isfinite(mesh.fineness) else np.inf)
             for scene, mesh in zip(scenes, meshes, strict=True)
         ]
         self._seconds = {"mesh": meshed, "build": time.perf_counter() - began}
@@ -392,7 +399,7 @@ class Batch:
 
         def outcome(env: int) -> Outcome:
             failed = self._failed.get(env)
-            return failed or self._collectors[env].result({**record, **self._of_one(env)})
+            return failed or self._collectors[env].result(record, self._numerics)
 
         return [outcome(env) for env in range(len(self._scenes))]
 
@@ -670,42 +677,6 @@ class Batch:
             diverged.wanted, diverged.record = through.wanted, self._record()
             diverged.surface_x, diverged.surface_y = mesh.x * unit, mesh.y * unit
         return diverged
-
-    def _of_one(self, env: int) -> dict:
-        """Return the record entries of one environment."""
-        mesh, collector, body = self._meshes[env], self._collectors[env], self._scenes[env].body
-        shape = self._record()["mesh"]
-        shape["finest"] = mesh.finest * body.thickness
-        shape["topmost"] = mesh.topmost * body.thickness
-        shape["resolved"] = collector.resolved()
-        if self._numerics.follows:
-            shape["fineness"] = round(mesh.fineness, 4)
-        return {
-            "mesh": shape,
-            **(entries := collector.record()),
-            "warnings": self._warnings(env, entries),
-        }
-
-    def _warnings(self, env: int, entries: dict) -> list[str]:
-        """Return warnings about errors of this result, with its frames' `entries` of the record."""
-        scene, mesh, fineness = self._scenes[env], self._meshes[env], self._numerics.fineness
-        radius = scene.indenter.sharpest
-        element = mesh.finest * scene.body.thickness
-        reported = []
-        if self._numerics.follows and mesh.fineness < 0.99 * fineness:
-            reported.append(
-                f"the contact is meshed with a fineness of {mesh.fineness:.2g}, not the requested "
-                f"{fineness:g}, which needs more than {self._numerics.elements_max} elements"
-            )
-        if radius < 0.99 * element:
-            reported.append(
-                f"edge radius {radius * 1e3:.3g} mm is below the element's {element * 1e3:.3g} mm: "
-                "the force depends on the mesh and on the path; allowed without this warning: a "
-                "finer mesh or a rounder edge"
-            )
-        sides = ((SIDES[name], frames) for name, frames in entries.items() if name in SIDES)
-        reported += [f"{what}, at waypoints {frames}" for what, frames in sides]
-        return reported
 
     def _record(self) -> dict:
         assembly = self._assembly

@@ -26,9 +26,9 @@ from sim import (
 )
 from sim.fem import Fem, Precision
 from sim.fem.newton import PATIENT, PATIENT_IN_ALL, Newton
+from sim.fem.outcome import checked
 from sim.fem.solver import precision_for_finer
 from sim.fem.stepping import CRUSHED_MOST, Path, path_of
-from sim.fem.verdict import checked
 from sim.indenters import flat_punch, sphere
 
 BODY = Body(size_x=8e-3, size_y=8e-3, thickness=4e-3)

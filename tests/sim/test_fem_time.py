@@ -23,7 +23,7 @@ from sim import (
     simulate,
 )
 from sim.fem import Fem
-from sim.fem.verdict import checked
+from sim.fem.outcome import checked
 from sim.indenters import named, plane, sphere
 from sim.layer import Layer
 from trajectories import Point
