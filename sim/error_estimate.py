@@ -292,7 +292,7 @@ def planes_of(scene: Scene) -> tuple[str, ...]:
 
 
 def _planes_but_for_gravity(scene: Scene) -> tuple[str, ...]:
-    whole = len(scene.motion)
+    whole = len(scene.motion.tip)
     return tuple(name for name, normal in PLANES.items() if _mirrored(scene, normal) == whole)
 
 

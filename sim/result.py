@@ -93,11 +93,11 @@ class Result:
     """Accuracy of each frame."""
     record: dict[str, Any] = field(default_factory=dict)
     """Details of the run: tier, mesh, precision, device, compiled effects, seconds per stage."""
+    force: Array = field(init=False, repr=False, compare=False)
+    """Force of the indenter on the body (F, 3) [N], the first part of `wrench`."""
 
-    @property
-    def force(self) -> Array:
-        """Force of the indenter on the body (F, 3) [N]."""
-        return self.wrench[:, :3]
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force", self.wrench[:, :3])
 
 
 # Outcome of a simulated scene.
@@ -249,7 +249,7 @@ def _plain(value: Any) -> Any:
         fields = {
             field.name: _plain(getattr(value, field.name))
             for field in dataclasses.fields(value)
-            if not _unsaid(field, value)
+            if field.init and not _unsaid(field, value)
         }
         word = getattr(value, "KIND", None)
         return fields if word is None else {"kind": word, **fields}

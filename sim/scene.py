@@ -192,6 +192,8 @@ class Motion:
     """Position of the tip at each waypoint [m]."""
     time: tuple[float, ...]
     """Time of each waypoint [s]; starts at 0 and rises. Used only by viscosity and inertia."""
+    depth_max: float = field(init=False, repr=False, compare=False)
+    """Deepest indentation below z = 0 [m]; 0 if it never presses. It follows from the waypoints."""
 
     def __post_init__(self) -> None:
         _check_sequence("motion.tip", self.tip, "positions (x, y, z) [m]")
@@ -207,15 +209,11 @@ class Motion:
             raise SceneError(
                 f"motion.time: {self.time[:4]!r}...; allowed: 0 first, then rising [s]"
             )
+        object.__setattr__(self, "depth_max", max(0.0, max(-point[2] for point in self.tip)))
 
     def __len__(self) -> int:
         """Return the number of waypoints, which is the number of frames in the result."""
         return len(self.tip)
-
-    @property
-    def depth_max(self) -> float:
-        """Deepest indentation below z = 0 [m]; 0 if it never presses."""
-        return max(0.0, max(-point[2] for point in self.tip))
 
 
 def press(
@@ -488,7 +486,7 @@ class Scene:
     def _check_depth(self) -> None:
         """Reject a tip that leaves less than a tenth of the body's local height below it."""
         body, tip = self.body, self.motion.tip
-        for x, y, z in tip if -min(point[2] for point in tip) > 0.9 * body.thickness else ():
+        for x, y, z in tip if self.motion.depth_max > 0.9 * body.thickness else ():
             half_x, half_y = body.size_x / 2, body.size_y / 2
             top = body.height(min(max(x, -half_x), half_x), min(max(y, -half_y), half_y))
             limit = 0.9 * (body.thickness + top) - top

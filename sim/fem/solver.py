@@ -86,7 +86,7 @@ def simulate_fem(
 def _beginning(scene: Scene, waypoints: int) -> Scene:
     """Return the scene with its first `waypoints` waypoints."""
     motion = scene.motion
-    if waypoints == len(motion):
+    if waypoints == len(motion.tip):
         return scene
     return replace(scene, motion=Motion(motion.tip[:waypoints], motion.time[:waypoints]))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -209,6 +209,9 @@ class Indenter:
     """Body from a file, in place of parts."""
     tilt: Tilt = UPRIGHT
     """Rotation vector about x and y [rad] of the body's tilt; see `tilted`."""
+    sharpest: float = field(init=False, repr=False, compare=False)
+    """Lower bound of the surface's radius of curvature [m]; 0 with a sharp edge. It follows from
+    the parts and the edge radius."""
 
     def __post_init__(self) -> None:
         owner = f"indenter {self.name}"
@@ -222,6 +225,7 @@ class Indenter:
                 raise SceneError(f"{owner}: parts and a solid; allowed: either")
             # The largest radius that fits is known only after the file is read.
             check_range(owner, "edge_radius", self.edge_radius, 0.0, self.solid.reach, unit="m")
+            object.__setattr__(self, "sharpest", self.edge_radius)
             return
         if not self.parts:
             raise SceneError(f"{owner}: no parts; allowed: 1 or more")
@@ -240,6 +244,10 @@ class Indenter:
                 f"{owner}: the rounded body's lowest point is at z = {tip:g} m; allowed: 0 (draw a "
                 "round tip as an arc)"
             )
+        radii = [part.values[2] for part in self.parts if part.figure == "circle"]
+        if any(part.join != "union" or part.figure == "path" for part in self.parts):
+            radii.append(self.edge_radius)
+        object.__setattr__(self, "sharpest", float(min(radii, default=math.inf)))
 
     def tilted(self, about_x: float, about_y: float) -> Indenter:
         """Return the body tilted by the rotation vector (about_x, about_y, 0) [rad].
@@ -269,16 +277,6 @@ class Indenter:
     def edge_radius_max(self) -> float:
         """Largest edge radius that fits the parts [m]; unknown for a solid."""
         return min((self.narrowest / 2, *(part.edge_radius_max for part in self.parts)))
-
-    @property
-    def sharpest(self) -> float:
-        """Lower bound of the surface's radius of curvature [m]; 0 with a sharp edge."""
-        if self.solid is not None:
-            return self.edge_radius
-        radii = [part.values[2] for part in self.parts if part.figure == "circle"]
-        if any(part.join != "union" or part.figure == "path" for part in self.parts):
-            radii.append(self.edge_radius)
-        return float(min(radii, default=math.inf))
 
     @property
     def bounds(self) -> Bounds:
