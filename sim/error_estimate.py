@@ -169,7 +169,7 @@ def _missed(result: Result) -> Array:
     """
     from sim.fem.sizing import covered
 
-    scene, found = result.scene, np.zeros(len(result.force))
+    scene, fraction = result.scene, np.zeros(len(result.force))
     force, tips = np.linalg.norm(result.force, axis=1), np.asarray(scene.motion.tip)
     weak = force < WEAK * force.max(initial=0.0)
     narrow = result.quality.contact_width < NARROW * pixel_of(result)
@@ -185,8 +185,8 @@ def _missed(result: Result) -> Array:
         elif force[frame] < FAINT * (likely := force[first] * tip[2] / tips[first, 2]):
             missing = likely / scale[frame]
         if missing and tip[2] < 0 and covered(scene.indenter, scene.body, tip) is not None:
-            found[frame] = missing
-    return found
+            fraction[frame] = missing
+    return fraction
 
 
 def _weighed(result: Result, fraction: Array) -> Array:
@@ -195,8 +195,8 @@ def _weighed(result: Result, fraction: Array) -> Array:
     least = WEAK * float(force.max(initial=0.0))
     if least <= 0:
         return np.where(np.isfinite(fraction), fraction, 0.0)
-    found = np.where(np.isfinite(fraction), fraction, 0.0)
-    return np.where(force >= least, found, found * np.maximum(force, 1e-3 * least) / least)
+    weighed = np.where(np.isfinite(fraction), fraction, 0.0)
+    return np.where(force >= least, weighed, weighed * np.maximum(force, 1e-3 * least) / least)
 
 
 def error_entry(
@@ -417,12 +417,12 @@ def asymmetry(indenter: Indenter, normal: Normal, reach: float, across: float) -
         across: Largest distance of the points from the tip [m].
     """
     sides = np.abs(indenter.bounds_below(reach)[:2]).max(axis=1)
-    half, found = np.minimum(sides, across), math.inf
+    half, difference = np.minimum(sides, across), math.inf
     for columns in COLUMNS:
-        found = _difference(indenter, normal, reach, half, columns)
-        if ALIKE * reach < found < math.inf:
+        difference = _difference(indenter, normal, reach, half, columns)
+        if ALIKE * reach < difference < math.inf:
             break
-    return found
+    return difference
 
 
 def _difference(

@@ -94,13 +94,13 @@ class Plan:
         for tier in self.tiers:
             mesh = None
             if isinstance(tier, Layer):
-                told = "layer, if its estimated error is small enough"
+                line = "layer, if its estimated error is small enough"
             else:
                 (mesh,) = meshes_of([scene], tier)
-                told = f"fem, {' x '.join(map(str, mesh.cells))} elements"
+                line = f"fem, {' x '.join(map(str, mesh.cells))} elements"
             if self.device == "cpu" or isinstance(tier, Layer):
-                told += f": {seconds_of(scene, tier, mesh):.1g} s or more"
-            lines.append(told)
+                line += f": {seconds_of(scene, tier, mesh):.1g} s or more"
+            lines.append(line)
         if self.only != "layer":
             lines.append("finer meshes of fem, if the error measured by these two is larger")
         return "\n".join(lines)
@@ -141,10 +141,10 @@ def plan(
     ):
         if value not in allowed:
             raise SceneError(f"{name}: {value!r}; allowed: {', '.join(map(repr, allowed))}")
-    found = None
+    influence = None
     if effects == "needed":
-        found = plan_effects(scene, tolerance, device=device, progress=progress)
-    return Plan(scene, tolerance, only, found, device)
+        influence = plan_effects(scene, tolerance, device=device, progress=progress)
+    return Plan(scene, tolerance, only, influence, device)
 
 
 def plan_effects(

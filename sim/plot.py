@@ -71,8 +71,8 @@ def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y
 
     A spline would oscillate around the rim of a contact and draw ripples that are not in the data.
     """
-    given = np.asarray(values, np.float64)
-    along_x = PchipInterpolator(x, given, axis=0)(fine_x)
+    coarse = np.asarray(values, np.float64)
+    along_x = PchipInterpolator(x, coarse, axis=0)(fine_x)
     refined: Array = PchipInterpolator(y, along_x, axis=1)(fine_y)
     return refined
 

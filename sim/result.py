@@ -112,14 +112,14 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
     """
     count = len(beginning.wrench)
     places = np.stack(np.meshgrid(whole.surface_x, whole.surface_y, indexing="ij"), axis=-1)
-    known = beginning.surface_x, beginning.surface_y
+    axes = beginning.surface_x, beginning.surface_y
 
     def read(values: NDArray[np.float32], own: NDArray[np.float32]) -> NDArray[np.float32]:
         out = own.copy()
-        low = np.array([known[0][0], known[1][0]])
-        high = np.array([known[0][-1], known[1][-1]])
+        low = np.array([axes[0][0], axes[1][0]])
+        high = np.array([axes[0][-1], axes[1][-1]])
         for frame in range(count):
-            look = RegularGridInterpolator(known, values[frame])
+            look = RegularGridInterpolator(axes, values[frame])
             out[frame] = look(np.clip(places, low, high))
         return out
 

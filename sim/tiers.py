@@ -167,15 +167,15 @@ def submitted(workers: Workers, scenes: Sequence[Scene], tier: Tier, device: str
 def gathered(workers: Workers, calls: Calls, progress: Progress | None = None) -> list[Outcome]:
     """Return the outcomes of calls, in the order of the scenes; arguments as in `simulate_many`."""
     count, done = sum(map(len, calls.values())), 0
-    found: dict[int, Outcome] = {}
+    outcomes: dict[int, Outcome] = {}
     workers.done = f"0 of {count} scenes"
     for task in as_completed(calls):
-        found |= zip(calls[task], task.result(), strict=True)
+        outcomes |= zip(calls[task], task.result(), strict=True)
         done += len(calls[task])
         workers.done = f"{done} of {count} scenes"
         if progress is not None:
             progress(done / count)
-    return [found[one] for one in range(count)]
+    return [outcomes[one] for one in range(count)]
 
 
 def _alike(scenes: Sequence[Scene], tier: Tier, processes: int, device: str) -> Tier:

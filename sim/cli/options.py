@@ -161,14 +161,14 @@ def _upright(options: argparse.Namespace) -> Indenter:
         raise SceneError(
             f"--shape {shape}: {', '.join(sorted(sizes)) or 'nothing'} given; allowed: {listed}"
         )
-    made = SHAPES[shape](**sizes)
+    indenter = SHAPES[shape](**sizes)
     if EDGE not in inspect.signature(SHAPES[shape]).parameters:
         if edge is not None:
             raise SceneError(f"--shape {shape}: {EDGE} given; allowed: none, it has no edge")
-        return made
+        return indenter
     if edge is None:
-        edge = min(metres(EDGE_MM), made.edge_radius_max)
-    return replace(made, edge_radius=edge)
+        edge = min(metres(EDGE_MM), indenter.edge_radius_max)
+    return replace(indenter, edge_radius=edge)
 
 
 def split_shape(text: str) -> tuple[str, dict[str, str]]:

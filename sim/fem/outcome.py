@@ -102,7 +102,7 @@ class Spent:
     steps: int = 0
 
 
-TOLD = np.dtype(
+HOST = np.dtype(
     [
         ("depth", float),
         ("residual", float),
@@ -119,10 +119,13 @@ TOLD = np.dtype(
         ("steps", int),
     ]
 )
-"""Values of a frame beside `READ`, in units of thickness and modulus: depth of the tip, residual,
-force of the base on the body, least determinant, least force by which residuals are divided,
-results of `self_overlap`; work since the first frame, and the most of it so far; greatest overlap
-along the steps to the frame; numbers of Newton iterations, of CG iterations and of steps."""
+"""Values of a frame that the host has, beside `READ`, in units of thickness and modulus.
+
+Depth of the tip, residual, force of the base on the body, least determinant, least force by which
+residuals are divided, results of `self_overlap`; work since the first frame, and the most of it so
+far; greatest overlap along the steps to the frame; numbers of Newton iterations, of CG iterations
+and of steps.
+"""
 
 
 class Collector:
@@ -131,7 +134,7 @@ class Collector:
     def __init__(self, scene: Scene, mesh: Mesh) -> None:
         self._scene, self._mesh = scene, mesh
         frames, shape = len(scene.motion.tip), (len(mesh.x), len(mesh.y), 3)
-        self._read, self._told = np.zeros(frames, READ), np.zeros(frames, TOLD)
+        self._read, self._host = np.zeros(frames, READ), np.zeros(frames, HOST)
         self._surface = np.full((frames, *shape), np.nan, np.float32)
         self._traction = np.full((frames, *shape), np.nan, np.float32)
         self._width, self._resolved = np.zeros((2, frames))
@@ -153,19 +156,19 @@ class Collector:
         self._below_base = max(self._below_base, float(overlap[2]))
 
     def keep(
-        self, frame: int, read: np.void, surface: Array, traction: Array, told: tuple[Any, ...]
+        self, frame: int, read: np.void, surface: Array, traction: Array, host: tuple[Any, ...]
     ) -> None:
         """Store what was read of a frame, `READ`, and of the nodes of its top.
 
-        These have displacements (X, Y, 3) [m] and tractions (X, Y, 3) [Pa]. `told` has the values
-        of `TOLD` up to those of the steps to the frame, and its cost.
+        These have displacements (X, Y, 3) [m] and tractions (X, Y, 3) [Pa]. `host` has the values
+        of `HOST` up to those of the steps to the frame, and its cost.
         """
         if not frame:
             self._work = self._work_most = 0.0
         steps = self._work, self._work_most, self._overlap_path
-        spent = told[-1]
+        spent = host[-1]
         self._read[frame], self._surface[frame], self._traction[frame] = read, surface, traction
-        self._told[frame] = (*told[:-1], *steps, spent.newton, spent.cg, spent.steps)
+        self._host[frame] = (*host[:-1], *steps, spent.newton, spent.cg, spent.steps)
         self._overlap_path = 0.0
         self._unmeasured.append(frame)
 
@@ -210,27 +213,27 @@ class Collector:
         self.measure()
         entries = self._entries()
         scene, mesh, unit = self._scene, self._mesh, self._scene.body.thickness
-        read, told, push = self._read, self._told, scene.body.modulus * unit**2
-        force, energy, most = read["force"], read["energy"], told["work_most"]
+        read, host, push = self._read, self._host, scene.body.modulus * unit**2
+        force, energy, most = read["force"], read["energy"], host["work_most"]
         external = force + read["body"]
-        sizes = [np.linalg.norm(one, axis=1) for one in (force, external, external + told["base"])]
-        scale = np.maximum(np.maximum(sizes[0], sizes[1]), told["min_force_scale"])
-        lost = told["work"] - (energy - energy[0])
+        sizes = [np.linalg.norm(one, axis=1) for one in (force, external, external + host["base"])]
+        scale = np.maximum(np.maximum(sizes[0], sizes[1]), host["min_force_scale"])
+        lost = host["work"] - (energy - energy[0])
         slip = read["excess"] / np.maximum(read["pressure"], 1e-30)
         overlap = read["overlap"] * unit
         x, y = mesh.x * unit, mesh.y * unit
         quality = Quality(
-            residual=told["residual"].copy(),
-            contact=read["penetration"] / np.maximum(told["depth"], 1e-6),
+            residual=host["residual"].copy(),
+            contact=read["penetration"] / np.maximum(host["depth"], 1e-6),
             balance=sizes[2] / scale,
             energy_gap=np.where(most > 1e-9, lost / np.maximum(most, 1e-9), 0.0),
-            det_f_min=told["det"].copy(),
+            det_f_min=host["det"].copy(),
             slip_excess=np.full(len(slip), np.nan) if scene.effects.friction is None else slip,
             overlap=overlap[:, 0].copy(),
             overlap_bound=overlap[:, 1].copy(),
-            overlap_path=np.maximum(told["overlap_path"] * unit, overlap[:, 0]),
+            overlap_path=np.maximum(host["overlap_path"] * unit, overlap[:, 0]),
             contact_width=self._width.copy(),
-            **{name: told[name].copy() for name in ("newton", "cg", "steps")},
+            **{name: host[name].copy() for name in ("newton", "cg", "steps")},
         )
         return Result(
             scene=scene,
@@ -260,10 +263,10 @@ class Collector:
         mesh, unit = self._mesh, self._scene.body.thickness
         face = int(self._read["face"][np.argmax(self._read["overlap"][:, 0])])
         place = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
-        inside = self._told["self_overlap"] * unit
+        inside = self._host["self_overlap"] * unit
         own: dict[str, Any] = {"metres": [float(f"{one:.4g}") for one in inside]}
         if inside.any():
-            node = int(self._told["self_node"][np.argmax(inside)])
+            node = int(self._host["self_node"][np.argmax(inside)])
             own["place"] = [float(one) for one in mesh.nodes[node] * unit]
         return {
             "overlap": {

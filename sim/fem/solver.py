@@ -71,8 +71,8 @@ def simulate_fem(
     parts = [(i, stage) for i, each in enumerate(stages) for stage in each]
     some = [_beginning(scenes[i], stage.waypoints) for i, stage in parts]
     keys = [(i, stage.waypoints) for i, stage in parts]
-    known = required or {}
-    sizes = [known.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)]
+    earlier = required or {}
+    sizes = [earlier.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)]
     outcomes, lasting = _following(some, sizes, numerics, device, progress)
     if required is not None:
         for key, size, outcome in zip(keys, lasting, outcomes, strict=True):
@@ -153,7 +153,7 @@ def _following(
 
 
 def refines(
-    scene: Scene, numerics: Fem, sizes: Sizes, more: Sizes, found: Result | Crossed
+    scene: Scene, numerics: Fem, sizes: Sizes, more: Sizes, result: Result | Crossed
 ) -> bool:
     """True if a mesh with `more` sizes is finer there than that of the result.
 
@@ -161,13 +161,13 @@ def refines(
     """
     (mesh,) = meshes_of([scene], numerics, [sizes.joined(more)])
     unit = scene.body.thickness
-    before = coarser_than_required(more, found.surface_x, found.surface_y)
+    before = coarser_than_required(more, result.surface_x, result.surface_y)
     return before > REFINED * coarser_than_required(more, mesh.x * unit, mesh.y * unit)
 
 
-def precision_for_finer(found: Result | Crossed, numerics: Fem) -> Precision:
+def precision_for_finer(result: Result | Crossed, numerics: Fem) -> Precision:
     """Return the precision for a finer mesh: float64 if `auto` already had to fall back to it."""
-    double = numerics.precision == "auto" and found.record["precision"] == "float64"
+    double = numerics.precision == "auto" and result.record["precision"] == "float64"
     return "float64" if double else numerics.precision
 
 
@@ -175,9 +175,9 @@ def _sizes_for_finer(sizes: Sizes, outcome: Outcome) -> Sizes:
     """Return the sizes for a finer mesh, with those of the solution's contacts where finer."""
     if isinstance(outcome, SimulationDiverged):
         return sizes
-    mesh, found = outcome.record["mesh"], required_by(outcome)
-    ratio = coarser_than_required(found, outcome.surface_x, outcome.surface_y, mesh["fineness"])
-    return sizes.joined(found) if "made_anew" in mesh or ratio > COARSE else sizes
+    mesh, needed = outcome.record["mesh"], required_by(outcome)
+    ratio = coarser_than_required(needed, outcome.surface_x, outcome.surface_y, mesh["fineness"])
+    return sizes.joined(needed) if "made_anew" in mesh or ratio > COARSE else sizes
 
 
 def _remeshed(outcome: Outcome, times: int, before: Outcome) -> Outcome:

@@ -505,8 +505,8 @@ class Batch:
 
             displaced = assembly.rows(assembly.state.u, folded).astype(float)
             meshes = [self._meshes[i] for i in folded]
-            found = on_host(assembly.device, self_overlap, meshes, displaced)
-            folds.update(zip(folded, found, strict=True))
+            results = on_host(assembly.device, self_overlap, meshes, displaced)
+            folds.update(zip(folded, results, strict=True))
         overlaps = [
             (i, deep, self._meshes[i].nodes[node], FOLD)
             for i, (deep, node) in folds.items()
@@ -576,7 +576,7 @@ class Batch:
         if not good.any():
             return
         assembly = self._assembly
-        kept: dict[int, int] = {}
+        reached: dict[int, int] = {}
         work = self._newton.work(good, self._duration)
         for i in np.flatnonzero(good).tolist():
             path = self._paths[i]
@@ -587,27 +587,27 @@ class Batch:
             frame = path.segment
             floor = NEARLY_CRUSHED * DET_FLOOR
             if path.accept(self._share[i], nearly_crushed=bool(assembly.sums["det"][i] < floor)):
-                kept[i] = frame
-        if kept:
-            self._keep(kept, folds)
+                reached[i] = frame
+        if reached:
+            self._keep(reached, folds)
         assembly.accept(good, self._duration)
         if self._progress is not None:
             done = sum(path.segment + path.fraction - 1 for path in self._paths)
             whole = sum(max(len(path.corners) - 2, 1) for path in self._paths)
             self._progress(max(done, 0.0) / whole)
 
-    def _keep(self, kept: dict[int, int], folds: dict[int, tuple[float, int]]) -> None:
+    def _keep(self, reached: dict[int, int], folds: dict[int, tuple[float, int]]) -> None:
         """Keep current states as frames, given by environment."""
-        assembly, some, unit = self._assembly, list(kept), self._scenes[0].body.thickness
+        assembly, some, unit = self._assembly, list(reached), self._scenes[0].body.thickness
         keeping = np.isin(np.arange(len(self._paths)), some)
         assembly.measure_overlap(assembly.state.mask(keeping), samples=FRAME_SAMPLES)
         read, top = assembly.read(some, self._tip)
         surface = top[..., :3] * unit
         traction = top[..., 3:] / self._area[some] * self._stress[some]
         sums, residual, depth = assembly.sums, self._newton.residual, -self._tip[:, 2]
-        for row, (i, frame) in enumerate(kept.items()):
+        for row, (i, frame) in enumerate(reached.items()):
             deep, node = folds.get(i, (0.0, -1))
-            told = (
+            host = (
                 *(
                     depth[i],
                     residual[i],
@@ -617,15 +617,15 @@ class Batch:
                 ),
                 *(deep, node, self._spent[i]),
             )
-            self._collectors[i].keep(frame, read[row], surface[row], traction[row], told)
+            self._collectors[i].keep(frame, read[row], surface[row], traction[row], host)
             self._unmeasured.append(self._collectors[i])
             self._spent[i] = Spent()
-        rounds = [i for i in kept if self._collectors[i].round is not None]
+        rounds = [i for i in reached if self._collectors[i].round is not None]
         if rounds:
             columns = assembly.rows(assembly.state.u, rounds).astype(float)
             faces = assembly.rows(assembly.state.contact.touched, rounds)
             for i, u, touched in zip(rounds, columns, faces, strict=True):
-                self._collectors[i].keep_round(kept[i], u, touched, self._tip[i])
+                self._collectors[i].keep_round(reached[i], u, touched, self._tip[i])
 
     def _measure(self, is_busy: Callable[[], bool]) -> None:
         """Measure the contacts of kept frames, press by press, while a GPU is busy.
