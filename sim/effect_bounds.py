@@ -100,18 +100,18 @@ def bounds_of(scene: Scene, names: Sequence[str]) -> dict[str, Change]:
     `layer`: a flat body, an indenter that presses and stays a thickness away from the sides, a
     motion that does not begin inside the body. Names without a bound are absent.
     """
-    found: dict[str, Change] = {}
+    bounds: dict[str, Change] = {}
     for name in names:
         effect = getattr(scene.effects, name)
         if effect == effect.weakened(0.0):
-            found[name] = no_change(scene)
+            bounds[name] = no_change(scene)
     friction = scene.effects.friction
     grips = friction is not None and friction.coefficient > SLIPPERY
-    rest = [name for name in names if name not in found and not (grips and name == "friction")]
+    rest = [name for name in names if name not in bounds and not (grips and name == "friction")]
     layer = _layer(scene) if rest else None
     if layer is not None:
-        found |= {name: _BOUNDS[name](scene, layer) for name in rest}
-    return found
+        bounds |= {name: _BOUNDS[name](scene, layer) for name in rest}
+    return bounds
 
 
 def _layer(scene: Scene) -> _Layer | None:
@@ -215,11 +215,12 @@ def _accelerations(scene: Scene, inertia: Inertia) -> Array:
     path = path_of(scene, Fem())
     tip, time = np.array(motion.tip), np.array(motion.time)
     velocity = np.diff(tip, axis=0) / np.diff(time)[:, None]
-    found = np.zeros(len(tip))
+    accelerations = np.zeros(len(tip))
     rings, before = 0.0, np.zeros(3)
     for k, ((start, end), now) in enumerate(zip(pairwise(tip), velocity, strict=True), 1):
         path.segment = k
-        step = path.limit * float(time[k] - time[k - 1])
+        duration = float(time[k] - time[k - 1])
+        step = path.limit * duration
         steps = round(1 / path.limit)
         lost = 1 / math.sqrt(1 + (omega * step) ** 2)
         jump = float(np.linalg.norm(now - before)) * min(1 / step, wave)
@@ -229,9 +230,9 @@ def _accelerations(scene: Scene, inertia: Inertia) -> Array:
             float(np.linalg.norm(now)) * min(1 / step, wave) if met else jump * lost ** (steps - 1)
         )
         rings = rings * lost**steps + fresh
-        found[k] = rings + STIFFENING * float(np.linalg.norm(now)) / float(time[k] - time[k - 1])
+        accelerations[k] = rings + STIFFENING * float(np.linalg.norm(now)) / duration
         before = now
-    return found
+    return accelerations
 
 
 def _of_acceleration(scene: Scene, layer: _Layer, most: Array, *, moving: bool) -> Change:

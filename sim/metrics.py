@@ -100,12 +100,12 @@ def marker_pixels(outcome: Outcome, body: Body) -> Array:
 
 def displacement_at(outcome: Outcome, frame: int, x: Array, y: Array) -> Array:
     """Return displacements (X, Y, 3) of the material points at x (X,), y (Y,) [m]."""
-    known = outcome.surface_x, outcome.surface_y
-    degree_x, degree_y = (min(3, len(places) - 1) for places in known)
+    axes = outcome.surface_x, outcome.surface_y
+    degree_x, degree_y = (min(3, len(places) - 1) for places in axes)
     components = []
     for component in range(3):
         values = outcome.surface[frame, :, :, component].astype(np.float64)
-        spline = RectBivariateSpline(*known, values, kx=degree_x, ky=degree_y)
+        spline = RectBivariateSpline(*axes, values, kx=degree_x, ky=degree_y)
         components.append(spline(x, y))
     return np.stack(components, axis=-1)
 

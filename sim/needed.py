@@ -214,7 +214,7 @@ def plan_many(
 
 
 def simulate_needed(
-    found: EffectsPlan,
+    effects_plan: EffectsPlan,
     tolerance: str,
     *,
     tier: ContactTier | None = None,
@@ -228,39 +228,43 @@ def simulate_needed(
     the result's scene has those that were solved.
 
     Args:
-        found: Plan for this tolerance of the scene with all requested effects.
+        effects_plan: Plan for this tolerance of the scene with all requested effects.
         tolerance: Such as "2 %", "0.05 N", "0.5 px".
         tier: As in `simulate_within`; None is `fem` if effects are left out.
         device: Device to run on.
         progress: Called with the fraction done, 0 to 1, of each mesh in turn.
     """
-    if not found.omitted:
+    if not effects_plan.omitted:
         result = simulate_within(
-            found.scene, tolerance, tier=tier, device=device, progress=progress
+            effects_plan.scene, tolerance, tier=tier, device=device, progress=progress
         )
-        return replace(result, record={**result.record, "effects": found.record()})
+        return replace(result, record={**result.record, "effects": effects_plan.record()})
     wanted = tolerance_of(tolerance)
-    spent = found.joint.value(wanted.kind)
+    spent = effects_plan.joint.value(wanted.kind)
     try:
         # Errors of effects and mesh are added, also those of markers, which 'layer' does not state.
         result = simulate_within(
-            found.needed, found.rest, tier=tier or "fem", device=device, progress=progress
+            effects_plan.needed,
+            effects_plan.rest,
+            tier=tier or "fem",
+            device=device,
+            progress=progress,
         )
     except SceneError as refusal:
         raise SceneError(
             f"{refusal} (of {tolerance!r}, {with_unit(wanted.kind, spent)} is for "
-            f"{', '.join(found.omitted)}, left out)"
+            f"{', '.join(effects_plan.omitted)}, left out)"
         ) from refusal
-    return _with_both_errors(result, found, wanted)
+    return _with_both_errors(result, effects_plan, wanted)
 
 
-def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> Result:
+def _with_both_errors(result: Result, effects_plan: EffectsPlan, wanted: Tolerance) -> Result:
     """Return the mesh's result with the sum of its error and that of the effects."""
-    mesh, joint = result.record["error"], found.joint
+    mesh, joint = result.record["error"], effects_plan.joint
     fraction = [a + b for a, b in zip(mesh["force"], joint.fraction, strict=True)]
     error = {
         **mesh,
-        "by": f"{mesh['by']}; effects left out: {found.joint_by}",
+        "by": f"{mesh['by']}; effects left out: {effects_plan.joint_by}",
         "percent": mesh["percent"] + 100 * joint.value("fraction"),
         "force": fraction,
         "newton": mesh["newton"] + joint.force,
@@ -272,9 +276,9 @@ def _with_both_errors(result: Result, found: EffectsPlan, wanted: Tolerance) -> 
     plan = {
         **plan,
         "tolerance": str(wanted),
-        "notes": [*plan["notes"], f"the mesh within {plan['tolerance']}", found.summary()],
+        "notes": [*plan["notes"], f"the mesh within {plan['tolerance']}", effects_plan.summary()],
     }
-    record = {**result.record, "error": error, "plan": plan, "effects": found.record()}
+    record = {**result.record, "error": error, "plan": plan, "effects": effects_plan.record()}
     return replace(result, record=record)
 
 
@@ -368,22 +372,22 @@ class _Draft:
     def joint(self, names: Names) -> Change | None:
         """Return an upper bound of the error of leaving out `names` and all bounded effects."""
         total = no_change(self.scene)
-        for change in self.bounded.values():
-            total = total.plus(change)
+        for bound in self.bounded.values():
+            total = total.plus(bound)
         if not names:
             return total
-        found = self.change(self._all_of(names))
-        if found is None:
+        change = self.change(self._all_of(names))
+        if change is None:
             return None
         force = np.linalg.norm(self._whole().force, axis=1)
-        found = found.times(SAFETY)
-        least = np.maximum(found.fraction, NOISE * (force > 0))
-        found = Change(
+        change = change.times(SAFETY)
+        least = np.maximum(change.fraction, NOISE * (force > 0))
+        change = Change(
             fraction=tuple(least.tolist()),
-            force=max(found.force, NOISE * float(force.max())),
-            marker=found.marker,
+            force=max(change.force, NOISE * float(force.max())),
+            marker=change.marker,
         )
-        return total.plus(found)
+        return total.plus(change)
 
     def _whole(self) -> Result:
         """Return the probe with all effects; only called if it has a solution."""

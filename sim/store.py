@@ -72,9 +72,9 @@ def save_results(path: Path, results: Sequence[Result]) -> None:
 def load_result(path: Path, index: int = 0) -> Result:
     """Return one result of a directory that `save_results` wrote."""
     root = zarr.open_group(Path(path), mode="r", zarr_format=3)
-    found = (root.attrs.get("format"), root.attrs.get("version"))
-    if found != (FORMAT, VERSION):
-        raise ValueError(f"{path}: format {found!r}; allowed: {(FORMAT, VERSION)!r}")
+    version = (root.attrs.get("format"), root.attrs.get("version"))
+    if version != (FORMAT, VERSION):
+        raise ValueError(f"{path}: format {version!r}; allowed: {(FORMAT, VERSION)!r}")
     count: Any = root.attrs["results"]
     if not 0 <= index < count:
         raise IndexError(f"{path}: result {index}; allowed: 0 to {count - 1}")

@@ -192,12 +192,12 @@ class SolverState:
     def history(self, chosen: Sequence[int]) -> dict[str, np.ndarray]:
         """Return copies of all that the next step of the chosen environments (C,) depends on."""
         rows = list(chosen)
-        found = {
+        history = {
             name: np.take(array.numpy(), rows, axis=axis)
             for name, (array, axis) in self._history().items()
         }
-        found["tip"], found["duration"] = self.tip_before[rows], self._duration_old[rows]
-        return found
+        history["tip"], history["duration"] = self.tip_before[rows], self._duration_old[rows]
+        return history
 
     def go_on(self, history: dict[str, np.ndarray]) -> None:
         """Begin from what `history` of another state, of any precision, has returned."""
@@ -358,8 +358,8 @@ class SolverState:
         if key not in self._masks:
             if len(self._masks) == MASKS:
                 del self._masks[next(iter(self._masks))]
-            found = chosen.astype(np.int32)
-            self._masks[key] = wp.array(found, dtype=wp.int32, device=self._device)
+            mask = chosen.astype(np.int32)
+            self._masks[key] = wp.array(mask, dtype=wp.int32, device=self._device)
         return self._masks[key]
 
     def _put(self, array, values) -> None:
@@ -552,9 +552,9 @@ class Assembly:
         if self.crossing is None:
             return self._most_overlap.numpy().astype(float)
         self.crossing.mark(self._mesh, active, self.state.u, self.face_overlap, self._most_overlap)
-        found = self._most_overlap.numpy().astype(float)
-        found[:, 3] = self.crossing.marked(found[:, 3])
-        return found
+        overlap = self._most_overlap.numpy().astype(float)
+        overlap[:, 3] = self.crossing.marked(overlap[:, 3])
+        return overlap
 
     def measure_overlap(self, active, *, samples: int, states: int = 1) -> None:
         """Measure what `overlap` returns, for `read`."""

@@ -455,14 +455,14 @@ def meshes_of(
     if sizes is None and numerics.follows:
         sizes = [stages_of(scene)[0].sizes for scene in scenes]
     if sizes is not None:
-        asked = [
+        settings = [
             (scene, size, numerics.fineness, numerics.elements_max)
             for scene, size in zip(scenes, sizes, strict=True)
         ]
-        meshes = [following_mesh(*each) for each in asked]
+        meshes = [following_mesh(*each) for each in settings]
         if numerics.one_topology:
             most = max(m.cells[0] for m in meshes), max(m.cells[1] for m in meshes)
-            meshes = [following_mesh(*each, most) for each in asked]
+            meshes = [following_mesh(*each, most) for each in settings]
         return meshes
     plans = _plans(scenes, numerics)
     least = numerics.cells_least

@@ -319,7 +319,7 @@ def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
 
     The finest has nodes at x (X,) and y (Y,), in thicknesses.
     """
-    found: list[tuple[int, int]] = []
+    grids: list[tuple[int, int]] = []
     spacing = min(np.diff(x).min(), np.diff(y).min())
     while spacing < COARSEST_SPACING:
         spacing *= SPACING_GROWTH
@@ -327,9 +327,9 @@ def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
         kept = counts[0] * counts[1] / (len(x) * len(y))
         if kept > KEPT and (spacing < COARSEST_SPACING or kept > 0.9):
             continue
-        found.append(counts)
+        grids.append(counts)
         x, y = x[thinned(x, counts[0])], y[thinned(y, counts[1])]
-    return found
+    return grids
 
 
 @functools.cache

@@ -599,10 +599,10 @@ class ConjugateGradient:
         while self._gathers and rows > 1 and len(running) <= rows // 2:
             rows //= 2
         if renew or rows < len(self._which):
-            found = np.full(rows, -1, np.int32)
-            found[: len(running)] = running
+            rows_now = np.full(rows, -1, np.int32)
+            rows_now[: len(running)] = running
             self._which = self._all_rows[:rows]
-            self._which.assign(found)
+            self._which.assign(rows_now)
 
     def _begin(self, residual) -> None:
         start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)

@@ -170,10 +170,10 @@ def _pieces_of(
         size = np.minimum(width[here] / ACROSS, LAYER_SHARE * thickness)
         edge = np.minimum(size, np.maximum(EDGE_SHARE * edge_radius, EDGE_LEAST * size))
         across = np.maximum(np.abs(_normals(mask)), OBLIQUE)
-        asked = np.stack([frame[here], width[here], size, edge])
-        spans[0].extend(_runs(mask, body, across[0], edges[0], asked))
+        properties = np.stack([frame[here], width[here], size, edge])
+        spans[0].extend(_runs(mask, body, across[0], edges[0], properties))
         turned = mask.transpose(0, 2, 1), body.T, across[1].transpose(0, 2, 1)
-        spans[1].extend(_runs(*turned, edges[1], asked))
+        spans[1].extend(_runs(*turned, edges[1], properties))
         top[here] = np.minimum(OVER_DEPTH * size, edge)
     return _Pieces(frame, width, top, (np.concatenate(spans[0]), np.concatenate(spans[1])))
 
@@ -230,7 +230,7 @@ def _slopes(values: Array, axis: int) -> Array:
     return np.moveaxis(slope, 0, axis)
 
 
-def _runs(mask: Mask, on_body: Mask, across: Array, edges: Array, asked: Array) -> list[Array]:
+def _runs(mask: Mask, on_body: Mask, across: Array, edges: Array, pieces: Array) -> list[Array]:
     """Return spans of the runs of touched pixels along x, and of their end edges.
 
     Args:
@@ -238,7 +238,7 @@ def _runs(mask: Mask, on_body: Mask, across: Array, edges: Array, asked: Array) 
         on_body: Pixels on the body (X, Y): a contact that ends at the body's rim has an edge there.
         across: Cosine between x and the outline's normal (P, X, Y).
         edges: Boundaries between the pixels (X + 1,).
-        asked: Of each piece its frame, width, size across it, and size at its outline (4, P). A run
+        pieces: Frame of each piece, width, size across it, and size at its outline (4, P). A run
             much longer than the piece is wide is refined to that only at its ends.
 
     Returns:
@@ -249,7 +249,7 @@ def _runs(mask: Mask, on_body: Mask, across: Array, edges: Array, asked: Array) 
     change = np.diff(framed, axis=1).transpose(0, 2, 1)
     piece, column, first = np.nonzero(change == 1)
     past = np.nonzero(change == -1)[2]
-    frame, width, size, edge = asked[:, piece]
+    frame, width, size, edge = pieces[:, piece]
     low, high = edges[first], edges[past]
     begin, end = across[piece, first, column], across[piece, past - 1, column]
     within = size / np.maximum(begin, end)
@@ -269,14 +269,14 @@ def _runs(mask: Mask, on_body: Mask, across: Array, edges: Array, asked: Array) 
 
 def _least(spans: Sequence[Span]) -> tuple[Span, ...]:
     """Drop the spans that lie within another one that is as fine."""
-    kept: list[Span] = []
+    finest: list[Span] = []
     for span in sorted(set(spans), key=lambda one: (one.size, one.low - one.high, one.low)):
         if not any(
             one.size <= 1.05 * span.size and one.low <= span.low and span.high <= one.high
-            for one in kept
+            for one in finest
         ):
-            kept.append(span)
-    return tuple(kept)
+            finest.append(span)
+    return tuple(finest)
 
 
 # Node positions along one axis, from the required sizes.
@@ -416,18 +416,18 @@ def stages_of(scene: Scene) -> list[MotionStage]:
     solve. Up to there nothing is different, so a beginning may be solved alone with any effects.
     """
     looks = _looks(scene)
-    found = [look for look in looks if look is not None and look.top < math.inf]
+    touching = [look for look in looks if look is not None and look.top < math.inf]
     count = len(scene.motion)
-    if not found:
+    if not touching:
         return [MotionStage(count, NOTHING)]
     stages: list[MotionStage] = []
     while True:
-        seen = [look for look in looks[:count] if look is not None and look.top < math.inf]
-        if not seen:
+        earlier = [look for look in looks[:count] if look is not None and look.top < math.inf]
+        if not earlier:
             return stages
-        least_size = max(look.top for look in seen) / MANY_SIZES
+        least_size = max(look.top for look in earlier) / MANY_SIZES
         joined = NOTHING
-        for look in [*seen, *(looks[len(scene.motion) :] if not stages else [])]:
+        for look in [*earlier, *(looks[len(scene.motion) :] if not stages else [])]:
             if look is not None:
                 joined = joined.joined(_no_finer(look, least_size))
         stages.append(MotionStage(count, replace(joined, x=_least(joined.x), y=_least(joined.y))))
@@ -470,23 +470,23 @@ def _looks(scene: Scene) -> list[Sizes | None]:
         parts = 1 + min(4, int(np.linalg.norm((end - start)[:2]) / max(depth, 1e-9)))
         ways += [start + (end - start) * part / parts for part in range(1, parts)]
     tips = np.array([*waypoints, *ways])
-    found: list[Sizes | None] = [None] * len(tips)
-    known: list[tuple[Array, float, Sizes]] = []
+    sizes_at: list[Sizes | None] = [None] * len(tips)
+    estimated: list[tuple[Array, float, Sizes]] = []
     for index in np.argsort(tips[:, 2], kind="stable").tolist():
         tip = tips[index]
         down = scene.body.height(*_onto(scene.body, tip)) - float(tip[2])
         if down <= 0:
             continue
-        for other, deep, sizes in known:
+        for other, deep, sizes in estimated:
             near = float(np.linalg.norm((tip - other)[:2])) <= down / 4
             if near and deep / ALIKE < down < deep * ALIKE:
-                found[index] = sizes
+                sizes_at[index] = sizes
                 break
         else:
-            if len(known) < LOOKS:
-                found[index] = _look(scene.indenter, scene.body, tip)
-                known.append((tip, down, found[index]))
-    return found
+            if len(estimated) < LOOKS:
+                sizes_at[index] = _look(scene.indenter, scene.body, tip)
+                estimated.append((tip, down, sizes_at[index]))
+    return sizes_at
 
 
 def _onto(body: Body, tip: Array) -> tuple[float, float]:
@@ -594,14 +594,16 @@ def extent_of(
         for level in np.linspace(0.0, 1.0, LEVELS)[::-1].tolist():
             if columns.any():
                 distance[columns] = np.minimum(distance[columns], outside(x, y, level, columns))
-            found = distance <= 0
-            if found.any():  # columns within the extent so far add nothing to it
-                in_x, in_y = (np.flatnonzero(found.any(axis=axis)) for axis in (1, 0))
+            inside = distance <= 0
+            if inside.any():  # columns within the extent so far add nothing to it
+                in_x, in_y = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
                 columns[in_x[0] : in_x[-1] + 1, in_y[0] : in_y[-1] + 1] = False
-        if found.any():
+        if inside.any():
             passes -= 1
         elif closer and distance.min() <= np.linalg.norm(spacing):
-            in_x, in_y = (np.array([at]) for at in np.unravel_index(distance.argmin(), found.shape))
+            in_x, in_y = (
+                np.array([at]) for at in np.unravel_index(distance.argmin(), inside.shape)
+            )
             closer -= 1
         else:
             return None

@@ -127,21 +127,21 @@ def lowest(upright: Indenter, turn: Array) -> float:
     low, high = np.clip(np.transpose([x_side, y_side]), -span, span)
     half = float(max(np.abs(low).max(), np.abs(high).max()))
     points = _on_surface(upright, _seeds(upright, turn, (low, high), half))[0]
-    found = points @ turn[2]
+    height = points @ turn[2]
     for stride in STRIDES:
         for _ in range(STEPS_MAX):
             moved, gap = _on_surface(upright, points - stride * half * turn[2])
             below = moved @ turn[2]
-            gained = (below < found - TILT_SETTLED) & (np.abs(gap) < ON_SURFACE)
-            points[gained], found[gained] = moved[gained], below[gained]
+            gained = (below < height - TILT_SETTLED) & (np.abs(gap) < ON_SURFACE)
+            points[gained], height[gained] = moved[gained], below[gained]
             if not gained.any():
                 break
-    best = int(np.argmin(found))
+    best = int(np.argmin(height))
     if endless and np.abs(points[best, :2]).max() > 0.9 * SPAN:
         raise SceneError(
             f"indenter {upright.name}.tilt: it has no lowest point when it leans; allowed: upright"
         )
-    return float(found[best])
+    return float(height[best])
 
 
 def _seeds(upright: Indenter, turn: Array, box: tuple[Array, Array], half: float) -> Array:

@@ -116,15 +116,15 @@ def solve_frictionless(body: Elastic, gap: Array, start: Array, *, tolerance: fl
     if gap.min() >= 0:
         return Contact(np.zeros_like(start), 0.0, 0)
     pressure = _pushing(-start[2])
-    found = descend(
+    solution = descend(
         Problem(body.answer.normal, _pushing, body.local_normal),
         pressure,
         gap + body.answer.normal(pressure),
         tolerance=tolerance,
         iterations=ITERATIONS,
     )
-    traction = np.stack([np.zeros_like(gap), np.zeros_like(gap), -found.x])
-    return Contact(traction, found.residual, found.iterations)
+    traction = np.stack([np.zeros_like(gap), np.zeros_like(gap), -solution.x])
+    return Contact(traction, solution.residual, solution.iterations)
 
 
 def solve_frictional(

@@ -304,15 +304,15 @@ class Convolutions:
 
     def within(self, shape: tuple[int, ...]) -> Elastic:
         """Return the layer within a window of `shape`, cached by shape."""
-        found = self._made.get(shape)
-        if found is None:
+        elastic = self._made.get(shape)
+        if elastic is None:
             if len(self._made) == SHAPES_KEPT:
                 self._made.clear()
             local = self.kernel[:3, 0, 0]
-            found = self._made[shape] = Elastic(
+            elastic = self._made[shape] = Elastic(
                 self._cut(shape, self.dtype), float(local[2]), float(min(local[0], local[1]))
             )
-        return found
+        return elastic
 
     def _cut(self, shape: tuple[int, ...], dtype: DTypeLike) -> Convolution:
         """Return the convolution over a window of `shape`, without the period's images.
