@@ -81,13 +81,13 @@ def describe(path: str | os.PathLike[str]) -> str:
     lines = [f"{session.name}  status {session.status}, {len(session.runs)} run(s)"]
     if session.warning:
         lines.append(f"warning: {session.warning}")
-    facts = {key: session.attrs.get(key, "") for key in _ATTRIBUTES}
-    facts["format"] = f"{session.attrs['format']} {session.attrs['format_version']}"
+    properties = {key: session.attrs.get(key, "") for key in _ATTRIBUTES}
+    properties["format"] = f"{session.attrs['format']} {session.attrs['format_version']}"
     software = session.attrs.get("software", {})
-    facts["software"] = ", ".join(
+    properties["software"] = ", ".join(
         f"{name} {software[name]}" for name in _PROGRAMS if name in software
     )
-    lines += [f"  {key:12s} {value}" for key, value in facts.items() if value != ""]
+    lines += [f"  {key:12s} {value}" for key, value in properties.items() if value != ""]
     lines.append("")
     titles = ("rows", "Hz", "measured", "gap ms", "lost", "MB")
     width = max(12, *(len(name) for name in session.streams)) if session.streams else 12
