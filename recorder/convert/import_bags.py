@@ -22,8 +22,8 @@ from recorder.convert.import_tracks import (
     As,
     Content,
     Film,
+    RecordedTrack,
     Take,
-    Track,
     kind_of_name,
     named,
     require_advance,
@@ -109,7 +109,7 @@ def read_bag(path: Path, answers: Answers) -> Take:
                 answers = replace(answers, units="N", torque_units="N m")
             values = np.array(entry.values, np.float64)
             content = numbers_of(source, values, t_ns, entry.kind, answers)
-        tracks.append(Track("", entry.kind, content, source, path.name))
+        tracks.append(RecordedTrack("", entry.kind, content, source, path.name))
     return Take(path.stem, named(tracks), (path,), tuple(assumed))
 
 

@@ -29,9 +29,9 @@ from recorder.convert.import_tracks import (
     As,
     MissingAnswer,
     Numbers,
+    RecordedTrack,
     Take,
     Times,
-    Track,
     bare_name,
     every,
     named,
@@ -150,13 +150,13 @@ def _is_uskin_log(path: Path) -> bool:
 
 def _take(name: str, files: Sequence[_File], answers: Answers) -> Take:
     """Return the recording of some files; numbers may have the times of its videos."""
-    tracks: list[Track] = []
+    tracks: list[RecordedTrack] = []
     files = sorted(files, key=lambda file: not _is_video(file))
     for stated, stream, path in files:
         if stated == "video":
             rate = answers.rate("video", stream)
             film = open_film(path, rate, stills=answers.stills and path.is_dir())
-            tracks.append(Track(stream, "video", film, path.name, path.name))
+            tracks.append(RecordedTrack(stream, "video", film, path.name, path.name))
         elif path.is_file():
             tracks += _numbers(path, stated, stream, tracks, answers)
         else:
@@ -165,8 +165,8 @@ def _take(name: str, files: Sequence[_File], answers: Answers) -> Take:
 
 
 def _numbers(
-    path: Path, stated: As | None, stream: str, films: Sequence[Track], answers: Answers
-) -> Iterator[Track]:
+    path: Path, stated: As | None, stream: str, films: Sequence[RecordedTrack], answers: Answers
+) -> Iterator[RecordedTrack]:
     """Yield the tracks of a file of numbers."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
@@ -174,7 +174,7 @@ def _numbers(
     elif suffix in LOG_SUFFIXES:
         array, times = _uskin_log(path)
         counts = counts_of(path.name, array, times, answers.taxel_order)
-        yield Track(stream, "taxels", counts, path.name, path.name)
+        yield RecordedTrack(stream, "taxels", counts, path.name, path.name)
     elif suffix in (".npy", ".npz"):
         for source, array in load_arrays(path).items():
             kind = answers.kind(source.removeprefix(f"{path.name}:")) or stated
@@ -189,9 +189,9 @@ def _array(
     array: NDArray[Any],
     stated: As | None,
     stream: str,
-    films: Sequence[Track],
+    films: Sequence[RecordedTrack],
     answers: Answers,
-) -> Track:
+) -> RecordedTrack:
     """Return the track of an array, whose rows have a rate, or are those of the images."""
     _, is_inside, inner = source.rpartition(":")
     kind = stated or kind_of_array(array.shape, inner if is_inside else Path(source).stem)
@@ -204,11 +204,11 @@ def _array(
     times, clock, message = _times(source, len(array), kind, stream, films, answers)
     content = numbers_of(source, array, times, kind, answers)
     content.assumed.insert(0, message)
-    return Track(stream, kind, content, source, clock)
+    return RecordedTrack(stream, kind, content, source, clock)
 
 
 def _times(
-    source: str, count: int, kind: As, stream: str, films: Sequence[Track], answers: Answers
+    source: str, count: int, kind: As, stream: str, films: Sequence[RecordedTrack], answers: Answers
 ) -> tuple[Times, str, str]:
     """Return times and clock of rows without times, and a message on where they come from."""
     rate = answers.rate(kind, stream)
@@ -222,7 +222,9 @@ def _times(
     raise MissingAnswer(rate_option(kind), f"{source}: {count} rows say no times")
 
 
-def _csv(path: Path, stream: str, films: Sequence[Track], answers: Answers) -> Iterator[Track]:
+def _csv(
+    path: Path, stream: str, films: Sequence[RecordedTrack], answers: Answers
+) -> Iterator[RecordedTrack]:
     name, lines = path.name, read_lines(path)
     if len(lines[0]) == 48:
         header = not _is_number(lines[0][0])
@@ -244,14 +246,14 @@ def _csv(path: Path, stream: str, films: Sequence[Track], answers: Answers) -> I
     if axes:
         value = np.stack([columns.get(axis, np.full(len(t_ns), np.nan)) for axis in AXES], axis=1)
         wrenches = wrenches_of(name, value, axes, t_ns, rate or rows_hz, assumed)
-        yield Track(stream, "force", wrenches, name, clock)
+        yield RecordedTrack(stream, "force", wrenches, name, clock)
     if "width" in columns:
         width = Numbers(columns["width"][:, None], t_ns, rows_hz, [*assumed])
-        yield Track("width", "width", width, name, clock)
+        yield RecordedTrack("width", "width", width, name, clock)
     missing = [axis for axis in POSE_AXES if axis not in columns]
     if not missing:
         rows = np.stack([columns[axis] for axis in POSE_AXES], axis=1)
-        yield Track("pose", "pose", Numbers(rows, t_ns, rows_hz, [*assumed]), name, clock)
+        yield RecordedTrack("pose", "pose", Numbers(rows, t_ns, rows_hz, [*assumed]), name, clock)
     elif len(missing) < len(POSE_AXES):
         raise SessionError(f"{name}: found part of a pose; {', '.join(missing)} missing")
 

@@ -34,9 +34,9 @@ from recorder.convert.import_tracks import (
     As,
     Film,
     MissingAnswer,
+    RecordedTrack,
     Take,
     Times,
-    Track,
     indenter_of,
 )
 from recorder.errors import SessionError
@@ -158,7 +158,7 @@ def _shrunk(image: Any) -> NDArray[np.uint8]:
     return np.asarray(picture.resize(_SMALL[::-1], Image.Resampling.BOX), np.uint8)
 
 
-def _sensor_track(take: Take) -> Track | None:
+def _sensor_track(take: Take) -> RecordedTrack | None:
     """Return the first camera, else the first taxels."""
     return take.first("video") or take.first("taxels")
 
@@ -305,7 +305,7 @@ def _span(option: str, text: str) -> Span:
     return span
 
 
-def _require_sign(track: Track, no_contact: Span, presses: Sequence[Press]) -> None:
+def _require_sign(track: RecordedTrack, no_contact: Span, presses: Sequence[Press]) -> None:
     """Reject three-axis forces whose Fz rises under contact: a session has negative Fz there."""
     content = track.content
     if isinstance(content, Film) or "Fz" not in content.attrs["axes_measured"]:
@@ -488,7 +488,7 @@ def _text(specs: Sequence[StreamSpec]) -> str:
     )
 
 
-def _spec(track: Track) -> StreamSpec:
+def _spec(track: RecordedTrack) -> StreamSpec:
     content = track.content
     device = {"device": "imported", "rate_hz": content.rate_hz}
     counted: dict[str, Any] = {"clock": "none", "numbering": "host"}
@@ -525,7 +525,7 @@ def _spec(track: Track) -> StreamSpec:
     return StreamSpec(track.stream, (value, time), content.rate_hz, attrs)
 
 
-def _rows(track: Track, columns: Sequence[Column], end_ns: int) -> Rows:
+def _rows(track: RecordedTrack, columns: Sequence[Column], end_ns: int) -> Rows:
     """Yield the samples of a track before a time, with all columns of its stream."""
     content = track.content
     times = content.t_ns[content.t_ns < end_ns].tolist()

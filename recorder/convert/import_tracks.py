@@ -273,7 +273,7 @@ Content = Film | Numbers
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class RecordedTrack:
     """One stream of a recording."""
 
     stream: str
@@ -298,13 +298,13 @@ class Take:
     """One recording: tracks that were recorded together."""
 
     name: str
-    tracks: tuple[Track, ...]
+    tracks: tuple[RecordedTrack, ...]
     files: tuple[Path, ...]
     """Files and folders that they come from."""
     assumed: tuple[str, ...] = ()
     """Messages on assumptions and changes."""
 
-    def first(self, kind: As) -> Track | None:
+    def first(self, kind: As) -> RecordedTrack | None:
         """Return the first track of a kind; None without one."""
         return next((track for track in self.tracks if track.kind == kind), None)
 
@@ -336,9 +336,9 @@ def bare_name(stem: str) -> str:
     return "".join(parts) if parts[0].lower() not in WORDS else ""
 
 
-def named(tracks: Sequence[Track]) -> tuple[Track, ...]:
+def named(tracks: Sequence[RecordedTrack]) -> tuple[RecordedTrack, ...]:
     """Return the tracks with names of streams that differ; the first of a kind has the kind's."""
-    renamed: list[Track] = []
+    renamed: list[RecordedTrack] = []
     names: set[str] = set()
     for track in tracks:
         name = track.stream or default_stream(track.kind)

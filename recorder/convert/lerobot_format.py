@@ -28,9 +28,9 @@ from recorder.convert.import_tracks import (
     As,
     Content,
     Film,
+    RecordedTrack,
     Take,
     Times,
-    Track,
     named,
 )
 from recorder.convert.import_video import (
@@ -513,7 +513,7 @@ def read_lerobot(path: Path, answers: Answers) -> list[Take]:
             else:
                 array = np.array(table.column(name).take(rows).to_pylist(), np.float64)
                 content = numbers_of(source, array, times, kind, answers)
-            tracks.append(Track("", kind, content, source, path.name))
+            tracks.append(RecordedTrack("", kind, content, source, path.name))
         tracks.sort(key=lambda track: track.kind != "video")
         takes.append(Take(f"episode_{episode:06d}", named(tracks), (path,), tuple(left_out)))
     return takes
