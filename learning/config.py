@@ -35,10 +35,10 @@ def preset_path(preset_dir: Path, name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if path.suffix in _SUFFIXES:
         return path
-    known = preset_names(preset_dir)
-    if str(name_or_path) not in known:
+    names = preset_names(preset_dir)
+    if str(name_or_path) not in names:
         raise LearningError(
-            f"preset: found {str(name_or_path)!r}; known: {', '.join(known)}, or a .yaml file"
+            f"preset: found {str(name_or_path)!r}; known: {', '.join(names)}, or a .yaml file"
         )
     return preset_dir / f"{name_or_path}.yaml"
 

@@ -68,9 +68,9 @@ def archive_sessions(
         for name, some in recordings.items()
     ]
     attrs = {"made_from": "sessions"}
-    made = fill_archive(out, sensors, indenters, attrs, progress)
+    frames = fill_archive(out, sensors, indenters, attrs, progress)
     omitted = (line for some in recordings.values() for one in some for line in _omitted(one))
-    return made, (*omitted, *summary(out))
+    return frames, (*omitted, *summary(out))
 
 
 def summary(path: Path) -> tuple[str, ...]:

@@ -149,14 +149,14 @@ class Spline:
         plain, line = self._basis(places, self._rank)
         return np.asarray(np.concatenate([plain, line], axis=1) @ self._solved, np.float64)
 
-    def filled(self, values: Floats, known: Chosen) -> Floats:
-        """Fill values (m, k) of markers that are not known (m,), with least bending energy."""
-        if known.all():
+    def filled(self, values: Floats, matched: Chosen) -> Floats:
+        """Fill values (m, k) of markers that are not matched (m,), with least bending energy."""
+        if matched.all():
             return values
-        lost = ~known
+        lost = ~matched
         held = self.energy[np.ix_(lost, lost)]
         ridge = max(_RIDGE * float(np.trace(self.energy)) / len(self.knots), _RIDGE)
-        pull = -self.energy[np.ix_(lost, known)] @ values[known]
+        pull = -self.energy[np.ix_(lost, matched)] @ values[matched]
         whole = np.array(values)
         whole[lost] = np.linalg.solve(held + ridge * np.eye(len(held)), pull)
         return whole
@@ -216,8 +216,8 @@ class Match:
     """Displacement of each marker (m, 2) [px]; predicted by the spline for lost ones."""
     growth: Floats
     """Logarithm of each marker's relative area (m,); predicted for lost ones as well."""
-    known: Chosen
-    """True for markers that were found (m,)."""
+    matched: Chosen
+    """True for matched markers (m,)."""
 
 
 class Matcher:
@@ -225,16 +225,16 @@ class Matcher:
 
     def __init__(self, reference: Masks, *, smoothing: float) -> None:
         """Index the markers by their order in the reference (480, 640)."""
-        found = find_blobs(reference[None], SMALLEST_PX)
+        patches = find_blobs(reference[None], SMALLEST_PX)
         # Markers at the border are excluded, as their visible centre moves with the cut.
-        chosen = found.whole if found.whole.any() else np.ones(len(found), np.bool_)
+        chosen = patches.whole if patches.whole.any() else np.ones(len(patches), np.bool_)
         if not chosen.any():
             raise LearningError(f"reference: found no marker of {SMALLEST_PX} px or more")
-        self.markers: Floats = found.centre[chosen]
-        self.area = found.area[chosen].astype(np.float64)
+        self.markers: Floats = patches.centre[chosen]
+        self.area = patches.area[chosen].astype(np.float64)
         self.spline = Spline(self.markers, smoothing=smoothing)
         self.pitch_px = pitch(self.markers) or _LONE_PITCH
-        self._all_cut = not found.whole.any()
+        self._all_cut = not patches.whole.any()
         self.restart()
 
     def restart(self) -> None:
@@ -244,36 +244,36 @@ class Matcher:
 
     def step(self, mask: Masks) -> Match:
         """Find the markers in the next frame (480, 640)."""
-        seen = find_blobs(mask[None], SMALLEST_PX)
+        patches = find_blobs(mask[None], SMALLEST_PX)
         start = self._before + SPEED * self._step
-        moved, found = self._searched(start, seen)
-        if not (found >= 0).all() and len(seen):
-            cut = self._cut(mask, seen, self.markers + moved)
+        moved, assigned = self._searched(start, patches)
+        if not (assigned >= 0).all() and len(patches):
+            cut = self._cut(mask, patches, self.markers + moved)
             if cut is not None:
-                seen = cut
-                moved, found = self._searched(moved, seen)
-        known = found >= 0
+                patches = cut
+                moved, assigned = self._searched(moved, patches)
+        matched = assigned >= 0
         self._step, self._before = moved - self._before, moved
         growth = np.zeros((len(self.markers), 1))
-        growth[known, 0] = np.log(seen.area[found[known]] / self.area[known])
-        return Match(moved, self.spline.filled(growth, known)[:, 0], known)
+        growth[matched, 0] = np.log(patches.area[assigned[matched]] / self.area[matched])
+        return Match(moved, self.spline.filled(growth, matched)[:, 0], matched)
 
-    def _searched(self, start: Floats, seen: Blobs) -> tuple[Floats, Indices]:
+    def _searched(self, start: Floats, patches: Blobs) -> tuple[Floats, Indices]:
         """Return the displacement of all markers (m, 2), and the detection of each (m,) or -1."""
-        usable = np.flatnonzero(seen.whole | self._all_cut)
-        places = seen.centre[usable]
-        moved, found = start, np.full(len(self.markers), -1)
+        usable = np.flatnonzero(patches.whole | self._all_cut)
+        places = patches.centre[usable]
+        moved, assigned = start, np.full(len(self.markers), -1)
         if not len(places):
-            return moved, found
+            return moved, assigned
         tree = cKDTree(places)
         for _ in range(ROUNDS):
             again = self._nearest(self.markers + moved, places, tree)
             offset = np.where(again[:, None] >= 0, places[again] - self.markers, 0.0)
             again, moved = self._agreed(again, offset, start)
-            if np.array_equal(again, found):
+            if np.array_equal(again, assigned):
                 break
-            found = again
-        return moved, np.where(found >= 0, usable[found], -1)
+            assigned = again
+        return moved, np.where(assigned >= 0, usable[assigned], -1)
 
     def _nearest(self, expected: Floats, places: Floats, tree: cKDTree) -> Indices:
         """Return the mutual nearest neighbour of each marker (m,) within the gate, or -1."""
@@ -282,28 +282,28 @@ class Matcher:
         mine = (back[nearest] == np.arange(len(expected))) & (apart <= GATE * self.pitch_px)
         return np.where(mine, nearest, -1)
 
-    def _agreed(self, found: Indices, offset: Floats, start: Floats) -> tuple[Indices, Floats]:
+    def _agreed(self, assigned: Indices, offset: Floats, start: Floats) -> tuple[Indices, Floats]:
         """Return the consistent matches, and the motion of all markers that follows from them."""
-        found = found.copy()
+        assigned = assigned.copy()
         while True:
-            known = found >= 0
-            moved = self._completed(offset, known, start)
-            surprise = np.where(known, self.spline.surprise(moved), 0.0)
+            matched = assigned >= 0
+            moved = self._completed(offset, matched, start)
+            surprise = np.where(matched, self.spline.surprise(moved), 0.0)
             worst = int(surprise.argmax())
             if surprise[worst] <= GATE * self.pitch_px:
-                return found, moved
-            found[worst] = -1
+                return assigned, moved
+            assigned[worst] = -1
 
-    def _completed(self, offset: Floats, known: Chosen, start: Floats) -> Floats:
-        if known.all():
+    def _completed(self, offset: Floats, matched: Chosen, start: Floats) -> Floats:
+        if matched.all():
             return offset
         # Lost markers move as expected, plus the deviation of the others from their expectation.
-        return start + self.spline.filled(offset - start, known)
+        return start + self.spline.filled(offset - start, matched)
 
-    def _cut(self, mask: Masks, seen: Blobs, expected: Floats) -> Blobs | None:
+    def _cut(self, mask: Masks, patches: Blobs, expected: Floats) -> Blobs | None:
         """Return detections with merged patches divided between markers; None if there are none."""
         large = MERGED * float(np.median(self.area))
-        if not (seen.area > large).any():
+        if not (patches.area > large).any():
             return None
         _, labels, stats, middle = cv2.connectedComponentsWithStats(
             mask.view(np.uint8), connectivity=4
@@ -316,24 +316,24 @@ class Matcher:
         claims = np.bincount(at, minlength=len(stats))
         merged = (claims > 1) & (stats[:, cv2.CC_STAT_AREA] > large)
         merged[0] = False
-        place, area, whole = list(seen.centre), list(seen.area), list(seen.whole)
+        place, area, whole = list(patches.centre), list(patches.area), list(patches.whole)
         gone: list[int] = []
         for label in np.flatnonzero(merged).tolist():
             left, top, wide, high, _ = stats[label]
             rows, columns = np.nonzero(labels[top : top + high, left : left + wide] == label)
             pixels = np.stack([columns + left, rows + top], axis=1).astype(np.float64)
             parts, sizes = _parted(pixels, expected[at == label])
-            one = int(np.linalg.norm(seen.centre - middle[label], axis=1).argmin())
+            one = int(np.linalg.norm(patches.centre - middle[label], axis=1).argmin())
             gone.append(one)
             place += list(parts)
             area += sizes
-            whole += [bool(seen.whole[one])] * len(parts)
+            whole += [bool(patches.whole[one])] * len(parts)
         if not gone:
             return None
-        kept = np.ones(len(place), np.bool_)
-        kept[gone] = False
+        keep = np.ones(len(place), np.bool_)
+        keep[gone] = False
         frame = np.zeros(len(place), np.int64)
-        return Blobs(frame, np.array(area, np.int64), np.array(place), np.array(whole)).only(kept)
+        return Blobs(frame, np.array(area, np.int64), np.array(place), np.array(whole)).only(keep)
 
 
 def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
@@ -345,8 +345,8 @@ def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
         sizes = np.bincount(owner, minlength=len(centres))
         for one in np.flatnonzero(sizes):
             centres[one] = pixels[owner == one].mean(axis=0)
-    taken = np.flatnonzero(sizes)
-    return centres[taken], sizes[taken].tolist()
+    used = np.flatnonzero(sizes)
+    return centres[used], sizes[used].tolist()
 
 
 # Displacement and growth of the skin between the markers of a press.
@@ -432,8 +432,8 @@ class FieldReader:
             columns, rows = np.meshgrid(LATTICE.columns, LATTICE.rows)
             places = _MIDDLE + (np.stack([columns, rows], axis=-1).reshape(-1, 2) - _MIDDLE) * scale
             margin = LATTICE.margin_px
-            seen = np.clip(places, -margin, np.array([WIDTH, HEIGHT]) + margin)
-            self._operators[key] = self._matcher.spline.at(seen)
+            within = np.clip(places, -margin, np.array([WIDTH, HEIGHT]) + margin)
+            self._operators[key] = self._matcher.spline.at(within)
         return self._operators[key]
 
     @functools.cached_property

@@ -154,10 +154,10 @@ def _loaded(path: Path, inputs: tuple[str, ...]) -> Any:
         state.NotImplemented,
     ) as error:
         raise LearningError(f"{path}: is no model that ONNX Runtime can load: {error}") from error
-    found = tuple(one.name for one in model.get_inputs())
-    if set(found) != set(inputs):
+    names = tuple(one.name for one in model.get_inputs())
+    if set(names) != set(inputs):
         raise LearningError(
-            f"{path}: takes {', '.join(found)}; expected {', '.join(inputs)}, as EfficientSAM's "
+            f"{path}: takes {', '.join(names)}; expected {', '.join(inputs)}, as EfficientSAM's "
             "own export names them"
         )
     return model

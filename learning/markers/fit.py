@@ -118,15 +118,15 @@ def fit_preset(
     plain = Segmenter(CameraPreset(description="", detectors=(Hat(9, 0.5),)))
     view = np.median([plain.view(one) for one in pictures], axis=0).astype(np.uint8)
     view = np.asarray(cv2.GaussianBlur(view, (3, 3), 0), np.uint8)
-    found = [
+    patterns = [
         one
         for bright in (False, True)
         for channel in CHANNELS
         if (one := _best(view, channel, bright)) is not None
     ]
-    regular = [one for one in found if one.is_regular]
+    regular = [one for one in patterns if one.is_regular]
     if not regular:
-        nearest = max(found, key=lambda one: one.score, default=None)
+        nearest = max(patterns, key=lambda one: one.score, default=None)
         raise LearningError(
             "pictures: found no regular pattern of markers"
             + (f" (at best {nearest})" if nearest else "")
@@ -163,15 +163,15 @@ def _widened(corners: NDArray[Any], margin: float) -> tuple[tuple[int, int], ...
     return tuple((round(float(x)), round(float(y))) for x, y in few)
 
 
-def _steadiest(found: Sequence[Pattern]) -> Pattern:
+def _steadiest(patterns: Sequence[Pattern]) -> Pattern:
     """Return the pattern of highest score, in the channel that a contact shades least.
 
     Coloured lamps each leave a shadow: of red, green and blue the brightest changes least around
     dark markers, the darkest around bright ones.
     """
-    best = max(found, key=lambda one: one.score)
+    best = max(patterns, key=lambda one: one.score)
     steady = "darkest" if best.detector.bright else "brightest"
-    for one in found:
+    for one in patterns:
         alike = one.detector.bright == best.detector.bright and one.detector.channel == steady
         if alike and one.score >= NEARLY_CHANNEL * best.score:
             return one
@@ -197,10 +197,12 @@ def as_yaml(preset: CameraPreset) -> dict[str, Any]:
 
 def _best(view: Picture, channel: Channel, bright: bool) -> Pattern | None:
     """Return the smallest regular pattern of nearly the highest score; else the one of highest."""
-    found = [one for size in SIZES_PX if (one := _pattern(view, size, channel, bright)) is not None]
-    regular = [one for one in found if one.is_regular]
+    patterns = [
+        one for size in SIZES_PX if (one := _pattern(view, size, channel, bright)) is not None
+    ]
+    regular = [one for one in patterns if one.is_regular]
     if not regular:
-        return max(found, key=lambda one: one.score, default=None)
+        return max(patterns, key=lambda one: one.score, default=None)
     most = max(one.score for one in regular)
     first = next(one for one in regular if one.score >= NEARLY * most)
     roomy = int(np.clip(ROOM * 2 * (first.area_px[2] / np.pi) ** 0.5, SIZES_PX[0], 200))
@@ -275,11 +277,14 @@ def recalls(
     for picture in pressed:
         after = segmenter.view(picture)
         then = find_blobs(finder.mask_of_view(after)[None], SMALLEST_PX).centre
-        found = ~Tracker(first).step(then).lost
+        recovered = ~Tracker(first).step(then).lost
         changed = (np.abs(_soft(after) - soft).max(axis=2) > TOUCHED).astype(np.uint8)
         under = (cv2.dilate(changed, np.ones((9, 9), np.uint8)) > 0)[row, column]
         yield Recall(
-            int(under.sum()), int(found[under].sum()), int((~under).sum()), int(found[~under].sum())
+            int(under.sum()),
+            int(recovered[under].sum()),
+            int((~under).sum()),
+            int(recovered[~under].sum()),
         )
 
 
@@ -294,9 +299,9 @@ def draw_outlines(
     segmenter = Segmenter(preset)
     finder = with_reference(segmenter, segmenter.view(no_contact[0]))
     drawn = []
-    for made_by, pictures in ((segmenter, no_contact), (finder, pressed)):
+    for masker, pictures in ((segmenter, no_contact), (finder, pressed)):
         for view in map(segmenter.view, pictures):
-            drawn.append(outlined(view, made_by.mask_of_view(view), (255, 255, 0), 1))
+            drawn.append(outlined(view, masker.mask_of_view(view), (255, 255, 0), 1))
     drawn += [np.zeros_like(drawn[0])] * (len(drawn) % 2)
     rows = [np.hstack(drawn[first : first + 2]) for first in range(0, len(drawn), 2)]
     Image.fromarray(np.vstack(rows)).save(path)
@@ -304,18 +309,18 @@ def draw_outlines(
 
 def files_of(paths: Sequence[Path]) -> list[Path]:
     """Return the pictures, and those of folders in the order of their names."""
-    found: list[Path] = []
+    files: list[Path] = []
     for path in paths:
         if path.is_dir():
             inside = sorted(one for one in path.iterdir() if one.suffix.lower() in ENDINGS)
             if not inside:
                 raise LearningError(f"{path}: found no pictures; allowed: {', '.join(ENDINGS)}")
-            found += inside
+            files += inside
         elif path.exists():
-            found.append(path)
+            files.append(path)
         else:
             raise LearningError(f"{path}: no such file")
-    return found
+    return files
 
 
 def read_picture(path: Path) -> Picture:

@@ -136,18 +136,18 @@ class ReferenceMarkers:
         patches = _Patches(mask)
         if not len(patches.number):
             return mask
-        moved, seen, own = self._matched(patches)
-        hidden = np.flatnonzero(~seen)
-        if not len(hidden) or not seen.any():
+        moved, visible, own = self._matched(patches)
+        hidden = np.flatnonzero(~visible)
+        if not len(hidden) or not visible.any():
             return mask
-        expected = self._neighbourly(moved, seen)
+        expected = self._neighbourly(moved, visible)
         contrast = self._of(view)
         owns = np.zeros(int(patches.labels.max()) + 1, np.bool_)
-        owns[patches.number[own[seen]]] = True
+        owns[patches.number[own[visible]]] = True
         wrong = np.zeros(len(owns), np.bool_)
         again: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
         for marker in hidden.tolist():
-            shift = self._found_again(marker, contrast, expected[marker])
+            shift = self._recovered_shift(marker, contrast, expected[marker])
             if shift is None:
                 continue
             pixels = self._pixels(marker, shift)
@@ -171,25 +171,25 @@ class ReferenceMarkers:
     def _matched(self, patches: _Patches) -> tuple[Floats, Flags, NDArray[np.int64]]:
         """Return displacements (m, 2), True for markers that were seen (m,), and their patches."""
         self._tracker.restart()
-        found = self._tracker.step(patches.centre).found
-        seen = found >= 0
-        moved = np.where(seen[:, None], patches.centre[found] - self._centre, 0.0)
-        ratio = patches.area[found] / self._area
-        seen &= (ratio > _AREA_FROM) & (ratio < _AREA_TO)
+        assigned = self._tracker.step(patches.centre).assigned
+        visible = assigned >= 0
+        moved = np.where(visible[:, None], patches.centre[assigned] - self._centre, 0.0)
+        ratio = patches.area[assigned] / self._area
+        visible &= (ratio > _AREA_FROM) & (ratio < _AREA_TO)
         for _ in range(2):
-            astray = np.linalg.norm(moved - self._neighbourly(moved, seen), axis=1)
-            seen &= astray < _ASTRAY * self._pitch
-        return moved, seen, found
+            astray = np.linalg.norm(moved - self._neighbourly(moved, visible), axis=1)
+            visible &= astray < _ASTRAY * self._pitch
+        return moved, visible, assigned
 
-    def _neighbourly(self, moved: Floats, seen: Flags) -> Floats:
+    def _neighbourly(self, moved: Floats, visible: Flags) -> Floats:
         """Return the median displacement (m, 2) of the neighbours that were seen."""
-        values = np.where(seen[:, None], moved, np.nan)[self._around]
-        some = seen[self._around].any(axis=1)
+        values = np.where(visible[:, None], moved, np.nan)[self._around]
+        some = visible[self._around].any(axis=1)
         median = np.zeros_like(moved)
         median[some] = np.nanmedian(values[some], axis=1)
         return median
 
-    def _found_again(
+    def _recovered_shift(
         self, marker: int, contrast: NDArray[np.float32], expected: Floats
     ) -> tuple[int, int] | None:
         """Return the shift (columns, rows) of a marker that is as likely as `LIKENESS`."""

@@ -86,10 +86,10 @@ class Recording:
     @property
     def camera(self) -> Stream:
         """Its first camera, whose images the column `image` of `frames` numbers."""
-        found = self.session.first("camera")
-        if found is None:
+        name = self.session.first("camera")
+        if name is None:
             raise LearningError(f"{self.name}: has no camera")
-        return self.session.streams[found]
+        return self.session.streams[name]
 
     def picture(self, image: int) -> NDArray[np.uint8]:
         """Return one of the camera's images (h, w, 3), RGB."""
@@ -276,20 +276,20 @@ def _references(
     """
     reference = session.reference
     if kind == "camera":
-        known = np.flatnonzero(reference["image"] >= 0)
+        usable = np.flatnonzero(reference["image"] >= 0)
     else:
-        known = np.flatnonzero(np.isfinite(reference["taxels"]).all(axis=(1, 2)))
-    if not known.size:
+        usable = np.flatnonzero(np.isfinite(reference["taxels"]).all(axis=(1, 2)))
+    if not usable.size:
         what = "image" if kind == "camera" else "counts"
         raise LearningError(f"{name}: has no reference: no {what} without contact")
     frames, point = session.frames, session.targets["point"]
     chosen = np.empty(len(rows), np.int64)
     for begin, end in _presses(frames["target"][rows]):
         row = rows[begin]
-        of_run = known[reference["run"][known] == frames["run"][row]]
+        of_run = usable[reference["run"][usable] == frames["run"][row]]
         earlier = of_run[reference["t_ns"][of_run] <= frames["t_ns"][row]]
         own = earlier[reference["point"][earlier] == point[frames["target"][row]]]
-        first = of_run[0] if of_run.size else known[0]
+        first = of_run[0] if of_run.size else usable[0]
         chosen[begin:end] = own[-1] if own.size else earlier[-1] if earlier.size else first
     used, which = np.unique(chosen, return_inverse=True)
     return used.astype(np.int64), which.reshape(-1).astype(np.int64)
@@ -367,13 +367,13 @@ def _numbered(one: Recording, target: int, location: int | None) -> Recording:
 
 
 def _require_different(recordings: Sequence[Recording]) -> None:
-    known: dict[tuple[str, str, bool], Recording] = {}
+    earlier: dict[tuple[str, str, bool], Recording] = {}
     for one in recordings:
         if one.is_imported:
             _require_all_imported(one, recordings)
             continue
         key = one.sensor, one.indenter, one.located
-        other = known.setdefault(key, one)
+        other = earlier.setdefault(key, one)
         if other is not one:
             raise LearningError(
                 f"{one.name}: found {one.indenter} on {one.sensor}, as in {other.name}; allowed: "
@@ -429,10 +429,10 @@ def _require_same_places(one: Recording, other: Recording) -> None:
             "or an archive for each plan, joined by place with `archive join`"
         )
     for name in ("layout", "order"):
-        found, expected = getattr(plan, name), getattr(due, name)
-        if found != expected and (one.session.targets["point"] > 1).any():
+        own, expected = getattr(plan, name), getattr(due, name)
+        if own != expected and (one.session.targets["point"] > 1).any():
             raise LearningError(
-                f"{one.name}: found {name} {found!r} of points, {other.name} has {expected!r}; "
+                f"{one.name}: found {name} {own!r} of points, {other.name} has {expected!r}; "
                 f"allowed: the same {name}, or an archive for each plan, joined by place with "
                 "`archive join`"
             )

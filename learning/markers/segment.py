@@ -68,7 +68,7 @@ class Contrast:
     def __post_init__(self) -> None:
         _require(self, "window_px", self.window_px, 3, 400)
         _require(self, "least", self.least, 1, 255)
-        _require_known(self, "channel", self.channel, CHANNELS)
+        _require_one_of(self, "channel", self.channel, CHANNELS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ class Hat:
     def __post_init__(self) -> None:
         _require(self, "size_px", self.size_px, 3, 200)
         _require(self, "least", self.least, 0.01, 0.99)
-        _require_known(self, "channel", self.channel, CHANNELS)
+        _require_one_of(self, "channel", self.channel, CHANNELS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,8 +172,8 @@ class Morphology:
     def __post_init__(self) -> None:
         _require(self, "size_px", self.size_px, 1, 99)
         _require(self, "times", self.times, 1, 20)
-        _require_known(self, "step", self.step, STEPS)
-        _require_known(self, "shape", self.shape, SHAPES)
+        _require_one_of(self, "step", self.step, STEPS)
+        _require_one_of(self, "shape", self.shape, SHAPES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,10 +272,10 @@ def _require(owner: object, name: str, value: float, low: float, high: float) ->
         raise LearningError(f"{where}.{name}: found {value}; allowed: {low} to {high}")
 
 
-def _require_known(owner: object, name: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
+def _require_one_of(owner: object, name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
         where = getattr(owner, "KIND", type(owner).__name__.lower())
-        raise LearningError(f"{where}.{name}: found {value!r}; allowed: {', '.join(known)}")
+        raise LearningError(f"{where}.{name}: found {value!r}; allowed: {', '.join(allowed)}")
 
 
 # Segmentation of a picture by a preset, with OpenCV.
@@ -352,21 +352,23 @@ class Segmenter:
             view = cv2.bitwise_not(view)
         if preset.smooth_px > 1:
             view = cv2.GaussianBlur(view, (preset.smooth_px, preset.smooth_px), 0)
-        found = _found(view, preset.detectors[0])
+        detected = _detected(view, preset.detectors[0])
         for detector in preset.detectors[1:]:
-            found = cv2.bitwise_or(found, _found(view, detector))
+            detected = cv2.bitwise_or(detected, _detected(view, detector))
         if self._inside is not None:
-            found = cv2.bitwise_and(found, self._inside)
+            detected = cv2.bitwise_and(detected, self._inside)
         for step, element in zip(preset.morphology, self._elements, strict=True):
-            found = cv2.morphologyEx(found, _MORPHOLOGY[step.step], element, iterations=step.times)
-        return _of_size(found, preset.area_px)
+            detected = cv2.morphologyEx(
+                detected, _MORPHOLOGY[step.step], element, iterations=step.times
+            )
+        return _of_size(detected, preset.area_px)
 
 
 def outlined(view: Picture, mask: Mask, colour: tuple[int, int, int], width_px: int) -> Picture:
     """Return a copy of a view (480, 640, 3) with the outlines of a mask (480, 640)."""
     drawn: Picture = view.copy()
-    found = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(drawn, found[0], -1, colour, width_px)
+    contours = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(drawn, contours[0], -1, colour, width_px)
     return drawn
 
 
@@ -383,7 +385,7 @@ def _equalised(view: Picture) -> Picture:
     return equalised
 
 
-def _found(view: Picture, detector: Detector) -> Binary:
+def _detected(view: Picture, detector: Detector) -> Binary:
     """Return the pixels that a detector finds (480, 640), 255 if found."""
     if isinstance(detector, Contrast):
         return _contrast(_channel(view, detector.channel), detector)
@@ -417,8 +419,8 @@ def _contrast(values: Picture, detector: Contrast) -> Binary:
     middle = cv2.resize(middle, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
     enough = cv2.resize(enough, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
     beyond = cv2.compare(values, middle, cv2.CMP_GT if detector.bright else cv2.CMP_LT)
-    found: Binary = cv2.bitwise_and(beyond, enough)
-    return found
+    pixels: Binary = cv2.bitwise_and(beyond, enough)
+    return pixels
 
 
 def hat_contrast(
@@ -449,8 +451,8 @@ def half_of_own(contrast: NDArray[np.float32], most: NDArray[np.float32], least:
 
     Where the largest contrast nearby is below `least`, nothing is found.
     """
-    found: Binary = ((contrast > OUTLINE * most) & (most >= least)).astype(np.uint8) * 255
-    return found
+    pixels: Binary = ((contrast > OUTLINE * most) & (most >= least)).astype(np.uint8) * 255
+    return pixels
 
 
 def _disc(size_px: int) -> Picture:
@@ -474,18 +476,18 @@ def _below(values: Picture, limit: int, *, at_least: bool = False) -> Binary:
     return np.asarray(binary, np.uint8)
 
 
-def _of_size(found: Binary, area_px: tuple[int, int]) -> Mask:
+def _of_size(pixels: Binary, area_px: tuple[int, int]) -> Mask:
     """Return the patches (connected through sides) with areas within limits."""
-    mask = np.asarray(found != 0)
+    mask = np.asarray(pixels != 0)
     area = find_blobs(mask[None]).area
     if ((area >= area_px[0]) & (area <= area_px[1])).all():
         # The usual case, as labels of all pixels cost ten times the areas alone.
         return mask
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(found, connectivity=4)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(pixels, connectivity=4)
     area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
-    kept = (area >= area_px[0]) & (area <= area_px[1])
-    kept[0] = False
-    return np.asarray(kept[labels])
+    fitting = (area >= area_px[0]) & (area <= area_px[1])
+    fitting[0] = False
+    return np.asarray(fitting[labels])
 
 
 def _inside(region: Region) -> Binary | None:
@@ -530,14 +532,14 @@ def read_preset(path: Path) -> Preset:
     Raises:
         LearningError: The file is missing, is not YAML, or has an invalid key or value.
     """
-    made: Preset = read_one_of(get_args(Preset), path)
-    return made
+    settings: Preset = read_one_of(get_args(Preset), path)
+    return settings
 
 
 def built_preset(content: Any, where: str) -> Preset:
     """Return the preset of a file's content."""
-    made: Preset = READER.build_one_of(get_args(Preset), content, where)
-    return made
+    settings: Preset = READER.build_one_of(get_args(Preset), content, where)
+    return settings
 
 
 def kept_preset(name: str) -> str | dict[str, Any] | None:

@@ -93,17 +93,17 @@ def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int
     """Return the rows to show: the deepest of some targets, then flagged ones."""
     table = archived.table
     valid = np.array([row for row in of if table["valid"][row]])
-    shown = flagged[:: max(len(flagged) // FLAGGED, 1)][:FLAGGED]
+    sampled = flagged[:: max(len(flagged) // FLAGGED, 1)][:FLAGGED]
     if not valid.size:
-        return shown
+        return sampled
     target = table["target"][valid]
     deepest = [
         int(some[np.argmax(table["depth"][some] + 1e-9 * table["phase"][some])])
         for some in (valid[target == one] for one in np.unique(target))
     ]
-    room = min(SHEET_FRAMES - len(shown), len(deepest))
+    room = min(SHEET_FRAMES - len(sampled), len(deepest))
     evenly = np.linspace(0, len(deepest) - 1, room).round().astype(int)
-    return [*(deepest[place] for place in evenly), *shown]
+    return [*(deepest[place] for place in evenly), *sampled]
 
 
 def _provenance(archived: ArchivedSensor, row: int) -> dict[str, object]:

@@ -52,13 +52,13 @@ class Track:
     """Column and row (m, 2) [px]; NaN if a marker is lost."""
     expected: Floats
     """Expected position of each marker (m, 2) [px], including lost ones."""
-    found: Indices
+    assigned: Indices
     """Index of each marker among the given centres (m,); -1 if it is lost."""
 
     @property
     def lost(self) -> NDArray[np.bool_]:
         """True for lost markers (m,)."""
-        return self.found < 0
+        return self.assigned < 0
 
 
 class Tracker:
@@ -109,19 +109,19 @@ class Tracker:
             # Lost markers have no velocity: they move with their neighbours.
             moved = np.where(self._fresh[:, None], moved, self._neighbourly(moved, self._fresh))
         back = 2 * before - moved
-        found = self._likeliest((moved, before, back, np.zeros_like(before)), centres)
-        known = found >= 0
+        assigned = self._likeliest((moved, before, back, np.zeros_like(before)), centres)
+        matched = assigned >= 0
         now = np.where(
-            known[:, None], centres[found] - self.reference if len(centres) else 0.0, moved
+            matched[:, None], centres[assigned] - self.reference if len(centres) else 0.0, moved
         )
-        if known.any() and not known.all():
-            now = np.where(known[:, None], now, self._neighbourly(now, known))
-            moved = np.where(known[:, None], moved, now)
-        both = known & self._fresh
+        if matched.any() and not matched.all():
+            now = np.where(matched[:, None], now, self._neighbourly(now, matched))
+            moved = np.where(matched[:, None], moved, now)
+        both = matched & self._fresh
         self._step = np.where(both[:, None], now - before, 0.0)
-        self._moved, self._fresh = now, known
-        place = np.where(known[:, None], self.reference + now, np.nan)
-        return Track(place, self.reference + moved, found)
+        self._moved, self._fresh = now, matched
+        place = np.where(matched[:, None], self.reference + now, np.nan)
+        return Track(place, self.reference + moved, assigned)
 
     def _likeliest(self, expected: Sequence[Floats], centres: Floats) -> Indices:
         """Return the centre of each marker (m,), -1 for none, by the likeliest solution.
@@ -132,12 +132,12 @@ class Tracker:
         if not len(centres):
             return np.full(len(self.reference), -1)
         for moved in expected:
-            found = self._assigned(moved, centres)
-            parts = self._parts(found, centres)
+            assigned = self._assigned(moved, centres)
+            parts = self._parts(assigned, centres)
             if not solutions and len(parts) == 1 and parts[0].all():
-                return found
-            grown = (self._grown(np.where(part, found, -1), centres) for part in parts)
-            solutions += [self._polished(one, centres) for one in (found, *grown)]
+                return assigned
+            grown = (self._grown(np.where(part, assigned, -1), centres) for part in parts)
+            solutions += [self._polished(one, centres) for one in (assigned, *grown)]
         counts, rough = zip(*(self._quality(one, centres) for one in solutions), strict=True)
         best = min(range(len(solutions)), key=lambda one: (-counts[one], rough[one]))
         chosen = solutions[best]
@@ -146,75 +146,75 @@ class Tracker:
                 chosen = np.where((other >= 0) & (chosen != other), -1, chosen)
         return chosen
 
-    def _changes(self, found: Indices, centres: Floats) -> tuple[Indices, Floats]:
+    def _changes(self, assigned: Indices, centres: Floats) -> tuple[Indices, Floats]:
         """Return pairs of matched neighbours (k, 2), and the change between them (k,).
 
         The change is the difference of their displacements over their distance.
         """
-        both = (found[self._edges] >= 0).all(axis=1)
+        both = (assigned[self._edges] >= 0).all(axis=1)
         pairs = self._edges[both]
-        moved = centres[found] - self.reference
+        moved = centres[assigned] - self.reference
         change = np.linalg.norm(moved[pairs[:, 0]] - moved[pairs[:, 1]], axis=1)
         return pairs, change / self._length[both]
 
-    def _quality(self, found: Indices, centres: Floats) -> tuple[int, float]:
+    def _quality(self, assigned: Indices, centres: Floats) -> tuple[int, float]:
         """Return the size of the largest smooth part of a solution, and its roughness."""
-        _, change = self._changes(found, centres)
-        size = max((int(part.sum()) for part in self._parts(found, centres)), default=0)
+        _, change = self._changes(assigned, centres)
+        size = max((int(part.sum()) for part in self._parts(assigned, centres)), default=0)
         return size, float(np.sqrt((change**2).mean())) if len(change) else 0.0
 
-    def _parts(self, found: Indices, centres: Floats) -> list[NDArray[np.bool_]]:
+    def _parts(self, assigned: Indices, centres: Floats) -> list[NDArray[np.bool_]]:
         """Return the largest parts that move smoothly, as flags of their markers (m,)."""
-        known = found >= 0
-        if not known.any():
+        matched = assigned >= 0
+        if not matched.any():
             return []
-        pairs, change = self._changes(found, centres)
+        pairs, change = self._changes(assigned, centres)
         first, second = pairs[change <= SMOOTH].T
-        graph = coo_array((np.ones(len(first), np.int8), (first, second)), 2 * found.shape)
+        graph = coo_array((np.ones(len(first), np.int8), (first, second)), 2 * assigned.shape)
         _, label = connected_components(graph, directed=False)
-        sizes = np.bincount(label[known], minlength=int(label.max()) + 1)
+        sizes = np.bincount(label[matched], minlength=int(label.max()) + 1)
         largest = np.argsort(-sizes, kind="stable")[:PARTS]
-        return [known & (label == number) for number in largest if sizes[number]]
+        return [matched & (label == number) for number in largest if sizes[number]]
 
-    def _grown(self, found: Indices, centres: Floats) -> Indices:
+    def _grown(self, assigned: Indices, centres: Floats) -> Indices:
         """Match the neighbours of matched markers, the closest to expectations first."""
-        found, gate = found.copy(), self.gate_px / 2
+        assigned, gate = assigned.copy(), self.gate_px / 2
         while True:
-            known = found >= 0
-            rows = np.flatnonzero(~known & known[self._around].any(axis=1))
-            free = np.setdiff1d(np.arange(len(centres)), found[known])
+            matched = assigned >= 0
+            rows = np.flatnonzero(~matched & matched[self._around].any(axis=1))
+            free = np.setdiff1d(np.arange(len(centres)), assigned[matched])
             if not len(rows) or not len(free):
-                return found
-            moved = np.where(known[:, None], centres[found] - self.reference, 0.0)
-            expected = self.reference[rows] + self._extrapolated(moved, known, rows)
+                return assigned
+            moved = np.where(matched[:, None], centres[assigned] - self.reference, 0.0)
+            expected = self.reference[rows] + self._extrapolated(moved, matched, rows)
             distance = np.linalg.norm(expected[:, None] - centres[free][None], axis=-1)
             nearest = distance.argmin(axis=1)
             mutual = distance.argmin(axis=0)[nearest] == np.arange(len(rows))
             close = mutual & (distance[np.arange(len(rows)), nearest] <= gate)
             if close.any():
-                found[rows[close]] = free[nearest[close]]
+                assigned[rows[close]] = free[nearest[close]]
             elif gate < self.gate_px:
                 gate = self.gate_px
             else:
-                return found
+                return assigned
 
-    def _polished(self, found: Indices, centres: Floats) -> Indices:
+    def _polished(self, assigned: Indices, centres: Floats) -> Indices:
         """Assign all markers again by the median of their neighbours, while that matches more."""
-        while (known := found >= 0).any() and not known.all():
-            moved = np.where(known[:, None], centres[found] - self.reference, 0.0)
-            again = self._assigned(self._neighbourly(moved, known), centres)
-            if np.sum(again >= 0) <= known.sum():
+        while (matched := assigned >= 0).any() and not matched.all():
+            moved = np.where(matched[:, None], centres[assigned] - self.reference, 0.0)
+            again = self._assigned(self._neighbourly(moved, matched), centres)
+            if np.sum(again >= 0) <= matched.sum():
                 break
-            found = again
-        return found
+            assigned = again
+        return assigned
 
-    def _extrapolated(self, moved: Floats, known: NDArray[np.bool_], rows: Indices) -> Floats:
-        """Return the displacements (k, 2) of markers by those of their known neighbours.
+    def _extrapolated(self, moved: Floats, matched: NDArray[np.bool_], rows: Indices) -> Floats:
+        """Return the displacements (k, 2) of markers by those of their matched neighbours.
 
         The displacement is linear in position, as far as there are neighbours to tell.
         """
         around = self._around[rows]
-        weight = known[around].astype(np.float64)
+        weight = matched[around].astype(np.float64)
         away = (self.reference[around] - self.reference[rows][:, None]) / self.gate_px
         ones = np.ones((*away.shape[:2], 1))
         design = np.concatenate([ones, away], axis=2) * weight[..., None]
@@ -225,28 +225,28 @@ class Tracker:
 
     def _assigned(self, moved: Floats, centres: Floats) -> Indices:
         """Return the centre assigned to each marker (m,), -1 for none."""
-        found = np.full(len(self.reference), -1)
+        assigned = np.full(len(self.reference), -1)
         if not len(centres):
-            return found
+            return assigned
         expected = self.reference + moved
         distance = np.linalg.norm(expected[:, None] - centres[None], axis=-1)
         cost = np.where(distance <= self.gate_px, distance, _FAR)
         ours, theirs = linear_sum_assignment(cost)
         near = cost[ours, theirs] < _FAR
-        found[ours[near]] = theirs[near]
-        return found
+        assigned[ours[near]] = theirs[near]
+        return assigned
 
-    def _neighbourly(self, moved: Floats, known: NDArray[np.bool_]) -> Floats:
-        """Return the displacement of each marker (m, 2) by the median of its known neighbours."""
-        values = np.where(known[:, None], moved, np.nan)[self._around]
-        some = known[self._around].any(axis=1)
+    def _neighbourly(self, moved: Floats, matched: NDArray[np.bool_]) -> Floats:
+        """Return the displacement of each marker (m, 2) by the median of its matched neighbours."""
+        values = np.where(matched[:, None], moved, np.nan)[self._around]
+        some = matched[self._around].any(axis=1)
         median = moved.copy()
         if some.any():
             median[some] = np.nanmedian(values[some], axis=1)
-        if not some.all() and known.any():
-            # No neighbour is known: use the nearest known marker.
+        if not some.all() and matched.any():
+            # No neighbour is matched: use the nearest matched marker.
             lonely = np.flatnonzero(~some)
-            known_rows = np.flatnonzero(known)
-            _, nearest = cKDTree(self.reference[known_rows]).query(self.reference[lonely])
-            median[lonely] = moved[known_rows[nearest]]
+            matched_rows = np.flatnonzero(matched)
+            _, nearest = cKDTree(self.reference[matched_rows]).query(self.reference[lonely])
+            median[lonely] = moved[matched_rows[nearest]]
         return median

@@ -144,10 +144,10 @@ def _progress(files: Files, path: Path, names: list[str]) -> str:
 def _check_structure(sensor: ArchivedSensor) -> Iterator[Finding]:
     for name, layout in _layouts(sensor).items():
         where = f"{sensor.name}/{name}"
-        found = (layout.data_type, layout.shape[1:], layout.units)
-        expected = _prescribed(sensor, name, found)
-        if found != expected:
-            yield Finding("wrong-dtype", where, f"found {found}, expected {expected}")
+        stored = (layout.data_type, layout.shape[1:], layout.units)
+        expected = _prescribed(sensor, name, stored)
+        if stored != expected:
+            yield Finding("wrong-dtype", where, f"found {stored}, expected {expected}")
         if name not in ("references", "sources") and layout.rows() != len(sensor):
             message = f"found {layout.rows()} rows, the sensor has {len(sensor)} frames"
             yield Finding("unequal-lengths", where, message)
@@ -163,14 +163,14 @@ def _check_shared(sensor: ArchivedSensor) -> Iterator[Finding]:
         yield Finding("unequal-lengths", sensor.name, message)
 
 
-def _prescribed(sensor: ArchivedSensor, name: str, found: Kind) -> Kind:
+def _prescribed(sensor: ArchivedSensor, name: str, stored: Kind) -> Kind:
     """Return the type, row shape and units that an array must have."""
     if name in (sensor.representation.array, "references"):
         return ("uint8", sensor.representation.shape, "1")
     if name == "displacement":
         return ("float16", sensor.lattice.shape, "px")
     if name == "sources":
-        return ("uint8", found[1], "1")
+        return ("uint8", stored[1], "1")
     column = {**COLUMNS, **SIMULATED}[name.removeprefix("table/")]
     return (column.dtype, column.shape, column.units)
 
@@ -182,8 +182,8 @@ def _layouts(sensor: ArchivedSensor) -> dict[str, ArchiveArray]:
         "sources",
         *(f"table/{name}" for name in COLUMNS),
     ]
-    kept = {place.name for place in sensor.files.groups(sensor.path / "table")}
-    names += [f"table/{name}" for name in SIMULATED if name in kept]
+    columns = {place.name for place in sensor.files.groups(sensor.path / "table")}
+    names += [f"table/{name}" for name in SIMULATED if name in columns]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")
     return {name: ArchiveArray.load(sensor.path / name, sensor.files) for name in names}

@@ -240,8 +240,8 @@ def checked_columns(
         columns[name] = _typed(table[name], COLUMNS[name], rows, f"{where}.{name}")
         wrong = np.flatnonzero(misplaced(name, columns[name], limits))
         if wrong.size:
-            found = f"found {columns[name][wrong[0]]} in row {wrong[0]}"
-            raise SessionError(f"{where}.{name}: {found}; allowed: {allowed(name, limits)}")
+            problem = f"found {columns[name][wrong[0]]} in row {wrong[0]}"
+            raise SessionError(f"{where}.{name}: {problem}; allowed: {allowed(name, limits)}")
     return columns
 
 
@@ -326,9 +326,9 @@ def _write_sources(path: Path, lines: Sequence[str]) -> None:
 def _typed(values: Any, column: ColumnKind, rows: int, where: str) -> Array:
     dtype, due = np.dtype(column.dtype), (rows, *column.shape)
     array = np.asarray(values)
-    found = f"{array.dtype} {array.shape}"
+    actual = f"{array.dtype} {array.shape}"
     if array.shape != due or not _same_kind(array.dtype, dtype):
-        raise SessionError(f"{where}: found {found}, expected {column.dtype} {due}")
+        raise SessionError(f"{where}: found {actual}, expected {column.dtype} {due}")
     if dtype.kind == "i" and array.size:
         limits = np.iinfo(dtype)
         if int(array.min()) < limits.min or int(array.max()) > limits.max:
@@ -339,9 +339,9 @@ def _typed(values: Any, column: ColumnKind, rows: int, where: str) -> Array:
     return array.astype(dtype.newbyteorder("<"))
 
 
-def _same_kind(found: np.dtype[Any], due: np.dtype[Any]) -> bool:
+def _same_kind(actual: np.dtype[Any], due: np.dtype[Any]) -> bool:
     """Return True if every value survives the conversion, up to rounding and range."""
-    return found.kind in {"b": "b", "i": "iu", "f": "iuf"}[due.kind]
+    return actual.kind in {"b": "b", "i": "iu", "f": "iuf"}[due.kind]
 
 
 # Plan of an archive.
@@ -402,12 +402,12 @@ class SensorPlan:
                 f"{self.name}.unit_rows: found {self.unit_rows}, expected a multiple of "
                 f"chunk_rows {self.chunk_rows}"
             )
-        found = self.references
+        array = self.references
         most = np.iinfo(np.int16).max
         due = self.representation.shape
-        if found.dtype != np.uint8 or found.shape[1:] != due or found.ndim != 1 + len(due):
+        if array.dtype != np.uint8 or array.shape[1:] != due or array.ndim != 1 + len(due):
             raise SessionError(
-                f"{self.name}.references: found {found.dtype} {found.shape}, expected uint8 "
+                f"{self.name}.references: found {array.dtype} {array.shape}, expected uint8 "
                 f"(K, {', '.join(map(str, due))})"
             )
         if self.representation != MASKS and (
@@ -417,9 +417,9 @@ class SensorPlan:
                 f"{self.name}: found {self.representation.name} with a marker count or a lattice; "
                 "allowed: only with masks"
             )
-        if not 1 <= len(found) <= most:
+        if not 1 <= len(array) <= most:
             raise SessionError(
-                f"{self.name}.references: found {len(found)}, expected 1 to {most} of them"
+                f"{self.name}.references: found {len(array)}, expected 1 to {most} of them"
             )
         if not 0 < self.mm_per_px < np.inf:
             raise SessionError(
@@ -573,9 +573,9 @@ def _differing(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
 
 
 def _refuse_own(where: str, attrs: Mapping[str, Any], own: tuple[str, ...]) -> None:
-    taken = sorted(set(attrs) & set(own))
-    if taken:
-        raise SessionError(f"{where}.attrs: found {', '.join(taken)}, which the format sets itself")
+    clash = sorted(set(attrs) & set(own))
+    if clash:
+        raise SessionError(f"{where}.attrs: found {', '.join(clash)}, which the format sets itself")
 
 
 def read_archive_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:

@@ -243,8 +243,8 @@ class ArchivedSensor:
         Raises:
             SessionError: A chunk is missing or corrupt, or the archive is still being written.
         """
-        kept = {place.name for place in self.files.groups(self.path / "table")}
-        if not kept.issuperset(SIMULATED):
+        columns = {place.name for place in self.files.groups(self.path / "table")}
+        if not columns.issuperset(SIMULATED):
             return None
         arrays = [late_array(self.path, f"table/{name}", self.files) for name in SIMULATED]
         force, spread = (ColumnReader(array).read() for array in arrays)
@@ -353,10 +353,10 @@ def describe_archive(path: str | os.PathLike[str]) -> str:
     if archive.warning:
         lines.append(f"warning: {archive.warning}")
     lines.append(f"  indenters    {', '.join(archive.indenters)}")
-    told = {key: value for key, value in archive.attrs.items() if isinstance(value, str | int)}
+    attrs = {key: value for key, value in archive.attrs.items() if isinstance(value, str | int)}
     for key in ("format", "format_version", "status"):
-        told.pop(key)
-    lines += [f"  {key:12s} {value}" for key, value in told.items()]
+        attrs.pop(key)
+    lines += [f"  {key:12s} {value}" for key, value in attrs.items()]
     lines.append("")
     lines.append(f"{'sensor':16s}" + "".join(map(_cell, _TITLES, _WIDTHS)))
     lines += [_sensor_line(sensor, tables=not archive.warning) for sensor in archive.values()]
@@ -388,10 +388,10 @@ def _sensor_line(sensor: ArchivedSensor, *, tables: bool) -> str:
 
 
 def _span(values: NDArray[np.float64]) -> str:
-    known = values[np.isfinite(values)]
-    if not known.size:
+    finite = values[np.isfinite(values)]
+    if not finite.size:
         return "-"
-    low, high = (round(float(value), 2) + 0.0 for value in (known.min(), known.max()))
+    low, high = (round(float(value), 2) + 0.0 for value in (finite.min(), finite.max()))
     return f"{low:.2f} {high:.2f}"  # adding zero turned -0.0 into 0.0
 
 

@@ -282,8 +282,8 @@ def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_fr
 
 def _check_lines(source: Sequence[str], count: int, where: str) -> None:
     if isinstance(source, str) or len(source) != count:
-        found = "one text" if isinstance(source, str) else f"{len(source)} lines"
-        raise SessionError(f"{where}.source: found {found}, expected {count} lines, one a row")
+        actual = "one text" if isinstance(source, str) else f"{len(source)} lines"
+        raise SessionError(f"{where}.source: found {actual}, expected {count} lines, one a row")
     for line in source:
         if not isinstance(line, str) or not line or "\n" in line or "\0" in line:
             raise SessionError(f"{where}.source: found {line!r}, expected one line of text")
@@ -370,7 +370,7 @@ def fill_archive(
         progress(total - left, total)
     writer.finish()
     for name, forces in (simulated or {}).items():
-        known = ArchivedSensor(path / name)
-        if known.simulated is None or known.simulated.made_from != forces.made_from:
-            write_simulated(known, forces.force, forces.spread, forces.made_from)
+        archived = ArchivedSensor(path / name)
+        if archived.simulated is None or archived.simulated.made_from != forces.made_from:
+            write_simulated(archived, forces.force, forces.spread, forces.made_from)
     return todo

@@ -86,11 +86,11 @@ def on_flanks(centres: Floats, field: NDArray[np.floating], lattice: Lattice) ->
     size = (1 + across[..., 0]) * (1 + down[..., 1]) - across[..., 1] * down[..., 0]
     steep = np.pad(size < STEEP, 1)
     column, row, _, _ = _cells(centres, lattice)
-    found = np.zeros(len(centres), np.bool_)
+    flank = np.zeros(len(centres), np.bool_)
     for rows in range(3):
         for columns in range(3):
-            found |= steep[row + rows, column + columns]
-    return found
+            flank |= steep[row + rows, column + columns]
+    return flank
 
 
 def _cells(

@@ -116,18 +116,20 @@ class MarkerCheck:
         first = np.searchsorted(blobs.frame, np.arange(len(masks) + 1))
         flags = []
         for frame in np.flatnonzero(np.abs(np.diff(first) - self.expected) > self.tolerance):
-            found = blobs.only(slice(first[frame], first[frame + 1]))
-            reason = self._reason(found)
+            markers = blobs.only(slice(first[frame], first[frame + 1]))
+            reason = self._reason(markers)
             if reason is not None and field_of is not None:
                 field = field_of(int(frame))
-                reason = self._reason(found, field, Lattice() if lattice is None else lattice)
+                reason = self._reason(markers, field, Lattice() if lattice is None else lattice)
             if reason is not None:
-                flags.append(MarkerFlag(int(frame) + first_row, len(found), self.expected, reason))
+                flags.append(
+                    MarkerFlag(int(frame) + first_row, len(markers), self.expected, reason)
+                )
         return flags
 
     def _reason(
         self,
-        found: Blobs,
+        markers: Blobs,
         field: NDArray[np.floating] | None = None,
         lattice: Lattice | None = None,
     ) -> str | None:
@@ -138,8 +140,8 @@ class MarkerCheck:
             flank = on_flanks(centres, field, lattice)
             there = moved(centres, field, lattice)
             centres = np.where(np.isfinite(there), there, centres)
-        stayed, known = _matched(centres, found.centre, self.travel_px)
-        missing = self.expected - len(found)
+        stayed, matched = _matched(centres, markers.centre, self.travel_px)
+        missing = self.expected - len(markers)
         if missing > 0:
             near = self._near_border(self._blobs)
             may_have_left = int(np.count_nonzero(~stayed & near))
@@ -149,16 +151,16 @@ class MarkerCheck:
             reason = f"{missing} missing, {may_have_left} may have left the image"
             reason += f", {hidden} may be hidden on a flank" if field is not None else ""
             reason += _places("; none near", self._blobs.only(~stayed & ~near & ~flank))
-            merged = found.only(found.area > _MERGED * self._blobs.area.max())
+            merged = markers.only(markers.area > _MERGED * self._blobs.area.max())
             return reason + _places("; grown together at", merged)
-        near = self._near_border(found)
-        may_have_come = int(np.count_nonzero(~known & near))
+        near = self._near_border(markers)
+        may_have_come = int(np.count_nonzero(~matched & near))
         torn = int(np.count_nonzero(flank))
         if -missing <= may_have_come + torn + self.tolerance:
             return None
         reason = f"{-missing} too many, {may_have_come} may have come into the image"
         reason += f", {torn} may be torn on a flank" if field is not None else ""
-        return reason + _places("; new at", found.only(~known & ~near))
+        return reason + _places("; new at", markers.only(~matched & ~near))
 
     def _near_border(self, blobs: Blobs) -> Chosen:
         edge = np.array([WIDTH - 1, HEIGHT - 1])

@@ -41,7 +41,7 @@ def test_names_are_kept_beyond_half_a_pitch_of_motion() -> None:
         truth = reference + bulge(reference, fraction)
         given, order = shuffled(truth + random.normal(0, 0.1, truth.shape), random)
         track = tracker.step(given)
-        np.testing.assert_array_equal(track.found, order)
+        np.testing.assert_array_equal(track.assigned, order)
         np.testing.assert_allclose(track.place, truth, atol=0.6)
     assert np.linalg.norm(bulge(reference, 1), axis=1).max() > 0.8 * 60
 
@@ -51,7 +51,7 @@ def test_a_leap_of_three_quarters_of_a_pitch_is_followed_by_their_neighbours() -
     moved = bulge(reference, 0.7)
     assert np.linalg.norm(moved, axis=1).max() > 0.7 * 60
     track = Tracker(reference).step(reference + moved)
-    np.testing.assert_array_equal(track.found, np.arange(len(reference)))
+    np.testing.assert_array_equal(track.assigned, np.arange(len(reference)))
 
 
 @pytest.mark.parametrize("missed", [pytest.param(0.0, marks=pytest.mark.slow), 0.05])
@@ -82,8 +82,8 @@ def test_no_identity_is_wrong_after_leaps_of_half_a_pitch_there_and_back(
             track = tracker.step(given)
             right = np.full(len(reference), -1)
             right[names] = order
-            assert not ((track.found >= 0) & (track.found != right)).any()
-            lost += int(((track.found < 0) & (right >= 0)).sum())
+            assert not ((track.assigned >= 0) & (track.assigned != right)).any()
+            lost += int(((track.assigned < 0) & (right >= 0)).sum())
             seen += len(names)
     assert lost <= 0.02 * seen
 
@@ -103,7 +103,7 @@ def test_markers_that_are_lost_are_found_again_under_their_names() -> None:
         track = tracker.step(np.concatenate([truth[names], false]))
         expected = np.full(len(truth), -1)
         expected[names] = np.arange(len(names))
-        np.testing.assert_array_equal(track.found, expected)
+        np.testing.assert_array_equal(track.assigned, expected)
         assert np.isnan(track.place[track.lost]).all()
         # The expected position of a lost marker stays near the true one.
         assert np.linalg.norm(track.expected - truth, axis=1).max() < 25

@@ -106,7 +106,7 @@ def test_a_marker_that_moves_against_all_others_is_let_go(no_contact):
     matcher = Matcher(no_contact["dots"], smoothing=0.0)
     match = matcher.step(frame)
     here = int(np.linalg.norm(matcher.markers - [column, row], axis=1).argmin())
-    assert not match.known[here]
+    assert not match.matched[here]
     assert np.abs(match.moved[here] + 10).max() < 1
 
 
