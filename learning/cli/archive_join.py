@@ -15,7 +15,7 @@ from recorder.command_line.options import names_or_none, positive
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.data.matching import Chosen, Tolerances
+    from learning.data.matching import SensorSelection, Tolerances
 
 # ARCHIVE:SENSOR=NAME,SENSOR after the last colon; an address such as s3://x has a slash there.
 _WITH_SENSORS = re.compile(r"(?P<archive>.+):(?P<sensors>[^:/\\]+)")
@@ -99,9 +99,9 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def chosen_sensors(text: str) -> Iterator[Chosen]:
+def chosen_sensors(text: str) -> Iterator[SensorSelection]:
     """Yield the sensors that an argument names, in the order of their archive."""
-    from learning.data.matching import Chosen
+    from learning.data.matching import SensorSelection
     from recorder import MarkerArchive
 
     named: dict[str, str] | None = None
@@ -118,4 +118,4 @@ def chosen_sensors(text: str) -> Iterator[Chosen]:
             raise LearningError(
                 f"{archive.name}: has no sensor {name!r}; allowed: {', '.join(archive)}"
             )
-        yield Chosen(archive, name, (named or {}).get(name, name))
+        yield SensorSelection(archive, name, (named or {}).get(name, name))

@@ -17,7 +17,7 @@ from recorder.command_line.options import add_device, names
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
-    from learning.data.matching import Chosen
+    from learning.data.matching import SensorSelection
     from learning.evaluation.predictions import Predictions
     from learning.evaluation.translation import TranslationScores
     from recorder import MarkerArchive
@@ -77,7 +77,7 @@ class Inputs:
 
     results: Path | None = None
     model: str | None = None
-    sensors: list[Chosen] = field(default_factory=list)
+    sensors: list[SensorSelection] = field(default_factory=list)
     """Sensors with real frames."""
     translated: list[MarkerArchive] = field(default_factory=list)
 
@@ -115,7 +115,7 @@ def _sorted(texts: Sequence[str]) -> Inputs:
     return inputs
 
 
-def _only(sensors: Sequence[Chosen]) -> Chosen:
+def _only(sensors: Sequence[SensorSelection]) -> SensorSelection:
     if len(sensors) != 1:
         listed = ", ".join(each.sensor for each in sensors) or "none"
         raise LearningError(f"ARCHIVE: found sensors {listed}; allowed: one, ARCHIVE:SENSOR")
@@ -171,7 +171,7 @@ def _score_translated(inputs: Inputs, folder: Path, options: argparse.Namespace)
             scores.write(folder / f"{name}.{scores.translator}.{features}.npz")
 
 
-def _left_out(chosen: Chosen, options: argparse.Namespace) -> int:
+def _left_out(chosen: SensorSelection, options: argparse.Namespace) -> int:
     """Train without each indenter in turn, and write the report of its predictions."""
     from learning.experiment.cross_validation import folds
     from learning.force.train import read_force_settings

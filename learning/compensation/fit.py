@@ -28,7 +28,7 @@ from learning.compensation.search import (
     D0_MM,
     D0_SHARES,
     Choice,
-    Paired,
+    PairedLabels,
     best_for_labels,
     best_for_priors,
     depth_range,
@@ -187,7 +187,7 @@ ARCHIVED = Curves()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gathered:
+class ArchivePriors:
     """Priors, and the data of their fits."""
 
     priors: dict[str, Prior]
@@ -198,7 +198,7 @@ class Gathered:
     """Sensors without a force-depth curve."""
 
 
-def gather_priors(archive: MarkerArchive, curves: Curves = ARCHIVED) -> Gathered:
+def gather_priors(archive: MarkerArchive, curves: Curves = ARCHIVED) -> ArchivePriors:
     """Return the priors of an archive's sensors.
 
     For each sensor the first available source is used: a session, published coefficients,
@@ -236,7 +236,7 @@ def gather_priors(archive: MarkerArchive, curves: Curves = ARCHIVED) -> Gathered
         priors[name] = prior_of_coefficients(
             name, coefficients, depth_range=span, per_mm=curves.per_mm, source=source
         )
-    return Gathered(priors, measured, tuple(name for name in archive if name not in priors))
+    return ArchivePriors(priors, measured, tuple(name for name in archive if name not in priors))
 
 
 def _imported(sensor: ArchivedSensor) -> Compensation | None:
@@ -291,7 +291,7 @@ def find_compensation(
     pairs: Sequence[tuple[str, str]] | None = None,
     curves: Curves = ARCHIVED,
     split: Path | None = None,
-) -> tuple[StoredCompensation, Gathered]:
+) -> tuple[StoredCompensation, ArchivePriors]:
     """Find compensations between an archive's sensors; return them with their curves.
 
     Args:
@@ -312,7 +312,7 @@ def find_compensation(
     return StoredCompensation(gathered.priors, tuple(compensated), made_from=archive.name), gathered
 
 
-def _chosen(source: Prior, target: Prior, paired: Paired | None) -> StoredPair:
+def _chosen(source: Prior, target: Prior, paired: PairedLabels | None) -> StoredPair:
     default = scored_choice(paired, source, target, DEFAULT_D0, DEFAULT_WEIGHT)
     choices: dict[str, Choice] = {"default": default}
     d0s = _d0_of_paper(source, target)
@@ -339,7 +339,7 @@ def _d0_of_paper(source: Prior, target: Prior) -> tuple[float, ...]:
 
 
 def _pairs_of(
-    archive: MarkerArchive, gathered: Gathered, pairs: Sequence[tuple[str, str]] | None
+    archive: MarkerArchive, gathered: ArchivePriors, pairs: Sequence[tuple[str, str]] | None
 ) -> list[tuple[str, str]]:
     how = (
         "; allowed: an archive with a force-depth session of each sensor (tactile force-depth), "
@@ -366,7 +366,7 @@ def _pairs_of(
 _POINTS = 300
 
 
-def tables(compensation: StoredCompensation, gathered: Gathered) -> Iterator[str]:
+def tables(compensation: StoredCompensation, gathered: ArchivePriors) -> Iterator[str]:
     """Yield the lines of a table of priors, a table of pairs and a summary."""
     yield f"{'sensor':<14}{'range':>9}  {'loading at 1/2, 1':>20}{'rms':>8}  " + (
         f"{'unloading':>20}{'rms':>8}  [N]"
@@ -388,7 +388,7 @@ def tables(compensation: StoredCompensation, gathered: Gathered) -> Iterator[str
     yield from _summary(compensation.pairs)
 
 
-def draw_curves(compensation: StoredCompensation, gathered: Gathered, path: Path) -> None:
+def draw_curves(compensation: StoredCompensation, gathered: ArchivePriors, path: Path) -> None:
     """Plot measured forces and fitted polynomials, loading and unloading, as a PNG."""
     spans = [prior.depth_range for prior in compensation.priors.values()]
     alike = max(spans) - min(spans) < 0.05 * max(spans)

@@ -68,7 +68,7 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Paired:
+class PairedLabels:
     """Labels of two sensors at their common locations."""
 
     source: Floats
@@ -86,7 +86,7 @@ class Paired:
 
 
 def scored_choice(
-    paired: Paired | None, source: Prior, target: Prior, d0: float, weight: float
+    paired: PairedLabels | None, source: Prior, target: Prior, d0: float, weight: float
 ) -> Choice:
     """Return a choice, with its error if the target's labels are known."""
     if paired is None or not len(paired):
@@ -118,7 +118,7 @@ def label_r2(true: Floats, labels: Floats) -> float | None:
 
 
 def best_for_labels(
-    paired: Paired, source: Prior, target: Prior, d0s: Sequence[float] = D0_SHARES
+    paired: PairedLabels, source: Prior, target: Prior, d0s: Sequence[float] = D0_SHARES
 ) -> Choice:
     """Return the choice with labels nearest to the target's; ties go to the smallest lambda.
 
@@ -164,7 +164,7 @@ def _expected_error(source: Prior, target: Prior, d0: float, weight: float) -> f
 
 def paired_labels(
     archive: MarkerArchive, source: str, target: str, split: Path | None = None
-) -> Paired | None:
+) -> PairedLabels | None:
     """Return labels at paired locations; None if there are none.
 
     Uses the last frames of the phases, of the training presses of a split or, without one, of all
@@ -178,7 +178,7 @@ def paired_labels(
     usable &= both.any(axis=1)
     if not usable.any():
         return None
-    return Paired(
+    return PairedLabels(
         np.where(both, forces[0], np.nan)[usable],
         np.where(both, forces[1], np.nan)[usable],
         one.table["depth"][pairs.source][usable],

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.data.matching import (
-    Chosen,
     MatchReport,
     PlacedPresses,
+    SensorSelection,
     Tolerances,
     compare,
     mapped,
@@ -89,7 +89,7 @@ class Joined:
 class JoinedSensor:
     """A sensor of a joined archive; implements `recorder.archive.SensorFrames`."""
 
-    chosen: Chosen
+    chosen: SensorSelection
     indenter: Integers
     """Code in the joined archive, by code in its own."""
     location: Integers
@@ -153,7 +153,7 @@ class JoinedSensor:
 
 
 def join(
-    sensors: Sequence[Chosen],
+    sensors: Sequence[SensorSelection],
     tolerances: Tolerances | None = None,
     unseen: tuple[str, ...] | None = None,
     wrenches: Mapping[str, NDArray[np.float64]] | None = None,
@@ -190,10 +190,10 @@ def join(
     )
 
 
-def _require_names(sensors: Sequence[Chosen]) -> None:
+def _require_names(sensors: Sequence[SensorSelection]) -> None:
     if len(sensors) < 2:
         raise LearningError(f"sensors: found {len(sensors)}; allowed: two or more")
-    by_name: dict[str, Chosen] = {}
+    by_name: dict[str, SensorSelection] = {}
     for each in sensors:
         other = by_name.setdefault(each.name, each)
         if other is not each:
@@ -203,11 +203,11 @@ def _require_names(sensors: Sequence[Chosen]) -> None:
             )
 
 
-def _require_seen_alike(sensors: Sequence[Chosen], unseen: tuple[str, ...] | None) -> None:
+def _require_seen_alike(sensors: Sequence[SensorSelection], unseen: tuple[str, ...] | None) -> None:
     """Reject archives that disagree on the indenters that models may be trained on."""
     if unseen is not None:
         return
-    first_of: dict[str, tuple[bool, Chosen]] = {}
+    first_of: dict[str, tuple[bool, SensorSelection]] = {}
     for each in sensors:
         table = each.archived.table
         for code, seen in np.unique(np.stack([table["indenter"], table["seen"]], 1), axis=0):
@@ -271,7 +271,7 @@ def _require_targets_apart(presses: PlacedPresses, target: Integers) -> None:
 
 def _joined(
     presses: PlacedPresses,
-    sensors: Sequence[Chosen],
+    sensors: Sequence[SensorSelection],
     indenters: tuple[str, ...],
     location: Integers,
     target: Integers,

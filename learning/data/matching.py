@@ -58,7 +58,7 @@ class Tolerances:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class SensorSelection:
     """One sensor of an archive, and its name in the joined one."""
 
     archive: MarkerArchive
@@ -75,7 +75,7 @@ class Chosen:
 class PlacedPresses:
     """The presses of a sensor that have a location, in the order of their targets."""
 
-    of: Chosen
+    of: SensorSelection
     indenter: NDArray[np.str_]
     """Name of the indenter of each (p,)."""
     target: Integers
@@ -151,7 +151,7 @@ def _turn(one: Floats, other: Floats) -> Floats:
     return np.asarray(np.abs((one - other + math.pi) % (2 * math.pi) - math.pi))
 
 
-def read_presses(chosen: Chosen) -> PlacedPresses:
+def read_presses(chosen: SensorSelection) -> PlacedPresses:
     """Read where, how deep and in which direction a sensor was pressed."""
     sensor = chosen.archived
     where = f"{chosen.archive.name}: {chosen.sensor}"

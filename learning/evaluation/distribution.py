@@ -50,7 +50,7 @@ _THREE, _FIVE = (3, 3), (5, 5)
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class BlockDesign:
     """One block: parallel branches, and a pooled branch."""
 
     branches: tuple[Branch, ...]
@@ -63,8 +63,8 @@ class Design:
     """`mean` or `max` of 3 x 3; `halve`: the maximum, with stride 2."""
 
 
-def _fives(pooled: int) -> Design:
-    return Design(
+def _fives(pooled: int) -> BlockDesign:
+    return BlockDesign(
         (
             (ConvLayer("branch1x1", 64),),
             (ConvLayer("branch5x5_1", 48), ConvLayer("branch5x5_2", 64, _FIVE)),
@@ -78,8 +78,8 @@ def _fives(pooled: int) -> Design:
     )
 
 
-def _sevens(width: int) -> Design:
-    return Design(
+def _sevens(width: int) -> BlockDesign:
+    return BlockDesign(
         (
             (ConvLayer("branch1x1", 192),),
             (
@@ -99,11 +99,11 @@ def _sevens(width: int) -> Design:
     )
 
 
-def _forked(pooling: str) -> Design:
+def _forked(pooling: str) -> BlockDesign:
     def fork(name: str) -> tuple[ConvLayer, ConvLayer]:
         return ConvLayer(f"{name}a", 384, (1, 3)), ConvLayer(f"{name}b", 384, (3, 1))
 
-    return Design(
+    return BlockDesign(
         (
             (ConvLayer("branch1x1", 320),),
             (ConvLayer("branch3x3_1", 384),),
@@ -118,7 +118,7 @@ def _forked(pooling: str) -> Design:
     )
 
 
-_HALVE_FIRST = Design(
+_HALVE_FIRST = BlockDesign(
     (
         (ConvLayer("branch3x3", 384, _THREE, 2),),
         (
@@ -130,7 +130,7 @@ _HALVE_FIRST = Design(
     0,
     pooling="halve",
 )
-_HALVE_SECOND = Design(
+_HALVE_SECOND = BlockDesign(
     (
         (ConvLayer("branch3x3_1", 192), ConvLayer("branch3x3_2", 320, _THREE, 2)),
         (
@@ -178,7 +178,7 @@ class NormedConvolution(nn.Module):
 class Block(nn.Module):
     """One Inception block."""
 
-    def __init__(self, before: int, design: Design) -> None:
+    def __init__(self, before: int, design: BlockDesign) -> None:
         """Build a block with `before` input channels."""
         super().__init__()
         self.design = design

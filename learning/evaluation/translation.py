@@ -369,7 +369,7 @@ Packed = NDArray[np.uint8]
 _AT_ONCE = 64
 
 
-class Real:
+class RealFrames:
     """Real frames of the target, the ground truth."""
 
     def __init__(self, sensor: ArchivedSensor, rows: Rows) -> None:
@@ -387,7 +387,7 @@ class Real:
         """Minimum size of its markers [px]; smaller patches are ignored."""
 
 
-def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedScore:
+def paired_score(packed: Packed, real: RealFrames, role: str, method: str) -> PairedScore:
     """Score frames (n, 38400) against the real ones of the same presses and phases."""
     from learning.data.images import shrink
 
@@ -426,7 +426,7 @@ def paired_score(packed: Packed, real: Real, role: str, method: str) -> PairedSc
     )
 
 
-def _endpoint_errors(evaluated: NDArray[np.bool_], real: Real, part: slice) -> Floats:
+def _endpoint_errors(evaluated: NDArray[np.bool_], real: RealFrames, part: slice) -> Floats:
     sensor, rows = real.sensor, real.rows[part]
     field = sensor.displacement(rows)
     reference = sensor.table["reference"][rows]
@@ -488,7 +488,7 @@ def score_translation(
     total = sum(5 * len(rows) for rows, _, _ in drawn)
     done = 0
     for role, (real_rows, source_rows, translated_rows) in zip(roles, drawn, strict=True):
-        real = Real(target, real_rows)
+        real = RealFrames(target, real_rows)
         shown = {
             TRANSLATED: translated.packed(translated_rows),
             SOURCE: source.packed(source_rows),

@@ -75,7 +75,7 @@ class AxisError:
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedShapes:
     """Shapes of the frames that a model learned from."""
 
     units: tuple[tuple[float, ...], ...]
@@ -112,7 +112,7 @@ class Intervals:
     scale: Scale
     largest: tuple[float | None, float | None, float | None]
     """Largest absolute force learned from, of Fx, Fy, Fz [N]."""
-    learned: Learned
+    learned: LearnedShapes
     """Shapes of the target's frames learned from."""
     frames: int
     """Number of frames calibrated from."""
@@ -354,7 +354,7 @@ _KEPT = 1000
 _RIDGE, _LEAST = 1e-3, 1e-8
 
 
-def fit_learned(learned: Floats, held_out: Floats) -> Learned:
+def fit_learned(learned: Floats, held_out: Floats) -> LearnedShapes:
     """Return what was learned, with the limit that flags about 1 % of a new indenter's frames.
 
     Args:
@@ -366,7 +366,7 @@ def fit_learned(learned: Floats, held_out: Floats) -> Learned:
     ridge = np.diag(_RIDGE * np.diag(covariance) + _LEAST)
     units = np.linalg.cholesky(np.linalg.inv(covariance + ridge))
     chosen = np.unique(np.linspace(0, len(learned) - 1, _KEPT).round().astype(int))
-    unlimited = Learned(_rows(units), _rows((learned[chosen] @ units).round(4)), math.inf)
+    unlimited = LearnedShapes(_rows(units), _rows((learned[chosen] @ units).round(4)), math.inf)
     distances = np.sort(unlimited.distances(held_out))
     rank = min(len(distances), math.ceil((1 - FLAGGED) * (len(distances) + 1)))
     return replace(unlimited, limit=float(distances[rank - 1]))

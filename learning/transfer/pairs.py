@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from learning.data.join import join
 from learning.data.labels import read_labels
-from learning.data.matching import Chosen, Tolerances
+from learning.data.matching import SensorSelection, Tolerances
 from learning.data.splits import Split, make_split, presses_of, read_split
 from learning.errors import LearningError
 from recorder import MarkerArchive
@@ -30,8 +30,8 @@ _BEYOND = 0.02
 
 
 def join_pair(
-    source: Chosen,
-    target: Chosen,
+    source: SensorSelection,
+    target: SensorSelection,
     out: Path,
     tolerances: Tolerances,
     unseen: tuple[str, ...] | None,
@@ -66,7 +66,7 @@ def join_pair(
     return MarkerArchive(out), list(joined.lines())
 
 
-def _without_labels(target: Chosen, *, keep_curve: bool) -> Floats:
+def _without_labels(target: SensorSelection, *, keep_curve: bool) -> Floats:
     """Return the wrenches of a sensor (n, 6), NaN but for force-depth presses if they are kept."""
     table = target.archive[target.sensor].table
     wrench = np.full(table["wrench"].shape, np.nan)

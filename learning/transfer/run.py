@@ -20,7 +20,7 @@ from learning.compensation.fit import (
 from learning.compensation.simulated import SIMULATED, twin_forces
 from learning.config import require_same
 from learning.data.labels import read_labels
-from learning.data.matching import Chosen, Tolerances
+from learning.data.matching import SensorSelection, Tolerances
 from learning.errors import LearningError
 from learning.evaluation.predictions import LABEL_FREE, after, read_predictions
 from learning.experiment.running import run_experiment
@@ -63,8 +63,8 @@ _AS_DEEP = 0.1
 class TransferRequest:
     """A transfer from a sensor with a gauge to one without."""
 
-    source: Chosen
-    target: Chosen
+    source: SensorSelection
+    target: SensorSelection
     out: Path
     """Folder of the run."""
     settings: ExperimentSettings

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.data.matching import Chosen
+from learning.data.matching import SensorSelection
 from learning.errors import LearningError
 from learning.force.calibrate import presses_of_rows, shapes
 from learning.force.intervals import Intervals, read_intervals
@@ -85,7 +85,7 @@ class NewFrames:
     """Intervals of the model."""
 
 
-def new_frames(model_folder: Path, truth: Chosen) -> NewFrames:
+def new_frames(model_folder: Path, truth: SensorSelection) -> NewFrames:
     """Predict the frames of an archive that are new to a model."""
     intervals = read_intervals(model_folder)
     if intervals is None:

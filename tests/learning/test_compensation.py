@@ -21,7 +21,7 @@ from learning.compensation.prior import (
     prior_of_coefficients,
 )
 from learning.compensation.search import (
-    Paired,
+    PairedLabels,
     best_for_labels,
     best_for_priors,
     paired_labels,
@@ -152,7 +152,7 @@ def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
     whole, _ = compensate(np.nan_to_num(labels), DEPTH, phase, soft, hard, 0.0, 1.0)
     assert np.isnan(found[:, 0]).all()
     assert np.array_equal(found[:, 1:], whole[:, 1:])
-    choice = scored_choice(Paired(labels, 2 * labels, DEPTH, phase), soft, hard, 0.0, 0.0)
+    choice = scored_choice(PairedLabels(labels, 2 * labels, DEPTH, phase), soft, hard, 0.0, 0.0)
     assert choice.axes[0] is None
     assert choice.axes[1:] == pytest.approx(np.abs(labels[:, 1:]).mean(axis=0))
     assert choice.error == pytest.approx(np.linalg.norm(labels[:, 1:], axis=1).mean())
@@ -185,7 +185,7 @@ def test_the_oracle_finds_what_made_the_labels() -> None:
     phase = np.full(12, DOWN)
     source = np.random.default_rng(1).normal(size=(12, 3))
     target, _ = compensate(source, DEPTH, phase, soft, hard, 0.5, 0.75)
-    best = best_for_labels(Paired(source, target, DEPTH, phase), soft, hard)
+    best = best_for_labels(PairedLabels(source, target, DEPTH, phase), soft, hard)
     assert (best.d0, best.weight) == (0.5, 0.75)
     assert best.error == pytest.approx(0.0, abs=1e-12)
 

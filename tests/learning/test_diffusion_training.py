@@ -141,7 +141,7 @@ class _Listening:
 def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
     clip = tiny_pretrained().clip
     heads = DiscriminatorHeads(clip.config.hidden_size, clip.config.projection_dim)
-    side = translator.Side(heads, torch.optim.AdamW(heads.parameters()))
+    side = translator.Trainable(heads, torch.optim.AdamW(heads.parameters()))
     adversary = translator.Adversary(ClipFeatures(clip), side)
     runs_on = accelerator(LaunchSettings(device="cpu"))
     step = translator.TrainingStep(runs_on, DiffusionLossWeights(), 1.0, side, None, adversary)

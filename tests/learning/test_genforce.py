@@ -26,7 +26,7 @@ from learning.data.genforce.format import (
 )
 from learning.data.genforce.importing import Choices, import_folder, layout_of
 from learning.data.genforce.turns import fitted_turn, turn_of
-from learning.data.matching import Chosen, read_presses
+from learning.data.matching import SensorSelection, read_presses
 from learning.errors import LearningError
 from learning.indenters import NAMES
 from learning.markers.build import archive_sessions
@@ -432,14 +432,14 @@ def test_runs_as_they_were_collected_give_the_archive_of_their_session(
     assert shift < 1e-12
     # Its axes are the robot's; nothing tells how the sensor was turned, so nothing is matched.
     with pytest.raises(LearningError, match=r"position is 'unknown turn: .* --turn SENSOR=DEG"):
-        read_presses(Chosen(raw, name, name))
+        read_presses(SensorSelection(raw, name, name))
     turned = tmp_path / "turned.markers.zarr"
     import_folder(tmp_path / "data", turned, choices=Choices(turns_deg={name: 90.0}))
     table = MarkerArchive(turned)[name].table
     x, y = sensor.table["position"].T
     # What lies along the robot's y axis lies along the image's x axis.
     np.testing.assert_allclose(table["position"], np.stack([y, -x], axis=1), atol=1e-15)
-    assert len(read_presses(Chosen(MarkerArchive(turned), name, name)).target)
+    assert len(read_presses(SensorSelection(MarkerArchive(turned), name, name)).target)
     with pytest.raises(LearningError, match=f"turn: found other; allowed: {name}"):
         import_folder(tmp_path / "data", turned, choices=Choices(turns_deg={"other": 1.0}))
 

@@ -24,7 +24,7 @@ from support.simulated_archives import LAYER, make
 
 from learning.data.genforce.importing import Choices, import_folder
 from learning.data.join import join
-from learning.data.matching import Chosen, PlacedPresses, Tolerances, match
+from learning.data.matching import PlacedPresses, SensorSelection, Tolerances, match
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.markers.build import archive_sessions
@@ -46,8 +46,8 @@ TACPALM = PressShear(
 SMALL = PressShear(3 * MM, 4 * MM, 0.8 * MM, 0.8 * MM, math.radians(90), 1 * MM)
 
 
-def all_of(*archives: MarkerArchive) -> list[Chosen]:
-    return [Chosen(archive, name, name) for archive in archives for name in archive]
+def all_of(*archives: MarkerArchive) -> list[SensorSelection]:
+    return [SensorSelection(archive, name, name) for archive in archives for name in archive]
 
 
 def joined(tmp_path: Path, *archives: MarkerArchive, **options: Any) -> MarkerArchive:
@@ -316,7 +316,7 @@ def test_equal_names_and_disagreeing_lists_of_unseen_indenters_are_refused(tmp_p
     b = planned_archive(tmp_path / "b.markers.zarr", {"a": SMALL}, seen=False)
     with pytest.raises(LearningError, match=r"a: found in .*a\.markers\.zarr and in .*b\.markers"):
         join(all_of(a, b))
-    other = [Chosen(a, "a", "a"), Chosen(b, "a", "b")]
+    other = [SensorSelection(a, "a", "a"), SensorSelection(b, "a", "b")]
     with pytest.raises(LearningError, match=r"sphere: models may be trained on it by a, not by b"):
         join(other)
     made = join(other, unseen=("sphere",))
@@ -382,7 +382,7 @@ def presses_of(plan: PressShear, order: Sequence[int], moved: Sequence[float]) -
     depth = np.array([target.depth for target in targets])
     names = ["sphere" if index % 2 else "cone" for index in order]
     return PlacedPresses(
-        of=Chosen(archive=None, sensor="s", name="s"),  # type: ignore[arg-type]
+        of=SensorSelection(archive=None, sensor="s", name="s"),  # type: ignore[arg-type]
         indenter=np.array(names),
         target=np.arange(len(order)),
         location=np.arange(len(order)),

@@ -15,7 +15,7 @@ from learning.force.intervals import (
     FLAGGED,
     AxisError,
     Intervals,
-    Learned,
+    LearnedShapes,
     Scale,
     fit_learned,
     read_intervals,
@@ -52,22 +52,22 @@ def rest(sensor: str) -> NDArray[np.bool_]:
 
 
 @pytest.fixture(scope="module")
-def learned() -> Learned:
+def learned() -> LearnedShapes:
     seen = [frames(width, seed=width) for width in (60, 75, 90, 105, 120)]
     held_out = [frames(width, seed=width) for width in (70, 110)]
     return fit_learned(np.concatenate(seen), np.concatenate(held_out))
 
 
 @pytest.mark.parametrize("width", [65, 85, 100])
-def test_few_frames_of_a_new_indenter_are_flagged(learned: Learned, width: int) -> None:
+def test_few_frames_of_a_new_indenter_are_flagged(learned: LearnedShapes, width: int) -> None:
     assert learned.is_far(frames(width, seed=width)).mean() <= 0.04
 
 
-def test_a_frame_without_contact_is_not_flagged(learned: Learned) -> None:
+def test_a_frame_without_contact_is_not_flagged(learned: LearnedShapes) -> None:
     assert not learned.is_far(shapes_of(rest("dots")[None], rest("dots"))).any()
 
 
-def test_most_frames_deeper_than_learned_are_flagged(learned: Learned) -> None:
+def test_most_frames_deeper_than_learned_are_flagged(learned: LearnedShapes) -> None:
     depth = (1.5 * DEEPEST_MM, 2 * DEEPEST_MM)
     deep = [frames(width, seed=1, depth=depth, count=30) for width in (60, 85, 100, 120)]
     flagged = [learned.is_far(each).mean() for each in deep]
@@ -77,7 +77,7 @@ def test_most_frames_deeper_than_learned_are_flagged(learned: Learned) -> None:
 
 
 @pytest.mark.parametrize("sensor", ["grid", "diamonds", "dense"])
-def test_most_frames_of_another_sensor_are_flagged(learned: Learned, sensor: str) -> None:
+def test_most_frames_of_another_sensor_are_flagged(learned: LearnedShapes, sensor: str) -> None:
     assert learned.is_far(frames(90, seed=2, sensor=sensor, count=30)).mean() > 0.9
 
 
@@ -101,7 +101,7 @@ def test_a_number_that_never_varied_is_far_as_soon_as_it_does() -> None:
 
 
 def test_forces_beyond_all_labels_are_flagged_and_the_file_keeps_what_was_learned(
-    learned: Learned, tmp_path: Path
+    learned: LearnedShapes, tmp_path: Path
 ) -> None:
     known = Scale(1.0, "known", assumed=False)
     axes = (AxisError(0.1, 0.0), None, AxisError(0.2, 0.1))

@@ -13,13 +13,13 @@ from support.made_up_archives import made_up_archive
 
 from learning.cli import calibrate_force, evaluate, predict, transfer
 from learning.data.labels import Labels, read_labels
-from learning.data.matching import Chosen, Tolerances
+from learning.data.matching import SensorSelection, Tolerances
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
 from learning.force.intervals import (
     AxisError,
     Intervals,
-    Learned,
+    LearnedShapes,
     Scale,
     ScaleSample,
     beyond_largest,
@@ -38,7 +38,7 @@ from tests.support.few import few
 ASSUMED = Scale(2.0, "assumed", assumed=True)
 KNOWN = Scale(1.0, "known", assumed=False)
 # Shapes up to a distance of 4 are inside.
-LEARNED = Learned(tuple(map(tuple, np.eye(7).tolist())), ((0.0,) * 7,), 4.0)
+LEARNED = LearnedShapes(tuple(map(tuple, np.eye(7).tolist())), ((0.0,) * 7,), 4.0)
 INTERVALS = Intervals(
     axes=(AxisError(0.1, 0.0), None, AxisError(0.2, 0.1)),
     scale=KNOWN,
@@ -55,8 +55,8 @@ SMALL = (
 )
 
 
-def chosen(archive: MarkerArchive, name: str) -> Chosen:
-    return Chosen(archive, name, name)
+def chosen(archive: MarkerArchive, name: str) -> SensorSelection:
+    return SensorSelection(archive, name, name)
 
 
 def shapes(*distances: float) -> np.ndarray:

@@ -13,9 +13,9 @@ from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.translation import SensorView, load_translator
 from learning.translation.field.data import (
-    Bank,
     ExampleSettings,
     FieldFrames,
+    PatternBank,
     draw_examples,
     gather_role,
     random_shifts,
@@ -164,7 +164,7 @@ def test_examples_are_the_same_for_the_same_numbers_and_show_what_they_say(
     frames: FieldFrames,
 ) -> None:
     settings = ExampleSettings(patterns=3, edge_px=0.0, missing=0.0)
-    bank = Bank.drawn(3, np.random.default_rng(1), CPU)
+    bank = PatternBank.drawn(3, np.random.default_rng(1), CPU)
     one, again = (
         draw_examples(frames, bank, settings, 6, np.random.default_rng(2)) for _ in range(2)
     )

@@ -470,7 +470,7 @@ def test_presses_of_an_import_are_not_matched_to_others(tmp_path: Path) -> None:
     out, archive = tmp_path / "x.zarr", tmp_path / "x.markers.zarr"
     assert run("import", tmp_path, "--out", out, "--taxels-hz", "60", *STATED) == 0
     assert run("markers", out, "--preset", "uskin", "--out", archive) == 0
-    from learning.data.matching import Chosen
+    from learning.data.matching import SensorSelection
 
     with pytest.raises(Exception, match="cannot be matched"):
-        read_presses(Chosen(MarkerArchive(archive), "gel", "gel"))
+        read_presses(SensorSelection(MarkerArchive(archive), "gel", "gel"))

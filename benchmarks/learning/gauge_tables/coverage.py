@@ -20,7 +20,7 @@ from benchmarks.learning.gauge_tables.jobs import Study, further_path, trained
 from learning.compensation.simulated import twin_forces
 from learning.data.presses import load_presses
 from learning.force.calibrate import scale_of_twin
-from learning.force.intervals import Intervals, Learned, Scale, fit_errors
+from learning.force.intervals import Intervals, LearnedShapes, Scale, fit_errors
 from learning.force.labels import by_twins
 from learning.training.run import generator
 from recorder import MarkerArchive
@@ -91,7 +91,7 @@ def _covered(study: Study, sensor: str) -> Iterator[dict[str, Any]]:
             axes=axes,
             scale=scale,
             largest=(None, None, None),
-            learned=Learned((), (), math.inf),
+            learned=LearnedShapes((), (), math.inf),
             frames=int(calibrates.sum()),
             indenters=tuple(known[:calibrating]),
             errors_from=wanted,

@@ -45,7 +45,7 @@ from learning.evaluation.translation import (
     NEAREST,
     REFERENCE,
     SOURCE,
-    Real,
+    RealFrames,
     nearest_frames,
     overlap,
     paired_score,
@@ -614,7 +614,7 @@ def _images(chain: Chain, name: str, ends: tuple[str, str], translator: Translat
             REFERENCE: target.references[target.table["reference"][after]],
             NEAREST: target.packed(nearest_frames(target.table, after, train)),
         }
-    real = Real(target, after)
+    real = RealFrames(target, after)
     true = _features(chain, real.packed)
     dice = overlap(unpack(translated), unpack(real.packed)).dice
     worst = dice.argsort()[:2]

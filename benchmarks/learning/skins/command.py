@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.data.matching import Chosen
+from learning.data.matching import SensorSelection
 from learning.force.calibrate import presses_of_rows
 from learning.force.intervals import Intervals, ScaleSample, measured_scale
 from learning.force.model import load_force_model
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     """Measure, print and write the page."""
     archive = MarkerArchive(options.run / "bare.markers.zarr")
     model = options.run / "model"
-    frames = new_frames(model, Chosen(archive, "bare", "bare"))
+    frames = new_frames(model, SensorSelection(archive, "bare", "bare"))
     presses = force_depth(archive, model)
     own = modulus(archive)
     stiffness = modulus(MarkerArchive(options.run / "gauge.markers.zarr"))

@@ -179,7 +179,7 @@ class TranslationBatch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Side:
+class Trainable:
     """A trainable network with its optimiser."""
 
     network: nn.Module
@@ -193,7 +193,7 @@ class Adversary:
     """The discriminator."""
 
     features: ClipFeatures
-    heads: Side
+    heads: Trainable
 
     def seen(self, shown: torch.Tensor, batch: TranslationBatch) -> list[torch.Tensor]:
         """Return the features of augmented images (n, 3, h, w)."""
@@ -209,7 +209,7 @@ class TrainingStep:
     losses: DiffusionLossWeights
     clip_norm: float
     """Gradient norm above which gradients are clipped; 0: no clipping."""
-    generator: Side
+    generator: Trainable
     perceptual: PerceptualDistance | None
     """LPIPS; None if its weight is 0."""
     adversary: Adversary | None
@@ -301,16 +301,18 @@ class TrainingStep:
         finally:
             heads.requires_grad_(True)
 
-    def _synchronised(self, side: Side, last: bool) -> Any:
+    def _synchronised(self, trainable: Trainable, last: bool) -> Any:
         """Synchronise gradients between devices only on the last batch of a step."""
-        return nullcontext() if last else self.runs_on.no_sync(side.network)
+        return nullcontext() if last else self.runs_on.no_sync(trainable.network)
 
-    def _advance(self, side: Side) -> None:
+    def _advance(self, trainable: Trainable) -> None:
         if self.clip_norm:
-            learning = [each for group in side.optimiser.param_groups for each in group["params"]]
+            learning = [
+                each for group in trainable.optimiser.param_groups for each in group["params"]
+            ]
             self.runs_on.clip_grad_norm_(learning, self.clip_norm)
-        side.optimiser.step()
-        side.optimiser.zero_grad()
+        trainable.optimiser.step()
+        trainable.optimiser.zero_grad()
 
 
 # Loop
@@ -354,7 +356,7 @@ def train(
         load_weights(network, start_from, "start_from")
     network.to(device).train()
     wrapped, optimiser = runs_on.prepare(network, own.of(network.learning().values()))
-    sides, adversary = [Side(wrapped, optimiser)], None
+    trainables, adversary = [Trainable(wrapped, optimiser)], None
     models: dict[str, nn.Module] = {"model": network}
     states: dict[str, Any] = {"generator": optimiser}
     if losses.adversarial:
@@ -363,21 +365,21 @@ def train(
             torch.manual_seed(settings.seed)
             heads = DiscriminatorHeads(clip.hidden_size, clip.projection_dim).to(device)
         wrapped, optimiser = runs_on.prepare(heads, own.of(heads.parameters()))
-        sides.append(Side(wrapped, optimiser))
-        adversary = Adversary(ClipFeatures(pretrained.clip).to(device), sides[1])
+        trainables.append(Trainable(wrapped, optimiser))
+        adversary = Adversary(ClipFeatures(pretrained.clip).to(device), trainables[1])
         models["discriminator"], states["discriminator"] = heads, optimiser
     if runs_on.scaler is not None:
         states["scaler"] = runs_on.scaler
     perceptual = pretrained.perceptual.to(device) if losses.perceptual else None
-    trained = TrainingStep(runs_on, losses, own.clip_norm, sides[0], perceptual, adversary)
+    trained = TrainingStep(runs_on, losses, own.clip_norm, trainables[0], perceptual, adversary)
 
     # Loop. Random numbers depend only on seed, step and process, so a resumed run is identical.
     done, score = run.restore(models, states), None
     references = encoded_references(network, pairs.references, runs_on)
     for step in range(done, settings.steps):
         rate = own.rate.at(step)
-        for side in sides:
-            set_rate(side.optimiser, rate)
+        for trainable in trainables:
+            set_rate(trainable.optimiser, rate)
         numbers = range(step * settings.accumulation, (step + 1) * settings.accumulation)
         batches = [_batch(pairs, references, settings, each, rank, ranks) for each in numbers]
         reported = trained.two_pass(batches[0]) if settings.two_pass else trained.merged(batches)

@@ -165,7 +165,7 @@ _STRETCH_MOST = 0.6  # slope limit of a bump that prevents folding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bank:
+class PatternBank:
     """Random patterns, drawn once per run."""
 
     patterns: Patterns
@@ -173,7 +173,7 @@ class Bank:
     """Signed distances of the patterns (n, 1, 256, 256) float16 [px of 640 x 480]."""
 
     @classmethod
-    def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> Bank:
+    def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> PatternBank:
         """Draw `count` patterns."""
         patterns = sample_patterns(count, generator, device)
         places = _full_places(device)
@@ -206,7 +206,7 @@ class Examples:
 
 def draw_examples(
     frames: FieldFrames,
-    bank: Bank,
+    bank: PatternBank,
     settings: ExampleSettings,
     batch: int,
     generator: np.random.Generator,

@@ -31,10 +31,10 @@ from learning.train_command import open_data, run_training
 from learning.training.optim import Cosine, set_rate
 from learning.training.run import LaunchSettings, TrainingSession, accelerator, generator
 from learning.translation.field.data import (
-    Bank,
     Examples,
     ExampleSettings,
     FieldFrames,
+    PatternBank,
     draw_examples,
     gather_role,
 )
@@ -384,7 +384,7 @@ def train_field(
     model.usual_scale.copy_(frames.scales[frames.sensor].median(dim=0).values)
     done = run.restore({"model": model})
     chance = generator(settings.seed, "patterns")
-    bank = Bank.drawn(settings.examples.patterns, chance, frames.device)
+    bank = PatternBank.drawn(settings.examples.patterns, chance, frames.device)
 
     def net_step(network: nn.Module, step: int) -> Tensor:
         chance = generator(settings.seed, "examples", step, runs_on.process_index)
