@@ -17,7 +17,7 @@ def ready_device(name: str) -> Path | None:
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
-    with _without_driver_warning(asked=name != "cpu"):
+    with _without_driver_warning(gpu_requested=name != "cpu"):
         wp.init()  # type: ignore[no-untyped-call]
     devices = [device.alias for device in wp.get_devices()]
     if name not in devices:
@@ -46,26 +46,26 @@ def check_device(name: str) -> None:
 
 
 @contextlib.contextmanager
-def _without_driver_warning(*, asked: bool) -> Iterator[None]:
+def _without_driver_warning(*, gpu_requested: bool) -> Iterator[None]:
     """Drop the warning of Warp's native part about a missing GPU driver, unless a GPU is requested.
 
     It is written to the process's standard error, past `sys.stderr`; all else is passed on.
     """
-    if asked:
+    if gpu_requested:
         yield
         return
     sys.stderr.flush()
-    kept = os.dup(2)
+    stderr = os.dup(2)
     try:
         with tempfile.TemporaryFile() as message:
             os.dup2(message.fileno(), 2)
             try:
                 yield
             finally:
-                os.dup2(kept, 2)
+                os.dup2(stderr, 2)
             message.seek(0)
             for line in message.read().splitlines(keepends=True):
                 if b"CUDA warning" not in line:
                     os.write(2, line)
     finally:
-        os.close(kept)
+        os.close(stderr)

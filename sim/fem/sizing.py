@@ -499,7 +499,7 @@ def _onto(body: Body, tip: Array) -> tuple[float, float]:
 def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     """Return the sizes for the contact with the tip at (3,)."""
     from sim.layer.contact import solve_frictionless
-    from sim.layer.spectral import Convolutions, Grid
+    from sim.layer.spectral import Convolutions, PixelGrid
 
     box = covered(indenter, body, tip)
     if box is None:
@@ -520,7 +520,7 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
         modulus=body.modulus,
         poisson=body.poisson,
     )
-    grid = Grid(window, count)
+    grid = PixelGrid(window, count)
     x, y = grid.x + middle[0], grid.y + middle[1]
     reach = max(body.thickness, 2 * abs(float(tip[2])))
     height = indenter.heights(x[:, None] - tip[0], y[None, :] - tip[1], reach=reach)

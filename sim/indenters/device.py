@@ -75,9 +75,9 @@ def field_function(real: type, table_type: Any) -> Any:
                 value = zero
                 upward = zero
                 for k in range(TAPS):
-                    taken = table.field[row + k]
-                    value += along_z[k] * taken
-                    upward += slope_z[k] * taken
+                    coefficient = table.field[row + k]
+                    value += along_z[k] * coefficient
+                    upward += slope_z[k] * coefficient
                 gap += along_x[i] * along_y[j] * value
                 gradient[0] += slope_x[i] * along_y[j] * value
                 gradient[1] += along_x[i] * slope_y[j] * value
@@ -109,7 +109,7 @@ def parts_function(real: type, table_type: Any) -> Any:
     @wp.func
     def path_distance(table: table_type, row: int, end: int, p: pair):
         # The nearest piece wins; corners come last and count only if nearer than all pieces.
-        found = triple(one, zero, real(wp.inf))
+        nearest = triple(one, zero, real(wp.inf))
         for k in range(row, end):
             kind = int(table.path[k, 0])
             along = pair(table.path[k, 3], table.path[k, 4])
@@ -118,22 +118,24 @@ def parts_function(real: type, table_type: Any) -> Any:
             facing = wp.dot(along, offset)
             normal = pair(along[1], -along[0])
             gap = wp.dot(normal, offset)
-            nearer = facing >= zero and facing <= size and wp.abs(gap) < wp.abs(found[2])
+            nearer = facing >= zero and facing <= size and wp.abs(gap) < wp.abs(nearest[2])
             if kind != LINE:
                 length = wp.length(offset)
                 side = wp.where(facing < zero, -one, one)
                 gap = side * length
-                nearer = length < wp.abs(found[2]) - table.point
+                nearer = length < wp.abs(nearest[2]) - table.point
                 if kind == ARC:
                     side = wp.where(size < zero, -one, one)
                     gap = side * length - size
-                    nearer = facing >= table.path[k, 6] * length and wp.abs(gap) < wp.abs(found[2])
+                    nearer = facing >= table.path[k, 6] * length and wp.abs(gap) < wp.abs(
+                        nearest[2]
+                    )
                 normal = along
                 if length > table.point:
                     normal = offset * (side / length)
             if nearer:
-                found = triple(normal[0], normal[1], gap)
-        return found
+                nearest = triple(normal[0], normal[1], gap)
+        return nearest
 
     @wp.func
     def part_distance(table: table_type, part: int, x: triple):
@@ -149,26 +151,26 @@ def parts_function(real: type, table_type: Any) -> Any:
                 spoke = arm / p[0]
         first = pair(table.numbers[part, 0], table.numbers[part, 1])
         third, fourth = table.numbers[part, 2], table.numbers[part, 3]
-        found = triple(one, zero, zero)
+        answer = triple(one, zero, zero)
         if figure == PATH:
-            found = path_distance(table, table.codes[part, 3], table.codes[part, 4], p)
+            answer = path_distance(table, table.codes[part, 3], table.codes[part, 4], p)
         elif figure == CIRCLE:
             # length - radius as a difference of squares, accurate in float32 for large circles.
             offset = p - first
             length = wp.length(offset)
-            found[2] = (wp.dot(p, p - first - first) + fourth) / (length + third)
+            answer[2] = (wp.dot(p, p - first - first) + fourth) / (length + third)
             if length > zero:
-                found = triple(offset[0] / length, offset[1] / length, found[2])
+                answer = triple(offset[0] / length, offset[1] / length, answer[2])
         else:
             height = wp.dot(first, p) - third
             side = one
             if figure == BAND and height < zero:
                 side = -one
             # A half-plane has no width: its fourth value is 0.
-            found = triple(side * first[0], side * first[1], side * height - fourth)
+            answer = triple(side * first[0], side * first[1], side * height - fourth)
         if view == PLAN:
-            return quad(found[0], found[1], zero, found[2])
-        return quad(found[0] * spoke[0], found[0] * spoke[1], found[1], found[2])
+            return quad(answer[0], answer[1], zero, answer[2])
+        return quad(answer[0] * spoke[0], answer[0] * spoke[1], answer[1], answer[2])
 
     @wp.func
     def intersection(here: quad, other: quad, radius: real, cosine: real):
@@ -189,17 +191,19 @@ def parts_function(real: type, table_type: Any) -> Any:
     @wp.func
     def parts_distance(table: table_type, indenter: int, x: triple):
         part = table.first[indenter]
-        found = part_distance(table, part, x)
+        joined = part_distance(table, part, x)
         for k in range(part + 1, table.first[indenter + 1]):
             other = part_distance(table, k, x)
             join = table.codes[k, 2]
             if join == UNION:
-                found = wp.where(other[3] < found[3], other, found)
+                joined = wp.where(other[3] < joined[3], other, joined)
             else:
                 if join == SUBTRACT:
                     other = -other
-                found = intersection(found, other, table.edge_radius[indenter], table.numbers[k, 6])
-        return found
+                joined = intersection(
+                    joined, other, table.edge_radius[indenter], table.numbers[k, 6]
+                )
+        return joined
 
     return parts_distance
 
@@ -319,16 +323,16 @@ def _numbers(part: Any, unit: float) -> list[float]:
 def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tuple[Any, Any]]:
     """Return the struct's arrays for bodies from files; tilts of the same body share a field."""
     firsts, sizes, places = [], [], []
-    known, values, count = {}, [], 0
+    first_of, values, count = {}, [], 0
     for kind in kinds:
         first, size, place = NOWHERE, (0, 0, 0), (0.0, 0.0, 0.0, 1.0)
         if kind.solid is not None:
             field = kind.solid.distances(kind.edge_radius)
-            if kind.upright not in known:
-                known[kind.upright] = count
+            if kind.upright not in first_of:
+                first_of[kind.upright] = count
                 values.append(field.coefficients.ravel() / unit)
                 count += field.grid.count
-            first, size = known[kind.upright], field.grid.shape
+            first, size = first_of[kind.upright], field.grid.shape
             place = (*(field.origin / unit), field.grid.spacing / unit)
         firsts.append(first)
         sizes.append(size)
@@ -416,9 +420,9 @@ def distance_function(real: type, traits: Traits) -> Any:
         if wp.static(traits.tilted):
             turn = table.turn[indenter]
             place = x - triple(zero, zero, table.raised[indenter])
-            found = upright_distance(table, indenter, wp.transpose(turn) * place)
-            normal = turn * triple(found[0], found[1], found[2])
-            return quad(normal[0], normal[1], normal[2], found[3])
+            answer = upright_distance(table, indenter, wp.transpose(turn) * place)
+            normal = turn * triple(answer[0], answer[1], answer[2])
+            return quad(normal[0], normal[1], normal[2], answer[3])
         return upright_distance(table, indenter, x)
 
     return distance

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Grid:
+class NodeGrid:
     """Nodes at integer multiples of a spacing, so that some have x = 0 or y = 0."""
 
     first: tuple[int, int, int]

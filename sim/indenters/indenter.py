@@ -325,9 +325,9 @@ class Indenter:
             surface is exact. Away from it, the gap is exact for single parts and edges at the angle
             of `Part.cosine`, else to first order. For a solid, accuracy is that of its grid.
         """
-        given = np.asarray(points, np.float64)
-        gap, normal = self._distance(given.reshape(-1, 3))
-        return gap.reshape(given.shape[:-1]), normal.reshape(given.shape)
+        places = np.asarray(points, np.float64)
+        gap, normal = self._distance(places.reshape(-1, 3))
+        return gap.reshape(places.shape[:-1]), normal.reshape(places.shape)
 
     def _distance(self, points: Array) -> tuple[Array, Array]:
         """Return `distance` at points (N, 3)."""

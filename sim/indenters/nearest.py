@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from sim.indenters.grid import Grid
+from sim.indenters.grid import NodeGrid
 
 Array = NDArray[np.float64]
 
@@ -46,16 +46,16 @@ class Nearest:
 
     def distance(self, points: Array) -> tuple[Array, Array]:
         """Return distance (N,) [m] at points (N, 3) [m], and its unit gradient."""
-        return self._asked(points, False, 0.0)
+        return self._queried(points, False, 0.0)
 
     def signed(self, points: Array, winding: float = 0.5) -> tuple[Array, Array]:
         """As `distance`, but negative where a closed surface's winding number exceeds `winding`.
 
         It is many times slower where triangles are long.
         """
-        return self._asked(points, True, winding)
+        return self._queried(points, True, winding)
 
-    def distance_at_nodes(self, grid: Grid, exact: float) -> Array:
+    def distance_at_nodes(self, grid: NodeGrid, exact: float) -> Array:
         """Return the distance (grid.shape) [m] at a grid's nodes, exact at least up to `exact` [m].
 
         Farther away it is interpolated between every `SKIP`-th node.
@@ -69,7 +69,7 @@ class Nearest:
         length[near] = self.distance(grid.places(np.argwhere(near)))[0]
         return length
 
-    def signed_at_nodes(self, grid: Grid, exact: float) -> Array:
+    def signed_at_nodes(self, grid: NodeGrid, exact: float) -> Array:
         """As `distance_at_nodes`, but negative inside a closed surface.
 
         Neighbours that are both farther from the surface than from each other are on the same side.
@@ -84,20 +84,20 @@ class Nearest:
         inside[near] = self.signed(grid.places(np.argwhere(near)))[0] < 0
         return np.where(inside, -length, length)
 
-    def _asked(self, points: Array, signed: bool, winding: float) -> tuple[Array, Array]:
+    def _queried(self, points: Array, signed: bool, winding: float) -> tuple[Array, Array]:
         gap, direction = np.empty(len(points)), np.empty((len(points), 3))
         for first in range(0, len(points), QUERIES_AT_ONCE):
             some = slice(first, first + QUERIES_AT_ONCE)
-            given = wp.array(points[some] / MM, dtype=wp.vec3, device=self._device)
-            found = wp.empty(len(given), dtype=wp.vec4, device=self._device)
+            queries = wp.array(points[some] / MM, dtype=wp.vec3, device=self._device)
+            answers = wp.empty(len(queries), dtype=wp.vec4, device=self._device)
             wp.launch(
                 _nearest_kernel(signed),
-                dim=len(given),
-                inputs=[self._mesh.id, winding, given],
-                outputs=[found],
+                dim=len(queries),
+                inputs=[self._mesh.id, winding, queries],
+                outputs=[answers],
                 device=self._device,
             )
-            answer = found.numpy()
+            answer = answers.numpy()
             gap[some], direction[some] = answer[:, 3] * np.float64(MM), answer[:, :3]
         return gap, direction
 
@@ -123,22 +123,22 @@ def _nearest_kernel(signed: bool) -> Any:
         # In:
         points: wp.array[wp.vec3],
         # Out:
-        found_out: wp.array[wp.vec4],
+        nearest_out: wp.array[wp.vec4],
     ):
         i = wp.tid()
         p = points[i]
         if wp.static(signed):
-            found = wp.mesh_query_point_sign_winding_number(mesh, p, FARTHEST, ACCURACY, winding)
+            hit = wp.mesh_query_point_sign_winding_number(mesh, p, FARTHEST, ACCURACY, winding)
         else:
-            found = wp.mesh_query_point_no_sign(mesh, p, FARTHEST)
-        away = p - wp.mesh_eval_position(mesh, found.face, found.u, found.v)
+            hit = wp.mesh_query_point_no_sign(mesh, p, FARTHEST)
+        away = p - wp.mesh_eval_position(mesh, hit.face, hit.u, hit.v)
         length = wp.length(away)
-        direction = wp.mesh_eval_face_normal(mesh, found.face)
+        direction = wp.mesh_eval_face_normal(mesh, hit.face)
         if wp.static(signed):
-            length *= found.sign
+            length *= hit.sign
         if wp.abs(length) > TOUCHING:
             direction = away / length
-        found_out[i] = wp.vec4(direction[0], direction[1], direction[2], length)
+        nearest_out[i] = wp.vec4(direction[0], direction[1], direction[2], length)
 
     return nearest
 

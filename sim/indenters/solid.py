@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError, check_range
-from sim.indenters.grid import Grid
+from sim.indenters.grid import NodeGrid
 from sim.indenters.outline import Bounds
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Field:
     border; above the grid, the body continues straight up.
     """
 
-    grid: Grid
+    grid: NodeGrid
     coefficients: Array
     """Coefficients of the B-splines, one per node (grid.shape) [m]."""
     drop: float
@@ -83,9 +83,9 @@ class Field:
             for j in range(4):
                 value, upward = np.zeros((2, len(points)))
                 for k in range(4):
-                    taken = flat.take(start + ((i * ny + j) * nz + k))
-                    value += weight[k][2] * taken
-                    upward += slope[k][2] * taken
+                    coefficient = flat.take(start + ((i * ny + j) * nz + k))
+                    value += weight[k][2] * coefficient
+                    upward += slope[k][2] * coefficient
                 across = weight[i][0] * weight[j][1]
                 gap += across * value
                 gradient[0] += slope[i][0] * weight[j][1] * value
@@ -101,8 +101,8 @@ def coefficients(values: Array) -> Array:
     """Return the coefficients of the spline with these values at the nodes."""
     from scipy.ndimage import spline_filter
 
-    found: Array = spline_filter(values, order=3, output=np.float64, mode="mirror")
-    return found
+    spline: Array = spline_filter(values, order=3, output=np.float64, mode="mirror")
+    return spline
 
 
 def _weights(fraction: Array) -> tuple[list[Array], list[Array]]:
@@ -233,14 +233,14 @@ def _check_whole(data: bytes, name: str) -> None:
             + (f"here of {message} (is it cut short?)" if message else f"of {HEADER} bytes or more")
         )
     words = re.findall(rb"^[ \t]*(solid|facet|vertex|endfacet|endsolid)\b", data.lower(), re.M)
-    found = Counter(words)
-    if found[b"facet"] == 0 and found[b"solid"] == found[b"endsolid"]:
+    counts = Counter(words)
+    if counts[b"facet"] == 0 and counts[b"solid"] == counts[b"endsolid"]:
         raise SceneError(f"{name}: no triangles; allowed: a closed body")
-    whole = found[b"endfacet"] == found[b"facet"] and found[b"vertex"] == 3 * found[b"facet"]
-    if not whole or found[b"endsolid"] != found[b"solid"]:
+    whole = counts[b"endfacet"] == counts[b"facet"] and counts[b"vertex"] == 3 * counts[b"facet"]
+    if not whole or counts[b"endsolid"] != counts[b"solid"]:
         raise SceneError(
-            f"{name}: {found[b'facet']} triangles begun, {found[b'endfacet']} ended, "
-            f"{found[b'vertex']} corners, {found[b'endsolid']} endsolid; allowed: 3 corners to a "
+            f"{name}: {counts[b'facet']} triangles begun, {counts[b'endfacet']} ended, "
+            f"{counts[b'vertex']} corners, {counts[b'endsolid']} endsolid; allowed: 3 corners to a "
             "triangle and all of them ended (is it cut short?)"
         )
 
@@ -314,7 +314,7 @@ SHARP = 0.01
 
 
 def level_surface(
-    values: Array, grid: Grid, function: Callable[[Array], tuple[Array, Array]]
+    values: Array, grid: NodeGrid, function: Callable[[Array], tuple[Array, Array]]
 ) -> tuple[Array, NDArray[np.int32]]:
     """Return vertices (V, 3) [m] and triangles (F, 3) of the surface where `values` [m] are 0.
 
@@ -335,9 +335,9 @@ def level_surface(
         function,
     )
     cells = _cells_around(lower, axis, grid)
-    known = cells >= 0
-    number, vertex = np.unique(cells[known], return_inverse=True)
-    edge = np.nonzero(known)[0]
+    on_grid = cells >= 0
+    number, vertex = np.unique(cells[on_grid], return_inverse=True)
+    edge = np.nonzero(on_grid)[0]
     offset = np.einsum("ij,ij->i", normal, crossing) - above
     corner = grid.places(np.column_stack(np.unravel_index(number, grid.shape)))
     vertices = _where_planes_meet(vertex, normal[edge], offset[edge], crossing[edge], len(number))
@@ -345,8 +345,8 @@ def level_surface(
     vertices = np.clip(vertices, corner - grid.spacing, corner + 2 * grid.spacing)
 
     quads = np.full(cells.shape, -1)
-    quads[known] = vertex
-    quads = quads[known.all(axis=1)]
+    quads[on_grid] = vertex
+    quads = quads[on_grid.all(axis=1)]
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     return vertices, faces.astype(np.int32)
 
@@ -355,9 +355,9 @@ def _crossed_edges(inside: NDArray[np.bool_]) -> tuple[Whole, Whole]:
     """Return lower node (N, 3) and axis (N,) of every grid edge with exactly one end inside."""
     lower, axes = [], []
     for axis in range(3):
-        found = np.argwhere(np.diff(inside, axis=axis))
-        lower.append(found)
-        axes.append(np.full(len(found), axis))
+        nodes = np.argwhere(np.diff(inside, axis=axis))
+        lower.append(nodes)
+        axes.append(np.full(len(nodes), axis))
     return np.concatenate(lower), np.concatenate(axes)
 
 
@@ -386,7 +386,7 @@ def _crossings(
     return place, gradient, value
 
 
-def _cells_around(lower: Whole, axis: Whole, grid: Grid) -> Whole:
+def _cells_around(lower: Whole, axis: Whole, grid: NodeGrid) -> Whole:
     """Return indices of the four cells around edges (N, 4), by their lowest node; -1 if none."""
     cells = np.repeat(lower[:, None, :], 4, axis=1)
     every = np.arange(len(lower))
@@ -511,10 +511,10 @@ def _triangles(solid: Solid) -> Triangles:
     if not path.is_file():
         raise SceneError(f"solid.path: {solid.path}: no such file; allowed: {wanted}")
     data = path.read_bytes()
-    found = digest(data)
-    if found != solid.sha256:
+    checksum = digest(data)
+    if checksum != solid.sha256:
         raise SceneError(
-            f"solid.path: {solid.path} has changed, its SHA-256 is {found[:12]}...; allowed: "
+            f"solid.path: {solid.path} has changed, its SHA-256 is {checksum[:12]}...; allowed: "
             f"{wanted}"
         )
     triangles = read_triangles(data, path.name, solid.unit, solid.up, solid.axis)
@@ -584,7 +584,7 @@ def _distances(solid: Solid, radius: float) -> Field:
     )
 
 
-def _grid(triangles: Triangles, radius: float, solid: Solid) -> Grid:
+def _grid(triangles: Triangles, radius: float, solid: Solid) -> NodeGrid:
     """Return nodes around the lower part of a body, as high as distances within `reach` need."""
     low, high = _extent(triangles, solid.reach)
     # The spline depends on a few nodes around a place; rounding, on all within the radius.
@@ -600,7 +600,7 @@ def _grid(triangles: Triangles, radius: float, solid: Solid) -> Grid:
         )
     first_x, first_y, first_z = first.tolist()
     nx, ny, nz = shape.tolist()
-    return Grid((first_x, first_y, first_z), (nx, ny, nz), solid.spacing)
+    return NodeGrid((first_x, first_y, first_z), (nx, ny, nz), solid.spacing)
 
 
 def _extent(triangles: Triangles, reach: float) -> tuple[Array, Array]:

@@ -35,13 +35,13 @@ from sim.layer.solver import (
     HALVINGS,
     TRAVEL,
     TRAVEL_LEAST,
-    check_known,
+    check_supported,
     diverged_at,
     failed_step,
     precision,
     simulate_layer,
 )
-from sim.layer.spectral import Grid, convolutions
+from sim.layer.spectral import PixelGrid, convolutions
 from sim.result import Outcome, Quality, Result, no_quality
 from sim.scalars import PRECISIONS, vector_of
 from sim.scene import Scene
@@ -87,7 +87,7 @@ def simulate_layers(
     """
     check_device(device)
     for scene in scenes:
-        check_known(scene, layer.tolerance)
+        check_supported(scene, layer.tolerance)
     groups: dict[Any, list[int]] = {}
     wide: list[int] = []
     for index, scene in enumerate(scenes):
@@ -101,7 +101,7 @@ def simulate_layers(
     frames = sum(len(scene.motion) for scene in scenes)
     done = 0
     for (body, *_), members in groups.items():
-        grid = Grid(body, layer.grid)
+        grid = PixelGrid(body, layer.grid)
         for some in _portions(scenes, members, layer, device):
             batch = LayerBatch([scenes[index] for index in some], grid, layer.tolerance, device)
             for count in batch.advance():
@@ -164,7 +164,7 @@ def read_frames(fields: Sequence[Any]) -> list[NDArray[np.float32]]:
     pinned = fields[0].device.is_cuda
     staged = wp.empty(piece, dtype=wp.vec3, device="cpu", pinned=pinned)
     values = _host(staged)
-    found = []
+    arrays = []
     with ThreadPoolExecutor(min(COPIERS, cores())) as copiers:
         for field in fields:
             out = np.empty((each, 3), np.float32)
@@ -179,8 +179,8 @@ def read_frames(fields: Sequence[Any]) -> list[NDArray[np.float32]]:
                 ]
                 for task in tasks:
                     task.result()
-            found.append(out.reshape(*field.shape, 3))
-    return found
+            arrays.append(out.reshape(*field.shape, 3))
+    return arrays
 
 
 class LayerBatch:
@@ -190,7 +190,9 @@ class LayerBatch:
     the list of those that may touch.
     """
 
-    def __init__(self, scenes: Sequence[Scene], grid: Grid, tolerance: float, device: str) -> None:
+    def __init__(
+        self, scenes: Sequence[Scene], grid: PixelGrid, tolerance: float, device: str
+    ) -> None:
         """Start undeformed, with tips above the first waypoints."""
         began = time.perf_counter()
         self._scenes, self.grid, self._tolerance, self._device = scenes, grid, tolerance, device
@@ -426,11 +428,11 @@ class LayerBatch:
         count, pixels = len(rows), self._still.shape[1]
         with np.errstate(divide="ignore", invalid="ignore"):
             spans = durations[:, None] / self._times
-            taken = np.where(spans > 0, -np.expm1(-spans) / spans, 1.0)
-        kept, gained = np.exp(-spans), self._ratios * taken
+            mean_decay = np.where(spans > 0, -np.expm1(-spans) / spans, 1.0)
+        decay, gained = np.exp(-spans), self._ratios * mean_decay
         factor = 1 + gained.sum(axis=1)
         least = self._clear_at(rows, tips, ahead, self._still)
-        step = self._rates(rows, factor, kept, gained)
+        step = self._rates(rows, factor, decay, gained)
         travel = self._array((tips - self.tip[rows]).astype(self._number), self._vec3)
         allowed = OVERLAP * np.abs(tips[:, 2])
         inputs = [BULGE, step, ahead, self._now, least]
@@ -441,7 +443,7 @@ class LayerBatch:
         for _ in range(EXTENDED):
             some = rows[pending]
             if len(pending) < count:
-                step = self._rates(some, factor[pending], kept[pending], gained[pending])
+                step = self._rates(some, factor[pending], decay[pending], gained[pending])
                 travel = self._array(
                     (tips[pending] - self.tip[some]).astype(self._number), self._vec3
                 )
@@ -453,18 +455,18 @@ class LayerBatch:
             pending = pending[converged & missed]
             if not len(pending):
                 break
-        taken_rows = rows[good]
-        if len(taken_rows):
-            before = self._read["force"][taken_rows] * self.grid.area
-            step = self._rates(taken_rows, factor[good], kept[good], gained[good])
-            shape = len(taken_rows), pixels
+        accepted = rows[good]
+        if len(accepted):
+            before = self._read["force"][accepted] * self.grid.area
+            step = self._rates(accepted, factor[good], decay[good], gained[good])
+            shape = len(accepted), pixels
             self._launch(self._take, shape, [step, ahead], [self._branches, self._now])
-            shift = tips[good] - self.tip[taken_rows]
-            self.tip[taken_rows] = tips[good]
-            self._read[taken_rows] = self._measured(taken_rows)
-            force = self._read["force"][taken_rows] * self.grid.area
-            self._work[taken_rows] += 0.5 * np.einsum("bi,bi->b", before + force, shift)
-            self._last_residual[taken_rows] = residual[good]
+            shift = tips[good] - self.tip[accepted]
+            self.tip[accepted] = tips[good]
+            self._read[accepted] = self._measured(accepted)
+            force = self._read["force"][accepted] * self.grid.area
+            self._work[accepted] += 0.5 * np.einsum("bi,bi->b", before + force, shift)
+            self._last_residual[accepted] = residual[good]
         self._count_spent(rows, iterations)
         for place in np.flatnonzero(~good):
             far = float(np.linalg.norm(tips[place] - self.tip[rows[place]]))
@@ -473,11 +475,11 @@ class LayerBatch:
             )
         return good
 
-    def _rates(self, rows: Whole, factor: Array, kept: Array, gained: Array) -> Any:
+    def _rates(self, rows: Whole, factor: Array, decay: Array, gained: Array) -> Any:
         """Return the struct of a step: presses, and how their layers relax in it."""
         step = step_struct(self._real)()
         step.which = self._array(rows.astype(np.int32), wp.int32)
-        for name, values in (("factor", factor), ("kept", kept), ("gained", gained)):
+        for name, values in (("factor", factor), ("decay", decay), ("gained", gained)):
             setattr(step, name, self._array(values.astype(self._number), self._real))
         return step
 
@@ -530,16 +532,16 @@ class LayerBatch:
         read, area = self._read[rows], self.grid.area
         at = rows, frame
         self._wrench[at] = area * np.concatenate([read["force"], read["torque"]], axis=1)
-        kept = self._quality
+        quality = self._quality
         overlap = np.maximum(0.0, -read["least"])
-        kept["overlap"][at], kept["residual"][at] = overlap, self._last_residual[rows]
+        quality["overlap"][at], quality["residual"][at] = overlap, self._last_residual[rows]
         deep = np.maximum(-self.tip[rows, 2], 0.0)
-        kept["contact"][at] = np.divide(overlap, deep, out=np.zeros(len(rows)), where=deep > 0)
-        kept["contact_width"][at] = self._widths(rows, which, read)
-        kept["energy_gap"][at] = self._lost(rows, read)
+        quality["contact"][at] = np.divide(overlap, deep, out=np.zeros(len(rows)), where=deep > 0)
+        quality["contact_width"][at] = self._widths(rows, which, read)
+        quality["energy_gap"][at] = self._lost(rows, read)
         if self._rubs:
             pressed = read["pressure"] > 0
-            kept["slip_excess"][at] = np.divide(
+            quality["slip_excess"][at] = np.divide(
                 np.maximum(read["excess"], 0.0),
                 read["pressure"],
                 out=np.zeros(len(rows)),
@@ -614,17 +616,17 @@ class LayerBatch:
             "at_once": len(self._scenes),
             "seconds": {name: round(value, 4) for name, value in self._seconds.items()},
         }
-        found: list[Outcome] = []
+        outcomes: list[Outcome] = []
         for row, scene in enumerate(self._scenes):
             if row in self._failed:
-                found.append(self._failed[row])
+                outcomes.append(self._failed[row])
                 continue
             frames = slice(self._lengths[row])
             quality = no_quality(len(scene.motion))
             for name, values in self._quality.items():
                 quality[name] = values[row, frames]
             spent = self._spent[row, frames]
-            found.append(
+            outcomes.append(
                 Result(
                     scene=scene,
                     tier="layer",
@@ -642,4 +644,4 @@ class LayerBatch:
                     record={**record, "effects": list(scene.effects.key)},
                 )
             )
-        return found
+        return outcomes

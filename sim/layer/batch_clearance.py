@@ -28,7 +28,7 @@ from sim.layer.contact import (
     clearance_cap,
     endless,
 )
-from sim.layer.spectral import Grid
+from sim.layer.spectral import PixelGrid
 from sim.scalars import numpy_of
 from sim.scene import Scene
 
@@ -42,7 +42,7 @@ def clearance_struct(real):
     """Return the struct of pixels, and of the samples of each kind of indenter."""
     triple = wp.types.vector(3, real)
 
-    class Samples:
+    class RimSamples:
         # Pixels: centres (nx,), (ny,), undeformed heights (P,), 1 on the body (P,), and widths
         x: wp.array(dtype=real)
         y: wp.array(dtype=real)
@@ -61,7 +61,7 @@ def clearance_struct(real):
         height: wp.array(dtype=real)
         covered: wp.array(dtype=real)
 
-    return wp.struct(Samples)
+    return wp.struct(RimSamples)
 
 
 @functools.cache
@@ -91,15 +91,15 @@ def clearance_kernels(real, traits):
         here = half * (low + high)
         turn = int(0)
         while turn < CROSSINGS and high - low > settled:
-            found = distance(table, kind, triple(x, y, here))
-            if found[3] > zero:
+            answer = distance(table, kind, triple(x, y, here))
+            if answer[3] > zero:
                 low = here
             else:
                 high = here
             turn += 1
             after = half * (low + high)
-            if found[2] < zero and turn % 4 > 0:
-                newton = here - found[3] / found[2]
+            if answer[2] < zero and turn % 4 > 0:
+                newton = here - answer[3] / answer[2]
                 if newton >= low and newton <= high:
                     after = newton
                     if wp.abs(newton - here) < settled:
@@ -185,20 +185,20 @@ def clearance_kernels(real, traits):
             if part > zero:
                 mean = mean / part
             part = part * step[0] * step[1] / (pixel[0] * pixel[1])
-        found = samples.cap[env]
+        gap = samples.cap[env]
         extra = zero
         if samples.on_body[p] > 0:
             if part >= real(COVERED_LEAST):
                 if part < real(COVERED_MOST):
-                    found = wp.min(mean, samples.cap[env])
+                    gap = wp.min(mean, samples.cap[env])
                     extra = real(YIELDING) * (one / part - one)
                 else:
                     above = height_above(table, kind, at[0] / mm, at[1] / mm, samples.reach[kind])
-                    found = wp.min(mm * above, samples.cap[env])
-            found = found + tip[row][2] - samples.surface[p]
-        fields.gap[env, p] = found
+                    gap = wp.min(mm * above, samples.cap[env])
+            gap = gap + tip[row][2] - samples.surface[p]
+        fields.gap[env, p] = gap
         fields.extra[env, p] = extra
-        wp.atomic_min(least_out, env, found - real(moved[env, p][2]))
+        wp.atomic_min(least_out, env, gap - real(moved[env, p][2]))
 
     return sample, cover, clear
 
@@ -206,7 +206,7 @@ def clearance_kernels(real, traits):
 class BatchClearance:
     """Gaps under the indenters of a batch of scenes with the same body, on one device."""
 
-    def __init__(self, scenes: Sequence[Scene], grid: Grid, real, device) -> None:
+    def __init__(self, scenes: Sequence[Scene], grid: PixelGrid, real, device) -> None:
         """Sample the rims of all indenters that the motions can bring over the body."""
         body, number = grid.body, numpy_of(real)
         surface = body.heights(grid.x, grid.y)

@@ -39,13 +39,13 @@ def layer_struct(real):
 def step_struct(real):
     """Return the struct of a step: its presses (N,), and how their layers relax."""
 
-    class Step:
+    class LayerStep:
         which: wp.array(dtype=wp.int32)
         factor: wp.array(dtype=real)
-        kept: wp.array2d(dtype=real)  # by branch (N, branches)
+        decay: wp.array2d(dtype=real)  # by branch (N, branches)
         gained: wp.array2d(dtype=real)
 
-    return wp.struct(Step)
+    return wp.struct(LayerStep)
 
 
 @functools.cache
@@ -176,7 +176,7 @@ def contact_kernel(real, friction: bool, lanes: int):
         return pressure
 
     @wp.func
-    def given(shear: vec2, bound: real):
+    def coulomb_limit(shear: vec2, bound: real):
         return bound
 
     @wp.func
@@ -296,7 +296,7 @@ def contact_kernel(real, friction: bool, lanes: int):
         return residual, descend
 
     normal_residual, push = descent(numbers, pushes, pressed, times, normal_by)
-    shear_residual, rub = descent(pairs, within, given, dot, shear_by)
+    shear_residual, rub = descent(pairs, within, coulomb_limit, dot, shear_by)
 
     @wp.func
     def caused(
@@ -518,10 +518,10 @@ def state_kernels(real, friction: bool, lanes: int):
     def tally(layer: layer_type, step: step_type, touching: whole, tally_out: whole):
         row, i = wp.tid()
         env = step.which[row]
-        found = int(0)
+        count = int(0)
         for j in range(layer.ny):
-            found += touching[env, i * layer.ny + j]
-        tally_out[env, i] = found
+            count += touching[env, i * layer.ny + j]
+        tally_out[env, i] = count
 
     @wp.kernel(enable_backward=False, module="unique")
     def enlist(
@@ -565,7 +565,7 @@ def state_kernels(real, friction: bool, lanes: int):
         p = pixel(layer.listed[env, k], layer.ny)
         held = vec3()
         for b in range(branches.shape[0]):
-            held += branches[b, env, p] * step.kept[row, b] - elastic[env, p] * step.gained[row, b]
+            held += branches[b, env, p] * step.decay[row, b] - elastic[env, p] * step.gained[row, b]
         held_out[env, k] = held
         guess_out[env, k] = elastic[env, p] * step.factor[row] + held
 
@@ -574,7 +574,7 @@ def state_kernels(real, friction: bool, lanes: int):
         layer: layer_type,
         step: step_type,
         held: vectors,
-        found: vectors,
+        traction: vectors,
         # Out: by pixel, and the elastic part by the place in the list
         ahead: fields_type,
         load_out: vectors,
@@ -584,8 +584,8 @@ def state_kernels(real, friction: bool, lanes: int):
         if k >= layer.count[env]:
             return
         p = pixel(layer.listed[env, k], layer.ny)
-        elastic = (found[env, k] - held[env, k]) / step.factor[row]
-        ahead.traction[env, p] = found[env, k]
+        elastic = (traction[env, k] - held[env, k]) / step.factor[row]
+        ahead.traction[env, p] = traction[env, k]
         ahead.elastic[env, p] = elastic
         load_out[env, k] = elastic
 
@@ -626,7 +626,7 @@ def state_kernels(real, friction: bool, lanes: int):
         change = ahead.elastic[env, p] - now.elastic[env, p]
         for b in range(branches.shape[0]):
             branches[b, env, p] = (
-                branches[b, env, p] * step.kept[row, b] + change * step.gained[row, b]
+                branches[b, env, p] * step.decay[row, b] + change * step.gained[row, b]
             )
         now.traction[env, p] = ahead.traction[env, p]
         now.elastic[env, p] = ahead.elastic[env, p]
@@ -657,9 +657,9 @@ def state_kernels(real, friction: bool, lanes: int):
             push = wp.vec3d(now.traction[env, p])
             load = wp.vec3d(now.elastic[env, p])
             shift = wp.vec3d(now.moved[env, p])
-            given = wp.cw_mul(wp.vec3d(layer.local), load) * wp.float64(now.extra[env, p])
-            sums[6] += wp.dot(load, shift + given)
-            maxima[0] = wp.max(maxima[0], shift[2] + given[2] - wp.float64(now.gap[env, p]))
+            yielded = wp.cw_mul(wp.vec3d(layer.local), load) * wp.float64(now.extra[env, p])
+            sums[6] += wp.dot(load, shift + yielded)
+            maxima[0] = wp.max(maxima[0], shift[2] + yielded[2] - wp.float64(now.gap[env, p]))
             if touches(now.traction[env, p]):
                 i, j = p // ny, p % ny
                 place = (

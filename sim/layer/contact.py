@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from sim.indenters import Indenter
-from sim.layer.spectral import Elastic, Grid
+from sim.layer.spectral import Elastic, PixelGrid
 from sim.scene import Body, Motion
 
 # Projected gradient descent: the minimum of a quadratic energy within simple bounds.
@@ -213,7 +213,7 @@ THIN = 1 / 200
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class HeightSamples:
     """Heights of an indenter at even places: origin + (first + k) * step along x and y."""
 
     first: tuple[int, int]
@@ -228,7 +228,7 @@ def _samples(
     step: tuple[float, float],
     span: float,
     reach: float,
-) -> Samples:
+) -> HeightSamples:
     """Return all samples of an indenter that lie within `span` of its axis [m]; cached."""
     first, axes = [], []
     for start, width, (low, high) in zip(
@@ -241,7 +241,7 @@ def _samples(
         first.append(int(index[0]))
         axes.append(start + index * width)
     heights = indenter.heights(axes[0][:, None], axes[1], reach=reach, thinnest=THIN)
-    return Samples((first[0], first[1]), heights)
+    return HeightSamples((first[0], first[1]), heights)
 
 
 def endless(indenter: Indenter) -> bool:
@@ -261,7 +261,7 @@ class Rims:
     change evenly while the indenter slides over the pixels.
     """
 
-    def __init__(self, indenter: Indenter, grid: Grid, span: float, reach: float) -> None:
+    def __init__(self, indenter: Indenter, grid: PixelGrid, span: float, reach: float) -> None:
         count = [min(FINEST, math.ceil(pixel / FINE)) for pixel in grid.pixel]
         self._step = grid.pixel[0] / count[0], grid.pixel[1] / count[1]
         # Samples lie symmetrically about the indenter's middle.
@@ -317,7 +317,7 @@ class Clearance:
     by the pixel's own displacement under a pressure that is larger as the part is smaller.
     """
 
-    def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
+    def __init__(self, indenter: Indenter, grid: PixelGrid, motion: Motion) -> None:
         """Sample all of the indenter that the motion can bring over the body."""
         body, tip = grid.body, np.asarray(motion.tip)
         self._grid, self._anchor = grid, tip[0]
@@ -343,18 +343,18 @@ class Clearance:
             )
         )
         reach = REACH * math.ceil(self._cap / REACH)
-        found = _samples(indenter, (origin[0], origin[1]), self._step, span, reach)
+        sampled = _samples(indenter, (origin[0], origin[1]), self._step, span, reach)
         self._heights = np.full(widths, self._cap)
         ours, theirs = zip(
             *(
                 _common(mine, count, its, many)
                 for mine, count, its, many in zip(
-                    self._first, widths, found.first, found.heights.shape, strict=True
+                    self._first, widths, sampled.first, sampled.heights.shape, strict=True
                 )
             ),
             strict=True,
         )
-        self._heights[ours] = np.minimum(found.heights[theirs], self._cap)
+        self._heights[ours] = np.minimum(sampled.heights[theirs], self._cap)
         self._rims = None if endless(indenter) else Rims(indenter, grid, span, reach)
 
     def at(self, tip: Array) -> tuple[Array, Array]:

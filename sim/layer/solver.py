@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.layer.contact import Clearance, Contact, solve_frictional, solve_frictionless
-from sim.layer.spectral import Grid, convolutions
+from sim.layer.spectral import PixelGrid, convolutions
 from sim.result import Quality, Result, no_quality, width_of
 from sim.scene import Scene, Viscosity
 
@@ -32,7 +32,7 @@ class Relaxed:
     factor: float
     held: Array
     """Traction from the history (3, X, Y) [Pa]."""
-    kept: tuple[float, ...]
+    decay: tuple[float, ...]
     """Fraction of each branch's stress that remains after the step."""
     gained: tuple[float, ...]
     """Fraction of a change in the elastic part that each branch takes up."""
@@ -59,22 +59,22 @@ class History:
     def after(self, duration: float) -> Relaxed:
         """Return the relation of traction to elastic part after `duration` [s]; 0 is a jump."""
         spans = [duration / time for time in self._times]
-        kept = tuple(math.exp(-span) for span in spans)
+        decay = tuple(math.exp(-span) for span in spans)
         gained = tuple(
             ratio * (-math.expm1(-span) / span if span > 0 else 1.0)
             for ratio, span in zip(self._ratios, spans, strict=True)
         )
         held = np.zeros_like(self.elastic) - sum(gained) * self.elastic
-        for fraction, branch in zip(kept, self._tractions, strict=True):
+        for fraction, branch in zip(decay, self._tractions, strict=True):
             held += fraction * branch
-        return Relaxed(1 + sum(gained), held, kept, gained)
+        return Relaxed(1 + sum(gained), held, decay, gained)
 
     def take(self, step: Relaxed, elastic: Array) -> None:
         """End a step with this elastic part."""
         change = elastic - self.elastic
         self._tractions = [
             fraction * branch + gain * change
-            for fraction, gain, branch in zip(step.kept, step.gained, self._tractions, strict=True)
+            for fraction, gain, branch in zip(step.decay, step.gained, self._tractions, strict=True)
         ]
         self.elastic = elastic
 
@@ -119,7 +119,7 @@ def _product(one: Array, other: Array) -> float:
 
 
 @dataclass(slots=True)
-class Spent:
+class MoveCost:
     """Cost of moves."""
 
     iterations: int = 0
@@ -162,7 +162,7 @@ def diverged_at(
 class LayerPress:
     """Layer of one scene, moved step by step; `traction` and `displacement` are its state."""
 
-    def __init__(self, scene: Scene, grid: Grid, tolerance: float) -> None:
+    def __init__(self, scene: Scene, grid: PixelGrid, tolerance: float) -> None:
         """Start undeformed, with the tip above the first waypoint."""
         effects = scene.effects
         self._scene = scene
@@ -177,7 +177,7 @@ class LayerPress:
         """Residual of the last step's contact."""
         self.work = 0.0
         """Work of the indenter so far, by the trapezoid rule [J]."""
-        self.spent = Spent()
+        self.spent = MoveCost()
         self._tolerance = tolerance
         self._rubs = effects.friction is not None
         self._coefficient = effects.friction.coefficient if effects.friction else 0.0
@@ -197,7 +197,9 @@ class LayerPress:
     @property
     def gap(self) -> Array:
         """Gap between indenter and body (nx, ny) [m]; negative: overlap."""
-        gap: Array = self._clear - self.displacement[2] - self._given(self.history.elastic)[2]
+        gap: Array = (
+            self._clear - self.displacement[2] - self._extra_displacement(self.history.elastic)[2]
+        )
         return gap
 
     @property
@@ -225,9 +227,10 @@ class LayerPress:
     def energy(self) -> float:
         """Energy stored in all springs [J]."""
         elastic = self.history.elastic
-        rest = _product(elastic, self.displacement + self._given(elastic))
+        rest = _product(elastic, self.displacement + self._extra_displacement(elastic))
         branches = (
-            _product(traction, self._moved_by(traction) + self._given(traction)) / stiffness
+            _product(traction, self._moved_by(traction) + self._extra_displacement(traction))
+            / stiffness
             for stiffness, traction in self.history.branches()
         )
         return 0.5 * self.grid.area * (rest + sum(branches))
@@ -274,17 +277,17 @@ class LayerPress:
         touching |= gap < BULGE * max(0.0, -float(gap.min()))
         while True:
             window = self._window(touching)
-            found = self._solve(window, gap, extra, tip, relaxed)
+            contact = self._solve(window, gap, extra, tip, relaxed)
             self.spent.steps += 1
-            self.spent.iterations += found.iterations
-            if not found.residual <= self._tolerance:
+            self.spent.iterations += contact.iterations
+            if not contact.residual <= self._tolerance:
                 travel = float(np.linalg.norm(tip - self.tip))
                 self._tried.append(
-                    failed_step(travel, found.iterations, found.residual, self._tolerance)
+                    failed_step(travel, contact.iterations, contact.residual, self._tolerance)
                 )
                 return False
             traction = np.zeros_like(self.traction)
-            traction[window] = found.traction
+            traction[window] = contact.traction
             elastic = (traction - relaxed.held) / relaxed.factor
             displacement = self._moved_by(elastic)
             missed = gap - displacement[2] < -OVERLAP * abs(tip[2])
@@ -296,7 +299,7 @@ class LayerPress:
         self.traction, self.displacement = traction, displacement
         self.history.take(relaxed, elastic)
         self.work += 0.5 * float((before + self.force) @ (tip - self.tip))
-        self.tip, self.residual = tip, found.residual
+        self.tip, self.residual = tip, contact.residual
         self._clear, self._extra = gap, extra
         return True
 
@@ -325,12 +328,12 @@ class LayerPress:
             body, away, slip, self._coefficient, start, tolerance=self._tolerance
         )
 
-    def _given(self, elastic: Array) -> Array:
+    def _extra_displacement(self, elastic: Array) -> Array:
         """Return how much partly covered pixels yield more by a traction (3, nx, ny) [m]."""
         local = self._convolutions.within((1, 1))
         factors = np.array([local.local_shear, local.local_shear, local.local_normal])
-        given: Array = factors[:, None, None] * self._extra * elastic
-        return given
+        extra: Array = factors[:, None, None] * self._extra * elastic
+        return extra
 
     def _moved_by(self, elastic: Array) -> Array:
         return self._convolutions.whole.full(elastic.astype(np.float32))
@@ -351,7 +354,7 @@ class LayerPress:
 # Values kept at each waypoint of a press: force, surface, and quality measures.
 
 
-class Frames:
+class LayerFrames:
     """Frames of one press, filled one after the other.
 
     `balance` stays NaN: base and top are in balance wave by wave, so there is no difference.
@@ -386,7 +389,7 @@ class Frames:
         quality["energy_gap"][frame] = self._lost()
         quality["slip_excess"][frame] = press.slip_excess
         self._newton[frame], self._steps[frame] = press.spent.iterations, press.spent.steps
-        press.spent = Spent()
+        press.spent = MoveCost()
 
     def _lost(self) -> float:
         energy, work = self._press.energy, self._press.work
@@ -430,10 +433,10 @@ def simulate_layer(
         layer: Pixels and tolerance.
         progress: Called with the fraction done, 0 to 1.
     """
-    check_known(scene, layer.tolerance)
+    check_supported(scene, layer.tolerance)
     began = time.perf_counter()
-    press = LayerPress(scene, Grid(scene.body, layer.grid), layer.tolerance)
-    frames = Frames(scene, press)
+    press = LayerPress(scene, PixelGrid(scene.body, layer.grid), layer.tolerance)
+    frames = LayerFrames(scene, press)
     ready = time.perf_counter()
     moving = 0.0
     before = 0.0
@@ -463,7 +466,7 @@ def simulate_layer(
     )
 
 
-def check_known(scene: Scene, tolerance: float) -> None:
+def check_supported(scene: Scene, tolerance: float) -> None:
     """Reject scenes that this tier does not support."""
     effects = scene.effects
     for name in ("inertia", "gravity"):

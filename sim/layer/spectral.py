@@ -78,7 +78,7 @@ FEWEST, MOST = 16, 512
 
 
 @dataclass(frozen=True)
-class Grid:
+class PixelGrid:
     """Pixels across the top of a body: (nx, ny) of about equal width.
 
     Tractions and displacements are sampled at the pixels' centres and contain every wave that the
@@ -287,7 +287,7 @@ class Elastic:
 class Convolutions:
     """Convolution of the whole top, and smaller ones for windows that contain the contact."""
 
-    def __init__(self, grid: Grid, dtype: DTypeLike = np.float64) -> None:
+    def __init__(self, grid: PixelGrid, dtype: DTypeLike = np.float64) -> None:
         """Transform the grid's symbol to the response to one loaded pixel.
 
         Convolutions of windows have `dtype`.
@@ -331,6 +331,6 @@ class Convolutions:
 
 
 @lru_cache(maxsize=2)
-def convolutions(grid: Grid, dtype: np.dtype[Any]) -> Convolutions:
+def convolutions(grid: PixelGrid, dtype: np.dtype[Any]) -> Convolutions:
     """Return the convolutions of a grid, cached for consecutive presses on it."""
     return Convolutions(grid, dtype)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.layer.spectral import Grid
+from sim.layer.spectral import PixelGrid
 from sim.markers import Pattern
 from sim.markers.top import cubic_taps
 from sim.sensors import CameraSignal, SimulatedSensor
@@ -35,7 +35,7 @@ class LiveMarkers:
         SceneError: The sensor has no camera.
     """
 
-    def __init__(self, sensor: SimulatedSensor, grid: Grid) -> None:
+    def __init__(self, sensor: SimulatedSensor, grid: PixelGrid) -> None:
         x, y = np.asarray(grid.x, np.float64), np.asarray(grid.y, np.float64)
         signal = sensor.signal
         if not isinstance(signal, CameraSignal):

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from sim.errors import SceneError
 from sim.indenters import Indenter
 from sim.layer.contact import Clearance
-from sim.layer.solver import History, LayerPress, check_known
-from sim.layer.spectral import Grid
+from sim.layer.solver import History, LayerPress, check_supported
+from sim.layer.spectral import PixelGrid
 from sim.scene import Motion, Scene
 from sim.sensors import Pins, SimulatedSensor, SurfaceField, TaxelPad, TaxelSignal
 from sim.sensors.field import EVEN_STEP, cubic_weights
@@ -30,7 +30,7 @@ STRAIGHT = 0.9
 class DraggedClearance(Clearance):
     """Gap to an indenter above material that has moved sideways by `drag` (2,) [m]."""
 
-    def __init__(self, indenter: Indenter, grid: Grid, motion: Motion) -> None:
+    def __init__(self, indenter: Indenter, grid: PixelGrid, motion: Motion) -> None:
         super().__init__(indenter, grid, motion)
         self.drag: Array = np.zeros(2)
         self.start: Array = np.zeros(2)
@@ -87,8 +87,8 @@ class LivePress(LayerPress):
         still = sensor.scene(indenter, Motion(tip=((0.0, 0.0, 0.0),), time=(0.0,)))
         self.scene = Scene(still.indenter, self._anywhere(), body=body, effects=still.effects)
         """Sensor and indenter, with a motion that spans all poses."""
-        check_known(self.scene, tolerance)
-        super().__init__(self.scene, Grid(body, grid), tolerance)
+        check_supported(self.scene, tolerance)
+        super().__init__(self.scene, PixelGrid(body, grid), tolerance)
         self._dragged = DraggedClearance(self.scene.indenter, self.grid, self.scene.motion)
         self._clearance = self._dragged
         self._way: Array = np.zeros(2)

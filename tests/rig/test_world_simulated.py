@@ -314,12 +314,12 @@ def test_a_picture_goes_on_between_deformations_as_the_tip_does(tmp_path: Path) 
 def test_the_camera_sees_the_markers_where_the_simulators_renderer_does(
     sensor: str, tmp_path: Path
 ) -> None:
-    from sim.layer.spectral import Grid
+    from sim.layer.spectral import PixelGrid
     from sim.sensors import SurfaceField, readout
     from sim.sensors import sensor as row_of
 
     row = row_of(sensor)
-    grid = Grid(row.body, 48)
+    grid = PixelGrid(row.body, 48)
     across, along = np.meshgrid(grid.x, grid.y, indexing="ij")
     width = row.body.thickness
     bell = np.exp(-((across - 1e-3) ** 2 + along**2) / width**2)

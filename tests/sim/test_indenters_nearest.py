@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from support import stl_files as files
 
 from sim.indenters.nearest import SKIP, Nearest, misplaced_share
-from sim.indenters.solid import Grid
+from sim.indenters.solid import NodeGrid
 
 Array = NDArray[np.float64]
 DEVICES = [
@@ -87,7 +87,7 @@ def test_on_the_surface_the_direction_is_the_triangles_own() -> None:
 
 @pytest.mark.slow
 def test_the_nodes_of_a_grid_have_the_signed_distance_near_the_surface_and_its_sign_afar() -> None:
-    grid = Grid((-30, -29, -8), (60, 58, 43), 0.15e-3)
+    grid = NodeGrid((-30, -29, -8), (60, 58, 43), 0.15e-3)
     assert any((count - 1) % SKIP for count in grid.shape)
     exact = 0.5e-3
     near = _nearest(TUBE, closed=True)

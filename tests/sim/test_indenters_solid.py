@@ -16,7 +16,7 @@ from support import stl_files as files
 
 from sim.errors import SceneError
 from sim.indenters import Indenter, box, from_stl, rounded_cone, sphere, tube
-from sim.indenters.solid import Field, Grid, coefficients, level_surface
+from sim.indenters.solid import Field, NodeGrid, coefficients, level_surface
 from sim.result import from_json, to_json
 from sim.scene import Scene, press
 
@@ -137,7 +137,7 @@ def test_beyond_the_grid_the_distance_goes_on_and_above_it_the_body_does(make: M
 
 
 def test_a_field_is_the_spline_of_scipy_and_its_normal_the_gradient() -> None:
-    grid = Grid((-4, -5, -6), (9, 11, 13), 1e-3)
+    grid = NodeGrid((-4, -5, -6), (9, 11, 13), 1e-3)
     place = grid.points().reshape(*grid.shape, 3)
     values = np.linalg.norm(place - [0.3e-3, 0.1e-3, -0.2e-3], axis=-1) - 2e-3
     field = Field(grid, coefficients(values), 0.5e-3, ((-1.0, 1.0),) * 3)
@@ -157,7 +157,7 @@ def test_a_field_is_the_spline_of_scipy_and_its_normal_the_gradient() -> None:
 
 
 def test_the_surface_at_a_level_keeps_planes_edges_and_corners_exactly() -> None:
-    grid = Grid((-12, -12, -12), (25, 25, 25), 0.1e-3)
+    grid = NodeGrid((-12, -12, -12), (25, 25, 25), 0.1e-3)
     turn, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
     half = np.array([0.5e-3, 0.6e-3, 0.7e-3])
 

@@ -7,10 +7,10 @@ import pytest
 
 from sim.indenters import box, flat_punch, plane, sphere
 from sim.layer.contact import YIELDING, Clearance
-from sim.layer.spectral import Grid
+from sim.layer.spectral import PixelGrid
 from sim.scene import Body, Motion, press
 
-GRID = Grid(Body(), 128)
+GRID = PixelGrid(Body(), 128)
 RADIUS = 4e-3
 ASIDE = Motion(tip=((0.3e-3, 0.1e-3, 0.0), (-1e-3, 2e-3, -1e-3)), time=(0.0, 1.0))
 
@@ -56,7 +56,7 @@ def test_a_leaning_wall_is_not_pressed() -> None:
 
 
 def test_a_dome_is_nearest_at_its_apex() -> None:
-    dome = Grid(Body(size_x=12e-3, size_y=12e-3, dome_radius=30e-3), 64)
+    dome = PixelGrid(Body(size_x=12e-3, size_y=12e-3, dome_radius=30e-3), 64)
     gap, _ = Clearance(plane(), dome, press([1e-3])).at(np.array([0.0, 0.0, -1e-3]))
     expected = 30e-3 - np.sqrt(30e-3**2 - dome.x[:, None] ** 2 - dome.y[None, :] ** 2) - 1e-3
     np.testing.assert_allclose(gap, expected, atol=1e-12)

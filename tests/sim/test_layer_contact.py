@@ -15,7 +15,7 @@ from sim.layer import Layer
 from sim.layer import solver as press_module
 from sim.layer.contact import solve_frictionless
 from sim.layer.solver import simulate_layer
-from sim.layer.spectral import Convolutions, Grid
+from sim.layer.spectral import Convolutions, PixelGrid
 from sim.result import Result
 from sim.scene import Body, Scene, press
 from tests.support.few import few
@@ -84,7 +84,7 @@ def test_a_sharp_punch_is_right_to_two_hundredths_and_better_with_a_finer_grid()
 
 
 def test_descent_finds_the_same_pressure_as_an_active_set_method() -> None:
-    body = Convolutions(Grid(Body(), 32)).within((8, 16))
+    body = Convolutions(PixelGrid(Body(), 32)).within((8, 16))
     count = 8 * 16
     columns = np.eye(count).reshape(count, 8, 16)
     matrix = np.stack([body.answer.normal(column).ravel() for column in columns], axis=1)

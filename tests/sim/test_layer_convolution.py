@@ -7,12 +7,12 @@ import pytest
 
 from benchmarks.sim.reference_solutions import boussinesq, cerruti
 from sim.errors import SceneError
-from sim.layer.spectral import Convolutions, Grid
+from sim.layer.spectral import Convolutions, PixelGrid
 from sim.scene import Body
 
 
 def test_a_window_gives_what_the_whole_top_gives() -> None:
-    grid = Grid(Body(), 48)
+    grid = PixelGrid(Body(), 48)
     convolutions = Convolutions(grid)
     random = np.random.default_rng(0)
     traction = np.zeros((3, *grid.shape))
@@ -24,7 +24,7 @@ def test_a_window_gives_what_the_whole_top_gives() -> None:
 
 
 def test_parts_add_up_to_the_whole_answer() -> None:
-    body = Convolutions(Grid(Body(), 32)).within((8, 16)).answer
+    body = Convolutions(PixelGrid(Body(), 32)).within((8, 16)).answer
     traction = np.random.default_rng(1).normal(size=(3, 8, 16))
     full = body.full(traction)
     in_plane = body.shear(traction[:2]) + body.shear_by_normal(traction[2])
@@ -35,7 +35,7 @@ def test_parts_add_up_to_the_whole_answer() -> None:
 
 @pytest.mark.parametrize("axis", [1, 2])
 def test_a_mirrored_load_has_a_mirrored_answer(axis: int) -> None:
-    body = Convolutions(Grid(Body(poisson=0.2), 32)).within((32, 32)).answer
+    body = Convolutions(PixelGrid(Body(poisson=0.2), 32)).within((32, 32)).answer
     traction = np.random.default_rng(3).normal(size=(3, 32, 32))
     turned = np.ones((3, 1, 1))
     turned[axis - 1] = -1
@@ -45,14 +45,14 @@ def test_a_mirrored_load_has_a_mirrored_answer(axis: int) -> None:
 
 
 def test_work_is_the_same_whichever_load_comes_first() -> None:
-    body = Convolutions(Grid(Body(poisson=0.2), 32)).within((16, 8)).answer
+    body = Convolutions(PixelGrid(Body(poisson=0.2), 32)).within((16, 8)).answer
     one, other = np.random.default_rng(2).normal(size=(2, 3, 16, 8))
     assert np.vdot(one, body.full(other)) == pytest.approx(np.vdot(other, body.full(one)))
     assert np.vdot(one, body.full(one)) > 0
 
 
 def test_a_pixel_s_own_displacement_is_what_a_load_on_it_gives() -> None:
-    elastic = Convolutions(Grid(Body(), 32)).within((8, 8))
+    elastic = Convolutions(PixelGrid(Body(), 32)).within((8, 8))
     load = np.zeros((3, 8, 8))
     load[2, 3, 4] = 1
     assert elastic.answer.full(load)[2, 3, 4] == pytest.approx(elastic.local_normal)
@@ -62,7 +62,7 @@ def test_a_pixel_s_own_displacement_is_what_a_load_on_it_gives() -> None:
 
 @pytest.mark.parametrize("poisson", [0.0, 0.45])
 def test_near_a_small_load_a_thick_layer_moves_like_a_half_space(poisson: float) -> None:
-    grid = Grid(Body(thickness=40e-3, poisson=poisson), 64)
+    grid = PixelGrid(Body(thickness=40e-3, poisson=poisson), 64)
     x, y = np.meshgrid(grid.x, grid.y, indexing="ij")
     spread = np.exp(-(x**2 + y**2) / (2 * (1.5 * grid.pixel[0]) ** 2))
     force = 0.7
@@ -86,17 +86,17 @@ def test_near_a_small_load_a_thick_layer_moves_like_a_half_space(poisson: float)
 
 
 def test_pixels_of_a_long_body_are_square() -> None:
-    grid = Grid(Body(size_x=30e-3, size_y=10e-3), 96)
+    grid = PixelGrid(Body(size_x=30e-3, size_y=10e-3), 96)
     assert grid.shape == (96, 32)
     assert grid.pixel[0] == pytest.approx(grid.pixel[1])
 
 
 def test_a_body_thicker_than_wide_is_refused() -> None:
     with pytest.raises(SceneError, match=r"body\.thickness.*'fem'"):
-        Grid(Body(size_x=10e-3, thickness=21e-3), 32)
+        PixelGrid(Body(size_x=10e-3, thickness=21e-3), 32)
 
 
 @pytest.mark.parametrize("count", [15, 513])
 def test_a_grid_that_is_too_coarse_or_too_fine_is_refused(count: int) -> None:
     with pytest.raises(SceneError, match=r"grid: .* allowed: 16 to 512"):
-        Grid(Body(), count)
+        PixelGrid(Body(), count)

@@ -17,7 +17,7 @@ from sim.errors import SimulationDiverged
 from sim.indenters import flat_punch, sphere
 from sim.layer import Layer, contact
 from sim.layer.solver import LayerPress, simulate_layer
-from sim.layer.spectral import Convolutions, Grid, compliance
+from sim.layer.spectral import Convolutions, PixelGrid, compliance
 from sim.result import Result
 from sim.scene import Body, Effects, Friction, Motion, Scene, press, through
 from tests.support.few import few
@@ -32,7 +32,7 @@ def _loop(coefficient: float, *, steps: int = 3, grid: int = 64, angle: float = 
 def test_every_pixel_sticks_or_slips_as_coulomb_says() -> None:
     motion = through([(0, 0, 0), (0, 0, -1e-3), (0.3e-3, 0, -1e-3)], speed=1e-2)
     scene = Scene(sphere(4e-3), motion, effects=Effects(friction=Friction(0.5)))
-    state = LayerPress(scene, Grid(scene.body, 64), 1e-5)
+    state = LayerPress(scene, PixelGrid(scene.body, 64), 1e-5)
     for tip in motion.tip:
         state.move(np.array(tip), 0.1)
     before, steps = state.displacement.astype(float), state.spent.steps
@@ -63,7 +63,7 @@ def test_no_friction_is_friction_zero_and_the_limit_of_little() -> None:
 
 
 def test_a_punch_that_sticks_moves_the_body_as_a_bonded_disc_does() -> None:
-    depth, shift, grid = 0.2e-3, 0.05e-3, Grid(Body(), 48)
+    depth, shift, grid = 0.2e-3, 0.05e-3, PixelGrid(Body(), 48)
     motion = through([(0, 0, 0), (0, 0, -depth), (shift, 0, -depth)], speed=1e-2)
     effects = Effects(friction=Friction(10.0))
     state = LayerPress(Scene(flat_punch(2e-3), motion, effects=effects), grid, 1e-6)

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from sim import Effects, Inertia, Layer, SceneError, press
 from sim.indenters import named
 from sim.layer.solver import simulate_layer
-from sim.layer.spectral import Grid
+from sim.layer.spectral import PixelGrid
 from sim.sensors import Pins, SurfaceField, sensor
 from sim.stream import LiveMarkers, LivePress, LiveSensor, Slope
 from sim.stream.stream import SURE, LiveTips
@@ -189,7 +189,7 @@ def test_the_first_answer_is_of_a_sensor_without_contact_that_knows_what_a_touch
 def dent(row: str, shift: float = 0.0) -> SurfaceField:
     """Return a smooth dent with a sideways part, as wide as the body is thick."""
     body = sensor(row).body
-    grid = Grid(body, 64)
+    grid = PixelGrid(body, 64)
     across, along = np.meshgrid(grid.x, grid.y, indexing="ij")
     bell = np.exp(-((across - shift) ** 2 + along**2) / body.thickness**2)
     moved = np.stack([0.3 * across * bell, 0.2 * along * bell, -0.2 * body.thickness * bell], -1)
@@ -200,14 +200,14 @@ def dent(row: str, shift: float = 0.0) -> SurfaceField:
 def test_rims_lie_where_the_camera_sees_the_material_of_the_pattern(name: str) -> None:
     row, top = sensor(name), dent(name)
     pattern = row.signal.drawn()[0]
-    rims = LiveMarkers(row, Grid(row.body, 64)).outlines(top.displacement[0])
+    rims = LiveMarkers(row, PixelGrid(row.body, 64)).outlines(top.displacement[0])
     assert rims.shape == (len(pattern), 32, 2)
     # Rings of material: their centres appear where the markers' centres moved to.
     places = np.column_stack([pattern.centres, np.zeros(len(pattern))]) + top.at(pattern.centres)[0]
     middle = row.signal.camera().project(places)
     inside = (np.abs(pattern.centres) < 7e-3).all(axis=1)
     assert np.abs(rims.mean(axis=1) - middle)[inside].max() < 0.5
-    still = LiveMarkers(row, Grid(row.body, 64)).outlines(0 * top.displacement[0])
+    still = LiveMarkers(row, PixelGrid(row.body, 64)).outlines(0 * top.displacement[0])
     area = (
         np.abs(
             np.sum(still[..., 0] * np.roll(still[..., 1], -1, 1), 1)
@@ -235,7 +235,7 @@ def test_tips_of_pins_go_where_the_fine_grid_of_the_skin_says() -> None:
 
 def test_pins_stay_round_and_a_deeper_one_looks_larger() -> None:
     row, top = sensor("tacpalm"), dent("tacpalm")
-    rims = LiveMarkers(row, Grid(row.body, 64)).outlines(top.displacement[0])
+    rims = LiveMarkers(row, PixelGrid(row.body, 64)).outlines(top.displacement[0])
     size = np.linalg.norm(rims - rims.mean(axis=1, keepdims=True), axis=-1)
     assert np.ptp(size, axis=1).max() < 1e-6
     middle = np.linalg.norm(row.signal.drawn()[0].centres, axis=1).argmin()
@@ -243,6 +243,6 @@ def test_pins_stay_round_and_a_deeper_one_looks_larger() -> None:
 
 
 def test_markers_without_a_camera_are_refused() -> None:
-    grid = Grid(sensor("uskin").body, COARSE)
+    grid = PixelGrid(sensor("uskin").body, COARSE)
     with pytest.raises(SceneError, match="camera"):
         LiveMarkers(sensor("uskin"), grid)

@@ -215,11 +215,11 @@ def note_on(spec: SimulatedSpec) -> str:
 def markers_of(spec: SimulatedSpec) -> tuple[LiveMarkers, tuple[int, int]]:
     """Return the simulated sensor's markers, and the shape (X, Y) of its deformation's points."""
     try:
-        from sim.layer.spectral import Grid
+        from sim.layer.spectral import PixelGrid
         from sim.stream import LiveMarkers
 
         row = _row(spec)
-        grid = Grid(row.body, spec.grid)
+        grid = PixelGrid(row.body, spec.grid)
         return LiveMarkers(row, grid), grid.shape
     except ImportError as error:
         raise _missing(error) from None
