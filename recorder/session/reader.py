@@ -26,7 +26,6 @@ from recorder.session.loss import Account, Losses, account_of, is_compressed, st
 from recorder.spec import frame_columns, signal_of
 from recorder.store.documents import read_order, read_session_attrs
 from recorder.store.files import locate
-from recorder.store.layout import declared_rows
 from recorder.store.manifest import sealed_files
 from recorder.store.reader import Table
 
@@ -347,8 +346,7 @@ class Session:
     def has_targets(self) -> bool:
         """True if the session has targets; imported sessions have neither them nor segments."""
         # Use the declared lengths: a table with corrupt chunks still has targets.
-        columns = (self.path / "targets" / name for name in self.targets)
-        return any(declared_rows(column, self.files) for column in columns)
+        return any(self.targets.declared_rows(name) for name in self.targets)
 
     def run_ticks(self, rate_hz: float) -> Iterator[tuple[int, Times, NDArray[np.int64]]]:
         """Yield each run with its ticks and the segment of each tick."""

@@ -32,6 +32,7 @@ from recorder.store.layout import (
     ColumnLayout,
     ShardIndex,
     StreamLayout,
+    declared_rows,
     read_table_column,
     table_columns,
 )
@@ -512,6 +513,10 @@ class Table(Mapping[str, Array]):
         if values is None:
             values = self._read.put(name, read_table_column(self._path, self._files, name))
         return values
+
+    def declared_rows(self, name: str) -> int:
+        """Return the number of rows that a column declares, whether or not its chunks are there."""
+        return declared_rows(self._path / name, self._files)
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""
