@@ -10,7 +10,7 @@ from typing import Any
 
 from learning.data.splits import SPLIT, Split, training_split
 from learning.training.run import RunFolder, Stop, TrainingSession, accelerator, described
-from recorder import MarkerArchive
+from recorder.archive import MarkerArchive
 from recorder.progress import ItemProgress
 
 

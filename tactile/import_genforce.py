@@ -15,8 +15,8 @@ from pathlib import Path
 
 from learning.command import add_unseen, named_number, named_path
 from learning.errors import LearningError
-from recorder import SessionError
 from recorder.command_line.options import positive
+from recorder.errors import SessionError
 from recorder.progress import ItemProgress
 
 # Folders of the published layouts.
@@ -125,7 +125,7 @@ def import_folder(folder: Path, options: argparse.Namespace) -> int:
     from learning.data.genforce.importing import SURFACES_MM, Choices, read_plan
     from learning.data.genforce.importing import import_folder as import_published
     from learning.markers.build import summary
-    from recorder import MarkerArchive
+    from recorder.archive import MarkerArchive
 
     surfaces = dict(SURFACES_MM) if options.heights else {}
     surfaces |= dict(options.surface_mm)

@@ -10,7 +10,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from recorder import Session, SessionError
 from recorder.command_line.options import next_command
 from recorder.convert import (
     Answers,
@@ -24,7 +23,9 @@ from recorder.convert import (
     write_page,
     write_sessions,
 )
+from recorder.errors import SessionError
 from recorder.progress import ItemProgress
+from recorder.session import Session
 from tactile import import_genforce
 
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")

@@ -18,7 +18,7 @@ from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.data.splits import Role
-    from recorder import MarkerArchive
+    from recorder.archive import MarkerArchive
 
 ROLES = "new_indenter,new_press"
 AXES = ("Fx", "Fy", "Fz")
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
-    from recorder import MarkerArchive
+    from recorder.archive import MarkerArchive
 
     archive = MarkerArchive(options.archive)
     predictions, lines = predicted(

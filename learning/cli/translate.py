@@ -14,7 +14,7 @@ from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
     from learning.translation.archive import Pair
-    from recorder import MarkerArchive
+    from recorder.archive import MarkerArchive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     from learning.data.splits import read_split
     from learning.translation.archive import NamedTranslator, draw_sheet, translate_archive
     from learning.translation.loading import hash_of, load_translator
-    from recorder import MarkerArchive
+    from recorder.archive import MarkerArchive
 
     archive = MarkerArchive(options.archive)
     pairs = _pairs(archive, options)

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from learning.compensation.fit import Curves, write_compensation
-    from recorder import MarkerArchive
+    from recorder.archive import MarkerArchive
 
     archive = MarkerArchive(options.archive)
     if archive.warning:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
-from recorder import PHASES, Session
-from recorder.session import press_curves
+from recorder.session import Session, press_curves
+from recorder.spec import PHASES
 
 # Measured force over depth: rows of an archive, or a session of `rig force-depth`.
 

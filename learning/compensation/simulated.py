@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from learning.compensation.search import label_r2, training_mask
 from learning.errors import LearningError
-from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor, Simulated, location_pairs, press_rows
+from recorder.archive import ArchivedSensor, MarkerArchive, Simulated, location_pairs, press_rows
 
 Floats = NDArray[np.float64]
 

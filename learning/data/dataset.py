@@ -26,9 +26,9 @@ from torch.utils.data import Dataset, IterableDataset, default_collate, get_work
 
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
-from recorder import MarkerArchive, Session
-from recorder.archive import press_rows
+from recorder.archive import MarkerArchive, press_rows
 from recorder.catalogue import Catalogue
+from recorder.session import Session
 
 Sample = dict[str, Tensor]
 Part = Literal["train", "test"]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.errors import LearningError
-from recorder import MarkerArchive
+from recorder.archive import MarkerArchive
 from recorder.spec import PHASES
 
 Floats = NDArray[np.float64]

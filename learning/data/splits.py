@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from learning.training.run import generator
-from recorder import MarkerArchive
+from recorder.archive import MarkerArchive
 from recorder.store import replace_file
 
 Role = Literal["train", "validation", "new_press", "new_indenter"]

@@ -14,8 +14,7 @@ from learning.evaluation.baseline import colour_features, fit_ridge
 from learning.evaluation.predictions import BASELINE, TARGET, UNSEEN, Predictions, predictions_of
 from learning.force.train import ForceModelSettings, train_force
 from learning.metrics import force_errors
-from recorder import MarkerArchive
-from recorder.archive import SHADING
+from recorder.archive import SHADING, MarkerArchive
 
 Floats = NDArray[np.float64]
 # Place of Fz among the axes of errors.

@@ -19,8 +19,7 @@ from learning.training.run import generator
 from learning.translation.archive import Pair, target_references
 from learning.translation.flow import warp_masks
 from learning.translation.translator import SensorView, Translator
-from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
+from recorder.archive import ArchivedSensor, MarkerArchive
 from recorder.progress import ItemProgress
 
 # Roles of presses whose forces are predicted.

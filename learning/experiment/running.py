@@ -28,8 +28,7 @@ from learning.experiment.stages import (
     TaskResult,
     check_settings,
 )
-from recorder import MarkerArchive
-from recorder.archive import archive_fingerprint
+from recorder.archive import MarkerArchive, archive_fingerprint
 from recorder.processes import Workers
 
 Say = Callable[[str], None]

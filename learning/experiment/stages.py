@@ -53,8 +53,7 @@ from learning.translation.archive import NamedTranslator, Pair, translate_archiv
 from learning.translation.field import train as field_training
 from learning.translation.loading import hash_of, load_translator
 from learning.translation.translator import FLOW, SensorView, for_pair
-from recorder import MarkerArchive
-from recorder.archive import archive_fingerprint
+from recorder.archive import MarkerArchive, archive_fingerprint
 from recorder.progress import ItemProgress
 
 # Methods: the source's model as it is, and after fine-tuning on translated frames.

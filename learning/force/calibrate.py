@@ -24,8 +24,7 @@ from learning.force.intervals import (
     shapes_of,
 )
 from learning.force.model import ForceModel
-from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
+from recorder.archive import ArchivedSensor, MarkerArchive
 from recorder.markers import unpack
 from recorder.progress import ItemProgress
 

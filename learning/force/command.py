@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from learning.force.model import ForceModel
     from learning.force.train import ForceModelSettings
     from learning.training.run import TrainingSession
-    from recorder import MarkerArchive
-    from recorder.archive import ArchivedSensor
+    from recorder.archive import ArchivedSensor, MarkerArchive
 
 # Card and exported step of a trained model, in its folder.
 CARD, ONNX = "card.md", "model.onnx"

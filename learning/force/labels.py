@@ -16,8 +16,7 @@ from learning.data.labels import read_labels
 from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.training.checkpoint import weights_hash
-from recorder import MarkerArchive
-from recorder.archive import Simulated
+from recorder.archive import MarkerArchive, Simulated
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -34,8 +34,7 @@ from learning.force.model import KIND, ForceModel, load_force_model
 from learning.force.train import train_force
 from learning.training.run import RunFolder, session_of
 from learning.transfer.pairs import labels_by_place
-from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor, archive_fingerprint
+from recorder.archive import ArchivedSensor, MarkerArchive, archive_fingerprint
 
 Floats = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from learning.force.model import load_force_model
 from learning.metrics import force_errors, spread_and_range
 from learning.transfer.by_place import forces_at
 from learning.transfer.deliver import deliver, lines_of, read_card
-from recorder import MarkerArchive
+from recorder.archive import MarkerArchive
 
 Floats = NDArray[np.float64]
 

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from learning.contact_sheet import Tile, marker_picture, write_sheet
 from learning.errors import LearningError
 from learning.translation.translator import SensorView, Translator, for_pair
-from recorder import MarkerArchive
 from recorder.archive import (
     CHUNK_ROWS,
     GIVEN,
     UNIT_ROWS,
     ArchivedSensor,
     Frames,
+    MarkerArchive,
     MarkerCount,
     SensorPlan,
     Simulated,

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from recorder import Session, SessionError
 from recorder.catalogue import Catalogue, Row
+from recorder.errors import SessionError
 from recorder.progress import duration
+from recorder.session import Session
 from recorder.store import replace_file
 from rig.acquire.completed import finished_targets, first_open_target
 from rig.bench.bench import Bench, BenchFile, find_bench

@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recorder import SessionError
+from recorder.errors import SessionError
 from recorder.progress import duration
 from rig.acquire.control import Control, Interlocks
 from rig.acquire.preview import draw

@@ -19,7 +19,8 @@ from typing import Protocol
 import numpy as np
 from PIL import Image
 
-from recorder import OUTCOMES, Session
+from recorder.session import Session
+from recorder.spec import OUTCOMES
 from rig.acquire.calibration import onset, store
 from rig.acquire.calibration.home import home_calibration, truth_lines
 from rig.acquire.calibration.onset import TouchedSurface

@@ -6,7 +6,7 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-from recorder import Session
+from recorder.session import Session
 from rig.acquire.calibration import latency, store
 from rig.acquire.calibration.store import LatencyCalibration
 from rig.acquire.collector import CollectRequest

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from recorder import Session, SessionError
-from recorder.session import press_curves, save_curves
+from recorder.errors import SessionError
+from recorder.session import Session, press_curves, save_curves
 from rig.acquire.calibration.store import require_gauge
 from rig.acquire.collector import CollectRequest
 from rig.cli.options import recording_options

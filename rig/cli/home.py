@@ -7,8 +7,8 @@ import dataclasses
 import functools
 from pathlib import Path
 
-from recorder import Session
 from recorder.command_line.errors import EXIT_DONE
+from recorder.session import Session
 from rig.acquire.calibration import home, store
 from rig.acquire.calibration.store import require_gauge
 from rig.acquire.collector import CollectRequest

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from recorder import Session
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.command_line.options import positive
+from recorder.session import Session
 from rig.acquire.control import InterruptFlag
 from rig.cli.options import add_page, bench_options, check_page, chosen_bench, page_lines
 from rig.core.clock import Clock, SystemClock

@@ -24,7 +24,7 @@ from rig.core.samples import latest_dtype
 from rig.core.shared_memory import SharedLatest
 
 if TYPE_CHECKING:
-    from recorder import Session, Stream
+    from recorder.session import Session, Stream
 
 logger = logging.getLogger(__name__)
 
@@ -137,7 +137,7 @@ class Playback:
     """Rows of a recorded stream in the order and at the pace in which an emulator sends them."""
 
     def __init__(self, recording: Recording, clock: Clock) -> None:
-        from recorder import Session  # not needed to serve the World
+        from recorder.session import Session  # not needed to serve the World
 
         name, folder = recording.stream, recording.folder
         others = [other for other in recording.streams if other != name]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recorder import Session
+from recorder.session import Session
 from rig.bench.bench import Bench, BenchLimits, Preflight
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost

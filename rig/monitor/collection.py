@@ -20,8 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from recorder import OUTCOMES, Session, SessionError
 from recorder.command_line.options import next_command
+from recorder.errors import SessionError
+from recorder.session import Session
+from recorder.spec import OUTCOMES
 from recorder.store import ImageTail, open_tail
 from rig.acquire.collector import CollectRequest
 from rig.acquire.control import Control

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from recorder import SessionError
+from recorder.errors import SessionError
 from recorder.store import decode_jpeg, replace_file
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError

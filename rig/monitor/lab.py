@@ -20,10 +20,11 @@ from urllib.parse import parse_qsl
 import numpy as np
 from PIL import Image
 
-from recorder import OUTCOMES, PHASES, Session, SessionError
 from recorder.catalogue import Catalogue, Query, Row
 from recorder.command_line.options import next_command
-from recorder.session import thumbnails
+from recorder.errors import SessionError
+from recorder.session import Session, thumbnails
+from recorder.spec import OUTCOMES, PHASES
 from rig.acquire.calibration.store import FOLDER, SETUP, report_path
 from rig.acquire.campaign import Campaign, load_campaign, marked, progress_of, write_marks
 from rig.acquire.completed import finished_targets

@@ -15,8 +15,9 @@ import numpy as np
 import simplejpeg
 from numpy.lib.stride_tricks import sliding_window_view
 
-from recorder import SessionError, Stream
+from recorder.errors import SessionError
 from recorder.markers import MarkerCheck, smallest_marker
+from recorder.session import Stream
 from recorder.spec import frame_columns
 from recorder.store import ImageTail, open_tail
 from rig.acquire.signal_level import picture

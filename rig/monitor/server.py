@@ -28,7 +28,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from recorder import SessionError
+from recorder.errors import SessionError
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError
 from rig.monitor.access import AccessPolicy, Site, headers_of, single_header, text_of

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from recorder import Session, SessionError
-from recorder.session import linear
+from recorder.errors import SessionError
+from recorder.session import Session, linear
 from rig.bench.bench import Bench, BenchFile
 from rig.core.clock import SECOND_NS, Clock
 from rig.core.errors import ConfigError, DeviceLost

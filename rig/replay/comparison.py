@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from recorder import Session
+from recorder.session import Session
 from rig.core.clock import SECOND_NS
 from rig.core.playback import origin_ns
 

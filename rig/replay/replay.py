@@ -18,11 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from recorder import Session, SessionError, SessionWriter, StreamSpec, StreamWriter
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE, EXIT_INTERRUPTED
 from recorder.command_line.options import next_command
+from recorder.errors import SessionError
 from recorder.info import session_digest, stream_digest
 from recorder.progress import ItemProgress, duration
+from recorder.session import Session, SessionWriter, StreamWriter
+from recorder.spec import StreamSpec
 from rig.acquire.collector import software
 from rig.acquire.control import Interrupted, InterruptFlag
 from rig.acquire.streams import StreamHandle

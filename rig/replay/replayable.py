@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from recorder import Session, SessionError, Stream
+from recorder.errors import SessionError
 from recorder.progress import ReportItems
+from recorder.session import Session, Stream
 from rig.core.playback import stated_rate
 from rig.devices.camera.jpeg import is_whole, with_huffman_tables
 from rig.devices.force.netft_emulator import force_bias, force_counts, force_page

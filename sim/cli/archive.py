@@ -142,7 +142,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
     """Make the missing units with progress, print a summary, and return the exit code."""
-    from recorder import SessionError
+    from recorder.errors import SessionError
     from recorder.processes import WorkerLost
     from recorder.progress import Progress
     from sim.dataset import fill

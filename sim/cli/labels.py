@@ -52,8 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, add the columns, and return the exit code."""
-    from recorder import MarkerArchive
-    from recorder.archive import write_simulated
+    from recorder.archive import MarkerArchive, write_simulated
     from recorder.progress import Progress
     from sim.device import ready_device
     from sim.errors import SceneError

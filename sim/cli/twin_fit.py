@@ -85,8 +85,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write row and picture, and return the exit code: 1 if the twin is refused."""
-    from recorder import MarkerArchive, Session
+    from recorder.archive import MarkerArchive
     from recorder.progress import Progress
+    from recorder.session import Session
     from sim.sensors import NAMES, sensor_of
     from sim.sensors.sensor import ROWS
     from sim.twin import fitted, fitted_camera, held_out_predictions, marker_observations, tracks_of

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor, marker_flags
+from recorder.archive import ArchivedSensor, MarkerArchive, marker_flags
 
 # Most flagged frames, and most presses without a solution, that are listed one by one.
 SHOWN = 5

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import Session
-from recorder.session import in_frame
+from recorder.session import Session, in_frame
 from sim.errors import SceneError
 from trajectories import dome_height
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from learning.errors import LearningError
-from recorder import SessionError
 from recorder.convert import FORCE_COLUMNS, POSE_COLUMNS
+from recorder.errors import SessionError
 from recorder.markers import HEIGHT, PACKED, WIDTH, pack
 from recorder.store import decode_jpeg
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from recorder import Session
-from recorder.session import linear
+from recorder.session import Session, linear
 from rig.acquire.calibration.onset import (
     Onset,
     TouchedSurface,

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import Session, Stream
 from recorder.command_line.options import next_command
-from recorder.session import EXPOSURE, captured
+from recorder.session import EXPOSURE, Session, Stream, captured
 from rig.acquire.calibration.onset import student_t
 from rig.acquire.calibration.store import require_gauge, stream_of, tip_heights
 from rig.bench.bench import Bench

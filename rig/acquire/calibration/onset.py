@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import Session, Stream
-from recorder.session import linear
+from recorder.session import Session, Stream, linear
 from rig.acquire.calibration.store import tip_heights
 from rig.acquire.signal_level import Level, SignalLevel, reading
 from rig.core.errors import SafetyStop

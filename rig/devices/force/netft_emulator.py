@@ -23,7 +23,7 @@ from urllib.parse import SplitResult, parse_qs
 import numpy as np
 import numpy.typing as npt
 
-from recorder import SessionError
+from recorder.errors import SessionError
 from rig.core.clock import Clock, Pacer
 from rig.core.emulation import (
     LATE_MOST,
@@ -49,7 +49,7 @@ from rig.devices.force.netft_wire import (
 from rig.devices.force.settings import NetFtConfig
 
 if TYPE_CHECKING:
-    from recorder import Stream
+    from recorder.session import Stream
 
 _INTERNAL_HZ = 7000
 _WRONG_UNITS = ("lbf", "lbf-in")
