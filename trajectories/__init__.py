@@ -3,12 +3,11 @@
 A spec is stored as JSON in the session recorded with it; its moves are derived again when needed.
 """
 
+from trajectories.limits import DryRun, Limits, dry_run, move_duration
 from trajectories.plans import (
     PHASES,
-    DryRun,
     FirstPress,
     ForceDepth,
-    Limits,
     Move,
     Plan,
     Point,
@@ -17,8 +16,6 @@ from trajectories.plans import (
     Target,
     Touch,
     dome_height,
-    dry_run,
-    move_duration,
     plan_from_json,
     plan_to_json,
 )

@@ -1,0 +1,126 @@
+"""Dry run of a plan without hardware: workspace box, depth, force and duration of its moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from trajectories.plans import Plan, Point, dome_height
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a sensor and a bench, in the contact frame."""
+
+    box_x: tuple[float, float]
+    """Allowed x of the tip [m]."""
+    box_y: tuple[float, float]
+    """Allowed y of the tip [m]."""
+    depth_max: float
+    """Deepest indentation that the sensor withstands [m]."""
+    height_max: float
+    """Highest z of the tip [m]."""
+    force_rating: float
+    """Rated normal force of the weaker of sensor and F/T gauge [N]."""
+    stiffness: float
+    """Expected normal stiffness of the sensor under the indenter [N/m], to predict the force."""
+    duration_max: float
+    """Longest session [s]."""
+    dome_radius: float | None = None
+    """Radius of the sensor's spherical top [m]; None: flat. Depths are below the top."""
+
+
+@dataclass(frozen=True, slots=True)
+class DryRun:
+    """Result of a dry run of a plan."""
+
+    targets: int
+    """Number of targets."""
+    moves: int
+    """Number of recorded moves."""
+    x: tuple[float, float]
+    """Smallest and largest x [m]."""
+    y: tuple[float, float]
+    """Smallest and largest y [m]."""
+    depth: float
+    """Deepest indentation [m]."""
+    force: float
+    """Expected largest normal force, stiffness x depth [N]."""
+    duration: float
+    """Moving time, recorded and between targets [s]; pauses are not included."""
+    recorded: float
+    """Recorded part of the duration [s]."""
+    broken: tuple[str, ...]
+    """Description of each limit that would be exceeded; empty if the plan may run."""
+
+
+def move_duration(length: float, speed: float, acceleration: float) -> float:
+    """Return the duration of a move from rest to rest [s].
+
+    Speed rises at `acceleration`, stays at `speed` and falls at `acceleration`; a move shorter than
+    speed^2 / acceleration never reaches `speed`.
+
+    Args:
+        length: Length of the move [m].
+        speed: Highest speed [m/s].
+        acceleration: Acceleration and deceleration [m/s^2].
+    """
+    if length <= speed * speed / acceleration:
+        return 2 * math.sqrt(length / acceleration)
+    return length / speed + speed / acceleration
+
+
+def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> DryRun:
+    """Dry-run `plan` and compare every point with `limits`.
+
+    Args:
+        plan: Plan to check.
+        limits: Limits to check against.
+        speed: Speed of the recorded moves [m/s].
+        acceleration: Acceleration of the recorded moves [m/s^2].
+    """
+    points: list[Point] = []
+    recorded = unrecorded = 0.0
+    moves = 0
+    for target in plan.targets():
+        path = plan.moves(target)
+        if points:
+            unrecorded += move_duration(math.dist(points[-1], path[0].start), speed, acceleration)
+        for move in path:
+            recorded += move_duration(math.dist(move.start, move.end), speed, acceleration)
+            points += [move.start, move.end]
+            moves += 1
+    low = tuple(min(point[axis] for point in points) for axis in range(3))
+    high = tuple(max(point[axis] for point in points) for axis in range(3))
+    depth = max(dome_height(limits.dome_radius, x, y) - z for x, y, z in points)
+    force = limits.stiffness * depth
+    duration = recorded + unrecorded
+    checks = (
+        (low[0] < limits.box_x[0] or high[0] > limits.box_x[1], "x", low[0], high[0], limits.box_x),
+        (low[1] < limits.box_y[0] or high[1] > limits.box_y[1], "y", low[1], high[1], limits.box_y),
+    )
+    broken = [
+        f"{axis}: {1e3 * a:.2f} to {1e3 * b:.2f} mm; "
+        f"allowed: {1e3 * c[0]:.2f} to {1e3 * c[1]:.2f} mm"
+        for bad, axis, a, b, c in checks
+        if bad
+    ]
+    if depth > limits.depth_max + 1e-9:
+        broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f} mm")
+    if high[2] > limits.height_max + 1e-9:
+        broken.append(f"height: {1e3 * high[2]:.2f} mm; allowed: {1e3 * limits.height_max:.2f} mm")
+    if force > limits.force_rating:
+        broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f} N")
+    if duration > limits.duration_max:
+        broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f} s")
+    return DryRun(
+        targets=len(plan),
+        moves=moves,
+        x=(low[0], high[0]),
+        y=(low[1], high[1]),
+        depth=depth,
+        force=force,
+        duration=duration,
+        recorded=recorded,
+        broken=tuple(broken),
+    )
