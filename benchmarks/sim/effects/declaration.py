@@ -56,7 +56,7 @@ class Declaration:
     """Limit that it approaches as it gets weaker."""
 
 
-# Effects by their names in `sim.effects.Effects`.
+# Effects by their names in `sim.scene.Effects`.
 EFFECTS = {
     "friction": Declaration(
         Friction,
