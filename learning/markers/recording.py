@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from learning.indenters import coded
-from recorder.session import Session, Stream, quaternion, surface_heights
+from recorder.session import Session, Stream, axes_of, surface_heights
 from recorder.spec import AXES, PHASES
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ class Recording:
             return np.zeros((len(self), 3))
         frame = np.asarray(self.session.attrs["contact_frame"], np.float64)
         offset = self.column("pose")[:, :3] - frame[:3]
-        return np.asarray(offset @ _matrix(frame[3:]), np.float64)
+        return np.asarray(offset @ np.ascontiguousarray(axes_of(frame[3:]).T), np.float64)
 
 
 def read_recording(path: Path, sensor: str | None = None) -> Recording:
@@ -299,18 +299,6 @@ def _presses(target: NDArray[np.integer]) -> Iterator[tuple[int, int]]:
     change = np.flatnonzero(np.diff(target) != 0) + 1
     ends = [0, *change.tolist(), len(target)]
     yield from pairwise(ends)
-
-
-def _matrix(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation matrix (3, 3), frame to base, of a rotation vector (3,) [rad]."""
-    w, x, y, z = quaternion(vector)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 # Grouping of sessions into one archive; incompatible sessions are rejected by name.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from recorder.session.align import EXPOSURE, Window, captured, linear, quaternion
 from recorder.session.clocks import clock_lines
 from recorder.session.columns import Stream
-from recorder.session.frames import in_frame, surface_heights
+from recorder.session.frames import axes_of, in_frame, surface_heights
 from recorder.session.loss import loss_lines
 from recorder.session.reader import Session, accounts_of
 from recorder.session.stream_writer import StreamWriter
@@ -25,6 +25,7 @@ __all__ = [
     "StreamWriter",
     "Window",
     "accounts_of",
+    "axes_of",
     "captured",
     "clock_lines",
     "contact_sheet",

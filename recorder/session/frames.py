@@ -100,13 +100,23 @@ def in_frame(frame: Floats, poses: Floats) -> Floats:
         frame: Frame in the base frame (6,) [m, rad]; of the contact frame z is the outward normal.
         poses: Places, or tool poses, in the base frame (n, 3 or more) [m, rad].
     """
-    w, x, y, z = quaternion(frame[3:])
-    axes = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
+    axes = axes_of(frame[3:])
+    return np.stack([(poses[:, :3] - frame[:3]) @ axis for axis in axes], axis=1)
+
+
+def axes_of(vector: Floats) -> Floats:
+    """Return the axes (3, 3) of a frame in the base frame, one a row, by its rotation vector (3,).
+
+    The rotation vector is in radians.
+    """
+    w, x, y, z = quaternion(vector)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ]
     )
-    return np.stack([(poses[:, :3] - frame[:3]) @ np.array(axis) for axis in axes], axis=1)
 
 
 def surface_heights(session: Session) -> Floats:
