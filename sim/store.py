@@ -107,9 +107,9 @@ def _write(root: zarr.Group, name: str, result: Result) -> None:
         },
     )
     motion = result.scene.motion
-    given = {"time": np.array(motion.time, float), "tip": np.array(motion.tip, float)}
+    of_motion = {"time": np.array(motion.time, float), "tip": np.array(motion.tip, float)}
     for array, (unit, dimensions, meaning) in ARRAYS.items():
-        values = given[array] if array in given else getattr(result, array)
+        values = of_motion[array] if array in of_motion else getattr(result, array)
         _array(group, array, values, unit, dimensions, meaning)
     quality = group.create_group("quality")
     for one in fields(Quality):

@@ -137,7 +137,7 @@ def simulate_within(
         except SimulationDiverged as diverged:
             if round_ or meshes.limited:
                 raise
-            tried.append(f"fineness {fineness:.3g}: {meshes.given_up(diverged)}")
+            tried.append(f"fineness {fineness:.3g}: {meshes.reason_of(diverged)}")
             fineness *= COMPANION
             continue
         limited = _fineness(fine) < WHOLLY * fineness
@@ -152,12 +152,14 @@ def simulate_within(
                 break
             fineness *= COMPANION
             continue
-        found, error = extrapolated(coarse, fine, wanted, max(FLOOR, UNBALANCED * states.tolerance))
+        result, error = extrapolated(
+            coarse, fine, wanted, max(FLOOR, UNBALANCED * states.tolerance)
+        )
         tried.append(f"fineness {fineness:.3g}: {with_unit(wanted.kind, error)}")
         if best is None or error < best[0]:
-            best = error, found
+            best = error, result
         if error <= wanted.value:
-            return _with_plan(found, wanted, tried, began)
+            return _with_plan(result, wanted, tried, began)
         finer = (error / wanted.value) ** 0.5 * 1.05
         if limited or fine.record["mesh"]["elements"] * finer**3 > HOPELESS * most:
             break
@@ -201,7 +203,7 @@ class _Meshes:
         """True if a mesh reached the limit on elements."""
         return self._finest < np.inf
 
-    def given_up(self, diverged: SimulationDiverged) -> str:
+    def reason_of(self, diverged: SimulationDiverged) -> str:
         """Remove the dump of a failure that a finer mesh follows, and return its reason."""
         diverged.forget_dump()
         return str(diverged).split("; state:")[0]
@@ -215,9 +217,9 @@ class _Meshes:
         from sim.fem.solver import precision_for_finer, simulate_fem
 
         fineness = min(fineness, self._finest)
-        for known in self._solved:
-            if abs(_fineness(known) / fineness - 1) < 0.15:
-                return known
+        for result in self._solved:
+            if abs(_fineness(result) / fineness - 1) < 0.15:
+                return result
         numerics = replace(self._states, fineness=fineness)
         if self._solved:
             finest = max(self._solved, key=_fineness)
@@ -351,18 +353,18 @@ def extrapolated(
     ratio = elements_ratio(coarse, fine)
     left = left_of_difference(ratio)
     step = (fine.wrench - coarse.wrench) * left
-    found = with_symmetry(replace(fine, wrench=fine.wrench + step))
-    size = np.linalg.norm(found.force, axis=1)
-    scale = force_scale(found.force)
+    result = with_symmetry(replace(fine, wrench=fine.wrench + step))
+    size = np.linalg.norm(result.force, axis=1)
+    scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
     unsure = LEFT * _most_of_difference(coarse, least_ratio(coarse, fine)) * apart
-    newton = np.maximum(unsure, vanishing_share(found) * scale)
+    newton = np.maximum(unsure, vanishing_share(result) * scale)
     fraction = np.maximum(newton / scale, floor * (size > 0))
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
     pixels = MARKERS * left * float(np.sqrt(np.mean(moved**2, axis=1)).max(initial=0.0))
     by = f"two meshes, elements {ratio:.2g} times as long in the coarser one"
     error = error_entry(
-        found,
+        result,
         "measured",
         fraction,
         by,
@@ -371,7 +373,7 @@ def extrapolated(
         second_mesh=dict(coarse.record["mesh"]),
     )
     value = {"fraction": error["percent"] / 100, "force": error["newton"], "marker": pixels}
-    return replace(found, record={**found.record, "error": error}), float(value[wanted.kind])
+    return replace(result, record={**result.record, "error": error}), float(value[wanted.kind])
 
 
 def left_of_difference(ratio: float) -> float:

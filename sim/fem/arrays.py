@@ -103,7 +103,7 @@ def contact_struct(real):
     """Return the struct of contact: its settings, and state by point (B, S, P) and by face."""
     vec3, mat33 = vector_of(real), matrix_of(real)
 
-    class Contact:
+    class ContactState:
         penalty: real
         stick: real  # stiffness of sticking over the penalty
         coefficient: wp.array(dtype=real)  # of friction (B,)
@@ -123,7 +123,7 @@ def contact_struct(real):
         energy: wp.array2d(dtype=real)  # of the springs (B, S)
         force: wp.array3d(dtype=vec3)  # on the corners (B, S, 4), where a face is touched
 
-    return wp.struct(Contact)
+    return wp.struct(ContactState)
 
 
 # Operations on vectors.

@@ -141,7 +141,7 @@ class SolverState:
         if assembly.split:
             poisson = np.array([scene.body.poisson for scene in scenes])
             self.volume = VolumePressure(real, poisson, elements, device, bulk if prony else None)
-            bulk = self.volume.kept
+            bulk = self.volume.lagged
         self._bulk_growth = np.ones(count)
         bodies = [scene.body for scene in scenes]
         material = self.material = material_struct(real)()
@@ -202,8 +202,8 @@ class SolverState:
     def go_on(self, history: dict[str, np.ndarray]) -> None:
         """Begin from what `history` of another state, of any precision, has returned."""
         for name, (array, axis) in self._history().items():
-            found = history[name][: len(array)] if axis else history[name]  # of fewer branches
-            array.assign(found.astype(numpy_of(self._real)))
+            values = history[name][: len(array)] if axis else history[name]  # of fewer branches
+            array.assign(values.astype(numpy_of(self._real)))
         copy_active(self.everyone, self.contact.u_old, self.u)
         copy_active(self.everyone, self._multiplier_old, self.contact.multiplier)
         if self.volume is not None:

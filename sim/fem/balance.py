@@ -177,12 +177,12 @@ def work_kernel(real, friction: bool):
                 n = mesh.faces[s, k]
                 way += (u[env, n] - contact.u_old[env, n]) * mesh.shape[p, k]
             push = contact.normal[env, s, p] * contact.pressure[env, s, p]
-            given = wp.dot(contact.push[env, s, p] + push, way)
+            at_point = wp.dot(contact.push[env, s, p] + push, way)
             if wp.static(friction):
                 traction = contact.traction[env, s, p] + contact.traction_old[env, s, p]
-                given += wp.dot(traction, step[env])
+                at_point += wp.dot(traction, step[env])
             contact.push[env, s, p] = push
-            total += given * mesh.rule[p]
+            total += at_point * mesh.rule[p]
         work_out[env, s] = total * mesh.area[mesh.variant[env], s] * real(0.5)
 
     return work

@@ -308,9 +308,9 @@ def overlap_kernel(real, traits: Traits = PLAIN):
                         place = (x0 * (one - b) + x1 * b) * (one - a) + (
                             x2 * (one - b) + x3 * b
                         ) * a
-                        found = distance(table, env, place - at)
-                        deepest = wp.max(deepest, -found[3])
-                        bound = wp.max(bound, spacing - found[3])
+                        at_sample = distance(table, env, place - at)
+                        deepest = wp.max(deepest, -at_sample[3])
+                        bound = wp.max(bound, spacing - at_sample[3])
             if k == count - 1:
                 now = wp.cross(x3 - x0, x2 - x1)
                 rest = wp.cross(first, second)

@@ -412,13 +412,13 @@ def element_rows_kernel(real, viscous: bool, split: bool = False):
         e: int,
         a: int,
         b: int,
-        found: mat33,
+        block: mat33,
         matrix_out: wp.array3d(dtype=mat33),
     ):
         if mesh.free[mesh.elements[e, b]] == 1:
             n = mesh.elements[e, a]
             slot = 13 - spread(a) + spread(b)
-            matrix_out[env, n, slot] = matrix_out[env, n, slot] + found
+            matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
 
     @wp.kernel(enable_backward=False, module="unique")
     def element_rows(
@@ -727,12 +727,12 @@ def _volume_kernels(real):
         pressure: wp.array2d(dtype=real),
         active: wp.array(dtype=wp.int32),
         # Out:
-        kept_out: wp.array2d(dtype=real),
+        lagged_out: wp.array2d(dtype=real),
     ):
         env, e = wp.tid()
         if active[env] == 1:
             rest = (one - factor[env]) * pressure[env, e]
-            kept_out[env, e] = factor[env] * history[env, e] + rest
+            lagged_out[env, e] = factor[env] * history[env, e] + rest
 
     return settle, compose
 
@@ -752,7 +752,7 @@ class VolumePressure:
         self._factor = wp.array(self.fraction.astype(numpy_of(real)), dtype=real, device=device)
         self.pressure = wp.zeros((len(poisson), elements), dtype=real, device=device)
         """Pressure at the last settled state (B, E) [E]."""
-        self.kept = wp.zeros_like(self.pressure)
+        self.lagged = wp.zeros_like(self.pressure)
         """Part of the pressure that does not follow the volume: an input of element kernels."""
         self._history = wp.zeros_like(self.pressure) if history is None else history
         self.pressure_old = wp.zeros_like(self.pressure)
@@ -766,20 +766,20 @@ class VolumePressure:
         self._factor.assign(self.fraction.astype(numpy_of(self._real)))
 
     def compose(self, active) -> None:
-        """Update `kept` where the pressure, the fraction or the history has changed."""
+        """Update `lagged` where the pressure, the fraction or the history has changed."""
         wp.launch(
             _volume_kernels(self._real)[1],
-            dim=self.kept.shape,
+            dim=self.lagged.shape,
             inputs=[self._factor, self._history, self.pressure, active],
-            outputs=[self.kept],
+            outputs=[self.lagged],
             device=self._device,
         )
 
     def settle(self, mesh, material, active, u) -> None:
-        """Set the pressure to that at `u`, and with it `kept`, the history of the material."""
+        """Set the pressure to that at `u`, and with it `lagged`, the history of the material."""
         wp.launch(
             _volume_kernels(self._real)[0],
-            dim=self.kept.shape,
+            dim=self.lagged.shape,
             inputs=[mesh, material, self._factor, self._history, active, u],
             outputs=[self.pressure],
             device=self._device,

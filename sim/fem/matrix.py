@@ -164,12 +164,12 @@ def row_function(real, stored, wide: bool):
         return wide_row(real)
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    kept33 = matrix_of(stored)
+    stored33 = matrix_of(stored)
 
     @wp.func
     def by_blocks(
         offsets: wp.array(dtype=wp.int32),
-        matrix: wp.array3d(dtype=kept33),
+        matrix: wp.array3d(dtype=stored33),
         v: wp.array2d(dtype=vec3),
         env: int,
         n: int,
@@ -213,7 +213,7 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    kept33 = matrix_of(stored)
+    stored33 = matrix_of(stored)
     zero = _zero_function(real)
     own, lanes = (1, BLOCK) if on_gpu else (RUN, 1)
 
@@ -272,12 +272,12 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
         threads: int,
         matrix: wp.array2d(dtype=real),
         # Out:
-        kept_out: wp.array2d(dtype=stored),
+        rounded_out: wp.array2d(dtype=stored),
     ):
         env, thread = wp.tid()
         if active[env] == 1:
             for i in range(thread, matrix.shape[1], threads):
-                kept_out[env, i] = stored(matrix[env, i])
+                rounded_out[env, i] = stored(matrix[env, i])
 
     line = row_function(real, stored, wide)
 
@@ -287,7 +287,7 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
         offsets: wp.array(dtype=wp.int32),
         # In:
         which: wp.array(dtype=wp.int32),
-        matrix: wp.array3d(dtype=kept33),
+        matrix: wp.array3d(dtype=stored33),
         v: wp.array2d(dtype=vec3),
         # Out: matrix times v, and v . (matrix v) of each run of nodes, or block of threads
         product_out: wp.array2d(dtype=vec3),
@@ -364,8 +364,8 @@ class BlockMatrix:
         self._on_gpu = wp.get_device(device).is_cuda
         if half is None:
             half = self._on_gpu and real == wp.float32 and count <= HALF_NODES
-        kept = wp.float16 if half else real
-        kernels = _kernels(real, kept, not self._parallel and not half, self._on_gpu)
+        stored = wp.float16 if half else real
+        kernels = _kernels(real, stored, not self._parallel and not half, self._on_gpu)
         self._clear, self._finish, self._round, self._product = kernels
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """Number of partial sums that `product` writes for each sum."""
@@ -377,9 +377,9 @@ class BlockMatrix:
         )
         self.matrix = blocks(mat33)
         """Blocks (B, N, 27) of the last assembled state."""
-        self._read = blocks(matrix_of(kept)) if half else self.matrix
+        self._read = blocks(matrix_of(stored)) if half else self.matrix
         self._written = _numbers(self.matrix, real)
-        self._rounded = _numbers(self._read, kept) if half else None
+        self._rounded = _numbers(self._read, stored) if half else None
         self._threads = -(-self._written.shape[1] // APIECE) if self._on_gpu else 1
         self._elements = len(mesh.elements)
         self._slots = self._integers(face_slots(mesh))

@@ -281,7 +281,7 @@ HARD_FROM = {"cpu": 60, "cuda": 150}
 # Fraction of the columns' solutions that is added up, at most one half.
 SMOOTHING = 0.4
 # Largest fraction of the nodes that a coarser grid keeps, and growth of the spacing that is tried.
-KEPT, SPACING_GROWTH = 0.5, 1.2
+SHARE_MOST, SPACING_GROWTH = 0.5, 1.2
 # Spacing in plan, in thicknesses, at which coarsening ends.
 COARSEST_SPACING = 1.0
 # Coarser grids are kept until a solve takes this many times the iterations per digit of the first
@@ -293,11 +293,11 @@ Array = NDArray[np.float64]
 
 def coarsened(x: Array, spacing: float) -> int:
     """Return the number of points of `x` (X,) to keep, from its start, `spacing` apart or more."""
-    kept, last = 2, x[0]
+    count, last = 2, x[0]
     for here, after in pairwise(x[1:]):
         if after - last > spacing * (1 + 1e-4):
-            kept, last = kept + 1, here
-    return kept
+            count, last = count + 1, here
+    return count
 
 
 def thinned(x: Array, count: int) -> NDArray[np.int64]:
@@ -305,13 +305,13 @@ def thinned(x: Array, count: int) -> NDArray[np.int64]:
 
     Each point that is left out is the one between the two closest neighbours.
     """
-    kept = np.broadcast_to(np.arange(x.shape[-1]), x.shape)
-    while kept.shape[-1] > count:
-        at = np.take_along_axis(x, kept, axis=-1)
+    points = np.broadcast_to(np.arange(x.shape[-1]), x.shape)
+    while points.shape[-1] > count:
+        at = np.take_along_axis(x, points, axis=-1)
         out = 1 + np.argmin(at[..., 2:] - at[..., :-2], axis=-1)
-        stay = np.arange(kept.shape[-1]) != out[..., None]
-        kept = kept[stay].reshape(*x.shape[:-1], -1)
-    return kept
+        stay = np.arange(points.shape[-1]) != out[..., None]
+        points = points[stay].reshape(*x.shape[:-1], -1)
+    return points
 
 
 def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
@@ -324,8 +324,8 @@ def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
     while spacing < COARSEST_SPACING:
         spacing *= SPACING_GROWTH
         counts = coarsened(x, spacing), coarsened(y, spacing)
-        kept = counts[0] * counts[1] / (len(x) * len(y))
-        if kept > KEPT and (spacing < COARSEST_SPACING or kept > 0.9):
+        share = counts[0] * counts[1] / (len(x) * len(y))
+        if share > SHARE_MOST and (spacing < COARSEST_SPACING or share > 0.9):
             continue
         grids.append(counts)
         x, y = x[thinned(x, counts[0])], y[thinned(y, counts[1])]
@@ -458,12 +458,12 @@ def _kernels(real, parallel: bool):
     @wp.func
     def weight(axis: axis_type, mesh: int, fine: int, coarse: int):
         """Return the weight of a coarse line of nodes at a fine one (linear interpolation)."""
-        found = real(0.0)
+        share = real(0.0)
         if axis.below[mesh, fine] == coarse:
-            found = real(1.0) - axis.part[mesh, fine]
+            share = real(1.0) - axis.part[mesh, fine]
         elif axis.below[mesh, fine] + 1 == coarse:
-            found = axis.part[mesh, fine]
-        return found
+            share = axis.part[mesh, fine]
+        return share
 
     @wp.kernel(enable_backward=False, module="unique")
     def restrict(
@@ -597,10 +597,10 @@ class _Grid:
     """Interpolation to the next finer grid."""
 
 
-def _weights(fine: Array, kept: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+def _weights(fine: Array, points: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """Return `below`, `part` and `reach` of an interpolation to the points of M meshes (M, X)."""
     below, part, reach = [], [], []
-    for x, chosen in zip(fine, kept, strict=True):
+    for x, chosen in zip(fine, points, strict=True):
         coarse = x[chosen]
         first = np.clip(np.searchsorted(coarse, x, side="right") - 1, 0, len(coarse) - 2)
         below.append(first)
@@ -690,16 +690,16 @@ class Multigrid:
         levels = self._meshes[0].cells[2] + 1
         self._grids = [self._grid((len(x[0]), len(y[0]), levels))]
         for many, wide in grid_counts(x[0], y[0]):
-            kept_x, kept_y = thinned(x, many), thinned(y, wide)
+            points_x, points_y = thinned(x, many), thinned(y, wide)
             axis, both = _interpolation_structs(self._real)
             weights = both()
             weights.variant, weights.levels = self._variant, levels
-            for name, of in (("x", _weights(x, kept_x)), ("y", _weights(y, kept_y))):
+            for name, of in (("x", _weights(x, points_x)), ("y", _weights(y, points_y))):
                 along = axis()
                 along.below, along.part, along.reach = map(self._array, of)
                 setattr(weights, name, along)
             self._grids.append(self._grid((many, wide, levels), weights))
-            x, y = (np.take_along_axis(*one, axis=1) for one in ((x, kept_x), (y, kept_y)))
+            x, y = (np.take_along_axis(*one, axis=1) for one in ((x, points_x), (y, points_y)))
 
     def _grid(self, counts: tuple[int, int, int], weights=None) -> _Grid:
         """Return a coarser grid with its interpolation, or the finest one."""

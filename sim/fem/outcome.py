@@ -128,7 +128,7 @@ and of steps.
 """
 
 
-class Collector:
+class FrameCollector:
     """Frames of one press, filled as they are reached; the result is in SI units."""
 
     def __init__(self, scene: Scene, mesh: Mesh) -> None:
@@ -360,7 +360,7 @@ def advice(scene: Scene) -> str:
     )
 
 
-class Kind(NamedTuple):
+class Passage(NamedTuple):
     """A way for something to pass through the skin."""
 
     inside: str
@@ -371,13 +371,13 @@ class Kind(NamedTuple):
     """The same in a few words."""
 
 
-FOLD = Kind(
+FOLD = Passage(
     "the skin beside it",
     "the skin folds and passes through itself: {}; contact of the skin with itself is not computed "
     "(allowed: a shallower press, a shorter shear, a rounder edge)",
     "the skin overlaps itself",
 )
-LEAP = Kind(
+LEAP = Passage(
     "the indenter on the way",
     "the skin leaps through the indenter: {} (allowed: shorter steps, a shallower press)",
     "the skin leaps through the indenter",

@@ -28,8 +28,8 @@ from sim.fem.outcome import (
     LEAP,
     OVERLAP_MOST,
     PASSED,
-    Collector,
-    Kind,
+    FrameCollector,
+    Passage,
     Spent,
     advice,
     overlap_place,
@@ -310,7 +310,7 @@ class Reached:
 
     history: dict[str, np.ndarray]
     """Result of `SolverState.history`."""
-    collectors: list[Collector]
+    collectors: list[FrameCollector]
     """Frames kept so far."""
     paths: list[Path]
     spent: list[Spent]
@@ -337,8 +337,8 @@ class Batch:
         began = time.perf_counter()
         self._assembly = Assembly(meshes, scenes, numerics, precision, device)
         self._newton = Newton(self._assembly)
-        self._collectors = list(map(Collector, scenes, meshes))
-        self._unmeasured: deque[Collector] = deque()
+        self._collectors = list(map(FrameCollector, scenes, meshes))
+        self._unmeasured: deque[FrameCollector] = deque()
         self._area = np.array([mesh.top_area for mesh in meshes])[..., None]
         self._stress = np.array([scene.body.modulus for scene in scenes])[:, None, None, None]
         self._paths: list[Path] = [
@@ -541,7 +541,7 @@ class Batch:
         return {i: place for i, place in places.items() if way[i] > end[i] + allowed[i]}
 
     def _too_deep(
-        self, env: int, deep: float, place: np.ndarray, touched: np.ndarray, kind: Kind
+        self, env: int, deep: float, place: np.ndarray, touched: np.ndarray, kind: Passage
     ) -> Passed | None:
         """Return what to say of an overlap, or None if it is small for the contact.
 
