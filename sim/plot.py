@@ -23,7 +23,7 @@ FINE = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class FrameSurface:
     """Points of a surface where they are in one frame, on a grid of its material (n, m)."""
 
     x: Array
@@ -35,7 +35,7 @@ class Surface:
     """Contact pressure [Pa]; NaN outside the body."""
 
 
-def surface_of(result: Result, frame: int, y: Array | None = None) -> Surface:
+def surface_of(result: Result, frame: int, y: Array | None = None) -> FrameSurface:
     """Return the surface of one frame, refined so that a coarse mesh looks smooth.
 
     The linear `layer` tier computes contact at undeformed positions, so its points are drawn there.
@@ -52,7 +52,7 @@ def surface_of(result: Result, frame: int, y: Array | None = None) -> Surface:
     pressure = _values_between(*along, np.maximum(-traction, 0.0), *fine)
     moved[..., :2] *= result.tier != "layer"
     outside = ~body.covers(fine[0][:, None], fine[1])
-    return Surface(
+    return FrameSurface(
         fine[0][:, None] + moved[..., 0],
         fine[1] + moved[..., 1],
         np.where(outside, np.nan, body.heights(*fine) + moved[..., 2]),
@@ -106,7 +106,7 @@ def shown_frame(result: Result) -> int:
     return int(np.argmax(np.linalg.norm(result.force, axis=1)))
 
 
-def _draw_maps(above: Axes, beside: Axes, surface: Surface) -> None:
+def _draw_maps(above: Axes, beside: Axes, surface: FrameSurface) -> None:
     """Draw height and pressure from above; outside the body the ground shows."""
     low, high = 1e3 * np.nanmin(surface.height), 1e3 * np.nanmax(surface.height)
     # An undeformed surface has one height: give its scale some width [mm].

@@ -54,7 +54,7 @@ from sim.fem.lanes import AT_ONCE, forces_kernel
 from sim.fem.matrix import HALF_POISSON, BlockMatrix
 from sim.fem.mesh import Mesh
 from sim.fem.multigrid import Multigrid
-from sim.indenters.device import PartTable, Traits, traits_of
+from sim.indenters.device import IndenterTraits, PartTable, traits_of
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
 
@@ -370,7 +370,7 @@ class SolverState:
         return array_of(values, dtype, self._real, self._device)
 
 
-def kernels_of(scenes: Sequence[Scene]) -> tuple[tuple[str, ...], Traits, bool]:
+def kernels_of(scenes: Sequence[Scene]) -> tuple[tuple[str, ...], IndenterTraits, bool]:
     """Return what the kernels of a batch are compiled for.
 
     The effects that are on, the traits of the indenters, and True if the pressure of one of the

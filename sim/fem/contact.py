@@ -22,7 +22,7 @@ import numpy as np
 import warp as wp
 
 from sim.fem.arrays import contact_struct, mesh_struct
-from sim.indenters.device import PLAIN, Traits, distance_function, table_struct
+from sim.indenters.device import PLAIN, IndenterTraits, distance_function, table_struct
 from sim.scalars import matrix_of, vector_of
 
 # Step of the finite difference of the normal, in thicknesses.
@@ -43,7 +43,7 @@ def face_rule(points: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @functools.cache
-def contact_kernels(real, friction: bool, traits: Traits = PLAIN):
+def contact_kernels(real, friction: bool, traits: IndenterTraits = PLAIN):
     """Return the kernels (contact, tangent); without `friction` none of its code is compiled.
 
     `traits` are those of the indenters' table.
@@ -229,7 +229,7 @@ STATES_MOST = 32
 
 
 @functools.cache
-def overlap_kernel(real, traits: Traits = PLAIN):
+def overlap_kernel(real, traits: IndenterTraits = PLAIN):
     """Return the kernel that measures overlap; `traits` are those of the indenters' table."""
     vec3 = vector_of(real)
     table_type = table_struct(real, traits)

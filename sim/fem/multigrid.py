@@ -281,7 +281,7 @@ HARD_FROM = {"cpu": 60, "cuda": 150}
 # Fraction of the columns' solutions that is added up, at most one half.
 SMOOTHING = 0.4
 # Largest fraction of the nodes that a coarser grid keeps, and growth of the spacing that is tried.
-SHARE_MOST, SPACING_GROWTH = 0.5, 1.2
+FRACTION_MOST, SPACING_GROWTH = 0.5, 1.2
 # Spacing in plan, in thicknesses, at which coarsening ends.
 COARSEST_SPACING = 1.0
 # Coarser grids are kept until a solve takes this many times the iterations per digit of the first
@@ -324,8 +324,8 @@ def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
     while spacing < COARSEST_SPACING:
         spacing *= SPACING_GROWTH
         counts = coarsened(x, spacing), coarsened(y, spacing)
-        share = counts[0] * counts[1] / (len(x) * len(y))
-        if share > SHARE_MOST and (spacing < COARSEST_SPACING or share > 0.9):
+        fraction = counts[0] * counts[1] / (len(x) * len(y))
+        if fraction > FRACTION_MOST and (spacing < COARSEST_SPACING or fraction > 0.9):
             continue
         grids.append(counts)
         x, y = x[thinned(x, counts[0])], y[thinned(y, counts[1])]
@@ -458,12 +458,12 @@ def _kernels(real, parallel: bool):
     @wp.func
     def weight(axis: axis_type, mesh: int, fine: int, coarse: int):
         """Return the weight of a coarse line of nodes at a fine one (linear interpolation)."""
-        share = real(0.0)
+        fraction = real(0.0)
         if axis.below[mesh, fine] == coarse:
-            share = real(1.0) - axis.part[mesh, fine]
+            fraction = real(1.0) - axis.part[mesh, fine]
         elif axis.below[mesh, fine] + 1 == coarse:
-            share = axis.part[mesh, fine]
-        return share
+            fraction = axis.part[mesh, fine]
+        return fraction
 
     @wp.kernel(enable_backward=False, module="unique")
     def restrict(

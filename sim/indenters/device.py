@@ -221,7 +221,7 @@ SCALED = {"half_plane": (2,), "band": (2, 3), "circle": (0, 1, 2), "path": ()}
 
 
 @dataclass(frozen=True, slots=True)
-class Traits:
+class IndenterTraits:
     """Optional features of the indenters of a launch, compiled in on demand."""
 
     tilted: bool = False
@@ -230,12 +230,12 @@ class Traits:
     """True if any indenter is a body from a file."""
 
 
-PLAIN = Traits()
+PLAIN = IndenterTraits()
 
 
-def traits_of(indenters: Sequence[Indenter]) -> Traits:
+def traits_of(indenters: Sequence[Indenter]) -> IndenterTraits:
     """Return the features that kernels need for these indenters."""
-    return Traits(
+    return IndenterTraits(
         tilted=any(one is not one.upright for one in indenters),
         sampled=any(one.solid is not None for one in indenters),
     )
@@ -249,7 +249,7 @@ class PartTable:
     """Table for the function from `distance_function`."""
     count: int
     """Number of environments."""
-    traits: Traits
+    traits: IndenterTraits
     """Traits for `distance_function`."""
 
     @classmethod
@@ -346,7 +346,7 @@ def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tup
 
 
 @cache
-def table_struct(real: type, traits: Traits) -> Any:
+def table_struct(real: type, traits: IndenterTraits) -> Any:
     """Return the Warp struct that holds indenters as arrays of `real`, lengths in one unit."""
 
     class IndenterTable:
@@ -382,7 +382,7 @@ def table_struct(real: type, traits: Traits) -> Any:
 
 
 @cache
-def distance_function(real: type, traits: Traits) -> Any:
+def distance_function(real: type, traits: IndenterTraits) -> Any:
     """Return the Warp function (table, environment, point) -> (normal x, y, z, gap).
 
     Lengths are in the table's unit. It is the same as `Indenter.distance`, except beyond the

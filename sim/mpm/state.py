@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from sim.indenters.device import PLAIN, PartTable, Traits, distance_function, table_struct
+from sim.indenters.device import PLAIN, IndenterTraits, PartTable, distance_function, table_struct
 from sim.mpm import DET_FLOOR, REACH, Mpm
 from sim.mpm.lattice import BASE_NODE, Pace, ParticleLattice
 from sim.scalars import PRECISIONS, det_less_one_function, matrix_of, numpy_of, vector_of
@@ -121,7 +121,7 @@ IMPULSE_UNIT = 2.0**40
 
 
 @functools.cache
-def node_kernel(real, published: bool, friction: bool, traits: Traits = PLAIN):
+def node_kernel(real, published: bool, friction: bool, traits: IndenterTraits = PLAIN):
     """Return the kernel of a node's time step for one precision, contact law and traits.
 
     By the `published` settings contact is sticky, and the base is held by fixed particles.

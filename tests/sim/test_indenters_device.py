@@ -18,8 +18,8 @@ from sim.indenters import NAMES, Indenter, device, from_stl, named, plane, round
 from sim.indenters.device import (
     FAR,
     PLAIN,
+    IndenterTraits,
     PartTable,
-    Traits,
     distance_function,
     table_struct,
     traits_of,
@@ -44,7 +44,7 @@ MORE = [plane(), rounded_cone(0.5, 0.1e-3)]
 
 
 @cache
-def _kernel(real: Any, traits: Traits = PLAIN, made: Any = distance_function) -> Any:
+def _kernel(real: Any, traits: IndenterTraits = PLAIN, made: Any = distance_function) -> Any:
     distance = made(real, traits)
 
     @wp.kernel(enable_backward=False, module="unique")
