@@ -70,6 +70,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _show_effects(scene: Scene, options: argparse.Namespace) -> int:
     """Print the estimated contribution of each effect and return the exit code."""
+    for name in ("out", "save"):
+        if (path := getattr(options, name)) is not None:
+            raise SceneError(
+                f"--{name}: {path} with --plan-effects; allowed: without, it only prints"
+            )
     from sim.device import ready_device
     from sim.planning import plan_effects
 

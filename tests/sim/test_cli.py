@@ -62,7 +62,7 @@ def test_a_round_body_is_said_and_softer_than_the_square_around_it(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     words = shlex.split("press --size 8,8,4 --depths 0.3 --tier fem:0.4 --footprint")
-    assert main([*words, "ellipse"]) == 0
+    assert main(["sim", *words, "ellipse"]) == 0
     assert "body 8x8x4 mm, ellipse, 0.145 MPa" in capsys.readouterr().out
     round_, square = (_said([*words, name], capsys) for name in ("ellipse", "rectangle"))
     assert 0 < round_["force_n"][0] < square["force_n"][0]

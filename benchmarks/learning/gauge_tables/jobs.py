@@ -536,7 +536,7 @@ def run_job(study: Study, name: str) -> None:
     elif kind in ("labels", "further-labels"):
         archive = (archive_path if kind == "labels" else further_path)(study.out, rest[0])
         twin = twin_path(study.out, rest[0])
-        words = ["labels", str(archive), "--sensor", rest[0], "--twin", str(twin)]
+        words = ["sim", "labels", str(archive), "--sensor", rest[0], "--twin", str(twin)]
         words += ["--draws", str(study.of.draws), "--grid", str(study.of.grid)]
         words += ["--processes", str(study.processes)]
         words += ["--device", "cuda:0" if study.device.type == "cuda" else "cpu"]
