@@ -19,7 +19,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.fem.stepping import path_of
 from sim.layer import Layer
-from sim.metrics import Outcome, marker_pixels, outcome_of, seen
+from sim.metrics import Outcome, marker_pixels, outcome_of, pixels_of
 from sim.result import force_scale
 from sim.scene import Body, Effects, Inertia, Scene
 from sim.tiers import simulate
@@ -142,7 +142,7 @@ def _pixels_per_metre(body: Body) -> float:
     """Return the largest shift of a marker's image per small displacement of the marker [px/m]."""
     corner = np.array([body.size_x / 2, body.size_y / 2, 0.0])
     step = 1e-6
-    ways = [seen(corner + step * axis) - seen(corner) for axis in np.eye(3)]
+    ways = [pixels_of(corner + step * axis) - pixels_of(corner) for axis in np.eye(3)]
     return float(np.linalg.norm(ways)) / step
 
 

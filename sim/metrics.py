@@ -57,7 +57,7 @@ def marker_places(body: Body) -> tuple[Array, Array]:
     return fraction * body.size_x, fraction * body.size_y
 
 
-def seen(place: Array) -> Array:
+def pixels_of(points: Array) -> Array:
     """Return pixels (..., 2), from the image centre, of points (..., 3) in the contact frame [m].
 
     Uses the paper's camera; x to the right and y up.
@@ -65,7 +65,7 @@ def seen(place: Array) -> Array:
     # Drawing markers imports image libraries, which a machine that only measures may not have.
     from sim.markers.camera import Camera
 
-    return Camera.paper().on_film(place)
+    return Camera.paper().on_film(points)
 
 
 Array = NDArray[np.float64]
@@ -94,14 +94,17 @@ def marker_pixels(outcome: Outcome, body: Body) -> Array:
     inner_y = np.clip(y, outcome.surface_y[0], outcome.surface_y[-1])
     frames = range(len(outcome.force))
     return np.stack(
-        [seen(undeformed + displacement_at(outcome, frame, inner_x, inner_y)) for frame in frames]
+        [
+            pixels_of(undeformed + displacement_at(outcome, frame, inner_x, inner_y))
+            for frame in frames
+        ]
     )
 
 
 def displacement_at(outcome: Outcome, frame: int, x: Array, y: Array) -> Array:
     """Return displacements (X, Y, 3) of the material points at x (X,), y (Y,) [m]."""
     axes = outcome.surface_x, outcome.surface_y
-    degree_x, degree_y = (min(3, len(places) - 1) for places in axes)
+    degree_x, degree_y = (min(3, len(axis) - 1) for axis in axes)
     components = []
     for component in range(3):
         values = outcome.surface[frame, :, :, component].astype(np.float64)

@@ -90,7 +90,7 @@ def save_picture(result: Result, path: Path) -> None:
     """Write the page of a result, two maps above, section and force below."""
     frame = shown_frame(result)
     surface = surface_of(result, frame)
-    half_x, half_y = (float(np.abs(places).max()) for places in (surface.x, surface.y))
+    half_x, half_y = (float(np.abs(axis).max()) for axis in (surface.x, surface.y))
     upper = MAP_SIDE * min(1.0, half_y / half_x)
     with chart(path, WIDTH, upper + LOWER + LABELS) as figure:
         figure.set_layout_engine("compressed")

@@ -111,7 +111,7 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
     The cost of the first frames is the sum of both.
     """
     count = len(beginning.wrench)
-    places = np.stack(np.meshgrid(whole.surface_x, whole.surface_y, indexing="ij"), axis=-1)
+    points = np.stack(np.meshgrid(whole.surface_x, whole.surface_y, indexing="ij"), axis=-1)
     axes = beginning.surface_x, beginning.surface_y
 
     def read(values: NDArray[np.float32], own: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -120,7 +120,7 @@ def with_beginning(whole: Result, beginning: Result) -> Result:
         high = np.array([axes[0][-1], axes[1][-1]])
         for frame in range(count):
             look = RegularGridInterpolator(axes, values[frame])
-            out[frame] = look(np.clip(places, low, high))
+            out[frame] = look(np.clip(points, low, high))
         return out
 
     def first(name: str) -> Any:
@@ -251,8 +251,8 @@ def _plain(value: Any) -> Any:
             for field in dataclasses.fields(value)
             if field.init and not _unsaid(field, value)
         }
-        word = getattr(value, "KIND", None)
-        return fields if word is None else {"kind": word, **fields}
+        kind = getattr(value, "KIND", None)
+        return fields if kind is None else {"kind": kind, **fields}
     if isinstance(value, tuple | list):
         return [_plain(item) for item in value]
     if isinstance(value, str | bool | int) or value is None:

@@ -245,8 +245,8 @@ def press(
     before = 0.0
     for index, depth in enumerate(depths):
         if not is_finite(depth) or depth == before:
-            where = f"finite, and another than {before!r} m, where the tip already is"
-            raise SceneError(f"motion.depths[{index}]: {depth!r} m; allowed: {where}")
+            allowed = f"finite, and another than {before!r} m, where the tip already is"
+            raise SceneError(f"motion.depths[{index}]: {depth!r} m; allowed: {allowed}")
         before = depth
     _check_sequence("motion.at", at, "2 finite numbers [m]")
     if len(at) != 2 or not all(map(is_finite, at)):

@@ -201,15 +201,15 @@ def table(result: Result) -> list[str]:
         ("newton", "z.0f", quality.newton.astype(float), True),
         ("cg", "z.0f", quality.cg.astype(float), bool(quality.cg.any())),
     ]
-    shown = [
+    printed = [
         [heading, *(format(value, form) for value in values[1:])]
         for heading, form, values, wanted in columns
         if wanted and np.isfinite(values).any()
     ]
-    widths = [max(len(cell) for cell in column) for column in shown]
+    widths = [max(len(cell) for cell in column) for column in printed]
     return [
         "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        for row in zip(*shown, strict=True)
+        for row in zip(*printed, strict=True)
     ]
 
 

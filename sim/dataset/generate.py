@@ -151,8 +151,8 @@ def make_unit(
     solved = solve(scenes(plan, family, presses), plan.solving, device=device, progress=solving)
     writer = ArchiveWriter(path)
     images, drawing = 0, span_of(progress, SOLVING, 1 - SOLVING)
-    for place, sensor in enumerate(family.sensors):
-        inside = part_of(drawing, place, len(family.sensors))
+    for index, sensor in enumerate(family.sensors):
+        inside = part_of(drawing, index, len(family.sensors))
         parts = (writer, plan, family, sensor, unit, presses, solved)
         images += _write(*parts, device=device, workers=workers, progress=inside)
     return images
@@ -178,8 +178,8 @@ def _write(
         for one in press.recordings
     ]
     images = 0
-    for place, number in enumerate(unit.files):
-        some = recordings[place * family.unit_presses : (place + 1) * family.unit_presses]
+    for file_index, number in enumerate(unit.files):
+        some = recordings[file_index * family.unit_presses : (file_index + 1) * family.unit_presses]
         parts = []
         due = [
             (plan, sensor, device, press, recording, _state(each, recording), each.how)
@@ -187,7 +187,7 @@ def _write(
         ]
         for part in results(workers, _rows, due):
             parts.append(part)
-            progress((place * family.unit_presses + len(parts)) / len(recordings))
+            progress((file_index * family.unit_presses + len(parts)) / len(recordings))
         for index, name in enumerate(names(sensor)):
             images += sum(len(part.source) for part in parts)
             # Patterns of one sensor share its fields, which are stored with the first.

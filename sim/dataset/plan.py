@@ -426,12 +426,12 @@ def _force_depth(
 ) -> PlannedPress:
     """Return the force-depth press: repeated loading and unloading, `2 steps` frames each."""
     half = 2 * plan.steps
-    places: list[Point] = [next(spec.targets()).origin]
+    waypoints: list[Point] = [next(spec.targets()).origin]
     recordings = []
     for target in spec.targets():
-        first = len(places) - 1
+        first = len(waypoints) - 1
         for move in spec.moves(target):
-            places += _along(move.start, move.end, half)
+            waypoints += _along(move.start, move.end, half)
         recordings.append(
             PressRecording(
                 target=len(trajectory) + target.index,
@@ -447,7 +447,9 @@ def _force_depth(
                 locations=(NO_LOCATION,) * (2 * half + 1),
             )
         )
-    return PlannedPress(FORCE_DEPTH_INDENTER, through(places, speed=each.speed), tuple(recordings))
+    return PlannedPress(
+        FORCE_DEPTH_INDENTER, through(waypoints, speed=each.speed), tuple(recordings)
+    )
 
 
 def _along(start: Point, end: Point, steps: int) -> list[Point]:
@@ -467,8 +469,8 @@ def _number(each: SimulatedSensor, trajectory: PressShear, indenter: str, target
 def _session_point(trajectory: PressShear, indenter: str, point: int) -> int:
     """Return a contact point's number in the lab's order: by indenter, then by point."""
     points = trajectory.points
-    place = points.index(point) if point in points else 0
-    return code(indenter) * len(points) + place
+    index = points.index(point) if point in points else 0
+    return code(indenter) * len(points) + index
 
 
 # The paper's simulated states: 18 indenters, 9 places, 5 depths, each with its own location.

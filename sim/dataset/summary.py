@@ -55,11 +55,11 @@ def _presses(archive: MarkerArchive) -> Iterator[str]:
 def _flags(archive: MarkerArchive, images: int, progress: Callable[[float], None]) -> Iterator[str]:
     flagged: list[str] = []
     counted = 0
-    for place, sensor in enumerate(archive.values()):
+    for index, sensor in enumerate(archive.values()):
         flags = marker_flags(sensor)
         counted += _counted(sensor)
         flagged += [f"{sensor.name} {flag}" for flag in flags]
-        progress((place + 1) / len(archive))
+        progress((index + 1) / len(archive))
     fraction = f", {1e3 * len(flagged) / counted:.2f} in 1,000" if flagged else ""
     yield f"marker count: {len(flagged)} of {counted:,} images flagged{fraction}"
     yield from _some("", flagged)

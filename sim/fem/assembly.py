@@ -392,7 +392,7 @@ class Assembly:
         device: str,
     ) -> None:
         variants = list({id(mesh): mesh for mesh in meshes}.values())
-        places = {id(mesh): place for place, mesh in enumerate(variants)}
+        variant_of = {id(mesh): index for index, mesh in enumerate(variants)}
         self.meshes = list(meshes)
         """Mesh of each environment (B,)."""
         self.mesh = mesh = variants[0]
@@ -419,7 +419,7 @@ class Assembly:
         self._residual = residual_kernel(real, *on[1:], lanes=self._lanes)
         self._reduce = reduce_kernel(lanes=self._lanes)
 
-        variant = [places[id(each)] for each in meshes]
+        variant = [variant_of[id(each)] for each in meshes]
         self._mesh = mesh_on(device, variants, variant, rule, real)
         self._precise = self._mesh
         if real != wp.float64:

@@ -36,8 +36,8 @@ STICK = 0.5
 
 def face_rule(points: int) -> tuple[np.ndarray, np.ndarray]:
     """Return shape functions (P, 4) and weights (P,) at `points` x `points` Gauss points."""
-    place, weight = np.polynomial.legendre.leggauss(points)
-    first = np.stack([1 - place, 1 + place], axis=1) / 2
+    abscissa, weight = np.polynomial.legendre.leggauss(points)
+    first = np.stack([1 - abscissa, 1 + abscissa], axis=1) / 2
     shape = np.einsum("pi,qj->pqij", first, first).reshape(-1, 4)
     return shape, np.outer(weight, weight).ravel()
 

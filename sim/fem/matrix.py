@@ -52,9 +52,9 @@ def slot_offsets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
 def neighbours(cells: tuple[int, int, int]) -> NDArray[np.int64]:
     """Return the node of each slot (N, 27); -1 outside the grid."""
     shape = np.array(cells) + 1
-    place = np.stack(np.unravel_index(np.arange(shape.prod()), shape), axis=-1)
+    node = np.stack(np.unravel_index(np.arange(shape.prod()), shape), axis=-1)
     steps = np.stack(np.unravel_index(np.arange(SLOTS), (3, 3, 3)), axis=-1) - 1
-    there = place[:, None] + steps
+    there = node[:, None] + steps
     inside = ((there >= 0) & (there < shape)).all(axis=-1)
     return np.where(inside, np.arange(shape.prod())[:, None] + slot_offsets(cells), -1)
 
@@ -69,8 +69,8 @@ def face_slots(mesh: Mesh) -> NDArray[np.int64]:
 
 def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[int]]:
     """Return elements by colour, no two of a colour sharing a node (E,), and colour starts (9,)."""
-    place = np.stack(np.unravel_index(np.arange(np.prod(cells)), cells), axis=-1) % 2
-    colour = place @ np.array([4, 2, 1])
+    parity = np.stack(np.unravel_index(np.arange(np.prod(cells)), cells), axis=-1) % 2
+    colour = parity @ np.array([4, 2, 1])
     begins = np.searchsorted(np.sort(colour), np.arange(9))
     return np.argsort(colour, kind="stable"), begins.tolist()
 

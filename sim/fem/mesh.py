@@ -147,11 +147,11 @@ def axis(
     All lengths are in one unit; `growth` and `coarsest` are those of a `Grading`. The number of
     elements is a multiple, see `MULTIPLE`, or `at_least`.
     """
-    place = np.linspace(-size / 2, size / 2, 2001)
-    away = np.maximum(np.maximum(window[0] - place, place - window[1]), 0.0)
+    position = np.linspace(-size / 2, size / 2, 2001)
+    away = np.maximum(np.maximum(window[0] - position, position - window[1]), 0.0)
     density = 1.0 / np.minimum(spacing + growth * away, max(coarsest, spacing))
-    count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
-    return _in_buckets(count, place, at_least=at_least)
+    count = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(position))])
+    return _in_buckets(count, position, at_least=at_least)
 
 
 def axes(
@@ -212,11 +212,11 @@ def _mesh(body: Body, x: Array, y: Array, fraction: Array, fineness: float = np.
     unit = body.thickness
     cells = len(x) - 1, len(y) - 1, len(fraction) - 1
     height = body.heights(x * unit, y * unit) / unit
-    place = np.empty((len(x), len(y), len(fraction), 3))
-    place[..., 0] = x[:, None, None]
-    place[..., 1] = y[None, :, None]
-    place[..., 2] = -1.0 + (1.0 + height[:, :, None]) * fraction
-    nodes = place.reshape(-1, 3)
+    positions = np.empty((len(x), len(y), len(fraction), 3))
+    positions[..., 0] = x[:, None, None]
+    positions[..., 1] = y[None, :, None]
+    positions[..., 2] = -1.0 + (1.0 + height[:, :, None]) * fraction
+    nodes = positions.reshape(-1, 3)
     grid = _topology(cells)
     if height.any():
         inverse, weight = _geometry(nodes[grid["elements"]])
@@ -283,8 +283,8 @@ def _geometry(corners: Array) -> tuple[Array, Array]:
     inverse = np.empty((len(corners), 8, 3, 3))
     weight = np.empty((len(corners), 8))
     by_corner = np.ascontiguousarray(corners.transpose(1, 2, 0)).reshape(8, -1)
-    for point, place in enumerate(signs * GAUSS):
-        factors = 1.0 + signs * place
+    for point, local in enumerate(signs * GAUSS):
+        factors = 1.0 + signs * local
         gradient = np.empty((8, 3))
         for axis in range(3):
             others = [other for other in range(3) if other != axis]
@@ -364,9 +364,9 @@ def _around(cells: NDArray[np.int32], count: int, most: int) -> NDArray[np.int32
     corners = cells.shape[1]
     order = np.argsort(cells.ravel(), kind="stable")
     node = cells.ravel()[order]
-    place = np.arange(len(node)) - np.searchsorted(node, node)
+    slot = np.arange(len(node)) - np.searchsorted(node, node)
     around = np.full((count, most), -1, dtype=np.int32)
-    around[node, place] = order
+    around[node, slot] = order
     if corners * len(cells) > np.iinfo(np.int32).max:
         raise SceneError(f"mesh: {len(cells)} cells; allowed: up to {2**31 // corners}")
     return around
@@ -492,7 +492,7 @@ def _plans(scenes: Sequence[Scene], numerics: Fem) -> list[Plan]:
 
 def _most_cells(plans: Sequence[Plan], least: tuple[int, int]) -> tuple[int, int]:
     """Return the largest numbers of elements along x and y, `least` or more of each mesh."""
-    counts = [[len(places) - 1 for places in axes(*plan, at_least=least)] for plan in plans]
+    counts = [[len(nodes) - 1 for nodes in axes(*plan, at_least=least)] for plan in plans]
     x, y = np.max(counts, axis=0).tolist()
     return x, y
 
@@ -528,7 +528,7 @@ def _footprint(indenter: Indenter, depth: float, sides: Window) -> tuple[Array, 
 
     def outside(x: Array, y: Array, level: float, columns: NDArray[np.bool_]) -> Array:
         at_x, at_y = (at[columns] for at in np.meshgrid(x, y, indexing="ij"))
-        places = np.stack([at_x, at_y, np.full(len(at_x), level * depth)], axis=1)
-        return np.asarray(indenter.distance(places)[0])
+        points = np.stack([at_x, at_y, np.full(len(at_x), level * depth)], axis=1)
+        return np.asarray(indenter.distance(points)[0])
 
     return extent_of(outside, low, high) or (np.zeros(2), np.zeros(2))

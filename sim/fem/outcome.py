@@ -43,8 +43,8 @@ class Round:
         self._scene, self._mesh = scene, mesh
         unit, body = scene.body.thickness, scene.body
         beside = mesh.beside
-        places = np.stack(np.meshgrid(mesh.x, mesh.y, indexing="ij"), axis=-1)
-        self._nearest = KDTree(places[~beside]).query(places)[1]
+        columns = np.stack(np.meshgrid(mesh.x, mesh.y, indexing="ij"), axis=-1)
+        self._nearest = KDTree(columns[~beside]).query(columns)[1]
         """Index of the body's nearest column of nodes, for each column (X, Y)."""
         self._of_body = np.flatnonzero(~beside)
         fraction = np.asarray(mesh.fraction)
@@ -54,7 +54,7 @@ class Round:
         self._wall *= body.size_x, body.size_y
         low, high = np.array([mesh.x[[0, -1]], mesh.y[[0, -1]]]).T
         self._wall = np.clip(self._wall, low, high)  # rounding may put them outside
-        rim = np.array([body.height(*place) for place in self._wall * unit]) / unit
+        rim = np.array([body.height(*point) for point in self._wall * unit]) / unit
         fraction = 1.0 + mesh.nodes[mesh.top[0, 0] - mesh.cells[2] : mesh.top[0, 0] + 1, 2]
         self._levels = -1.0 + (1.0 + rim)[:, None] * (fraction / fraction[-1])
 
@@ -262,7 +262,7 @@ class FrameCollector:
         """
         mesh, unit = self._mesh, self._scene.body.thickness
         face = int(self._read["face"][np.argmax(self._read["overlap"][:, 0])])
-        place = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
+        point = mesh.nodes[mesh.faces[face]].mean(axis=0) * unit
         inside = self._host["self_overlap"] * unit
         own: dict[str, Any] = {"metres": [float(f"{one:.4g}") for one in inside]}
         if inside.any():
@@ -270,7 +270,7 @@ class FrameCollector:
             own["place"] = [float(one) for one in mesh.nodes[node] * unit]
         return {
             "overlap": {
-                "place": [float(one) for one in place],
+                "place": [float(one) for one in point],
                 "below_base": self._below_base * unit,
             },
             "self_overlap": own,
@@ -391,16 +391,16 @@ def checked(outcome: Outcome) -> Outcome:
     lost = _lost_contact(outcome)
     if lost is not None:
         deepest = 1e6 * float(outcome.quality.overlap_path.max())
-        where = (
+        description = (
             f"no force at waypoint {lost}, inside the body; largest overlap with the skin before: "
             f"{deepest:.3g} um"
         )
-        return PassesThrough(PASSES.format(where))
+        return PassesThrough(PASSES.format(description))
     warnings = list(outcome.record["warnings"])
     own = outcome.record["self_overlap"]
     through = outcome.quality.overlap, outcome.record["overlap"]["place"]
     folded = np.array(own["metres"]), own.get("place")
-    for (overlap, place), inside, kind, words in (
+    for (overlap, point), inside, kind, words in (
         (through, "the indenter", PassesThrough, PASSES),
         (folded, FOLD.inside, SimulationDiverged, FOLD.words),
     ):
@@ -409,10 +409,12 @@ def checked(outcome: Outcome) -> Outcome:
         if fractions[worst] <= OVERLAP_GOOD:
             continue
         deepest = float(overlap[worst])
-        where = overlap_place(place, deepest, f"{inside} at waypoint {worst}", fractions[worst])
+        description = overlap_place(
+            point, deepest, f"{inside} at waypoint {worst}", fractions[worst]
+        )
         if fractions[worst] > OVERLAP_MOST and deepest > PASSED * outcome.record["mesh"]["finest"]:
-            return kind(words.format(where))
-        warnings.append(where)
+            return kind(words.format(description))
+        warnings.append(description)
     straight, most = _straight_push(outcome), _buckling_load(outcome.scene.body)
     if straight > most:
         warnings.append(
@@ -569,8 +571,8 @@ def wanted_of_overlap(result: Result, most: float) -> Sizes:
     if overlap_shares(result, result.quality.overlap).max(initial=0.0) <= most:
         return NOTHING
     fineness = result.record["mesh"]["fineness"]
-    place = result.record["overlap"]["place"]
-    return finer_at(place, result.surface_x, result.surface_y, fineness)
+    point = result.record["overlap"]["place"]
+    return finer_at(point, result.surface_x, result.surface_y, fineness)
 
 
 def required_by(result: Result) -> Sizes:

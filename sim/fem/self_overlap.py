@@ -57,14 +57,14 @@ def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
 
     0 and -1 if it does not overlap.
     """
-    places = mesh.nodes + u
-    folded = folded_faces(mesh, places)
+    positions = mesh.nodes + u
+    folded = folded_faces(mesh, positions)
     if not folded.any():
         return 0.0, -1
-    node, element = _pairs(mesh, places, *_near(mesh, places, mesh.faces[folded]))
+    node, element = _pairs(mesh, positions, *_near(mesh, positions, mesh.faces[folded]))
     if not len(node):
         return 0.0, -1
-    point, corners = places[node], places[mesh.elements[element]]
+    point, corners = positions[node], positions[mesh.elements[element]]
     may_be = _may_be_within(corners, point)
     node, element, point = node[may_be], element[may_be], point[may_be]
     if not len(node):
@@ -74,7 +74,7 @@ def self_overlap(mesh: Mesh, u: Array) -> tuple[float, int]:
     if not inside.any():
         return 0.0, -1
     node, element, point, local = node[inside], element[inside], point[inside], local[inside]
-    depth = _depths(mesh, places, element, local, point)
+    depth = _depths(mesh, positions, element, local, point)
     deepest = int(np.argmax(depth))
     return (float(depth[deepest]), int(node[deepest])) if depth[deepest] > ON_SKIN else (0.0, -1)
 

@@ -149,8 +149,8 @@ def _pieces_of(
     on_body = np.ones(touched.shape[1:], bool) if on_body is None else on_body
     edges_x, edges_y = pixel_edges(x), pixel_edges(y)
     numbered, count = ndimage.label(touched, structure=BESIDE)
-    places = ndimage.find_objects(numbered)
-    frame = np.array([place[0].start for place in places], int)
+    boxes = ndimage.find_objects(numbered)
+    frame = np.array([box[0].start for box in boxes], int)
     width, top = np.empty((2, count))
     spans = [np.empty((0, 4))], [np.empty((0, 4))]
     some = max(1, PIXELS_MOST // touched[0].size)
@@ -158,8 +158,8 @@ def _pieces_of(
         here = slice(first, first + some)
         of_x, of_y = (
             slice(
-                max(min(place[axis].start for place in places[here]) - ASIDE, 0),
-                max(place[axis].stop for place in places[here]) + ASIDE,
+                max(min(box[axis].start for box in boxes[here]) - ASIDE, 0),
+                max(box[axis].stop for box in boxes[here]) + ASIDE,
             )
             for axis in (1, 2)
         )
@@ -291,7 +291,7 @@ def places_of(
     longest: float,
     fineness: float = 1.0,
 ) -> tuple[Array, Array]:
-    """Return cumulative element counts from `low` (N,), rising from 0, and their places (N,).
+    """Return cumulative element counts from `low` (N,), rising from 0, and their positions (N,).
 
     Element length grows by `growth`, per distance from a span, up to `longest`; `fineness` divides
     every size.
@@ -300,16 +300,18 @@ def places_of(
     for span in spans:
         reach = span.high - span.low + 4 * span.size
         sites.append(np.linspace(span.low - reach, span.high + reach, 65))
-    place = np.unique(np.clip(np.concatenate(sites), low, high))
-    size = np.full(len(place), longest)
+    position = np.unique(np.clip(np.concatenate(sites), low, high))
+    size = np.full(len(position), longest)
     for span in spans:
-        inside = (place >= span.low) & (place <= span.high)
+        inside = (position >= span.low) & (position <= span.high)
         size[inside] = np.minimum(size[inside], span.size)
-    forward = np.minimum.accumulate(size - growth * place) + growth * place
-    backward = np.minimum.accumulate((size + growth * place)[::-1])[::-1] - growth * place
+    forward = np.minimum.accumulate(size - growth * position) + growth * position
+    backward = np.minimum.accumulate((size + growth * position)[::-1])[::-1] - growth * position
     density = fineness / np.minimum(forward, backward)
-    counted = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
-    return counted, place
+    counted = np.concatenate(
+        [[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(position))]
+    )
+    return counted, position
 
 
 def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> Array:
@@ -563,11 +565,11 @@ def covered(indenter: Indenter, body: Body, tip: Array) -> tuple[Any, Any] | Non
     def outside(x: Array, y: Array, level: float, columns: Mask) -> Array:
         top = _heights(body, x, y)
         there = ((top >= tip[2]) & body.covers(x[:, None], y))[columns]
-        places = np.empty((len(there), 3))
+        points = np.empty((len(there), 3))
         for axis, at in enumerate(np.broadcast_arrays(x[:, None] - tip[0], y - tip[1])):
-            places[:, axis] = at[columns]
-        places[:, 2] = level * np.maximum(top - tip[2], 0.0)[columns]
-        return np.where(there, indenter.distance(places)[0], np.inf)
+            points[:, axis] = at[columns]
+        points[:, 2] = level * np.maximum(top - tip[2], 0.0)[columns]
+        return np.where(there, indenter.distance(points)[0], np.inf)
 
     return extent_of(outside, low, high)
 

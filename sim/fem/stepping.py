@@ -512,9 +512,9 @@ class Batch:
             for i, (deep, node) in folds.items()
             if deep > PASSED * assembly.finest[i]
         ]
-        overlaps += [(i, float(way[i, 0]), place, LEAP) for i, place in leapt.items()]
-        for i, deep, place, kind in overlaps:
-            through = self._too_deep(i, deep, place, touched[i], kind)
+        overlaps += [(i, float(way[i, 0]), point, LEAP) for i, point in leapt.items()]
+        for i, deep, point, kind in overlaps:
+            through = self._too_deep(i, deep, point, touched[i], kind)
             if through is not None:
                 passed[i] = through
         return way, folds, passed
@@ -526,35 +526,35 @@ class Batch:
         than the tip has moved.
 
         Returns:
-            By environment, the undeformed place of the skin that is deepest (3,) [T].
+            By environment, the undeformed point of the skin that is deepest (3,) [T].
         """
         assembly, state = self._assembly, self._assembly.state
         allowed = np.maximum(PASSED * assembly.finest, np.linalg.norm(state.step, axis=1))
         may_be = good & (way > self._deepest + allowed)
         if not may_be.any():
             return {}
-        places = {}
+        points = {}
         for i in np.flatnonzero(may_be).tolist():
             mesh, overlap = self._meshes[i], assembly.rows(assembly.face_overlap, [i])[0, :, 0]
-            places[i] = mesh.nodes[mesh.faces[np.argmax(overlap)]].mean(axis=0)
+            points[i] = mesh.nodes[mesh.faces[np.argmax(overlap)]].mean(axis=0)
         end = assembly.overlap(state.mask(may_be), samples=PATH_SAMPLES)[:, 0]
-        return {i: place for i, place in places.items() if way[i] > end[i] + allowed[i]}
+        return {i: point for i, point in points.items() if way[i] > end[i] + allowed[i]}
 
     def _too_deep(
-        self, env: int, deep: float, place: np.ndarray, touched: np.ndarray, kind: Passage
+        self, env: int, deep: float, point: np.ndarray, touched: np.ndarray, kind: Passage
     ) -> Passed | None:
         """Return what to say of an overlap, or None if it is small for the contact.
 
-        It is `deep` [T] at an undeformed place (3,) [T], where nodes of the top touch (X, Y).
+        It is `deep` [T] at an undeformed point (3,) [T], where nodes of the top touch (X, Y).
         """
         mesh, unit = self._meshes[env], self._scenes[env].body.thickness
-        x, y, place = mesh.x * unit, mesh.y * unit, place * unit
+        x, y, point = mesh.x * unit, mesh.y * unit, point * unit
         width, tip = np.array([width_of(touched, x, y)]), self._tip[[env]] * unit
         (fraction,) = shares(np.array([deep * unit]), width, tip, unit)
         if fraction <= OVERLAP_MOST:
             return None
-        where = kind.words.format(overlap_place(place, deep * unit, kind.inside, fraction))
-        return Passed(where, finer_at(place, x, y, mesh.fineness), kind.brief)
+        description = kind.words.format(overlap_place(point, deep * unit, kind.inside, fraction))
+        return Passed(description, finer_at(point, x, y, mesh.fineness), kind.brief)
 
     def _is_rounding(self, env: int) -> bool:
         """True if a step failed so close to its tolerance that float32 rounding is the limit.
@@ -649,7 +649,7 @@ class Batch:
             )
         except OSError:
             dump = None
-        where = path.corners[path.segment] + path.fraction * (
+        tip = path.corners[path.segment] + path.fraction * (
             path.corners[path.segment + 1] - path.corners[path.segment]
         )
         weight = ""
@@ -659,7 +659,7 @@ class Batch:
                 f" under {100 * path.fraction:.3g} % of gravity's ({pull}) m/s^2, applied "
                 "in steps (the body may be too soft to carry its weight)"
             )
-        millimetres = where * scene.body.thickness * 1e3
+        millimetres = tip * scene.body.thickness * 1e3
         says_more = through is not None and path.ended == through.why  # it says what is allowed
         missing = "no converged state" if through is None else "no state without overlap"
         diverged = (SimulationDiverged if through is None else Crossed)(

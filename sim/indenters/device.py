@@ -322,10 +322,10 @@ def _numbers(part: Any, unit: float) -> list[float]:
 
 def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tuple[Any, Any]]:
     """Return the struct's arrays for bodies from files; tilts of the same body share a field."""
-    firsts, sizes, places = [], [], []
+    firsts, sizes, layouts = [], [], []
     first_of, values, count = {}, [], 0
     for kind in kinds:
-        first, size, place = NOWHERE, (0, 0, 0), (0.0, 0.0, 0.0, 1.0)
+        first, size, layout = NOWHERE, (0, 0, 0), (0.0, 0.0, 0.0, 1.0)
         if kind.solid is not None:
             field = kind.solid.distances(kind.edge_radius)
             if kind.upright not in first_of:
@@ -333,14 +333,14 @@ def _fields(kinds: Sequence[Indenter], unit: float, real: type) -> dict[str, tup
                 values.append(field.coefficients.ravel() / unit)
                 count += field.grid.count
             first, size = first_of[kind.upright], field.grid.shape
-            place = (*(field.origin / unit), field.grid.spacing / unit)
+            layout = (*(field.origin / unit), field.grid.spacing / unit)
         firsts.append(first)
         sizes.append(size)
-        places.append(place)
+        layouts.append(layout)
     return {
         "field_first": (firsts, int),
         "field_size": (sizes, int),
-        "field_place": (places, real),
+        "field_place": (layouts, real),
         "field": (np.concatenate(values), real),
     }
 

@@ -106,8 +106,8 @@ def _polygon(random: _Random) -> Indenter:
     corners = int(random.integers(3, 9))
     turns = (np.arange(corners) + random.uniform(-0.3, 0.3, corners)) * math.tau / corners
     away = _mm(random, 2.2, 4.0) * random.uniform(0.6, 1.0, corners)
-    places = np.stack([away * np.cos(turns), away * np.sin(turns), 0 * away], axis=1)
-    return extruded(places.reshape(-1).tolist())
+    vertices = np.stack([away * np.cos(turns), away * np.sin(turns), 0 * away], axis=1)
+    return extruded(vertices.reshape(-1).tolist())
 
 
 def _dots(random: _Random) -> Indenter:
@@ -123,7 +123,7 @@ def _dots(random: _Random) -> Indenter:
             "union",
             axis=(away * math.cos(angle), away * math.sin(angle)),
         )
-        for angle in (begin + place * math.tau / count for place in range(count))
+        for angle in (begin + index * math.tau / count for index in range(count))
     )
     width = 2 * (away + radius) + 1 * _MM
     plate = replace(TIP_PLANE, values=(0.0, -1.0, -min(radius, 1 * _MM)))

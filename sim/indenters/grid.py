@@ -25,11 +25,11 @@ class NodeGrid:
         """Number of nodes."""
         return int(np.prod(self.shape))
 
-    def places(self, nodes: NDArray[np.int64]) -> Array:
+    def positions(self, nodes: NDArray[np.int64]) -> Array:
         """Return the positions (..., 3) [m] of nodes (..., 3), counted from 0."""
-        places: Array = (nodes + np.array(self.first)) * self.spacing
-        return places
+        positions: Array = (nodes + np.array(self.first)) * self.spacing
+        return positions
 
     def points(self) -> Array:
         """Return the positions of all nodes (count, 3) [m], z fastest."""
-        return self.places(np.indices(self.shape).reshape(3, -1).T)
+        return self.positions(np.indices(self.shape).reshape(3, -1).T)

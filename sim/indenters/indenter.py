@@ -145,7 +145,7 @@ def lowest(upright: Indenter, turn: Array) -> float:
 
 
 def _seeds(upright: Indenter, turn: Array, box: tuple[Array, Array], half: float) -> Array:
-    """Return places (N, 3) near all local minima of the rotated body's surface.
+    """Return points (N, 3) near all local minima of the rotated body's surface.
 
     Columns are followed up until they are as near to the body as to the next column, so that no
     spike between columns is missed.
@@ -163,10 +163,10 @@ def _seeds(upright: Indenter, turn: Array, box: tuple[Array, Array], half: float
     # Points that are higher stay above the tip after rotation, even at the far corner.
     tangent = math.sqrt(1 - turn[2, 2] ** 2) / turn[2, 2]
     reach = 2 * math.sqrt(2) * half * tangent + 2 * near
-    places = np.column_stack([columns, lower_surface(distance, len(columns), reach) - near])
-    drop = (places @ turn[2]).reshape(SEEDS, SEEDS)
+    points = np.column_stack([columns, lower_surface(distance, len(columns), reach) - near])
+    drop = (points @ turn[2]).reshape(SEEDS, SEEDS)
     low = (drop == minimum_filter(drop, 3)) & np.isfinite(drop)
-    seeds: Array = places[low.ravel()]
+    seeds: Array = points[low.ravel()]
     return seeds
 
 
@@ -325,9 +325,9 @@ class Indenter:
             surface is exact. Away from it, the gap is exact for single parts and edges at the angle
             of `Part.cosine`, else to first order. For a solid, accuracy is that of its grid.
         """
-        places = np.asarray(points, np.float64)
-        gap, normal = self._distance(places.reshape(-1, 3))
-        return gap.reshape(places.shape[:-1]), normal.reshape(places.shape)
+        positions = np.asarray(points, np.float64)
+        gap, normal = self._distance(positions.reshape(-1, 3))
+        return gap.reshape(positions.shape[:-1]), normal.reshape(positions.shape)
 
     def _distance(self, points: Array) -> tuple[Array, Array]:
         """Return `distance` at points (N, 3)."""

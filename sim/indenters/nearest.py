@@ -62,11 +62,11 @@ class Nearest:
         """
         weights = [_between(count) for count in grid.shape]
         nodes = np.indices([weight.shape[1] for weight in weights]) * SKIP
-        coarse = self.distance(grid.places(nodes.reshape(3, -1).T))[0].reshape(nodes.shape[1:])
+        coarse = self.distance(grid.positions(nodes.reshape(3, -1).T))[0].reshape(nodes.shape[1:])
         length = np.einsum("ia,jb,kc,abc->ijk", *weights, coarse, optimize=True)
         # A distance changes by at most the distance between two places.
         near = length <= exact + math.sqrt(3) * SKIP * grid.spacing
-        length[near] = self.distance(grid.places(np.argwhere(near)))[0]
+        length[near] = self.distance(grid.positions(np.argwhere(near)))[0]
         return length
 
     def signed_at_nodes(self, grid: NodeGrid, exact: float) -> Array:
@@ -78,10 +78,10 @@ class Nearest:
         length = self.distance_at_nodes(grid, exact)
         regions, _ = label(length > 1.001 * grid.spacing)
         _, some = np.unique(regions, return_index=True)
-        one_each = grid.places(np.column_stack(np.unravel_index(some, grid.shape)))
+        one_each = grid.positions(np.column_stack(np.unravel_index(some, grid.shape)))
         inside = (self.signed(one_each)[0] < 0)[regions]
         near = regions == 0
-        inside[near] = self.signed(grid.places(np.argwhere(near)))[0] < 0
+        inside[near] = self.signed(grid.positions(np.argwhere(near)))[0] < 0
         return np.where(inside, -length, length)
 
     def _queried(self, points: Array, signed: bool, winding: float) -> tuple[Array, Array]:

@@ -353,13 +353,13 @@ class Part:
     right angle. Edges of plane and conical faces are rounded to true arcs only if it is correct."""
 
     def __post_init__(self) -> None:
-        for name, word, allowed in (
+        for name, option, allowed in (
             ("view", self.view, VIEWS),
             ("figure", self.figure, FIGURES),
             ("join", self.join, JOINS),
         ):
-            if word not in allowed:
-                raise SceneError(f"part.{name}: {word!r}; allowed: {', '.join(allowed)}")
+            if option not in allowed:
+                raise SceneError(f"part.{name}: {option!r}; allowed: {', '.join(allowed)}")
         if not all(math.isfinite(value) for value in self.values):
             raise SceneError(f"part.values: {self.values!r}; allowed: finite numbers")
         if len(self.axis) != 2:

@@ -338,8 +338,8 @@ def from_stl(
         SceneError: The file is truncated or holds no watertight body of a plausible size, or the
             body has no room for the edge radius.
     """
-    place = Path(path).resolve()
-    solid = Solid(str(place), digest(place.read_bytes()), unit, up, axis, spacing, reach)
-    indenter = Indenter(name or place.stem, edge_radius=edge_radius, solid=solid)
+    file = Path(path).resolve()
+    solid = Solid(str(file), digest(file.read_bytes()), unit, up, axis, spacing, reach)
+    indenter = Indenter(name or file.stem, edge_radius=edge_radius, solid=solid)
     notes = solid.triangles().notes + solid.distances(edge_radius).notes
     return replace(indenter, solid=replace(solid, notes=notes))

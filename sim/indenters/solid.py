@@ -68,9 +68,9 @@ class Field:
 
     def _distance(self, points: Array) -> tuple[Array, Array]:
         spacing = self.grid.spacing
-        place = (points - self.origin) / spacing
-        held = np.clip(place, 1.0, np.array(self.grid.shape) - 3.0)
-        beyond = (place - held) * spacing
+        position = (points - self.origin) / spacing
+        held = np.clip(position, 1.0, np.array(self.grid.shape) - 3.0)
+        beyond = (position - held) * spacing
         beyond[:, 2] = np.minimum(beyond[:, 2], 0.0)
         node = held.astype(np.int64)
         weight, slope = _weights((held - node).T)
@@ -330,8 +330,8 @@ def level_surface(
     lower, axis = _crossed_edges(values <= 0)
     upper = lower + np.eye(3, dtype=np.int64)[axis]
     crossing, normal, above = _crossings(
-        (grid.places(lower), values[tuple(lower.T)]),
-        (grid.places(upper), values[tuple(upper.T)]),
+        (grid.positions(lower), values[tuple(lower.T)]),
+        (grid.positions(upper), values[tuple(upper.T)]),
         function,
     )
     cells = _cells_around(lower, axis, grid)
@@ -339,7 +339,7 @@ def level_surface(
     number, vertex = np.unique(cells[on_grid], return_inverse=True)
     edge = np.nonzero(on_grid)[0]
     offset = np.einsum("ij,ij->i", normal, crossing) - above
-    corner = grid.places(np.column_stack(np.unravel_index(number, grid.shape)))
+    corner = grid.positions(np.column_stack(np.unravel_index(number, grid.shape)))
     vertices = _where_planes_meet(vertex, normal[edge], offset[edge], crossing[edge], len(number))
     # Planes may meet slightly outside their cell, and the corner is then there.
     vertices = np.clip(vertices, corner - grid.spacing, corner + 2 * grid.spacing)
@@ -374,16 +374,16 @@ def _crossings(
     (low, at_low), (high, at_high) = lower, upper
     for turn in range(PASSES):
         fraction = at_low / (at_low - at_high)
-        place = low + fraction[:, None] * (high - low)
-        value, gradient = function(place)
+        point = low + fraction[:, None] * (high - low)
+        value, gradient = function(point)
         if turn < PASSES - 1:
             like_low = (value > 0) == (at_low > 0)
             low, high = (
-                np.where(like_low[:, None], place, low),
-                np.where(like_low[:, None], high, place),
+                np.where(like_low[:, None], point, low),
+                np.where(like_low[:, None], high, point),
             )
             at_low, at_high = np.where(like_low, value, at_low), np.where(like_low, at_high, value)
-    return place, gradient, value
+    return point, gradient, value
 
 
 def _cells_around(lower: Whole, axis: Whole, grid: NodeGrid) -> Whole:
@@ -472,13 +472,13 @@ class Solid:
     """Remarks on repairs and suspicious features."""
 
     def __post_init__(self) -> None:
-        for name, word, allowed in (
+        for name, option, allowed in (
             ("unit", self.unit, UNITS),
             ("up", self.up, UPS),
             ("axis", self.axis, AXES),
         ):
-            if word not in allowed:
-                raise SceneError(f"solid.{name}: {word!r}; allowed: {', '.join(allowed)}")
+            if option not in allowed:
+                raise SceneError(f"solid.{name}: {option!r}; allowed: {', '.join(allowed)}")
         check_range("solid", "spacing", self.spacing, 5e-6, 1e-3, unit="m")
         check_range("solid", "reach", self.reach, 4 * self.spacing, 0.1, unit="m")
 

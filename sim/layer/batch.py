@@ -330,8 +330,8 @@ class LayerBatch:
             fields = fields_struct(self._real)()
             fields.traction, fields.elastic, fields.moved = load, load, moved
             fields.gap, fields.extra = self._now.gap, self._now.extra
-        places = [samples.x, samples.y, samples.surface]
-        inputs = [*places, self._layer, which, tip, fields]
+        coordinates = [samples.x, samples.y, samples.surface]
+        inputs = [*coordinates, self._layer, which, tip, fields]
         self._lane_launch(self._measure, len(rows), inputs, [out])
         return _host(out).copy().view(READ)[:, 0]
 
@@ -351,13 +351,13 @@ class LayerBatch:
                 active[fresh], target[fresh], start[active[fresh]], left
             )
             duration = (now - before[active]) * span
-            for place in np.flatnonzero(halving):
-                goal[place], duration[place], _ = self._halves[int(active[place])][-1]
+            for index in np.flatnonzero(halving):
+                goal[index], duration[index], _ = self._halves[int(active[index])][-1]
             good = self._step(active, goal, duration)
-            for place in np.flatnonzero(good & halving):
-                self._half_done(int(active[place]))
-            for place in np.flatnonzero(~good):
-                self._halve(int(active[place]), goal[place], float(duration[place]))
+            for index in np.flatnonzero(good & halving):
+                self._half_done(int(active[index]))
+            for index in np.flatnonzero(~good):
+                self._halve(int(active[index]), goal[index], float(duration[index]))
             waits = np.isin(active, list(self._halves) + list(self._failed))
             arrived = active[~waits & (left[active] == 0)]
             if len(arrived):
@@ -381,7 +381,7 @@ class LayerBatch:
             self._failed[row] = self._diverged(row)
             return
         middle = (self.tip[row] + goal) / 2
-        steps += [(where, duration / 2, halved + 1) for where in (goal, middle)]
+        steps += [(end, duration / 2, halved + 1) for end in (goal, middle)]
 
     def _half_done(self, row: int) -> None:
         self._halves[row].pop()
@@ -468,10 +468,10 @@ class LayerBatch:
             self._work[accepted] += 0.5 * np.einsum("bi,bi->b", before + force, shift)
             self._last_residual[accepted] = residual[good]
         self._count_spent(rows, iterations)
-        for place in np.flatnonzero(~good):
-            far = float(np.linalg.norm(tips[place] - self.tip[rows[place]]))
-            self._tried.setdefault(int(rows[place]), []).append(
-                failed_step(far, iterations[place], residual[place], self._tolerance)
+        for index in np.flatnonzero(~good):
+            far = float(np.linalg.norm(tips[index] - self.tip[rows[index]]))
+            self._tried.setdefault(int(rows[index]), []).append(
+                failed_step(far, iterations[index], residual[index], self._tolerance)
             )
         return good
 

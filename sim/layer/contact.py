@@ -292,10 +292,10 @@ class Rims:
         """Return the covered part and the mean height of it [m], (nx, ny), tip at (3,) [m]."""
         fields = list(self._sums)
         for axis in range(2):
-            place = (self._edges[axis] - tip[axis] - self._first[axis]) / self._step[axis]
-            place = np.clip(place, 0.0, fields[0].shape[axis] - 1)
-            before = np.minimum(place.astype(int), fields[0].shape[axis] - 2)
-            weight = np.expand_dims(place - before, 1 - axis)
+            position = (self._edges[axis] - tip[axis] - self._first[axis]) / self._step[axis]
+            position = np.clip(position, 0.0, fields[0].shape[axis] - 1)
+            before = np.minimum(position.astype(int), fields[0].shape[axis] - 2)
+            weight = np.expand_dims(position - before, 1 - axis)
             fields = [
                 np.diff(
                     (1 - weight) * field.take(before, axis) + weight * field.take(before + 1, axis),
@@ -365,9 +365,9 @@ class Clearance:
         """
         whole, rest = [], []
         for axis in range(2):
-            place = (self._anchor[axis] - tip[axis]) / self._step[axis]
-            whole.append(int(np.floor(place)) - self._first[axis])
-            rest.append(place - np.floor(place))
+            offset = (self._anchor[axis] - tip[axis]) / self._step[axis]
+            whole.append(int(np.floor(offset)) - self._first[axis])
+            rest.append(offset - np.floor(offset))
         height = self._read(whole, rest)
         if self._rims is None:
             gap = np.where(self._on_body, height + tip[2] - self.surface, self._cap)

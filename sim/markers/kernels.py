@@ -471,10 +471,10 @@ def lattice_points(lattice: Lattice, camera: Camera, body: Body) -> tuple[np.nda
     The mask is True for lattice pixels on the gel; others have no point.
     """
     pixels = np.stack(np.meshgrid(lattice.columns, lattice.rows), axis=-1)
-    places = camera.places(pixels, body)
+    points = camera.places(pixels, body)
     with np.errstate(invalid="ignore"):
-        on_gel = body.covers(places[..., 0], places[..., 1])
-    x, y = places[on_gel].T
+        on_gel = body.covers(points[..., 0], points[..., 1])
+    x, y = points[on_gel].T
     return np.stack([x, y, body.heights_at(x, y)], axis=1), on_gel
 
 

@@ -48,10 +48,10 @@ class Pattern:
         check_range("pattern", "angle", self.angle, -math.pi, math.pi, unit="rad")
         if not self.places:
             raise SceneError("pattern.places: none; allowed: at least one marker")
-        for index, place in enumerate(self.places):
-            if len(place) != 2:
-                raise SceneError(f"pattern.places[{index}]: {place!r}; allowed: (x, y)")
-            for value in place:
+        for index, centre in enumerate(self.places):
+            if len(centre) != 2:
+                raise SceneError(f"pattern.places[{index}]: {centre!r}; allowed: (x, y)")
+            for value in centre:
                 check_range("pattern", f"places[{index}]", value, -1.0, 1.0, unit="m")
 
     def __len__(self) -> int:
@@ -74,11 +74,11 @@ class Pattern:
     def moved(self, shift: Place = (0.0, 0.0), angle: float = 0.0, *, name: str = "") -> Pattern:
         """Return the pattern rotated by `angle` [rad] about the gel's middle, then shifted [m]."""
         cosine, sine = math.cos(angle), math.sin(angle)
-        places = tuple(
+        centres = tuple(
             (cosine * x - sine * y + shift[0], sine * x + cosine * y + shift[1])
             for x, y in self.places
         )
-        return replace(self, name=name or self.name, places=places, angle=self.angle + angle)
+        return replace(self, name=name or self.name, places=centres, angle=self.angle + angle)
 
     def marker_distance(self, offset: Array) -> Array:
         """Return the signed distance (...) [m] to a marker at offsets (..., 2) [m] from its centre.
@@ -117,7 +117,7 @@ class Pattern:
             SceneError: None do.
         """
         room = body.from_side(*self.centres.T) - self.reach
-        inside = (place for place, on in zip(self.places, room >= 0, strict=True) if on)
+        inside = (centre for centre, on in zip(self.places, room >= 0, strict=True) if on)
         return replace(self, places=tuple(inside))
 
     def check_within(self, body: Body) -> None:
@@ -162,7 +162,7 @@ def staggered(
     With `shorter`, offset rows have one marker less and all rows are centred; otherwise all rows
     are equal and are shifted by a quarter of the pitch to the left or to the right.
     """
-    places = []
+    centres = []
     for index, y in enumerate(_centred(count, row_pitch)):
         aside = index % 2 == 1
         if shorter:
@@ -170,8 +170,8 @@ def staggered(
         else:
             shift = pitch / 4 if aside else -pitch / 4
             row = [x + shift for x in _centred(columns, pitch)]
-        places += [(x, y) for x in row]
-    return places
+        centres += [(x, y) for x in row]
+    return centres
 
 
 def rings(counts: Sequence[int], spacing: float, *, middle: bool) -> list[Place]:
@@ -182,13 +182,13 @@ def rings(counts: Sequence[int], spacing: float, *, middle: bool) -> list[Place]
     """
     if any(count < 1 for count in counts):
         raise SceneError(f"rings: {tuple(counts)!r}; allowed: at least 1 marker each")
-    places = [(0.0, 0.0)] if middle else []
+    centres = [(0.0, 0.0)] if middle else []
     for index, count in enumerate(counts):
         radius = (index + 1) * spacing
         first = (index % 2) * math.pi / count
         turns = [first + 2 * math.pi * number / count for number in range(count)]
-        places += [(radius * math.cos(turn), radius * math.sin(turn)) for turn in turns]
-    return places
+        centres += [(radius * math.cos(turn), radius * math.sin(turn)) for turn in turns]
+    return centres
 
 
 def hexagon(ring_count: int, pitch: float) -> list[Place]:

@@ -148,11 +148,11 @@ class Renderer:
             the image without contact shows no gel.
         """
         lattice = Lattice()
-        places, on_gel = lattice_points(lattice, self.camera, self.body)
-        taps = _taps(x, y, places[:, 0], places[:, 1])
+        points, on_gel = lattice_points(lattice, self.camera, self.body)
+        taps = _taps(x, y, points[:, 0], points[:, 1])
         moved = self._checked(x, y, surface)
         field = np.full((len(surface), *lattice.shape), np.nan, np.float16)
-        field[:, on_gel] = displacements(self._lens, places, *taps, moved).numpy()
+        field[:, on_gel] = displacements(self._lens, points, *taps, moved).numpy()
         return field
 
     @property

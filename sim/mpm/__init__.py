@@ -75,7 +75,7 @@ class Mpm:
             if getattr(self, name) not in allowed:
                 raise SceneError(
                     f"mpm.{name}: {getattr(self, name)!r}; allowed: "
-                    + ", ".join(repr(word) for word in allowed)
+                    + ", ".join(repr(value) for value in allowed)
                 )
         if self.cell is not None:
             check_range("mpm", "cell", self.cell, 1e-6, 1.0, unit="m")

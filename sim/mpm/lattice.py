@@ -87,7 +87,7 @@ def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> ParticleLattice:
             f"{nx} x {ny} x {nz} particles; allowed: 2 or more along each axis, "
             f"{PARTICLES_MOST:,} in all"
         )
-    along = [_places(count, on_faces) for count in counts]
+    along = [_positions(count, on_faces) for count in counts]
     x, y = (along[0] - 0.5) * body.size_x, (along[1] - 0.5) * body.size_y
     top = body.heights(x, y)
     column = body.thickness + top
@@ -117,7 +117,7 @@ def build_lattice(scenes: Sequence[Scene], numerics: Mpm) -> ParticleLattice:
     )
 
 
-def _places(count: int, on_faces: bool) -> Array:
+def _positions(count: int, on_faces: bool) -> Array:
     """Return positions of particles along an edge, from 0 to 1."""
     if on_faces:
         return np.linspace(0.0, 1.0, count)

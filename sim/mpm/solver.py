@@ -41,8 +41,8 @@ def end_of_line(values: np.ndarray) -> np.ndarray:
     count = len(values)
     if count < 3:
         return values[-1]
-    place = np.arange(count) - (count - 1) / 2
-    weights = 1 / count + place * (place[-1] / (place @ place))
+    offset = np.arange(count) - (count - 1) / 2
+    weights = 1 / count + offset * (offset[-1] / (offset @ offset))
     return np.tensordot(weights, values, axes=1)
 
 
@@ -117,11 +117,11 @@ class PressFrames:
     def _penetration(self, frame: int) -> float:
         """Return the largest depth of the top inside the indenter, over the depth of the press."""
         lattice, body = self._lattice, self._scene.body
-        place = np.zeros((*lattice.counts[:2], 3))
-        place[..., 0], place[..., 1] = lattice.surface_x[:, None], lattice.surface_y
-        place[..., 2] = body.heights(lattice.surface_x, lattice.surface_y)
+        undeformed = np.zeros((*lattice.counts[:2], 3))
+        undeformed[..., 0], undeformed[..., 1] = lattice.surface_x[:, None], lattice.surface_y
+        undeformed[..., 2] = body.heights(lattice.surface_x, lattice.surface_y)
         tip = np.asarray(self._scene.motion.tip[frame])
-        gap, _ = self._scene.indenter.distance(place + self._surface[frame] - tip)
+        gap, _ = self._scene.indenter.distance(undeformed + self._surface[frame] - tip)
         return max(0.0, -float(gap.min())) / max(-float(tip[2]), DEPTH_LEAST)
 
     @property
@@ -314,14 +314,14 @@ def _warnings(scene: Scene, pace: Pace, numerics: Mpm, lost: float) -> list[str]
 
 def _check_bodies(scenes: Sequence[Scene]) -> None:
     for index, scene in enumerate(scenes):
-        body, where = scene.body, f"scenes[{index}].body"
+        body, key = scene.body, f"scenes[{index}].body"
         if body.footprint != "rectangle":
             raise SceneError(
-                f"{where}.footprint: {body.footprint!r}; allowed with tier 'mpm': 'rectangle'"
+                f"{key}.footprint: {body.footprint!r}; allowed with tier 'mpm': 'rectangle'"
             )
         if body.rim < RIM_LEAST * body.thickness:
             raise SceneError(
-                f"{where}.dome_radius: {body.dome_radius!r} m, which leaves {body.rim * 1e3:.3g} "
+                f"{key}.dome_radius: {body.dome_radius!r} m, which leaves {body.rim * 1e3:.3g} "
                 f"mm at the corners; allowed with tier 'mpm': {100 * RIM_LEAST:g} % of the "
                 "thickness or more"
             )

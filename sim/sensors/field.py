@@ -116,7 +116,7 @@ class SurfaceField:
         cosine, sine = np.cos(angle), np.sin(angle)
         x, y = np.meshgrid(even.x, even.y, indexing="ij")
         steps = even.x[1] - even.x[0], even.y[1] - even.y[0]
-        places = np.stack(
+        indices = np.stack(
             [
                 (cosine * x - sine * y - even.x[0]) / steps[0],
                 (sine * x + cosine * y - even.y[0]) / steps[1],
@@ -127,7 +127,7 @@ class SurfaceField:
             for component in range(3):
                 map_coordinates(
                     frame[..., component],
-                    places,
+                    indices,
                     output=output[..., component],
                     order=3,
                     mode="nearest",

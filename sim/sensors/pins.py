@@ -57,8 +57,8 @@ class Pins:
 
         The weights are a Gaussian with a disc's standard deviation, a quarter of its width.
         """
-        for axis, places in ((1, field.x), (2, field.y)):
-            spread = self.base / 4 / (places[1] - places[0])
+        for axis, positions in ((1, field.x), (2, field.y)):
+            spread = self.base / 4 / (positions[1] - positions[0])
             # Below a tenth of a step the kernel is one sample wide and has no effect.
             if spread > 0.1:
                 values = gaussian_filter1d(values, spread, axis=axis, mode="nearest")
@@ -79,14 +79,14 @@ def tip_coverage(centres: Array, radii: Array, *, width: int, height: int) -> ND
     reach = math.ceil(float(radii.max(initial=0.0)) + 1.0)
     step = np.arange(-reach, reach + 1)
     images = np.zeros((len(centres), height, width), np.uint8)
-    for image, places, sizes in zip(images, centres, radii, strict=True):
-        near = np.rint(places).astype(np.int64)
+    for image, tips, sizes in zip(images, centres, radii, strict=True):
+        near = np.rint(tips).astype(np.int64)
         in_image = ((near >= -reach) & (near < np.array([width, height]) + reach)).all(axis=1)
-        near, places, sizes = near[in_image], places[in_image], sizes[in_image]
+        near, tips, sizes = near[in_image], tips[in_image], sizes[in_image]
         column = near[:, 0, None] + step
         row = near[:, 1, None] + step
         distance = np.hypot(
-            (row - places[:, 1, None])[:, :, None], (column - places[:, 0, None])[:, None, :]
+            (row - tips[:, 1, None])[:, :, None], (column - tips[:, 0, None])[:, None, :]
         )
         # Coverage of a pixel by a straight edge at this distance from its centre, to first order.
         fraction = np.clip(sizes[:, None, None] - distance + 0.5, 0.0, 1.0)

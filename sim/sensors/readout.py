@@ -152,10 +152,10 @@ class CameraReadout:
     def _tips(self, tips: SurfaceField, pattern: Pattern) -> NDArray[np.uint8]:
         """Return the coverage (F, 480, 640) by rigid, round tips of pins."""
         centres = pattern.centres
-        places = np.concatenate([centres, np.zeros((len(centres), 1))], axis=1) + tips.at(centres)
-        nearness = self.camera.focal / self.camera.depths(places)
+        points = np.concatenate([centres, np.zeros((len(centres), 1))], axis=1) + tips.at(centres)
+        nearness = self.camera.focal / self.camera.depths(points)
         return tip_coverage(
-            self.camera.project(places), pattern.size / 2 * nearness, width=WIDTH, height=HEIGHT
+            self.camera.project(points), pattern.size / 2 * nearness, width=WIDTH, height=HEIGHT
         )
 
 

@@ -288,8 +288,8 @@ class TaxelSignal:
         """Positions of the taxels (16, 2) [m]."""
         number = np.arange(SIDE * SIDE)
         steps = np.stack([number % SIDE, number // SIDE], axis=1).astype(float)
-        places: Array = (steps - (SIDE - 1) / 2) * self.pitch
-        return places
+        positions: Array = (steps - (SIDE - 1) / 2) * self.pitch
+        return positions
 
 
 class TaxelPad:
@@ -325,11 +325,11 @@ class TaxelPad:
                 f"{min(body.size_x, body.size_y) / (SIDE - 1):g} m, so that the taxels lie in the "
                 "body"
             )
-        places = signal.places
-        self._interior = Interior(body, signal.magnet_depth, places)
-        self._magnets = _at_height(places, -signal.magnet_depth)
-        self._halls = _at_height(places, -body.thickness - signal.hall_depth)
-        still = np.zeros((1, len(places), 3))
+        positions = signal.places
+        self._interior = Interior(body, signal.magnet_depth, positions)
+        self._magnets = _at_height(positions, -signal.magnet_depth)
+        self._halls = _at_height(positions, -body.thickness - signal.hall_depth)
+        still = np.zeros((1, len(positions), 3))
         self._undeformed = self.flux(still, np.zeros((*still.shape, 3)))[0]
 
     def flux(self, moved: Array, gradient: Array) -> Array:

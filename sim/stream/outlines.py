@@ -67,11 +67,11 @@ class LiveMarkers:
 
     def _round(self, moved: Array) -> Array:
         """Return rims of tips displaced by (n, 3) [m]: rigid and round, larger when nearer."""
-        places = self._places + moved
+        tips = self._places + moved
         # Without the camera's rotation, which leaves a disc unchanged.
-        size = self._camera.focal / (self._camera.distance + places[:, 2])
+        size = self._camera.focal / (self._camera.distance + tips[:, 2])
         rims = self._rings * size[:, None, None] * np.array([1.0, -1.0])
-        pixels: Array = self._camera.project(places)[:, None] + rims
+        pixels: Array = self._camera.project(tips)[:, None] + rims
         return pixels
 
 

@@ -313,8 +313,8 @@ def _touched(before: Array, now: Array) -> Array:
     """Return the point at which the tip crossed the undeformed surface (3,) [m]."""
     if before[2] <= 0 or now[2] >= 0:
         return before
-    place: Array = before + (now - before) * (before[2] / (before[2] - now[2]))
-    return place
+    point: Array = before + (now - before) * (before[2] / (before[2] - now[2]))
+    return point
 
 
 # Fast displacement of pin tips: `Pins.tips` computes it on a fine grid, this only at the pins.

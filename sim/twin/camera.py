@@ -121,18 +121,18 @@ def held_out_predictions(
     if fit.tier == "fem":
         model.correct(fit.values)
     readings = model.readings(fit.values)
-    places: tuple[Array, ...] = ()
+    predicted: tuple[Array, ...] = ()
     if camera_fit is not None and observations:
-        places = Scenery.of(fit, observations, grid).projected(camera_fit.signal.camera())
-    return HeldOut(tuple(tracks), tuple(readings), tuple(observations), places)
+        predicted = Scenery.of(fit, observations, grid).projected(camera_fit.signal.camera())
+    return HeldOut(tuple(tracks), tuple(readings), tuple(observations), predicted)
 
 
 def differences(
-    observations: Sequence[MarkerObservations], places: Sequence[Array]
+    observations: Sequence[MarkerObservations], predictions: Sequence[Array]
 ) -> tuple[float, float]:
-    """Return the RMS distance of markers from `places`, and their RMS way under presses [px]."""
-    pairs = list(zip(observations, places, strict=True))
-    off = np.concatenate([(each.observed - place).reshape(-1, 2) for each, place in pairs])
+    """Return the RMS distance of markers from predictions, and their RMS way under presses [px]."""
+    pairs = list(zip(observations, predictions, strict=True))
+    off = np.concatenate([(each.observed - predicted).reshape(-1, 2) for each, predicted in pairs])
     way = np.concatenate([(each.observed - each.undeformed).reshape(-1, 2) for each, _ in pairs])
     rms_off, rms_way = (float(np.nanmean(np.square(each).sum(axis=1))) for each in (off, way))
     return math.sqrt(rms_off), math.sqrt(rms_way)
@@ -181,13 +181,13 @@ class Scenery:
         """Return observed less projected markers (r,) [px], 0 where a marker is missing."""
         pairs = zip(self.observations, self.projected(camera), strict=True)
         return np.concatenate(
-            [np.nan_to_num(each.observed - place).ravel() for each, place in pairs]
+            [np.nan_to_num(each.observed - projected).ravel() for each, projected in pairs]
         )
 
     @property
     def points(self) -> NDArray[np.int64]:
         """Number of the point that each residual is of (r,)."""
-        sizes = [place.size for each in self.observations for place in each.observed]
+        sizes = [markers.size for each in self.observations for markers in each.observed]
         return np.repeat(np.arange(len(sizes)), sizes)
 
     def mirrored(self) -> Scenery:
@@ -307,11 +307,11 @@ def layouts(mask: Masks, camera: Camera, body: Body, name: str) -> list[Pattern]
     middle = np.where(cut_low, edges[..., 1] - 0.5 - half, np.array(middles))
     middle = np.where(cut_high, edges[..., 0] - 0.5 + half, middle)
     large = area >= smallest_marker(mask)
-    places = camera.places(middle[large, ::-1], body)
+    centres = camera.places(middle[large, ::-1], body)
     size = 1e-3 * camera.mm_per_px * math.sqrt(float(np.median(area[whole & large])))
     widths = {"disc": 2 / math.sqrt(math.pi), "square": 1.0, "diamond": math.sqrt(2)}
     return [
-        Pattern(name, shape, widths[shape] * size, tuple(map(tuple, places.tolist()))).within(body)
+        Pattern(name, shape, widths[shape] * size, tuple(map(tuple, centres.tolist()))).within(body)
         for shape in get_args(Shape)
     ]
 

@@ -201,8 +201,10 @@ def simulated_forces(
         for done, (press, each) in enumerate(zip(presses, solved, strict=True), 1):
             progress(done / len(presses))
             if isinstance(each, str):
-                place = 1e3 * press.tip[0]
-                failed.append(f"{press.indenter} at ({place[0]:.2f}, {place[1]:.2f}) mm: {each}")
+                millimetres = 1e3 * press.tip[0]
+                failed.append(
+                    f"{press.indenter} at ({millimetres[0]:.2f}, {millimetres[1]:.2f}) mm: {each}"
+                )
                 continue
             force[press.rows] = each[0]
             if draws:

@@ -117,10 +117,10 @@ def _observations(
             follower.restart()
             of = np.flatnonzero((track.target == target) & fresh & (reference == number))
             for point, frame in zip(of, sensor.masks(rows[nearest[of]]), strict=True):
-                place = follower.step(frame)
+                tracked = follower.step(frame)
                 if ends[point]:
                     points.append(point)
-                    positions.append(place)
+                    positions.append(tracked)
         lost = np.isnan(positions).mean() if positions else 0.0
         if lost > LOST:
             raise SceneError(
@@ -156,11 +156,11 @@ class Follower:
     def step(self, mask: Masks) -> Array:
         """Return the markers in the next frame (m, 2) [px], NaN where they are not found."""
         blobs = find_blobs(mask[None], max(1, round(self._area / 5)))
-        places = blobs.centre[blobs.whole & (blobs.area < MERGED * self._area)]
-        if not len(places):
+        centres = blobs.centre[blobs.whole & (blobs.area < MERGED * self._area)]
+        if not len(centres):
             return np.full_like(self._last, np.nan)
-        apart, nearest = cKDTree(places).query(self._last)
-        _, back = cKDTree(self._last).query(places)
+        apart, nearest = cKDTree(centres).query(self._last)
+        _, back = cKDTree(self._last).query(centres)
         matched = (back[nearest] == np.arange(len(nearest))) & (apart <= self._gate)
-        self._last = np.where(matched[:, None], places[nearest], self._last)
+        self._last = np.where(matched[:, None], centres[nearest], self._last)
         return np.where(matched[:, None], self._last, np.nan)

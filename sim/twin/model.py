@@ -105,8 +105,8 @@ class Candidate:
         indenter, tip = self.in_pad_frame()
         press = LivePress(self.sensor, indenter, grid=self.grid, tolerance=TOLERANCE)
         before = track.time[0]
-        for time, place in zip(track.time, tip, strict=True):
-            press.move(place, time - before)
+        for time, position in zip(track.time, tip, strict=True):
+            press.move(position, time - before)
             before = time
             yield press
 

@@ -167,8 +167,8 @@ def track_of(
     )
     if still == STILL:
         return track
-    places, _ = _means(time, tip, start, stop)
-    return replace(track, tip=np.where(track.rest[:, None], places, track.tip))
+    positions, _ = _means(time, tip, start, stop)
+    return replace(track, tip=np.where(track.rest[:, None], positions, track.tip))
 
 
 def _jitter(tip: Array) -> float:

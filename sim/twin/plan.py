@@ -68,11 +68,11 @@ def _path(each: PlannedPresses) -> tuple[Array, Array]:
     time, tips = [0.0, FREE], [np.array([0.0, 0.0, each.plan.clearance])] * 2
     for target in each.plan.targets():
         for move in each.plan.moves(target):
-            place = np.array(move.end)
-            way = float(np.linalg.norm(place - tips[-1]))
+            end = np.array(move.end)
+            way = float(np.linalg.norm(end - tips[-1]))
             time.append(time[-1] + max(way / SPEED, 1e-3))
-            time.append(time[-1] + (each.hold if place[2] < 0 else FREE))
-            tips += [place, place]
+            time.append(time[-1] + (each.hold if end[2] < 0 else FREE))
+            tips += [end, end]
     return np.array(time), np.array(tips)
 
 

@@ -107,7 +107,7 @@ def _signal(signal: CameraSignal, layout: Pattern) -> dict[str, Any]:
             "shape": layout.shape,
             "size_mm": _round(1e3 * layout.size),
             "angle_deg": _round(math.degrees(layout.angle)),
-            "places_mm": [[round(1e3 * each, 4) for each in place] for place in layout.places],
+            "places_mm": [[round(1e3 * each, 4) for each in centre] for centre in layout.places],
         },
         "scale_mm_per_px": _round(camera.mm_per_px),
         "distance_mm": _round(1e3 * camera.distance),
@@ -305,9 +305,9 @@ def draw(
     heights = [1.0] * len(drawn) + [1.9] * bool(pictures)
     with chart(path, 11.0, 2.6 * sum(heights) + 0.8) as figure:
         grid = figure.add_gridspec(count, 1, height_ratios=heights)
-        for place, (observations, places, kind) in enumerate(pictures):
+        for column, (observations, predicted, kind) in enumerate(pictures):
             within = grid[-1].subgridspec(1, 2)
-            _draw_markers(figure.add_subplot(within[place]), observations, places, kind)
+            _draw_markers(figure.add_subplot(within[column]), observations, predicted, kind)
         axes = np.array(
             [
                 grid[row].subgridspec(1, 2, width_ratios=(2, 1)).subplots()
@@ -339,7 +339,7 @@ def draw(
 
 
 def _draw_markers(
-    axes: Axes, observations: Sequence[MarkerObservations], places: Sequence[Array], kind: str
+    axes: Axes, observations: Sequence[MarkerObservations], predicted: Sequence[Array], kind: str
 ) -> None:
     """Draw the markers at the point of some observations where they have moved farthest."""
     ways = [
@@ -347,14 +347,14 @@ def _draw_markers(
     ]
     best = max(range(len(observations)), key=lambda each: float(ways[each].max()))
     widest, point = observations[best], int(ways[best].argmax())
-    observed, place = widest.observed[point], places[best][point]
+    observed, markers = widest.observed[point], predicted[best][point]
     for (x, y), (column, row) in zip(widest.undeformed, observed, strict=True):
         axes.plot([x, column], [y, row], "-", color=BAND, linewidth=1.0)
     axes.plot(*widest.undeformed.T, ".", color=SOFT, markersize=3, label="without contact")
     axes.plot(*observed.T, "o", color=INK, fillstyle="none", markersize=6, label="seen")
-    axes.plot(*place.T, "x", color=RED, markersize=5, label="twin")
+    axes.plot(*markers.T, "x", color=RED, markersize=5, label="twin")
     axes.set(xlim=(0, WIDTH), ylim=(HEIGHT, -LEGEND), aspect="equal", ylabel="row [px]")
-    off = math.sqrt(np.nanmean(np.square(observed - place).sum(axis=1)))
+    off = math.sqrt(np.nanmean(np.square(observed - markers).sum(axis=1)))
     axes.set_title(f"{widest.track.name}, {widest.track.indenter}{kind}: {off:.2f} px")
     axes.set_xlabel("column [px]")
     axes.legend(loc="upper right", ncols=3)

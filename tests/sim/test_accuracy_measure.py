@@ -11,7 +11,7 @@ from sim.indenters import sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
 from sim.markers.camera import DISTANCE, FOCAL
-from sim.metrics import Outcome, marker_pixels, marker_places, outcome_of, seen
+from sim.metrics import Outcome, marker_pixels, marker_places, outcome_of, pixels_of
 from sim.result import WEAK
 from sim.scene import Body, Scene, press
 
@@ -77,7 +77,7 @@ def test_a_shift_of_the_surface_is_found_in_metres_and_in_pixels():
 
 def test_a_pixel_sees_33_9_micrometres_and_what_is_nearer_looks_larger():
     places = np.array([[33.93e-6, 0, 0], [1e-3, 0, 0], [1e-3, 0, -1e-3]])
-    pixels = seen(places)
+    pixels = pixels_of(places)
     assert pixels[0, 0] == pytest.approx(1, rel=1e-3)
     assert pixels[2, 0] / pixels[1, 0] == pytest.approx(DISTANCE / (DISTANCE - 1e-3))
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import recorder.markers
 from sim.errors import SceneError
 from sim.markers import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
-from sim.metrics import seen
+from sim.metrics import pixels_of
 from sim.scene import Body
 
 PLACES = np.random.default_rng(3).uniform(-8e-3, 8e-3, (200, 2))
@@ -99,7 +99,7 @@ def test_a_ray_beside_a_domes_sphere_sees_nothing() -> None:
 def test_markers_of_the_accuracy_page_are_seen_by_the_same_camera() -> None:
     points = np.concatenate([FLAT[:, :2], -np.abs(FLAT[:, :1])], axis=1)
     by_hand = FOCAL * points[:, :2] / (DISTANCE + points[:, 2:])
-    assert np.array_equal(seen(points), by_hand)
+    assert np.array_equal(pixels_of(points), by_hand)
     flipped = Camera.paper().project(points) - (319.5, 239.5)
     np.testing.assert_allclose(flipped * (1, -1), by_hand, atol=1e-9)
 
