@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
         for row in rows:
             print(json.dumps({**asdict(row), "faults": row.faults}))
         return 0
-    for line in _table(rows):
+    for line in _table(rows, catalogue.folder):
         print(line)
     faulty = sum(bool(row.faults) for row in rows)
     unchecked = sum(row.findings is None for row in rows)
@@ -107,7 +107,7 @@ def _checked(catalogue: Catalogue, rows: list[Row]) -> list[Row]:
     return checked
 
 
-def _table(rows: list[Row]) -> list[str]:
+def _table(rows: list[Row], folder: Path) -> list[str]:
     """Return the rows as lines of aligned columns, the path last."""
     cells = [
         (
@@ -127,6 +127,6 @@ def _table(rows: list[Row]) -> list[str]:
     return [
         "  ".join([*(text.ljust(width) for text, width in zip(line, widths, strict=True)), path])
         for line, path in zip(
-            (_COLUMNS, *cells), ("path", *(row.path for row in rows)), strict=True
+            (_COLUMNS, *cells), ("path", *(str(folder / row.path) for row in rows)), strict=True
         )
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
+import os
 import select
 import socket
 import sys
@@ -230,13 +231,27 @@ def free_path(path: Path) -> Path:
     return found
 
 
-def log_to(path: Path) -> None:
-    """Log messages from level INFO to the terminal and, with times, to `path`."""
+@contextlib.contextmanager
+def logged_to(path: Path) -> Iterator[None]:
+    """Log messages from level INFO to the terminal and, with times, to `path`.
+
+    Of sessions within a session, each has its own file; that of the outermost has all messages.
+    """
     terminal = logging.StreamHandler()
     terminal.setFormatter(logging.Formatter("%(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[terminal])
+    root = logging.getLogger()
+    if any(getattr(one, "baseFilename", None) == os.path.abspath(path) for one in root.handlers):
+        yield
+        return
     file = logging.FileHandler(path)
     file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logging.basicConfig(level=logging.INFO, handlers=[terminal, file])
+    root.addHandler(file)
+    try:
+        yield
+    finally:
+        root.removeHandler(file)
+        file.close()
 
 
 # Calibration options of the commands that record.

@@ -31,7 +31,7 @@ from rig.cli.options import (
     confirm,
     deepest,
     free_path,
-    log_to,
+    logged_to,
     motion_lines,
     opened_page,
     require_terminal,
@@ -165,8 +165,8 @@ def record(
     if not recording.bench.mock and not recording.agreed:
         confirm(motion_lines(prepare(recording.bench), deepest(request.plan, request.total)))
     request.path.parent.mkdir(parents=True, exist_ok=True)
-    log_to(request.path.with_suffix(".log"))
     with contextlib.ExitStack() as stack:
+        stack.enter_context(logged_to(request.path.with_suffix(".log")))
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         on = recording.on or stack.enter_context(
             started_bench(recording.file, sources=sources, truth=truth, folder=folder)
@@ -226,7 +226,7 @@ def collect(
                 hint = recording.next("home", indenter=bench.indenter)
                 no_gauge.check_home(bench, calibration, hint)
             session.parent.mkdir(parents=True, exist_ok=True)
-            log_to(session.with_suffix(".log"))
+            stack.enter_context(logged_to(session.with_suffix(".log")))
             on = stack.enter_context(started_bench(recording.file, sources=sources, truth=truth))
             recording = dataclasses.replace(recording, on=on)
             try:

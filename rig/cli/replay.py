@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay; return the exit code."""
-    from rig.cli.options import log_to
+    from rig.cli.options import logged_to
     from rig.replay.replay import Replay, ReplayRequest
 
     source: Path = options.session
@@ -43,12 +43,12 @@ def run(options: argparse.Namespace) -> int:
     request = ReplayRequest(source, out, options.speed, tuple(options.without))
     replay = Replay(request)
     out.parent.mkdir(parents=True, exist_ok=True)
-    log_to(out.with_suffix(".log"))
     name = (
         request.speed_name if request.speed == 0 else f"{request.speed:g} times the recorded speed"
     )
     print(f"REPLAY of {source} ({name}): every device is an emulator, nothing moves", flush=True)
-    return replay.run()
+    with logged_to(out.with_suffix(".log")):
+        return replay.run()
 
 
 def _speed(text: str) -> float:

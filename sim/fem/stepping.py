@@ -638,8 +638,9 @@ class Batch:
     def _diverged(self, env: int, through: Passed | None = None) -> SimulationDiverged:
         path, scene = self._paths[env], self._scenes[env]
         state = self._assembly.state
-        dump = File(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
+        dump: File | None = None
         try:
+            dump = File(tempfile.mkdtemp(prefix="diverged-")) / "state.npz"
             np.savez_compressed(
                 dump,
                 scene=json.dumps(repr(scene)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ def test_a_command_that_records_builds_its_bench_once(
     monkeypatch.setattr(bench_module, "bench_from", counted)
     monkeypatch.setattr(recording, "Collector", Idle)
     monkeypatch.setattr(recording, "confirm", lambda _: None)
-    monkeypatch.setattr(recording, "log_to", lambda _: None)
+    monkeypatch.setattr(recording, "logged_to", lambda _: nullcontext())
     monkeypatch.setattr(MockBench, "_start", lambda _: None)
     monkeypatch.chdir(tmp_path)
     Path("bench.yaml").write_text(f"extends: {BENCHES / 'gelsight.yaml'}\n{more}")

@@ -58,6 +58,15 @@ def test_a_crippled_solver_diverges_with_what_it_tried_and_a_dump_that_loads() -
         assert "sphere" in json.loads(str(state["scene"]))
 
 
+def test_a_solver_that_diverges_says_so_where_its_state_cannot_be_written(
+    tmp_path: File, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "none"))
+    with pytest.raises(SimulationDiverged, match="state: could not be written") as caught:
+        simulate(SCENE, CRIPPLED)
+    assert caught.value.dump is None
+
+
 @pytest.mark.parametrize(("edge", "advised"), [(0.05e-3, True), (0.4e-3, False)])
 def test_a_press_with_a_sharp_edge_that_diverges_is_told_of_it(edge: float, advised: bool) -> None:
     scene = replace(SCENE, indenter=flat_punch(2e-3, edge))
