@@ -53,8 +53,8 @@ def write_sheet(
         top = GAP + row * height
         pen.text((GAP, top + 4), title, INK, font(17))
         pen.text((GAP + 20 + pen.textlength(title, font(17)), top + 6), note, SOFT, font(14))
-        for place, tile in enumerate(tiles):
-            left, under = GAP + place * (size[0] + GAP), top + HEAD + size[1]
+        for column, tile in enumerate(tiles):
+            left, under = GAP + column * (size[0] + GAP), top + HEAD + size[1]
             picture = Image.fromarray(tile.pixels).resize(size, Image.Resampling.LANCZOS)
             page.paste(picture, (left, top + HEAD))
             if tile.alarm:

@@ -68,14 +68,14 @@ def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors
     comparable = _comparable(true, predicted)
     measured, estimated = with_magnitude(true), with_magnitude(predicted)
     mae, fit = np.full(len(MEASURED), np.nan), np.full(len(AXES), np.nan)
-    for place in range(len(MEASURED)):
-        rows = comparable[:, place] if place < len(AXES) else comparable.all(axis=1)
+    for column in range(len(MEASURED)):
+        rows = comparable[:, column] if column < len(AXES) else comparable.all(axis=1)
         if not rows.any():
             continue
-        one, other = measured[rows, place, None], estimated[rows, place, None]
-        mae[place] = np.abs(other - one).mean(axis=0)[0]
-        if place < len(AXES):
-            fit[place] = r_squared(one, other)[0]
+        one, other = measured[rows, column, None], estimated[rows, column, None]
+        mae[column] = np.abs(other - one).mean(axis=0)[0]
+        if column < len(AXES):
+            fit[column] = r_squared(one, other)[0]
     # The relative error to constant labels is infinite, or NaN if the error is zero.
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = mae / np.asarray(spread, np.float64)
@@ -153,10 +153,10 @@ def spread_and_range(labels: Floats) -> tuple[Floats, Floats]:
     """
     forces = with_magnitude(labels)
     spread, range_ = np.full(forces.shape[1], np.nan), np.full(forces.shape[1], np.nan)
-    for place, column in enumerate(forces.T):
+    for index, column in enumerate(forces.T):
         finite = column[np.isfinite(column)]
         if len(finite):
-            spread[place], range_[place] = finite.std(), np.ptp(finite)
+            spread[index], range_[index] = finite.std(), np.ptp(finite)
     return spread, range_
 
 

@@ -105,12 +105,12 @@ def chosen_sensors(text: str) -> Iterator[SensorSelection]:
     from recorder import MarkerArchive
 
     named: dict[str, str] | None = None
-    where, match = text, _WITH_SENSORS.fullmatch(text)
+    path, match = text, _WITH_SENSORS.fullmatch(text)
     if match is not None and not Path(text).exists():
-        where = match["archive"]
+        path = match["archive"]
         parts = (part.partition("=") for part in match["sensors"].split(","))
         named = {name: new or name for name, _, new in parts}
-    archive = MarkerArchive(where)
+    archive = MarkerArchive(path)
     if archive.warning:
         raise LearningError(archive.warning)
     for name in named or archive:

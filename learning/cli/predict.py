@@ -156,15 +156,17 @@ def _covered(predictions: Predictions) -> str:
     """Return the mean half-widths of the intervals, and the share of labels within them."""
     width = axis_means(0.5 * (predictions.high - predictions.low))
     shares = []
-    for place, axis in enumerate(AXES):
-        labelled = np.isfinite(predictions.true[:, place]) & np.isfinite(predictions.low[:, place])
-        if np.isfinite(width[place]):
-            text = f"{axis} +-{width[place]:.3f} N"
+    for column, axis in enumerate(AXES):
+        labelled = np.isfinite(predictions.true[:, column]) & np.isfinite(
+            predictions.low[:, column]
+        )
+        if np.isfinite(width[column]):
+            text = f"{axis} +-{width[column]:.3f} N"
             if labelled.any():
                 inside = (predictions.low <= predictions.true) & (
                     predictions.true <= predictions.high
                 )
-                text += f" covers {100 * inside[labelled, place].mean():.1f} %"
+                text += f" covers {100 * inside[labelled, column].mean():.1f} %"
             shares.append(text)
     return f"90 % intervals, in the mean: {', '.join(shares)}"
 

@@ -395,8 +395,8 @@ def draw_curves(compensation: StoredCompensation, gathered: ArchivePriors, path:
     with chart(path, 9, 3.8) as figure:
         axes = figure.subplots(1, 2, sharey=True)
         for loading, panel in zip((True, False), axes, strict=True):
-            for place, (name, prior) in enumerate(compensation.priors.items()):
-                colour = f"C{place}"
+            for index, (name, prior) in enumerate(compensation.priors.items()):
+                colour = f"C{index}"
                 unit = 1e3 * prior.depth_range if alike else 1.0
                 if name in gathered.measured:
                     curve = gathered.measured[name]

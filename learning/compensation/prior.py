@@ -225,13 +225,13 @@ def _converted(values: tuple[float, ...], unit: float) -> Branch:
 
 
 def _fitted(sensor: str, name: str, pairs: Floats, span: float) -> Branch:
-    where = f"prior {sensor}.{name}"
+    prefix = f"prior {sensor}.{name}"
     if not np.isfinite(pairs).all():
-        raise LearningError(f"{where}: found NaN or infinity; allowed: numbers")
+        raise LearningError(f"{prefix}: found NaN or infinity; allowed: numbers")
     depths = len(np.unique(pairs[:, 0].round(9))) if len(pairs) else 0
     if depths <= DEGREE:
         raise LearningError(
-            f"{where}: found forces at {depths} depths; allowed: {DEGREE + 1} or more"
+            f"{prefix}: found forces at {depths} depths; allowed: {DEGREE + 1} or more"
         )
     fraction, force = pairs[:, 0] / span, pairs[:, 1]
     powers = np.vander(fraction, DEGREE + 1)
@@ -240,7 +240,7 @@ def _fitted(sensor: str, name: str, pairs: Floats, span: float) -> Branch:
     deepest = force[fraction >= np.quantile(fraction, 0.9)].mean()
     if not deepest > 0:
         raise LearningError(
-            f"{where}: found {deepest:.3g} N of compression at its deepest; allowed: above 0 "
+            f"{prefix}: found {deepest:.3g} N of compression at its deepest; allowed: above 0 "
             "(compression is negative Fz)"
         )
     return Branch(tuple(float(value) for value in coefficients), residual, len(pairs))

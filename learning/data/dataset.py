@@ -236,8 +236,8 @@ class _OfArchive:
     columns: tuple[str, ...] = ("image", "wrench")
 
     def __init__(self, path: str) -> None:
-        where, _, name = path.rpartition(":")
-        archive = MarkerArchive(where)
+        archive_path, _, name = path.rpartition(":")
+        archive = MarkerArchive(archive_path)
         if name not in archive:
             raise LearningError(f"{path}: no such sensor; allowed: {', '.join(archive)}")
         self._sensor, self._names = archive[name], np.array(archive.indenters)

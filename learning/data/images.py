@@ -191,9 +191,9 @@ def sampled(field: Tensor, columns: Tensor, rows: Tensor, lattice: Lattice = LAT
         )
     x = (columns + lattice.margin_px) * (2 / lattice.step_px / (width - 1)) - 1
     y = (rows + lattice.margin_px) * (2 / lattice.step_px / (height - 1)) - 1
-    places = torch.stack([x, y], dim=-1).expand(len(field), -1, -1, -1)
+    grid = torch.stack([x, y], dim=-1).expand(len(field), -1, -1, -1)
     return functional.grid_sample(
-        field, places, mode="bilinear", padding_mode="border", align_corners=True
+        field, grid, mode="bilinear", padding_mode="border", align_corners=True
     )
 
 

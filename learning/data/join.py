@@ -181,8 +181,8 @@ def join(
     most = 1 + max((int(some.max()) for some in target), default=0)
     return Joined(
         tuple(
-            _joined(each, sensors, indenters, place, number, most, unseen, wrenches or {})
-            for each, place, number in zip(presses, location, target, strict=True)
+            _joined(each, sensors, indenters, locations, number, most, unseen, wrenches or {})
+            for each, locations, number in zip(presses, location, target, strict=True)
         ),
         indenters,
         pairs,
@@ -236,8 +236,8 @@ def _numbered(
         code[number] = [indenters.index(name) for name in each.indenter]
     target = np.zeros(count, np.int64)
     for one in np.unique(code):
-        places = np.flatnonzero(code == one)
-        target[places] = np.unique(group[places], return_inverse=True)[1].reshape(-1)
+        members = np.flatnonzero(code == one)
+        target[members] = np.unique(group[members], return_inverse=True)[1].reshape(-1)
     location = np.empty(count, np.int64)
     location[np.lexsort((np.arange(count), target, code))] = np.arange(count)
     for each, number in zip(presses, numbers, strict=True):
@@ -248,12 +248,12 @@ def _numbered(
 def _merge(group: Integers, presses: PlacedPresses, number: Integers) -> None:
     """Give all places of one target the lowest group among them."""
     first: dict[tuple[str, int], int] = {}
-    for name, target, place in zip(
+    for name, target, index in zip(
         presses.indenter.tolist(), presses.target.tolist(), number.tolist(), strict=True
     ):
-        one = first.setdefault((name, target), place)
-        if group[one] != group[place]:
-            low, high = sorted((int(group[one]), int(group[place])))
+        one = first.setdefault((name, target), index)
+        if group[one] != group[index]:
+            low, high = sorted((int(group[one]), int(group[index])))
             group[group == high] = low
 
 

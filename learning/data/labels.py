@@ -81,7 +81,7 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
     pressed: dict[tuple[str, int], int] = {}
     numbers: list[int] = []
     for number, line in enumerate(lines, 2):
-        where = f"{path}, line {number}"
+        prefix = f"{path}, line {number}"
         try:
             press = line["indenter"], int(line["target"])
             frame = line.get(FRAME, "").strip()
@@ -89,14 +89,14 @@ def read_labels(path: Path, archive: MarkerArchive, sensor: str) -> Labels:
             texts = [line.get(name, "").strip() for name in FORCES]
             forces = [float(text) if text else math.nan for text in texts]
         except (TypeError, ValueError, AttributeError) as error:
-            raise LearningError(f"{where}: {error}; allowed: numbers, or no force") from None
+            raise LearningError(f"{prefix}: {error}; allowed: numbers, or no force") from None
         if math.inf in map(abs, forces):
-            raise LearningError(f"{where}: found an infinite force; allowed: numbers, or none")
+            raise LearningError(f"{prefix}: found an infinite force; allowed: numbers, or none")
         if key not in row_of:
             named = f"frame {frame}" if frame else "frame where it is held"
-            raise LearningError(f"{where}: {sensor} has no {named} of target {key[1]} of {key[0]}")
+            raise LearningError(f"{prefix}: {sensor} has no {named} of target {key[1]} of {key[0]}")
         if row_of[key] in forces_of:
-            raise LearningError(f"{where}: found frame {key} twice; allowed: once")
+            raise LearningError(f"{prefix}: found frame {key} twice; allowed: once")
         forces_of[row_of[key]] = forces
         numbers.append(pressed.setdefault(press, len(pressed)))
     if not forces_of or np.isnan(list(forces_of.values())).all():

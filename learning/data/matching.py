@@ -127,13 +127,13 @@ class Differences:
     @classmethod
     def of(cls, one: PlacedPresses, other: PlacedPresses) -> Differences:
         """Compare each press of `one` with each of `other`."""
-        place = np.linalg.norm(one.place[:, None] - other.place[None], axis=-1)
+        distance = np.linalg.norm(one.place[:, None] - other.place[None], axis=-1)
         angle = _turn(one.angle[:, None], other.angle[None])
         without, others = np.isnan(one.angle)[:, None], np.isnan(other.angle)[None]
         angle = np.where(without & others, 0.0, np.where(without | others, np.inf, angle))
         return cls(
             one.indenter[:, None] != other.indenter[None],
-            np.where(np.isnan(place), np.inf, place),
+            np.where(np.isnan(distance), np.inf, distance),
             np.abs(one.fraction[:, None] - other.fraction[None]),
             angle,
         )
@@ -154,12 +154,12 @@ def _turn(one: Floats, other: Floats) -> Floats:
 def read_presses(chosen: SensorSelection) -> PlacedPresses:
     """Read where, how deep and in which direction a sensor was pressed."""
     sensor = chosen.archived
-    where = f"{chosen.archive.name}: {chosen.sensor}"
+    prefix = f"{chosen.archive.name}: {chosen.sensor}"
     for key in ("position", "depth"):
         stated = str(sensor.attrs.get(key, ""))
         if stated.startswith("unknown"):
             raise LearningError(
-                f"{where}: {key} is {stated!r}, so its presses cannot be matched to others; "
+                f"{prefix}: {key} is {stated!r}, so its presses cannot be matched to others; "
                 "allowed: import it with its plan or turn (tactile import --plan, --turn), or "
                 "train a model of its own, which needs no join"
             )
@@ -167,7 +167,7 @@ def read_presses(chosen: SensorSelection) -> PlacedPresses:
     numbers, at = np.unique(np.asarray(table["location"], np.int64), return_index=True)
     locations, rows = numbers[numbers >= 0], at[numbers >= 0]
     if not len(locations):
-        raise LearningError(f"{where}: no press has a location; allowed: presses with shear")
+        raise LearningError(f"{prefix}: no press has a location; allowed: presses with shear")
     ends: dict[int, dict[int, int]] = {}
     for (location, phase), part in press_rows(table, "phase").items():
         ends.setdefault(location, {})[phase] = int(part[-1])
@@ -175,7 +175,7 @@ def read_presses(chosen: SensorSelection) -> PlacedPresses:
         location: table["depth"][part].max() for (location,), part in press_rows(table).items()
     }
     count = len(locations)
-    place, depth, angle = (
+    position, depth, angle = (
         np.full((count, 2), np.nan),
         np.full(count, np.nan),
         np.full(count, np.nan),
@@ -189,28 +189,28 @@ def read_presses(chosen: SensorSelection) -> PlacedPresses:
             continue
         # The last frame of a phase may be taken before its end: the depth is reached by then or
         # in the shear, which keeps it.
-        place[index], depth[index] = table["position"][still], deepest_of[location]
+        position[index], depth[index] = table["position"][still], deepest_of[location]
         if NO_PHASE in phases:
             continue
         if SHEAR not in phases:
             flaw[index] = f"no frame of {PHASES[SHEAR]}, so its direction is unknown"
-            place[index] = np.nan
+            position[index] = np.nan
             continue
-        x, y = np.asarray(table["position"][phases[SHEAR]]) - place[index]
+        x, y = np.asarray(table["position"][phases[SHEAR]]) - position[index]
         angle[index] = math.atan2(y, x)
         if not (x or y):
             flaw[index] = "its shear has no length, so its direction is unknown"
-            place[index] = np.nan
+            position[index] = np.nan
     deepest = np.nanmax(depth) if np.isfinite(depth).any() else 0.0
     if not deepest > 0:
-        raise LearningError(f"{where}: no press is deeper than 0 mm; allowed: known depths")
+        raise LearningError(f"{prefix}: no press is deeper than 0 mm; allowed: known depths")
     names = np.array(chosen.archive.indenters)
     return PlacedPresses(
         of=chosen,
         indenter=names[table["indenter"][rows]],
         target=table["target"][rows].astype(np.int64),
         location=locations,
-        place=place,
+        place=position,
         depth=depth,
         fraction=depth / deepest,
         angle=angle,
@@ -373,8 +373,8 @@ def _paired(presses: PlacedPresses, number: Integers) -> dict[str, NDArray[Any]]
 def mapped(values: NDArray[Any], old: Integers, new: Integers) -> Integers:
     """Replace the values `old` (ascending) by `new`; those below 0 stay."""
     values = np.asarray(values, np.int64)
-    place = np.minimum(np.searchsorted(old, values), len(old) - 1)
-    return np.where(values < 0, values, new[place])
+    index = np.minimum(np.searchsorted(old, values), len(old) - 1)
+    return np.where(values < 0, values, new[index])
 
 
 def _reasons(

@@ -58,7 +58,7 @@ class PairedFrames:
         moved: dict[str, Any] = {name: each.to(device) for name, each in vars(self).items()}
         return replace(self, **moved)
 
-    def seen(self, rows: Tensor) -> Tensor:
+    def unit_images(self, rows: Tensor) -> Tensor:
         """Return some frames in 0..1 (m, 1, h, w) float32."""
         return unit(self.images[rows])
 

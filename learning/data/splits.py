@@ -82,9 +82,9 @@ class Split:
         locations = np.array([each.location for each in self.presses], np.int64)
         roles = np.array([*(each.role for each in self.presses), NO_ROLE], "<U12")
         wanted = np.asarray(location, np.int64)
-        place = np.minimum(np.searchsorted(locations, wanted), max(len(locations) - 1, 0))
-        listed = locations[place] == wanted if len(locations) else np.zeros(wanted.shape, np.bool_)
-        return np.where(listed, roles[place], NO_ROLE)
+        index = np.minimum(np.searchsorted(locations, wanted), max(len(locations) - 1, 0))
+        listed = locations[index] == wanted if len(locations) else np.zeros(wanted.shape, np.bool_)
+        return np.where(listed, roles[index], NO_ROLE)
 
     def rows(
         self, table: Mapping[str, NDArray[Any]], role: Role | Sequence[Role]
@@ -197,13 +197,13 @@ def make_split(
         if not 0 <= fraction < 1:
             raise LearningError(f"{name}: found {fraction}; allowed: 0 to less than 1")
     _require_among("held_out_sensors", held_out_sensors, archive)
-    places = presses_of(archive)
+    press_of = presses_of(archive)
     if unseen is None:
         unseen = _stored_unseen(archive)
     else:
         _require_among("unseen", unseen, archive.indenters)
     states: dict[tuple[str, int], list[int]] = {}
-    for location, press in sorted(places.items()):
+    for location, press in sorted(press_of.items()):
         states.setdefault(press, []).append(location)
     seen = _shuffled([press for press in states if press[0] not in unseen], seed)
     counts = [
@@ -308,8 +308,8 @@ def _shuffled(presses: Iterable[tuple[str, int]], seed: int) -> list[tuple[str, 
         order = chance.permutation(len(targets))
         first = chance.random()
         turns += [
-            ((turn + first) / len(targets), indenter, targets[place])
-            for turn, place in enumerate(order)
+            ((turn + first) / len(targets), indenter, targets[index])
+            for turn, index in enumerate(order)
         ]
     return [(indenter, target) for _, indenter, target in sorted(turns)]
 

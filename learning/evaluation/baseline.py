@@ -72,9 +72,9 @@ def fit_ridge(features: Floats, wanted: Floats, groups: Sequence[int]) -> Ridge:
         inside = of == group
         if inside.all():
             continue
-        for place, penalty in enumerate(_PENALTIES):
+        for index, penalty in enumerate(_PENALTIES):
             fitted = _fit(rows[~inside], numbers[~inside], penalty)
-            off[place] += float(((fitted.predict(rows[inside]) - numbers[inside]) ** 2).sum())
+            off[index] += float(((fitted.predict(rows[inside]) - numbers[inside]) ** 2).sum())
     return _fit(rows, numbers, _PENALTIES[int(np.argmin(off))])
 
 

@@ -26,7 +26,7 @@ def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[st
     png = io.BytesIO()
     with chart(png, 9, 8.4) as figure:
         for line, axes_shown in enumerate(((0, 1, 2, 3), (0, 1))):
-            every = [row.errors.mae[place] for row in (*before, *after) for place in axes_shown]
+            every = [row.errors.mae[axis] for row in (*before, *after) for axis in axes_shown]
             largest = max((mae for mae in every if math.isfinite(mae)), default=0.0)
             for column, (rows, name) in enumerate(zip((before, after), names, strict=True)):
                 if not rows:
@@ -34,10 +34,10 @@ def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[st
                 axes: Any = figure.add_subplot(2, 2, 2 * line + column + 1, projection="polar")
                 angles = np.linspace(0, 2 * math.pi, len(rows), endpoint=False)
                 closed = np.append(angles, angles[:1])
-                for place in axes_shown:
-                    values = np.array([row.errors.mae[place] for row in rows])
+                for axis in axes_shown:
+                    values = np.array([row.errors.mae[axis] for row in rows])
                     values = np.append(values, values[:1])
-                    axes.plot(closed, values, label=AXES_NAMED[place], marker=".")
+                    axes.plot(closed, values, label=AXES_NAMED[axis], marker=".")
                 pairs = [f"{row.source}\nto {row.target}" for row in rows]
                 axes.set_xticks(angles, pairs, fontsize=6)
                 axes.tick_params(axis="x", pad=8)
@@ -120,9 +120,9 @@ def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
     with chart(png, 9, 5) as figure:
         every = figure.subplots(3, 1, sharex=True)
         for axis, axes in enumerate(every):
-            for place, one in enumerate(shown):
+            for index, one in enumerate(shown):
                 rows = _of_presses(one, chosen)
-                if place == 0:
+                if index == 0:
                     axes.plot(one.true[rows, axis], color=INK, label="true")
                     for end in np.flatnonzero(np.diff(one.location[rows])):
                         axes.axvline(end + 0.5, color=BAND, lw=0.6, zorder=0)
@@ -146,10 +146,10 @@ def embeddings(
     rows = -(-len(panels) // columns)
     png = io.BytesIO()
     with chart(png, 3.2 * columns, 3.2 * rows) as figure:
-        for place, ((title, one, other), message) in enumerate(zip(panels, names, strict=True)):
-            axes = figure.add_subplot(rows, columns, place + 1)
-            for places, name in zip((one, other), message, strict=True):
-                axes.scatter(places[:, 0], places[:, 1], s=7, alpha=0.7, label=name)
+        for index, ((title, one, other), message) in enumerate(zip(panels, names, strict=True)):
+            axes = figure.add_subplot(rows, columns, index + 1)
+            for points, name in zip((one, other), message, strict=True):
+                axes.scatter(points[:, 0], points[:, 1], s=7, alpha=0.7, label=name)
             axes.set(title=title, xticks=[], yticks=[])
             axes.legend()
     return png.getvalue()

@@ -328,9 +328,9 @@ def unscored_lines(predictions: Iterable[Predictions]) -> list[dict[str, Any]]:
     """
     lines = []
     for one in predictions:
-        for place, axis in enumerate(AXES_NAMED[: len(AXES)]):
-            forces = one.predicted[:, place]
-            if not np.isfinite(forces).any() or np.isfinite(one.true[:, place]).any():
+        for column, axis in enumerate(AXES_NAMED[: len(AXES)]):
+            forces = one.predicted[:, column]
+            if not np.isfinite(forces).any() or np.isfinite(one.true[:, column]).any():
                 continue
             named = dict(zip(("source", "target", "method", "translator"), one.key, strict=True))
             span = {"low_n": float(forces.min()), "high_n": float(forces.max())}

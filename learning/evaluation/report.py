@@ -99,9 +99,9 @@ def _force(
     role = next((role for role in ROLES if of_role(rows, role)), rows[0].role)
     return {
         "roles": [
-            (ROLES.get(shown, shown), _sentence(rows, shown), _gains(of_role(rows, shown)))
-            for shown in dict.fromkeys([role, *ROLES])
-            if of_role(rows, shown)
+            (ROLES.get(name, name), _sentence(rows, name), _gains(of_role(rows, name)))
+            for name in dict.fromkeys([role, *ROLES])
+            if of_role(rows, name)
         ],
         "pictures": list(_pictures(of_role(rows, role), role)),
         "sequences": list(_sequences(predictions, of_role(rows, role), role, seed)),
@@ -204,14 +204,14 @@ def _sequences(
         pair = row.source, row.target
         score[pair] = max(score.get(pair, -np.inf), row.errors.r2_mean)
     pairs = sorted(score, key=lambda pair: score[pair])
-    places = np.unique(np.linspace(0, len(pairs) - 1, SEQUENCES).round().astype(int))
-    for source, target in [pairs[place] for place in places if pairs]:
-        shown = [one for one in predictions if (one.source, one.target) == (source, target)]
-        shown = [one.only(_held(one, role)) for one in shown]
-        shown = sorted((one for one in shown if len(one)), key=lambda one: one.method != BEFORE)
-        if shown:
+    indices = np.unique(np.linspace(0, len(pairs) - 1, SEQUENCES).round().astype(int))
+    for source, target in [pairs[index] for index in indices if pairs]:
+        plotted = [one for one in predictions if (one.source, one.target) == (source, target)]
+        plotted = [one.only(_held(one, role)) for one in plotted]
+        plotted = sorted((one for one in plotted if len(one)), key=lambda one: one.method != BEFORE)
+        if plotted:
             text = f"{source} to {target}: R2 {score[source, target]:.3f} at best"
-            yield _encoded(charts.sequences(shown, PRESSES, seed)), text
+            yield _encoded(charts.sequences(plotted, PRESSES, seed)), text
 
 
 def _held(one: Predictions, role: str) -> Any:
@@ -270,8 +270,8 @@ def _drawn(scores: Sequence[TranslationScores]) -> list[TranslationScores]:
     having = [one for one in scores if {SOURCE, TRANSLATED, FLOOR} <= set(one.features)]
     having = [one for one in having if min(len(f) for f in one.features.values()) >= NEIGHBOURS]
     having.sort(key=lambda one: _mixing(one, TRANSLATED))
-    places = np.unique(np.linspace(0, len(having) - 1, DRAWN).round().astype(int))
-    return [having[place] for place in places if having]
+    indices = np.unique(np.linspace(0, len(having) - 1, DRAWN).round().astype(int))
+    return [having[index] for index in indices if having]
 
 
 def _mixing(one: TranslationScores, method: str) -> float:
@@ -284,9 +284,9 @@ def _embeddings(scores: Sequence[TranslationScores], seed: int) -> bytes:
     for one in scores:
         for method in (SOURCE, TRANSLATED):
             real, other = one.features[FLOOR], one.features[method]
-            places = embedded(np.concatenate([real, other]).astype(np.float64), seed=seed)
+            points = embedded(np.concatenate([real, other]).astype(np.float64), seed=seed)
             title = f"{one.source} to {one.target}, {method}: mixing {_mixing(one, method):.2f}"
-            panels.append((title, places[: len(real)], places[len(real) :]))
+            panels.append((title, points[: len(real)], points[len(real) :]))
             names.append((f"real {one.target}", method))
     return charts.embeddings(panels, 2 if len(scores) == 1 else 4, names)
 

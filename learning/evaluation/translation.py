@@ -337,16 +337,16 @@ def score_line(one: TranslationScores, row: PairedScore | DistanceScore) -> dict
 
 def require_alone(scores: Sequence[TranslationScores]) -> None:
     """Reject duplicate scores."""
-    seen = set()
+    previous = set()
     for one in scores:
         pair = (one.source, one.target, one.translator)
         keys = [(*pair, row.role, row.method, row.extractor) for row in one.distances]
         for key in keys:
-            if key in seen:
+            if key in previous:
                 raise LearningError(
                     f"translation scores: found {', '.join(key)} twice; allowed: once"
                 )
-            seen.add(key)
+            previous.add(key)
 
 
 def _json_row(row: PairedScore | DistanceScore) -> dict[str, Any]:
@@ -489,16 +489,16 @@ def score_translation(
     done = 0
     for role, (real_rows, source_rows, translated_rows) in zip(roles, drawn, strict=True):
         real = RealFrames(target, real_rows)
-        shown = {
+        by_method = {
             TRANSLATED: translated.packed(translated_rows),
             SOURCE: source.packed(source_rows),
             REFERENCE: target.references[target.table["reference"][real.rows]],
         }
         if len(training):
-            shown[NEAREST] = target.packed(nearest_frames(target.table, real.rows, training))
-        shown[FLOOR] = real.packed
+            by_method[NEAREST] = target.packed(nearest_frames(target.table, real.rows, training))
+        by_method[FLOOR] = real.packed
         features = {}
-        for method, packed in shown.items():
+        for method, packed in by_method.items():
             paired.append(paired_score(packed, real, role, method))
             features[method] = extractor.features(shrink(packed))
             done += len(real.rows)

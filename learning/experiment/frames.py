@@ -83,10 +83,10 @@ def load_some(
     """Load at most `most` presses of each role, at the same locations for all sensors."""
     rows = []
     for role in roles:
-        of_role, places = split.rows(sensor.table, role), split.locations(role)
-        if most is not None and most < len(places):
-            order = generator(seed, "experiment", "presses", role).permutation(len(places))
-            chosen = np.isin(sensor.table["location"][of_role], places[order[:most]])
+        of_role, locations = split.rows(sensor.table, role), split.locations(role)
+        if most is not None and most < len(locations):
+            order = generator(seed, "experiment", "presses", role).permutation(len(locations))
+            chosen = np.isin(sensor.table["location"][of_role], locations[order[:most]])
             of_role = of_role[chosen]
         rows.append(of_role)
     with ItemProgress(f"frames of {sensor.name}", sys.stderr) as progress:
@@ -172,12 +172,12 @@ def translate_presses(
     must depend on single frames and their reference only.
     """
 
-    def seen(rows: Tensor, own: int, other: int) -> Tensor:
+    def translated(rows: Tensor, own: int, other: int) -> Tensor:
         masks = unpack_masks(presses.images[rows.to(presses.device)])
         before, after = presses.references[own : own + 1], look.references[other : other + 1]
         return translator.translate(masks, unpack_masks(after)[0], unpack_masks(before)[0])
 
-    return _shown(presses, look, seen, progress)
+    return _as_target_images(presses, look, translated, progress)
 
 
 def warp_presses(
@@ -192,11 +192,11 @@ def warp_presses(
     The displacement is that in the target's image.
     """
 
-    def seen(rows: Tensor, own: int, other: int) -> Tensor:
+    def translated(rows: Tensor, own: int, other: int) -> Tensor:
         after = unpack_masks(look.references[other : other + 1])[0]
         return warp_masks(after, fields[rows].to(presses.device).float())
 
-    return _shown(presses, look, seen, progress)
+    return _as_target_images(presses, look, translated, progress)
 
 
 def flow_fields(
@@ -225,17 +225,17 @@ def flow_fields(
     return torch.from_numpy(fields)
 
 
-def _shown(
+def _as_target_images(
     presses: Presses,
     look: TargetView,
-    seen: Callable[[Tensor, int, int], Tensor],
+    translated: Callable[[Tensor, int, int], Tensor],
     progress: Progress,
 ) -> Presses:
     images = torch.empty(presses.frames, 256, 256, dtype=torch.uint8, device=presses.device)
     done = 0
     progress(0, presses.frames)
     for rows, own, other in _groups(presses.reference.cpu(), look.reference):
-        images[rows.to(presses.device)] = shrink_masks(seen(rows, own, other))
+        images[rows.to(presses.device)] = shrink_masks(translated(rows, own, other))
         done += len(rows)
         progress(done, presses.frames)
     return replace(

@@ -109,23 +109,23 @@ def gained(rows: Sequence[ForceRow]) -> str:
 
 def _begin(experiment: Experiment, archive: MarkerArchive) -> None:
     """Write definition and split of the experiment, or check that existing ones are the same."""
-    places, settings = experiment.places, experiment.settings
+    paths, settings = experiment.places, experiment.settings
     content = {
         "archive": archive_fingerprint(archive),
         "pairs": [f"{pair.source}:{pair.target}" for pair in experiment.pairs],
         **settings_to_dict(settings),
     }
-    places.predictions.mkdir(parents=True, exist_ok=True)
-    require_same(places.out / "experiment.json", content)
-    if places.split.exists():
-        read_split(places.split).check(archive)
+    paths.predictions.mkdir(parents=True, exist_ok=True)
+    require_same(paths.out / "experiment.json", content)
+    if paths.split.exists():
+        read_split(paths.split).check(archive)
         return
     make_split(
         archive,
         validation=settings.validation,
         new_press=settings.new_press,
         seed=settings.seed,
-    ).write(places.split)
+    ).write(paths.split)
 
 
 # Execution of the tasks, sequentially or in parallel.

@@ -91,12 +91,12 @@ def train_batched(
             seed_torch(settings.seed, "force", "step", done, 0)
             lengths = sequences.lengths if settings.sequences.padding == "masked" else None
             rows = torch.from_numpy(sequences.rows).to(device)
-            seen = mirrored(frames[:, rows], sequences.flips, settings.input)
+            inputs = mirrored(frames[:, rows], sequences.flips, settings.input)
             labelled = forces[:, rows] * signs(sequences.flips, device)
-            seen, labelled = (superposed(each, sequences, axis=1) for each in (seen, labelled))
+            inputs, labelled = (superposed(each, sequences, axis=1) for each in (inputs, labelled))
             wanted = (labelled - low) / (high - low)
             with torch.autocast(device.type, torch.bfloat16, enabled=in_bf16):
-                normalised = _forward(models[0], weights, buffers, seen, lengths)
+                normalised = _forward(models[0], weights, buffers, inputs, lengths)
             sure = torch.ones_like(wanted)
             if variances:
                 unsure = torch.stack(variances)[:, rows]

@@ -234,8 +234,8 @@ def fit_errors(
         error, size = error[labelled], magnitude[labelled]
         base, slope = _line(size, error)
         ratio, names = error / (base + slope * size), indenter[labelled]
-        _, place, count = np.unique(names, return_inverse=True, return_counts=True)
-        quantile = _conformal(ratio, 1.0 / count[place]) * beyond_largest(len(count))
+        _, group, count = np.unique(names, return_inverse=True, return_counts=True)
+        quantile = _conformal(ratio, 1.0 / count[group]) * beyond_largest(len(count))
         errors.append(AxisError(quantile * base, quantile * slope))
     return errors[0], errors[1], errors[2]
 

@@ -359,8 +359,8 @@ def _preset_for(network: ForceStream, sensor: str | None, model: Path) -> Preset
             f"--preset: missing: {reason}; allowed: the one that the sensor's markers were found "
             f"with: {', '.join(names())}, or a .yaml file"
         )
-    where = f"{model / CONFIG}.metadata.presets"
-    return preset(name) if isinstance(name, str) else built_preset(name, where)
+    key_path = f"{model / CONFIG}.metadata.presets"
+    return preset(name) if isinstance(name, str) else built_preset(name, key_path)
 
 
 def _stream(name: str | os.PathLike[str], runtime: str, threads: int) -> ForceStream:

@@ -332,21 +332,21 @@ class ForceModel(nn.Module):
         batch, steps = frames.shape[:2]
         length = [steps] * batch if lengths is None else lengths
         order = sorted(range(batch), key=lambda row: -length[row])
-        place = [(row, time) for time in range(steps) for row in order if time < length[row]]
+        indices = [(row, time) for time in range(steps) for row in order if time < length[row]]
         rows, times = (
-            torch.tensor(index, device=frames.device) for index in zip(*place, strict=True)
+            torch.tensor(index, device=frames.device) for index in zip(*indices, strict=True)
         )
         features = self.encoder(frames[rows, times])
         hidden = self.initial_state(batch).to(features.dtype) if state is None else state
         hidden = hidden[order]
-        seen, begin = [], 0
+        outputs, begin = [], 0
         for time in range(max(length)):
             running = sum(time < each for each in length)
             now = self.memory(features[begin : begin + running], hidden[:running])
             hidden = torch.cat((now, hidden[running:])) if running < batch else now
-            seen.append(now)
+            outputs.append(now)
             begin += running
-        normalised = torch.sigmoid(self.head(self.tail(torch.cat(seen))).float())
+        normalised = torch.sigmoid(self.head(self.tail(torch.cat(outputs))).float())
         forces = normalised.new_zeros(batch, steps, len(AXES)).index_put((rows, times), normalised)
         back = sorted(range(batch), key=order.__getitem__)
         return forces, hidden[back]

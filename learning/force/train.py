@@ -210,7 +210,7 @@ class Epoch:
         """Return the sequences of a step; the last is filled up from the start of the order."""
         batch = self.settings.batch
         first = (step * ranks + rank) * batch
-        chosen = [self.strings[place % len(self.strings)] for place in range(first, first + batch)]
+        chosen = [self.strings[index % len(self.strings)] for index in range(first, first + batch)]
         frames = [self._frames(sensor, presses) for sensor, presses in chosen]
         random = generator(self.seed, "force", "sequences", self.number, step, rank)
         longest = max(map(len, frames))
@@ -259,7 +259,7 @@ def epoch(
         per_row = min(settings.presses, len(order))
         whole = order[: len(order) - len(order) % per_row]
         strings += [(sensor, presses) for presses in whole.reshape(-1, per_row)]
-    shuffled = [strings[place] for place in random.permutation(len(strings))]
+    shuffled = [strings[index] for index in random.permutation(len(strings))]
     return Epoch(tuple(shuffled), tuple(starts), settings, seed, number)
 
 
@@ -267,12 +267,12 @@ def frames_of(
     groups: Sequence[Presses], sequences: Sequences, inputs: InputSettings, device: torch.device
 ) -> Tensor:
     """Return the prepared and mirrored frames (b, s, planes, side, side) of a step."""
-    shown = []
+    images = []
     for sensor, rows in zip(sequences.sensor, sequences.rows, strict=True):
         presses = groups[sensor]
         wanted = torch.from_numpy(rows).to(presses.device)
-        shown.append(prepared_rows(presses, wanted, inputs).to(device))
-    return mirrored(torch.stack(shown), sequences.flips, inputs)
+        images.append(prepared_rows(presses, wanted, inputs).to(device))
+    return mirrored(torch.stack(images), sequences.flips, inputs)
 
 
 def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) -> Tensor:

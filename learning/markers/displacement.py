@@ -261,14 +261,14 @@ class Matcher:
     def _searched(self, start: Floats, patches: Blobs) -> tuple[Floats, Indices]:
         """Return the displacement of all markers (m, 2), and the detection of each (m,) or -1."""
         usable = np.flatnonzero(patches.whole | self._all_cut)
-        places = patches.centre[usable]
+        centres = patches.centre[usable]
         moved, assigned = start, np.full(len(self.markers), -1)
-        if not len(places):
+        if not len(centres):
             return moved, assigned
-        tree = cKDTree(places)
+        tree = cKDTree(centres)
         for _ in range(ROUNDS):
-            again = self._nearest(self.markers + moved, places, tree)
-            offset = np.where(again[:, None] >= 0, places[again] - self.markers, 0.0)
+            again = self._nearest(self.markers + moved, centres, tree)
+            offset = np.where(again[:, None] >= 0, centres[again] - self.markers, 0.0)
             again, moved = self._agreed(again, offset, start)
             if np.array_equal(again, assigned):
                 break
@@ -316,7 +316,7 @@ class Matcher:
         claims = np.bincount(at, minlength=len(stats))
         merged = (claims > 1) & (stats[:, cv2.CC_STAT_AREA] > large)
         merged[0] = False
-        place, area, whole = list(patches.centre), list(patches.area), list(patches.whole)
+        centre, area, whole = list(patches.centre), list(patches.area), list(patches.whole)
         gone: list[int] = []
         for label in np.flatnonzero(merged).tolist():
             left, top, wide, high, _ = stats[label]
@@ -325,15 +325,15 @@ class Matcher:
             parts, sizes = _parted(pixels, expected[at == label])
             one = int(np.linalg.norm(patches.centre - middle[label], axis=1).argmin())
             gone.append(one)
-            place += list(parts)
+            centre += list(parts)
             area += sizes
             whole += [bool(patches.whole[one])] * len(parts)
         if not gone:
             return None
-        keep = np.ones(len(place), np.bool_)
+        keep = np.ones(len(centre), np.bool_)
         keep[gone] = False
-        frame = np.zeros(len(place), np.int64)
-        return Blobs(frame, np.array(area, np.int64), np.array(place), np.array(whole)).only(keep)
+        frame = np.zeros(len(centre), np.int64)
+        return Blobs(frame, np.array(area, np.int64), np.array(centre), np.array(whole)).only(keep)
 
 
 def _parted(pixels: Floats, claims: Floats) -> tuple[Floats, list[int]]:
@@ -430,9 +430,9 @@ class FieldReader:
         key = (float(scale[0]), float(scale[1]))
         if key not in self._operators:
             columns, rows = np.meshgrid(LATTICE.columns, LATTICE.rows)
-            places = _MIDDLE + (np.stack([columns, rows], axis=-1).reshape(-1, 2) - _MIDDLE) * scale
+            points = _MIDDLE + (np.stack([columns, rows], axis=-1).reshape(-1, 2) - _MIDDLE) * scale
             margin = LATTICE.margin_px
-            within = np.clip(places, -margin, np.array([WIDTH, HEIGHT]) + margin)
+            within = np.clip(points, -margin, np.array([WIDTH, HEIGHT]) + margin)
             self._operators[key] = self._matcher.spline.at(within)
         return self._operators[key]
 

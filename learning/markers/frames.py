@@ -142,14 +142,14 @@ class _Markers:
 
     def frames(self, recording: Recording, rows: Integers) -> Stored:
         """Return some rows of a recording (n, 38400); each picture is processed once."""
-        images, first, place = np.unique(
+        images, first, inverse = np.unique(
             recording.column("image")[rows], return_index=True, return_inverse=True
         )
         masks = []
         for image, reference in zip(images, recording.reference[rows[first]], strict=True):
             finder = self._finder(recording, int(reference))
             masks.append(self._mask(self._view(recording, int(image)), finder))
-        return pack(np.stack(masks))[place.reshape(-1)]
+        return pack(np.stack(masks))[inverse.reshape(-1)]
 
     def _view(self, recording: Recording, image: int) -> Picture:
         return self._segmenter.view(recording.picture(image))
@@ -311,14 +311,14 @@ class RecordedSensor:
         flags = marker_flags(self._name, frames, table, self.plan.references, self._frames.count)
         lines = []
         run, target = recording.column("run")[rows], recording.column("target")[rows]
-        for place, reason in enumerate(invalid):
+        for row, reason in enumerate(invalid):
             line: dict[str, Any] = {
                 "session": recording.name,
-                "run": int(run[place]),
-                "target": int(target[place]),
+                "run": int(run[row]),
+                "target": int(target[row]),
             }
             line |= {INVALID: reason} if reason else {}
-            line |= {FLAG: flags[place]} if place in flags else {}
+            line |= {FLAG: flags[row]} if row in flags else {}
             lines.append(json.dumps(line, ensure_ascii=False))
         return Frames(frames, table, lines)
 

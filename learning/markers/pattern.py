@@ -203,10 +203,10 @@ class ReferenceMarkers:
         likeness = cv2.matchTemplate(near, own, cv2.TM_CCOEFF_NORMED)
         away = np.arange(-search, search + 1) / half
         chosen = likeness - _FAR * (away[:, None] ** 2 + away**2)
-        place = np.unravel_index(int(chosen.argmax()), chosen.shape)
-        if likeness[place] < LIKENESS:
+        peak = np.unravel_index(int(chosen.argmax()), chosen.shape)
+        if likeness[peak] < LIKENESS:
             return None
-        return int(right + place[1] - search), int(down + place[0] - search)
+        return int(right + peak[1] - search), int(down + peak[0] - search)
 
     def _pixels(
         self, marker: int, shift: tuple[int, int]

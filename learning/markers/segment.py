@@ -268,14 +268,14 @@ Preset = CameraPreset | TaxelPreset | ShadingPreset
 
 def _require(owner: object, name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        where = getattr(owner, "KIND", type(owner).__name__.lower())
-        raise LearningError(f"{where}.{name}: found {value}; allowed: {low} to {high}")
+        kind = getattr(owner, "KIND", type(owner).__name__.lower())
+        raise LearningError(f"{kind}.{name}: found {value}; allowed: {low} to {high}")
 
 
 def _require_one_of(owner: object, name: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
-        where = getattr(owner, "KIND", type(owner).__name__.lower())
-        raise LearningError(f"{where}.{name}: found {value!r}; allowed: {', '.join(allowed)}")
+        kind = getattr(owner, "KIND", type(owner).__name__.lower())
+        raise LearningError(f"{kind}.{name}: found {value!r}; allowed: {', '.join(allowed)}")
 
 
 # Segmentation of a picture by a preset, with OpenCV.

@@ -103,7 +103,7 @@ def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int
     ]
     room = min(SHEET_FRAMES - len(sampled), len(deepest))
     evenly = np.linspace(0, len(deepest) - 1, room).round().astype(int)
-    return [*(deepest[place] for place in evenly), *sampled]
+    return [*(deepest[index] for index in evenly), *sampled]
 
 
 def _provenance(archived: ArchivedSensor, row: int) -> dict[str, object]:

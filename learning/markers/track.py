@@ -120,8 +120,8 @@ class Tracker:
         both = matched & self._fresh
         self._step = np.where(both[:, None], now - before, 0.0)
         self._moved, self._fresh = now, matched
-        place = np.where(matched[:, None], self.reference + now, np.nan)
-        return Track(place, self.reference + moved, assigned)
+        position = np.where(matched[:, None], self.reference + now, np.nan)
+        return Track(position, self.reference + moved, assigned)
 
     def _likeliest(self, expected: Sequence[Floats], centres: Floats) -> Indices:
         """Return the centre of each marker (m,), -1 for none, by the likeliest solution.

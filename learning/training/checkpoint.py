@@ -55,17 +55,17 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     return weights
 
 
-def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: str = "") -> None:
+def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], prefix: str = "") -> None:
     """Load weights into a module; names and shapes must match exactly.
 
     Args:
         model: The module, not wrapped by Accelerate. Its `may_be_nan`, if any, names tensors in
             which NaN has a meaning.
         weights: The file, or its content.
-        where: Prefix of error messages; replaced by the path if `weights` is a file.
+        prefix: Prefix of error messages; replaced by the path if `weights` is a file.
     """
     if isinstance(weights, Path):
-        where, weights = str(weights), read_weights(weights)
+        prefix, weights = str(weights), read_weights(weights)
     own = model.state_dict()
     wrong = []
     if missing := sorted(own.keys() - weights.keys()):
@@ -81,7 +81,7 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
         wrong.append(f"shapes {_listed(sorted(shapes), '; ')}")
     if wrong:
         raise LearningError(
-            f"{where}: not the weights of this network: {'; '.join(wrong)}; allowed: "
+            f"{prefix}: not the weights of this network: {'; '.join(wrong)}; allowed: "
             f"{len(own)} tensors, as its settings define"
         )
     may_be_nan: tuple[str, ...] = getattr(model, "may_be_nan", ())
@@ -92,7 +92,7 @@ def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], where: 
         and not bool((~value.isinf() if name in may_be_nan else value.isfinite()).all())
     ]
     if unsound:
-        raise LearningError(f"{where}: found NaN or infinity in {_listed(sorted(unsound))}")
+        raise LearningError(f"{prefix}: found NaN or infinity in {_listed(sorted(unsound))}")
     model.load_state_dict(dict(weights))
 
 
@@ -154,12 +154,12 @@ class ModelFolder:
 
     def settings(self, kind: type[Settings], key: str = "") -> Settings:
         """Return those of its settings that a dataclass has, or those under a key."""
-        where = f"{self.path / CONFIG}.settings"
+        key_path = f"{self.path / CONFIG}.settings"
         if key:
-            return READER.build(kind, self.config.settings.get(key), f"{where}.{key}")
+            return READER.build(kind, self.config.settings.get(key), f"{key_path}.{key}")
         names = {each.name for each in fields(kind)}  # type: ignore[arg-type]
         own = {name: each for name, each in self.config.settings.items() if name in names}
-        return READER.build(kind, own, where)
+        return READER.build(kind, own, key_path)
 
     def weights(self) -> dict[str, Tensor]:
         """Read its weights."""

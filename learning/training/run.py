@@ -408,8 +408,8 @@ def batch(
     if count < 1 or size < 1:
         raise LearningError(f"batch: found {size} of {count}; allowed: 1 and more of 1 and more")
     first = (step * ranks + rank) * size
-    places = np.arange(first, first + size)
-    passes, within = np.divmod(places, count)
+    positions = np.arange(first, first + size)
+    passes, within = np.divmod(positions, count)
     chosen = np.empty(size, np.int64)
     for number in np.unique(passes).tolist():
         here = passes == number
@@ -425,10 +425,12 @@ def _order(seed: int, what: str, number: int, count: int) -> NDArray[np.int64]:
     return order
 
 
-def _entropy(seed: int, words: tuple[str | int, ...]) -> int:
-    """Return 128 bits that depend on every word and on their order."""
-    # Type and length are hashed with each word, so that ("a", 1) differs from ("a1",).
-    text = "".join(f"{type(word).__name__} {len(str(word))} {word} " for word in (seed, *words))
+def _entropy(seed: int, values: tuple[str | int, ...]) -> int:
+    """Return 128 bits that depend on every value and on their order."""
+    # Type and length are hashed with each value, so that ("a", 1) differs from ("a1",).
+    text = "".join(
+        f"{type(value).__name__} {len(str(value))} {value} " for value in (seed, *values)
+    )
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:16], "little")
 
 

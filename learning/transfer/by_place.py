@@ -134,5 +134,5 @@ def forces_at(
     pressed = np.unique(keys[rows], axis=0)
     whole = (keys[:, None] == pressed[None]).all(axis=-1).any(axis=1) & table["valid"]
     presses = presses_of_rows(sensor, np.flatnonzero(whole), model)
-    order = {row: place for place, row in enumerate(presses.rows.tolist())}
+    order = {row: index for index, row in enumerate(presses.rows.tolist())}
     return model.predict(presses)[[order[int(row)] for row in rows]]

@@ -128,11 +128,11 @@ def write_report(
         pictures: Captions and PNGs.
         curve: Errors over the number of labelled presses, a line each; empty without labels.
     """
-    shown = [(text, base64.b64encode(png).decode()) for text, png in pictures]
+    encoded = [(text, base64.b64encode(png).decode()) for text, png in pictures]
     page = render(
         Path(__file__).with_name("report.html"),
         matches=matches,
-        pictures=shown,
+        pictures=encoded,
         curve=curve,
         **card_values(card),
     )

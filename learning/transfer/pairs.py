@@ -85,33 +85,33 @@ def split_pair(
     indenters, a quarter calibrates, from soft to hard contacts.
     """
     sensor = archive[source]
-    seen = _peaks(archive, sensor)
+    peaks = _peaks(archive, sensor)
     if calibrate_on is None:
-        if len(seen) < 2:
+        if len(peaks) < 2:
             raise LearningError(
-                f"{archive.name}: found {len(seen)} labelled indenters of {source} that may be "
+                f"{archive.name}: found {len(peaks)} labelled indenters of {source} that may be "
                 "learned from; allowed: 2 or more, as one calibrates the intervals "
                 "(--source-labels CSV: readings typed in)"
             )
-        ranked = sorted(seen, key=lambda name: (seen[name], name))
+        ranked = sorted(peaks, key=lambda name: (peaks[name], name))
         count = max(1, round(len(ranked) / _CALIBRATE))
-        places = ((2 * np.arange(count) + 1) * len(ranked)) // (2 * count)
-        calibrate_on = tuple(ranked[place] for place in places)
+        indices = ((2 * np.arange(count) + 1) * len(ranked)) // (2 * count)
+        calibrate_on = tuple(ranked[index] for index in indices)
     for name in calibrate_on:
-        if name not in seen:
+        if name not in peaks:
             raise LearningError(
-                f"--calibrate-on: found {name!r}; allowed: {', '.join(sorted(seen))}"
+                f"--calibrate-on: found {name!r}; allowed: {', '.join(sorted(peaks))}"
             )
-    if not set(seen) - set(calibrate_on):
+    if not set(peaks) - set(calibrate_on):
         raise LearningError(
-            f"--calibrate-on: found all of {', '.join(sorted(seen))}; allowed: some, as the model "
+            f"--calibrate-on: found all of {', '.join(sorted(peaks))}; allowed: some, as the model "
             "is trained on the others"
         )
     if path.exists():
         split = read_split(path)
         split.check(archive)
         return split, calibrate_on
-    held_out = {name for name, _ in presses_of(archive).values()} - set(seen) | set(calibrate_on)
+    held_out = {name for name, _ in presses_of(archive).values()} - set(peaks) | set(calibrate_on)
     split = make_split(
         archive, validation=0.0, new_press=0.0, unseen=tuple(sorted(held_out)), seed=seed
     )
@@ -171,10 +171,10 @@ def _phases(
     for (location,), location_rows in press_rows(table).items():
         phase = table["phase"][location_rows]
         depth = np.asarray(table["depth"][location_rows], np.float64)
-        place = np.asarray(table["position"][location_rows], np.float64)
+        position = np.asarray(table["position"][location_rows], np.float64)
         pressed = location_rows[np.isin(phase, _NORMAL)]
         start = table["position"][pressed[0] if len(pressed) else location_rows[0]]
-        away = np.linalg.norm(place - np.asarray(start, np.float64), axis=1)
+        away = np.linalg.norm(position - np.asarray(start, np.float64), axis=1)
         for code in np.unique(phase).tolist():
             chosen = phase == code
             if begun:

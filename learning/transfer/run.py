@@ -103,7 +103,7 @@ class TransferRequest:
 def run_transfer(request: TransferRequest, say: Say = print) -> Card:
     """Run or continue a transfer, and return the card of its model."""
     source, target = request.source.name, request.target.name
-    places = Places(request.out, request.out / "pairs.markers.zarr")
+    paths = Places(request.out, request.out / "pairs.markers.zarr")
     request.out.mkdir(parents=True, exist_ok=True)
     _begin(request)
 
@@ -112,7 +112,7 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
     archive, matches = join_pair(
         request.source,
         request.target,
-        places.archive,
+        paths.archive,
         request.tolerances,
         request.unseen,
         source_labels=request.source_labels,
@@ -121,22 +121,22 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
     for line in matches:
         say(line)
     split, calibrates = split_pair(
-        archive, source, places.split, request.calibrate_on, request.settings.seed
+        archive, source, paths.split, request.calibrate_on, request.settings.seed
     )
     say(f"calibrate the intervals before the model learns them: {', '.join(calibrates)}")
 
     # Labels are scaled between the skins, if both have a force-depth curve or a twin.
-    curved = _compensated(request, archive, places, say)
+    curved = _compensated(request, archive, paths, say)
     kinds = tuple(one for one in request.settings.compensation if curved or one == SIMULATED)
     method = after(kinds)
     settings = replace(request.settings, compensation=kinds)
     if request.source_model is not None:
-        experiment = Experiment(places, settings, (), request.device)
+        experiment = Experiment(paths, settings, (), request.device)
         settings = experiment.adopt(source, request.source_model)
     if method == UNSCALED:
         _require_as_deep(request, archive)
     run_experiment(
-        places,
+        paths,
         settings,
         pairs=[f"{source}:{target}"],
         device=request.device,
@@ -147,8 +147,8 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
     # The model of translated frames learns the target's own; errors on indenters never seen become
     # intervals; the scale is what is known of it.
     translator = settings.translators[0]
-    trained = places.model(f"force-{source}-to-{target}.{method}.{translator}")
-    stored = read_stored(places.compensation) if method in CHOICE_OF_METHOD else None
+    trained = paths.model(f"force-{source}-to-{target}.{method}.{translator}")
+    stored = read_stored(paths.compensation) if method in CHOICE_OF_METHOD else None
     relabelled = relabelling(archive, Pair(source, target), method, stored)
     by_place = ByPlace(archive, source, target, relabelled)
     trained = by_place.tune(trained, split, settings, request.device, "by place")
@@ -183,14 +183,14 @@ def run_transfer(request: TransferRequest, say: Say = print) -> Card:
         history=history,
     )
     deliver(trained, request.model, card, factors.tolist())
-    _deliver_before(places.model(f"force-{source}"), request.before)
+    _deliver_before(paths.model(f"force-{source}"), request.before)
     scaled = replace(
         calibration,
         intervals=intervals,
         predicted=factors * calibration.predicted,
         expected=factors * calibration.expected,
     )
-    pictures = [*_pictures(request, archive, places, scaled)]
+    pictures = [*_pictures(request, archive, paths, scaled)]
     write_report(request.out / "report.html", card, matches, pictures, curve)
     for line in (*lines_of(card), *history):
         say(line)

@@ -107,11 +107,11 @@ def forces_of_holds(path: Path, count: int) -> list[float]:
 
 def forces_of_rows(model_folder: Path, named: str, rows: Sequence[int]) -> list[float]:
     """Return the Fz that a model predicts in some rows of an archive [N]."""
-    where, _, sensor_name = named.rpartition(":")
-    archive = MarkerArchive(where)
+    path, _, sensor_name = named.rpartition(":")
+    archive = MarkerArchive(path)
     if sensor_name not in archive:
         raise LearningError(
-            f"--archive: found no sensor {sensor_name!r} in {where}; allowed: {', '.join(archive)}"
+            f"--archive: found no sensor {sensor_name!r} in {path}; allowed: {', '.join(archive)}"
         )
     sensor, model = archive[sensor_name], load_force_model(model_folder)
     table = sensor.table
@@ -241,8 +241,8 @@ def _scale(
         size = np.abs(np.where(np.isfinite(error[rows]), labels.forces[rows], np.nan))
         if np.isnan(size).all():
             continue
-        place, axis = divmod(int(np.nanargmax(size)), 3)
-        row = rows[place]
+        index, axis = divmod(int(np.nanargmax(size)), 3)
+        row = rows[index]
         samples.append(
             ScaleSample(
                 float(labels.forces[row, axis]),

@@ -194,8 +194,8 @@ class TranslatedSensor:
                     torch.from_numpy(before).to(self._device),
                     ordered=True,
                 )
-                seen = self._reference[rows] == number
-                packed[seen] = pack(translated.cpu().numpy()[seen])
+                of_reference = self._reference[rows] == number
+                packed[of_reference] = pack(translated.cpu().numpy()[of_reference])
             order = np.argsort(rows)
             self._last_press = press, rows[order], packed[order]
         return self._last_press[1:]
@@ -261,9 +261,9 @@ def target_references(
     location, first = np.unique(target["location"][located], return_index=True)
     references = np.zeros(len(locations), np.int16)
     if len(location):
-        place = np.minimum(np.searchsorted(location, locations), len(location) - 1)
-        there = location[place] == locations
-        references[there] = target["reference"][located[first[place[there]]]]
+        index = np.minimum(np.searchsorted(location, locations), len(location) - 1)
+        there = location[index] == locations
+        references[there] = target["reference"][located[first[index[there]]]]
     return references
 
 

@@ -28,8 +28,8 @@ def warp_masks(reference: torch.Tensor, fields: torch.Tensor) -> torch.Tensor:
     level = torch.tensor(edge_level(reference.cpu().numpy()), device=fields.device)
     parts = []
     for field in fields.split(_TOGETHER):
-        seen = warp(level[None, None], field.permute(0, 3, 1, 2), LATTICE)
-        parts.append(seen[:, 0] > 0.5)
+        warped = warp(level[None, None], field.permute(0, 3, 1, 2), LATTICE)
+        parts.append(warped[:, 0] > 0.5)
     return torch.cat(parts)
 
 

@@ -360,14 +360,14 @@ def _training_sensor(folder: _Folder, images: Path, sensor: Path, targets: int) 
         code = folder.indenters.index(indenter.name)
         for point in _contact_points(indenter):
             files = _frame_files(point)
-            place = Path(indenter.name) / point.name
-            wrench, whole = _forces(root / "force" / name, place, files)
-            depth = _depth(root / "depth" / name / place, files, chosen.surfaces_mm.get(name))
+            subfolder = Path(indenter.name) / point.name
+            wrench, whole = _forces(root / "force" / name, subfolder, files)
+            depth = _depth(root / "depth" / name / subfolder, files, chosen.surfaces_mm.get(name))
             have_depths.add(depth is not None)
             torques &= whole
             target = int(point.name) - 1
             count = len(files)
-            phase = read_phases(_last(images, name / place), count)
+            phase = read_phases(_last(images, name / subfolder), count)
             tip = np.zeros((count, 3))
             if plan is not None:
                 if target >= len(planned):
@@ -458,17 +458,17 @@ def _states(folder: _Folder) -> Iterator[PublishedSensor]:
     every = {state for states in files.values() for state in states}
     if not every:
         raise LearningError(f"{root}: found no <indenter>/<Pattern>/<x>_<y>_<depth>.jpg")
-    places = sorted({state[:2] for state in every})
+    points = sorted({state[:2] for state in every})
     depths = sorted({state[2] for state in every})
     for name in names:
         presses = []
         for shape in shapes:
             states = files[shape, name]
-            for target, (x, y) in enumerate(places):
+            for target, (x, y) in enumerate(points):
                 here = [depth for depth in depths if (x, y, depth) in states]
                 if not here:
                     continue
-                first = (folder.indenters.index(shape) * len(places) + target) * len(depths)
+                first = (folder.indenters.index(shape) * len(points) + target) * len(depths)
                 presses.append(
                     GenForcePress(
                         indenter=shape,
@@ -630,9 +630,9 @@ def _raw_presses(
             some = _frame_files(point / phase)
             files += some
             codes += [code] * len(some)
-            place = Path(run.name) / point.name / phase
-            wrenches.append(_forces(sensor / "force", place, some)[0])
-            poses.append(read_poses(sensor / "pose" / place / "pose.csv", some))
+            subfolder = Path(run.name) / point.name / phase
+            wrenches.append(_forces(sensor / "force", subfolder, some)[0])
+            poses.append(read_poses(sensor / "pose" / subfolder / "pose.csv", some))
         pose = np.concatenate(poses)
         origin = pose[0] if origin is None else origin
         location = folder.indenters.index(indenter) * targets + target if located else NO_LOCATION

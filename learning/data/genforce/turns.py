@@ -63,17 +63,17 @@ def turn_of(
     chosen = np.unique(np.linspace(0, len(sheared) - 1, _PRESSES).round().astype(int))
     shears, motions = [], []
     trackers: dict[int, Tracker] = {}
-    for press, ends in (sheared[place] for place in chosen.tolist() if sheared):
+    for press, ends in (sheared[index] for index in chosen.tolist() if sheared):
         if press.reference not in trackers:
             (reference,) = unpack(references[press.reference : press.reference + 1])
             trackers[press.reference] = Tracker(marker_centres(reference))
         tracker = trackers[press.reference]
         tracker.restart()
-        places = []
+        positions = []
         for frame in ends:
             (mask,) = unpack(read(press.files[frame])[None])
-            places.append(tracker.step(marker_centres(mask)).place)
-        moved = places[1] - places[0]
+            positions.append(tracker.step(marker_centres(mask)).place)
+        moved = positions[1] - positions[0]
         if np.isfinite(moved).any():
             shears.append(press.position[ends[1]] - press.position[ends[0]])
             motions.append(np.nanmean(moved, axis=0) * (1, -1))  # rows point down

@@ -47,9 +47,9 @@ class ClipFeatures(nn.Module):
     def forward(self, images: torch.Tensor) -> list[torch.Tensor]:
         """Return the features of images (n, 3, h, w) in [-1, 1]."""
         side = self.clip.config.image_size
-        seen = functional.interpolate(images * 0.5 + 0.5, size=(side, side), mode="area")
-        seen = (seen - self.get_buffer("mean")) / self.get_buffer("deviation")
-        outputs = self.clip(pixel_values=seen, output_hidden_states=True)
+        pixels = functional.interpolate(images * 0.5 + 0.5, size=(side, side), mode="area")
+        pixels = (pixels - self.get_buffer("mean")) / self.get_buffer("deviation")
+        outputs = self.clip(pixel_values=pixels, output_hidden_states=True)
         grid = side // self.clip.config.patch_size
         rasters = [
             outputs.hidden_states[block][:, 1:].transpose(1, 2).unflatten(2, (grid, grid)).float()
@@ -146,12 +146,12 @@ def _colour(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
 
 
 def _shift(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    rows, columns = _places(images)
-    for axis, places in ((2, rows), (3, columns)):
+    rows, columns = _pixel_indices(images)
+    for axis, positions in ((2, rows), (3, columns)):
         side = images.shape[axis]
         most = int(side * TRANSLATION + 0.5)
         shift = _integers(-most, most + 1, images, generator)
-        origins = places - shift
+        origins = positions - shift
         inside = (origins >= 0) & (origins < side)
         index = origins.clamp(0, side - 1).expand_as(images)
         images = images.gather(axis, index) * inside
@@ -160,15 +160,15 @@ def _shift(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
 
 def _cut(images: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
     outside = torch.zeros((), dtype=torch.bool, device=images.device)
-    for axis, places in zip((2, 3), _places(images), strict=True):
+    for axis, positions in zip((2, 3), _pixel_indices(images), strict=True):
         side = images.shape[axis]
         size = int(side * CUTOUT + 0.5)
         first = _integers(0, side + 1 - size % 2, images, generator) - size // 2
-        outside = outside | (places < first) | (places >= first + size)
+        outside = outside | (positions < first) | (positions >= first + size)
     return images * outside
 
 
-def _places(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _pixel_indices(images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return row indices (1, 1, h, 1) and column indices (1, 1, 1, w)."""
     height, width = images.shape[2:]
     rows = torch.arange(height, device=images.device).view(1, 1, -1, 1)

@@ -77,8 +77,8 @@ class ReferenceTokens(nn.Module):
         patches = nn.functional.pixel_unshuffle(latent, PATCH)
         rows, columns = patches.shape[2:]
         tokens = self.projection(patches.flatten(2).transpose(1, 2))
-        places = sine_places(rows, columns, self.width).to(tokens)
-        normed: torch.Tensor = self.norm(tokens + places)
+        encoding = sine_places(rows, columns, self.width).to(tokens)
+        normed: torch.Tensor = self.norm(tokens + encoding)
         return normed
 
 
@@ -379,8 +379,8 @@ class MarkerToMarker(nn.Module):
 
     def native(self, images: torch.Tensor) -> torch.Tensor:
         """Convert images (n, 1, h, w) in [0, 1] to network inputs (n, 3, h, w)."""
-        seen = images if self.pixel_range == "zero_one" else images * 2 - 1
-        return seen.expand(-1, 3, -1, -1)
+        scaled = images if self.pixel_range == "zero_one" else images * 2 - 1
+        return scaled.expand(-1, 3, -1, -1)
 
     def grey(self, native: torch.Tensor) -> torch.Tensor:
         """Convert network images (n, 3, h, w) to grey levels (n, h, w) uint8."""

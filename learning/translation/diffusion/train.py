@@ -195,9 +195,11 @@ class Adversary:
     features: ClipFeatures
     heads: Trainable
 
-    def seen(self, shown: torch.Tensor, batch: TranslationBatch) -> list[torch.Tensor]:
+    def augmented_features(
+        self, images: torch.Tensor, batch: TranslationBatch
+    ) -> list[torch.Tensor]:
         """Return the features of augmented images (n, 3, h, w)."""
-        features: list[torch.Tensor] = self.features(augment(shown, batch.generator))
+        features: list[torch.Tensor] = self.features(augment(images, batch.generator))
         return features
 
 
@@ -219,7 +221,7 @@ class TrainingStep:
         """Train one step on its batches; return the mean of each unweighted loss."""
         fraction = 1 / len(batches)
         reported: list[dict[str, torch.Tensor]] = []
-        shown = []
+        images = []
         for number, batch in enumerate(batches):
             with self._synchronised(self.generator, number == len(batches) - 1):
                 generated = self._generated(batch)
@@ -228,17 +230,17 @@ class TrainingStep:
                     parts["adversarial"] = self.fooling(generated, batch, self.adversary)
                 self.runs_on.backward(self._weighted(parts) * fraction)
             reported.append({name: part.detach() for name, part in parts.items()})
-            shown.append(generated.detach())
+            images.append(generated.detach())
         self._advance(self.generator)
         if self.adversary is not None:
             heads = self.adversary.heads
-            for number, (batch, generated) in enumerate(zip(batches, shown, strict=True)):
+            for number, (batch, generated) in enumerate(zip(batches, images, strict=True)):
                 # One pass for both, since every pass updates the spectral norms.
                 both = torch.cat((self._true(batch), generated))
                 with self._synchronised(heads, number == len(batches) - 1):
                     with torch.no_grad():
-                        seen = self.adversary.seen(both, batch)
-                    logits = (level.chunk(2) for level in heads.network(seen))
+                        features = self.adversary.augmented_features(both, batch)
+                    logits = (level.chunk(2) for level in heads.network(features))
                     true, fake = zip(*logits, strict=True)
                     loss = multilevel_sigmoid(true, real=True)
                     loss = loss + multilevel_sigmoid(fake, real=False)
@@ -258,10 +260,10 @@ class TrainingStep:
             self.runs_on.backward(parts["adversarial"] * self.losses.adversarial)
             self._advance(self.generator)
             heads, heads_losses = self.adversary.heads, []
-            for shown, real in ((self._true(batch), True), (generated.detach(), False)):
+            for images, real in ((self._true(batch), True), (generated.detach(), False)):
                 with torch.no_grad():
-                    seen = self.adversary.seen(shown, batch)
-                heads_losses.append(multilevel_sigmoid(heads.network(seen), real=real))
+                    features = self.adversary.augmented_features(images, batch)
+                heads_losses.append(multilevel_sigmoid(heads.network(features), real=real))
                 self.runs_on.backward(heads_losses[-1] * self.losses.adversarial)
                 self._advance(heads)
             parts["discriminator"] = heads_losses[0] + heads_losses[1]
@@ -297,7 +299,9 @@ class TrainingStep:
         # Unwrapped, so that the generator's backward pass does not synchronise the heads.
         heads = self.runs_on.unwrap_model(adversary.heads.network).requires_grad_(False)
         try:
-            return multilevel_sigmoid(heads(adversary.seen(generated, batch)), real=True)
+            return multilevel_sigmoid(
+                heads(adversary.augmented_features(generated, batch)), real=True
+            )
         finally:
             heads.requires_grad_(True)
 
@@ -420,9 +424,9 @@ def evaluate(
         part = pairs.of_pairs(chosen[first : first + _AT_ONCE])
         target, source = _latents(part, references, settings.source_reference, noise=None)
         with runs_on.autocast():
-            generated = network(part.seen(part.pairs[:, 0]), target, source)
+            generated = network(part.unit_images(part.pairs[:, 0]), target, source)
         grey = network.grey(generated).float() / 255
-        true = part.seen(part.pairs[:, 1])[:, 0]
+        true = part.unit_images(part.pairs[:, 1])[:, 0]
         square += float(((grey - true) ** 2).mean(dim=(1, 2)).sum())
         ours, theirs = grey > 0.5, true > 0.5
         both += float((ours & theirs).sum())
@@ -469,7 +473,7 @@ def _batch(
         chosen, references, settings.source_reference, None if noise is None else noise[1:]
     )
     own = None if noise is None else noise[0]
-    images = [chosen.seen(rows) for rows in chosen.pairs.unbind(dim=1)]
+    images = [chosen.unit_images(rows) for rows in chosen.pairs.unbind(dim=1)]
     return TranslationBatch(images[0], images[1], target, source, own, generator)
 
 

@@ -88,12 +88,12 @@ class PerceptualDistance(nn.Module):
         return distance
 
     def _stages(self, images: torch.Tensor) -> list[torch.Tensor]:
-        seen = (images - self.get_buffer("shift")) / self.get_buffer("scale")
+        activations = (images - self.get_buffer("shift")) / self.get_buffer("scale")
         stages = []
-        for place, layer in enumerate(self.features):
-            seen = layer(seen)
-            if place in self.taps:
-                stages.append(seen.float())
+        for index, layer in enumerate(self.features):
+            activations = layer(activations)
+            if index in self.taps:
+                stages.append(activations.float())
         return stages
 
 
@@ -144,18 +144,18 @@ def read_vae(folder: str) -> nn.Module:
 
 def read_clip(folder: str) -> Any:
     """Return CLIP's image encoder in a folder, a `CLIPVisionModelWithProjection`."""
-    where = Path(folder)
-    if not folder or not (where / "config.json").is_file():
+    path = Path(folder)
+    if not folder or not (path / "config.json").is_file():
         raise LearningError(f"weights.clip: found {folder!r}; needed: {CLIP}")
     transformers = vendor("transformers")
     try:
-        config = transformers.CLIPVisionConfig.from_pretrained(where, local_files_only=True)
+        config = transformers.CLIPVisionConfig.from_pretrained(path, local_files_only=True)
         clip = transformers.CLIPVisionModelWithProjection(config)
     except (OSError, ValueError, TypeError) as error:
-        raise LearningError(f"{where / 'config.json'}: not CLIP's: {_first_line(error)}") from error
+        raise LearningError(f"{path / 'config.json'}: not CLIP's: {_first_line(error)}") from error
     # The file may also contain the text encoder.
     own = clip.state_dict().keys()
-    tensors = read_tensors(_weights_file(where, _CLIP_WEIGHTS))
+    tensors = read_tensors(_weights_file(path, _CLIP_WEIGHTS))
     load_weights(clip, {name: tensors[name].float() for name in own & tensors.keys()}, folder)
     return clip
 
@@ -216,18 +216,18 @@ def fingerprint(folder: str) -> str:
 
     Computed from the configurations, the file sizes, and the first and last MiB of each file.
     """
-    seen = hashlib.sha256()
+    digest = hashlib.sha256()
     for part in ("unet", "vae"):
-        where = Path(folder) / part
-        seen.update((where / "config.json").read_bytes())
-        path = _weights_file(where)
+        part_folder = Path(folder) / part
+        digest.update((part_folder / "config.json").read_bytes())
+        path = _weights_file(part_folder)
         size = path.stat().st_size
-        seen.update(str(size).encode())
+        digest.update(str(size).encode())
         with path.open("rb") as file:
-            seen.update(file.read(1 << 20))
+            digest.update(file.read(1 << 20))
             file.seek(max(0, size - (1 << 20)))
-            seen.update(file.read())
-    return f"sha256:{seen.hexdigest()[:16]}"
+            digest.update(file.read())
+    return f"sha256:{digest.hexdigest()[:16]}"
 
 
 def require_base(stored: ModelFolder, base: str) -> None:
@@ -257,19 +257,21 @@ def base_of(stored: ModelFolder) -> str:
 
 
 def _diffusers_model(model: Any, folder: str, part: str) -> nn.Module:
-    where = Path(folder) / part
+    part_folder = Path(folder) / part
     require_base_folder(folder)
     try:
-        config = json.loads((where / "config.json").read_text())
+        config = json.loads((part_folder / "config.json").read_text())
         # Built without initial weights, since all of them are read from the file.
         with torch.device("meta"):
             network: nn.Module = model.from_config(config)
     except (ValueError, TypeError, KeyError) as error:
-        raise LearningError(f"{where / 'config.json'}: not of a {part}: {error}") from error
-    path = _weights_file(where)
+        raise LearningError(f"{part_folder / 'config.json'}: not of a {part}: {error}") from error
+    path = _weights_file(part_folder)
     tensors = {_new_name(name): tensor.float() for name, tensor in read_tensors(path).items()}
     if any(True for _ in network.buffers()):
-        raise LearningError(f"{where}: found a {part} with buffers; allowed: Stable Diffusion's")
+        raise LearningError(
+            f"{part_folder}: found a {part} with buffers; allowed: Stable Diffusion's"
+        )
     network.to_empty(device="cpu")
     load_weights(network, tensors, str(path))
     return network

@@ -176,11 +176,11 @@ class PatternBank:
     def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> PatternBank:
         """Draw `count` patterns."""
         patterns = sample_patterns(count, generator, device)
-        places = _full_places(device)
+        points = _pixel_positions(device)
         distances = []
         for first in range(0, count, _DRAWN_AT_ONCE):
             rows = torch.arange(first, min(first + _DRAWN_AT_ONCE, count), device=device)
-            masks = patterns[rows].draw(places).squeeze(1) > 0.5
+            masks = patterns[rows].draw(points).squeeze(1) > 0.5
             distances.append(resampled(signed_distance(masks), IMAGE_SIDE).half())
         empty = torch.empty(0, 1, IMAGE_SIDE, IMAGE_SIDE, dtype=torch.half, device=device)
         return cls(patterns, torch.cat([empty, *distances]))
@@ -214,13 +214,13 @@ def draw_examples(
     """Return a batch of examples, the same for the same generator."""
     procedural = round(batch * settings.procedural) if len(bank.distances) else 0
     rows = _rows(generator.integers(len(frames), size=batch), frames.device)
-    places, sign = _views(batch, settings.move, generator, frames.device)
-    shift = _moved_shifts(frames, rows, places, sign)
+    points, sign = _views(batch, settings.move, generator, frames.device)
+    shift = _moved_shifts(frames, rows, points, sign)
     own = slice(0, batch - procedural)
-    seen = _looked_up(frames.seen(rows[own]), places[own])
-    distance = _looked_up(frames.distance(rows[own]), places[own])
+    images = _looked_up(frames.unit_images(rows[own]), points[own])
+    distance = _looked_up(frames.distance(rows[own]), points[own])
     if not procedural:
-        return Examples(seen, distance, seen, shift, seen[:0], distance[:0])
+        return Examples(images, distance, images, shift, images[:0], distance[:0])
     pushed = _pushed(shift[batch - procedural :], settings, generator)
     one, other = (
         _rows(generator.integers(len(bank.distances), size=procedural), frames.device)
@@ -230,9 +230,9 @@ def draw_examples(
     material = pixel_grid(IMAGE_SIDE, frames.device) - fine
     whole, missed = bank.patterns[one], _segmented(bank.patterns[one], settings, generator)
     return Examples(
-        seen=torch.cat([seen, missed.draw(material)]),
+        seen=torch.cat([images, missed.draw(material)]),
         distance=torch.cat([distance, bank.distances[one].float()]),
-        shown=torch.cat([seen, whole.draw(material)]),
+        shown=torch.cat([images, whole.draw(material)]),
         shift=torch.cat([shift[own], pushed]),
         other=bank.patterns[other].draw(material),
         other_distance=bank.distances[other].float(),
@@ -241,7 +241,7 @@ def draw_examples(
 
 def random_shifts(count: int, generator: np.random.Generator, device: torch.device) -> Tensor:
     """Return smooth random shifts (n, 2, 64, 64) [px]: sums of radial and lateral bumps."""
-    place = generator.uniform(0.1, 0.9, (count, _BUMPS, 2)) * (WIDTH, HEIGHT)
+    position = generator.uniform(0.1, 0.9, (count, _BUMPS, 2)) * (WIDTH, HEIGHT)
     least, largest = _BUMP_PX
     wide = np.exp(generator.uniform(np.log(least), np.log(largest), (count, _BUMPS, 1)))
     most = np.minimum(_BUMP_MOST_PX, _STRETCH_MOST * wide) / _BUMPS
@@ -250,7 +250,7 @@ def random_shifts(count: int, generator: np.random.Generator, device: torch.devi
     arrow = np.concatenate([np.cos(angle), np.sin(angle)], axis=-1)
     drag = most * generator.random((count, _BUMPS, 1)) * arrow
     centre, width, outward, along = (
-        _on(each, device)[..., None, None] for each in (place, wide, push, drag)
+        _on(each, device)[..., None, None] for each in (position, wide, push, drag)
     )
     offset = (pixel_grid(SIDE, device).unsqueeze(1) - centre) / width
     square = offset.square().sum(dim=2, keepdim=True)
@@ -269,13 +269,13 @@ def _views(
     return grid * sign[:, None, None] + offset[:, None, None], sign
 
 
-def _moved_shifts(frames: FieldFrames, rows: Tensor, places: Tensor, sign: Tensor) -> Tensor:
+def _moved_shifts(frames: FieldFrames, rows: Tensor, points: Tensor, sign: Tensor) -> Tensor:
     """Return the true shifts (n, 2, 64, 64) in views of frames; NaN where unknown."""
     if frames.shift is None:
         shape = len(rows), 2, SIDE, SIDE
         return torch.full(shape, torch.nan, device=frames.device)
     step = IMAGE_SIDE // SIDE
-    cells = functional.avg_pool2d(places.permute(0, 3, 1, 2), step).permute(0, 2, 3, 1)
+    cells = functional.avg_pool2d(points.permute(0, 3, 1, 2), step).permute(0, 2, 3, 1)
     return _looked_up(frames.shift[rows].float(), cells) * sign[:, :, None, None]
 
 
@@ -305,13 +305,13 @@ def _segmented(
     return replace(patterns, radius=radius)
 
 
-def _looked_up(images: Tensor, places: Tensor) -> Tensor:
+def _looked_up(images: Tensor, points: Tensor) -> Tensor:
     return functional.grid_sample(
-        images, places, mode="bilinear", padding_mode="border", align_corners=False
+        images, points, mode="bilinear", padding_mode="border", align_corners=False
     )
 
 
-def _full_places(device: torch.device) -> Tensor:
+def _pixel_positions(device: torch.device) -> Tensor:
     """Return columns and rows of the pixels of a mask (1, 2, 480, 640)."""
     rows = torch.arange(HEIGHT, device=device, dtype=torch.float32)
     columns = torch.arange(WIDTH, device=device, dtype=torch.float32)

@@ -103,8 +103,8 @@ class Attention(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """Return features (n, width, side, side)."""
         cells = (self.norm(features) + self.place).flatten(2).transpose(1, 2)
-        seen: Tensor = self.attention(cells, cells, cells, need_weights=False)[0]
-        return features + seen.transpose(1, 2).reshape(features.shape)
+        attended: Tensor = self.attention(cells, cells, cells, need_weights=False)[0]
+        return features + attended.transpose(1, 2).reshape(features.shape)
 
 
 class Contraction(nn.Module):
@@ -205,15 +205,15 @@ def render(distance: Tensor, deformation: Tensor) -> Tensor:
         deformation, size=(height, width), mode="bicubic", align_corners=False
     )
     shift = fine[:, :2] * _per_px(distance).view(1, 2, 1, 1)
-    places = image_grid(height, width, distance.device) - shift.permute(0, 2, 3, 1)
+    points = image_grid(height, width, distance.device) - shift.permute(0, 2, 3, 1)
     level: Tensor = functional.grid_sample(
         distance.expand(len(deformation), -1, -1, -1),
-        places,
+        points,
         mode="bilinear",
         padding_mode="border",
         align_corners=False,
     )
-    beyond = torch.linalg.vector_norm((places.abs() - 1).clamp(min=0) / _per_px(distance), dim=-1)
+    beyond = torch.linalg.vector_norm((points.abs() - 1).clamp(min=0) / _per_px(distance), dim=-1)
     deformed: Tensor = level - beyond.unsqueeze(1) + fine[:, 2:]
     return deformed
 
@@ -257,13 +257,13 @@ def transferred(deformation: Tensor, zoom: Tensor, placement: Tensor | None = No
     """
     height, width = deformation.shape[-2:]
     grid = image_grid(height, width, deformation.device).expand(len(deformation), -1, -1, -1)
-    places = grid * zoom.view(-1, 1, 1, 2)
+    points = grid * zoom.view(-1, 1, 1, 2)
     if placement is not None:
         # Written out, as autocast would round a matrix product to bfloat16.
-        turned = (placement[:, None, None, :, :2] * places.unsqueeze(3)).sum(dim=-1)
-        places = places + turned + placement[:, None, None, :, 2]
+        turned = (placement[:, None, None, :, :2] * points.unsqueeze(3)).sum(dim=-1)
+        points = points + turned + placement[:, None, None, :, 2]
     looked_up: Tensor = functional.grid_sample(
-        deformation, places, mode="bilinear", padding_mode="border", align_corners=False
+        deformation, points, mode="bilinear", padding_mode="border", align_corners=False
     )
     scale = torch.cat([zoom, zoom.prod(dim=1, keepdim=True).sqrt()], dim=1)
     return looked_up / scale.view(-1, 3, 1, 1)
@@ -307,8 +307,8 @@ class FieldNet(nn.Module):
             with torch.no_grad():
                 so_far = coverage(render(distance, deformation.float()))
             # Centred, since 0..1 would offset every feature of mostly dark images.
-            seen = torch.cat([frames - so_far, frames + so_far - 0.5], dim=1)
-            features = self.look_closer(functional.silu(self.look(seen)))
+            inputs = torch.cat([frames - so_far, frames + so_far - 0.5], dim=1)
+            features = self.look_closer(functional.silu(self.look(inputs)))
             previous = deformation.detach() / UNIT_PX
             missing = self.update(torch.cat([features, previous.to(features.dtype)], dim=1))
             deformation = deformation.detach() + coarse_growth(UNIT_PX * missing.float())
@@ -360,13 +360,13 @@ class FieldMap(nn.Module):
         condition = 2 * numbers + _SCALES
         self.source = LayoutEncoder(2 * GROUPS, numbers)
         self.target = LayoutEncoder(2 * GROUPS, numbers)
-        shown = CHANNELS + 2
+        planes = CHANNELS + 2
         narrow = [max(1, width // (2 * GROUPS)) * GROUPS for width in widths]
-        self.placing = Contraction(shown, narrow, SIDE, condition)
+        self.placing = Contraction(planes, narrow, SIDE, condition)
         self.place = nn.Linear(narrow[-1], 6)
         for weights in self.place.parameters():
             nn.init.zeros_(weights)
-        self.change = FieldUnet(shown + CHANNELS + 2 * _LAYOUT, CHANNELS, widths, SIDE, condition)
+        self.change = FieldUnet(planes + CHANNELS + 2 * _LAYOUT, CHANNELS, widths, SIDE, condition)
 
     def forward(
         self,
@@ -385,18 +385,18 @@ class FieldMap(nn.Module):
         target_layout, target_numbers = self.target(target_distance)
         scales = (torch.cat([source_scale, target_scale], dim=1) / _SCALE_MM).log()
         condition = torch.cat([source_numbers, target_numbers, scales.to(source_numbers.dtype)], 1)
-        places = image_grid(SIDE, SIDE, deformation.device).permute(0, 3, 1, 2)
-        places = places.expand(len(deformation), -1, -1, -1)
-        shown = torch.cat([deformation / UNIT_PX, places], dim=1).to(condition.dtype)
-        whole = self.placing(shown, condition)[-1].mean(dim=(2, 3))
+        grid = image_grid(SIDE, SIDE, deformation.device).permute(0, 3, 1, 2)
+        grid = grid.expand(len(deformation), -1, -1, -1)
+        inputs = torch.cat([deformation / UNIT_PX, grid], dim=1).to(condition.dtype)
+        whole = self.placing(inputs, condition)[-1].mean(dim=(2, 3))
         placement = self.place(whole).float().view(-1, 2, 3)
         zoom = target_scale / source_scale
         identity = transferred(deformation, zoom)
         placed = transferred(deformation, zoom, placement)
-        shown = torch.cat([placed / UNIT_PX, identity / UNIT_PX, places], dim=1)
+        inputs = torch.cat([placed / UNIT_PX, identity / UNIT_PX, grid], dim=1)
         layouts = torch.cat([source_layout, target_layout], dim=1)
         change: Tensor = self.change(
-            torch.cat([shown.to(layouts.dtype), layouts], dim=1), condition
+            torch.cat([inputs.to(layouts.dtype), layouts], dim=1), condition
         )
         return placed + coarse_growth(UNIT_PX * change.float())
 
@@ -465,12 +465,12 @@ def _distance_to(masks: Tensor, reach: int) -> Tensor:
     the minimum over all rows in reach.
     """
     height, width = masks.shape[-2:]
-    place = torch.arange(width, device=masks.device, dtype=torch.float32)
+    column = torch.arange(width, device=masks.device, dtype=torch.float32)
     far = float(reach)
-    last = torch.where(masks, place, -2 * far).cummax(dim=-1).values
-    mirrored = torch.where(masks, -place, -2 * far - width).flip(-1)
+    last = torch.where(masks, column, -2 * far).cummax(dim=-1).values
+    mirrored = torch.where(masks, -column, -2 * far - width).flip(-1)
     following = -mirrored.cummax(dim=-1).values.flip(-1)
-    along = torch.minimum(place - last, following - place).clamp(max=far).square()
+    along = torch.minimum(column - last, following - column).clamp(max=far).square()
     best = along.clone()
     for offset in range(1, min(reach, height - 1) + 1):
         lower, upper = best[:, offset:], best[:, :-offset]

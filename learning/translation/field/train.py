@@ -227,11 +227,11 @@ class SourceDeformations:
 def net_loss(looks: list[Tensor], examples: Examples, weights: FieldLossWeights) -> Tensor:
     """Return the loss of the field net's deformations, one (n, 3, 64, 64) per pass."""
     total = torch.zeros((), device=examples.seen.device)
-    for place, deformation in enumerate(reversed(looks)):
+    for index, deformation in enumerate(reversed(looks)):
         level = render(examples.distance, deformation)
         loss = image_loss(level, examples.shown, weights) + regularity_loss(deformation, weights)
         loss = loss + weights.truth * truth_error(deformation, examples.shift).mean()
-        total = total + _EARLIER_LOOK**place * loss
+        total = total + _EARLIER_LOOK**index * loss
     procedural = len(examples.other)
     if procedural:
         level = render(examples.other_distance, looks[-1][-procedural:])
@@ -254,12 +254,12 @@ def map_loss(
     first m pairs: between them the deformation of the source must not change.
     """
     source, target = frames.pairs[pairs].unbind(dim=1)
-    seen, distance = deformations.of(pairs), frames.distance(target)
+    source_deformation, distance = deformations.of(pairs), frames.distance(target)
     scales = frames.scale(source), frames.scale(target)
     few = slice(patterns.shape[1])
     # One batch, as a GPU takes longer to launch a pass than to compute it.
     mapped: Tensor = mapping(
-        torch.cat([seen, seen[few]]),
+        torch.cat([source_deformation, source_deformation[few]]),
         torch.cat([frames.distance(source), patterns[0]]),
         torch.cat([distance, patterns[1]]),
         torch.cat([scales[0], scales[0][few]]),
@@ -267,12 +267,14 @@ def map_loss(
     )
     deformation, unchanged = mapped[: len(pairs)], mapped[len(pairs) :]
     level = render(distance, deformation)
-    loss = image_loss(level, frames.seen(target), weights) + regularity_loss(deformation, weights)
+    loss = image_loss(level, frames.unit_images(target), weights) + regularity_loss(
+        deformation, weights
+    )
     if frames.shift is not None:
         error = truth_error(deformation, frames.shift[target].float()).mean()
         loss = loss + weights.truth * error
     if len(unchanged):
-        loss = loss + weights.unknown * (unchanged - seen[few]).abs().mean()
+        loss = loss + weights.unknown * (unchanged - source_deformation[few]).abs().mean()
     return loss
 
 
@@ -292,7 +294,7 @@ def net_scores(model: FieldModel, frames: FieldFrames, most: int, seed: int) -> 
     rows = _chosen(len(frames), most, seed, frames.device)
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_still": [], "shift_error_px": []}
     for part in _parts(rows):
-        images, distance = frames.seen(part), frames.distance(part)
+        images, distance = frames.unit_images(part), frames.distance(part)
         deformation = model.net(images, distance)[-1]
         scores["dice"].append(dice(render(distance, deformation), images))
         scores["dice_still"].append(dice(distance, images))
@@ -316,7 +318,7 @@ def map_scores(
     scores: dict[str, list[Tensor]] = {"dice": [], "dice_transferred": [], "dice_still": []}
     for part in _parts(chosen):
         source, target = frames.pairs[part].unbind(dim=1)
-        distance, images = frames.distance(target), frames.seen(target)
+        distance, images = frames.distance(target), frames.unit_images(target)
         scales = frames.scale(source), frames.scale(target)
         deformation = deformations.of(part)
         mapped = model.map(deformation, frames.distance(source), distance, *scales)
@@ -331,11 +333,12 @@ def map_scores(
 def source_deformations(model: FieldModel, frames: FieldFrames) -> SourceDeformations:
     """Return the field net's deformation of each pair's source."""
     every = torch.unique(frames.pairs[:, 0], return_inverse=True)
-    sources, place = every[0], every[1]
+    sources, index = every[0], every[1]
     parts = [
-        model.net(frames.seen(rows), frames.distance(rows))[-1].half() for rows in _parts(sources)
+        model.net(frames.unit_images(rows), frames.distance(rows))[-1].half()
+        for rows in _parts(sources)
     ]
-    return SourceDeformations(torch.cat(parts), place)
+    return SourceDeformations(torch.cat(parts), index)
 
 
 def _chosen(count: int, most: int, seed: int, device: torch.device) -> Tensor:
