@@ -101,7 +101,7 @@ class Query:
             if value and getattr(row, name) != value:
                 return False
         row_text = " ".join((row.path, row.sensor, row.indenter, row.operator, row.plan)).lower()
-        if not all(word in row_text for word in self.text.lower().split()):
+        if not all(term in row_text for term in self.text.lower().split()):
             return False
         day = row.started_utc[:10]
         if self.since is not None and not day >= self.since.isoformat():

@@ -74,8 +74,8 @@ def describe(path: str | os.PathLike[str]) -> str:
 
     For a marker archive, the summary has one line per sensor.
     """
-    files, place = locate(path)
-    if says_it_is(place, files, ARCHIVE_FORMAT):
+    files, root = locate(path)
+    if says_it_is(root, files, ARCHIVE_FORMAT):
         return describe_archive(path)
     session = Session(path)
     lines = [f"{session.name}  status {session.status}, {len(session.runs)} run(s)"]

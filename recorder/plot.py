@@ -86,9 +86,9 @@ def line_plot(
     for curve in curves:
         mask = Image.new("L", (width * _SMOOTH, height * _SMOOTH))
         pen = ImageDraw.Draw(mask)
-        places = _SMOOTH * np.column_stack([to_x(x), to_y(curve.values)])
+        points = _SMOOTH * np.column_stack([to_x(x), to_y(curve.values)])
         gaps = np.flatnonzero(np.diff(np.isfinite(curve.values))) + 1
-        for part in np.split(places, gaps):
+        for part in np.split(points, gaps):
             if len(part) > 1 and np.isfinite(part).all():
                 pen.line([(a, b) for a, b in part.tolist()], 255, 5, joint="curve")
         picture.paste(curve.color, (0, 0), mask.resize(size, Image.Resampling.BOX))

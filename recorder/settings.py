@@ -123,13 +123,15 @@ class Reader:
         if not isinstance(content, dict):
             raise self._wrong(where, content, "a mapping of keys to values")
         content = dict(content)
-        word = getattr(kind, "KIND", None)
-        if word is not None and (found := content.pop("kind", word)) != word:
-            raise self.error(f"{where}.kind: found {found!r}; allowed: {word}")
+        kind_name = getattr(kind, "KIND", None)
+        if kind_name is not None and (stated_kind := content.pop("kind", kind_name)) != kind_name:
+            raise self.error(f"{where}.kind: found {stated_kind!r}; allowed: {kind_name}")
         hints = get_type_hints(kind)
         fields = dict(self._fields(kind))
         if unknown := sorted(str(key) for key in content.keys() - fields.keys()):
-            raise self.error(f"{where}: unknown {', '.join(unknown)}; {_known(unknown, fields)}")
+            raise self.error(
+                f"{where}: unknown {', '.join(unknown)}; {_suggestion(unknown, fields)}"
+            )
         for key, each in fields.items():
             if key not in content and each.default is each.default_factory is dataclasses.MISSING:
                 raise self.error(f"{where}: missing {key}; known: {', '.join(fields)}")
@@ -149,8 +151,8 @@ class Reader:
         if not isinstance(content, dict):
             raise self._wrong(where, content, f"a mapping with kind {' or '.join(by_kind)}")
         if (kind := content.get("kind")) not in by_kind:
-            found = f"found {kind!r}" if "kind" in content else "missing"
-            raise self.error(f"{where}.kind: {found}; allowed: {', '.join(by_kind)}")
+            problem = f"found {kind!r}" if "kind" in content else "missing"
+            raise self.error(f"{where}.kind: {problem}; allowed: {', '.join(by_kind)}")
         return self.build(by_kind[kind], content, where)
 
     def key_of(self, each: dataclasses.Field[Any]) -> str:
@@ -194,12 +196,12 @@ class Reader:
             turn = from_si(math.hypot(*pose.rotation), "deg")
             self._refuse_radians(turn, f"{at}.rotation_deg", value.get("rotation_deg"))
             return pose.vector
-        found = self._value(hints[each.name], value, at, unit)
+        converted = self._value(hints[each.name], value, at, unit)
         for number in value if isinstance(value, list) else [value]:
             self._refuse_implausible(each, number, at, unit, value)
         if unit == "deg" and isinstance(value, list):
             self._refuse_radians(math.hypot(*value), at, value)
-        return found
+        return converted
 
     def _refuse_implausible(
         self, each: dataclasses.Field[Any], number: Any, at: str, unit: str | None, written: Any
@@ -275,8 +277,8 @@ class Reader:
         if len(each) != len(value):
             raise self.error(f"{where}: found {len(value)} values; allowed: {len(each)}{_in(unit)}")
         return tuple(
-            self._value(one, item, f"{where}[{place}]", unit)
-            for place, (one, item) in enumerate(zip(each, value, strict=True))
+            self._value(one, item, f"{where}[{index}]", unit)
+            for index, (one, item) in enumerate(zip(each, value, strict=True))
         )
 
     def _mapping(self, hint: Any, value: Any, where: str, unit: str | None) -> dict[str, Any]:
@@ -298,14 +300,16 @@ class Reader:
         options = tuple(option for option in options if option is not _NONE)
         if len(options) == 1:
             return self._value(options[0], value, where, unit)
-        known = [each for each in options if hasattr(each, "KIND") or each in self.families]
-        kinds = self._members(known, value)
-        if kinds and (len(known) == len(options) or isinstance(value, dict)):
+        mapping_options = [
+            each for each in options if hasattr(each, "KIND") or each in self.families
+        ]
+        kinds = self._members(mapping_options, value)
+        if kinds and (len(mapping_options) == len(options) or isinstance(value, dict)):
             return self.build_one_of(kinds, value, where)
         allowed = []
         if kinds:
             allowed.append(f"a mapping with kind {' or '.join(each.KIND for each in kinds)}")
-        for option in (each for each in options if each not in known):
+        for option in (each for each in options if each not in mapping_options):
             try:
                 return self._value(option, value, where, unit)
             except self.error as error:
@@ -315,14 +319,14 @@ class Reader:
     def _members(self, hints: Sequence[Any], value: Any) -> list[Any]:
         """Return the dataclasses that a mapping may describe, with the members of families."""
         kind = value.get("kind") if isinstance(value, dict) else None
-        found: list[Any] = []
+        members: list[Any] = []
         for hint in hints:
             family = self.families.get(hint)
-            found += [hint] if family is None else family(kind).values()
-        return found
+            members += [hint] if family is None else family(kind).values()
+        return members
 
 
-def _known(unknown: Sequence[str], fields: Mapping[str, Any]) -> str:
+def _suggestion(unknown: Sequence[str], fields: Mapping[str, Any]) -> str:
     """Return the likely key for the first unknown one, and all keys."""
     likely = difflib.get_close_matches(unknown[0], fields, n=1)
     meant = f"did you mean {likely[0]}? " if likely else ""

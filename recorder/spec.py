@@ -563,22 +563,24 @@ def reference_spec(streams: Sequence[StreamSpec]) -> StreamSpec:
     the mean of a value and its standard deviation (`<stream>_std`).
     """
     columns = {column.name: column for column in REFERENCE.columns[:-2]}
-    places = frame_columns((spec.name, spec.traits) for spec in streams)
+    column_names = frame_columns((spec.name, spec.traits) for spec in streams)
     for spec in streams:
-        kind, place = spec.traits.defaults, places.get(spec.name)
+        kind, column_name = spec.traits.defaults, column_names.get(spec.name)
         value = spec.value
-        if place is None or value is None or not kind.reference:
+        if column_name is None or value is None or not kind.reference:
             continue
         if kind.reference == "row":
             about = f"row of streams/{spec.name}; -1 without one"
-            columns[place] = Column(place, "int64", units="1", description=about)
+            columns[column_name] = Column(column_name, "int64", units="1", description=about)
             continue
-        about = columns[place].description if place in columns else "mean without contact"
-        columns[place] = replace(value, name=place, dtype="float64", description=about)
+        about = (
+            columns[column_name].description if column_name in columns else "mean without contact"
+        )
+        columns[column_name] = replace(value, name=column_name, dtype="float64", description=about)
         if kind.tared:
             about = "standard deviation of the samples behind it"
-            std = f"{place}_std"
-            columns[std] = replace(columns[place], name=std, description=about)
+            std = f"{column_name}_std"
+            columns[std] = replace(columns[column_name], name=std, description=about)
     return replace(REFERENCE, columns=(*columns.values(), *REFERENCE.columns[-2:]))
 
 

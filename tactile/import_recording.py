@@ -82,10 +82,10 @@ def run(options: argparse.Namespace) -> int:
     answers, drafts = _drafts(options, stated)
     for line in _grouped([line for draft in drafts for line in draft.assumed]):
         print(line)
-    places = "Places and depths come from the poses" if answers.contact_frame else _UNPLACED
-    print(places)
+    position_note = "Places and depths come from the poses" if answers.contact_frame else _UNPLACED
+    print(position_note)
     page = options.page or options.out.with_name(options.out.name + ".import.html")
-    write_page(drafts, page, sensor=answers.sensor, places=places + ".")
+    write_page(drafts, page, sensor=answers.sensor, places=position_note + ".")
     print(f"{page}: look at it before you use the data")
     if not options.yes and not _approved(options.out):
         return 0

@@ -102,12 +102,12 @@ def joined(argv: Iterable[str]) -> list[str]:
     argparse would take them for options: it recognises negative numbers, but no lists of them.
     """
     tied: list[str] = []
-    for word in argv:
+    for argument in argv:
         after_option = bool(tied) and tied[-1].startswith("--") and "=" not in tied[-1]
-        if after_option and re.match(r"-[.\d][^=]*,", word):
-            tied[-1] += f"={word}"
+        if after_option and re.match(r"-[.\d][^=]*,", argument):
+            tied[-1] += f"={argument}"
         else:
-            tied.append(word)
+            tied.append(argument)
     return tied
 
 

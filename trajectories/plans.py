@@ -171,9 +171,9 @@ class PressShear:
         turns = 2 * math.pi / self.angle_step
         if abs(turns - round(turns)) > 1e-6 or round(turns) < 1:
             raise ValueError(f"angle_step: {self.angle_step!r} rad; allowed: a part of 2 pi")
-        for name, known in (("layout", get_args(Layout)), ("order", get_args(PointOrder))):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: {', '.join(known)}")
+        for name, choices in (("layout", get_args(Layout)), ("order", get_args(PointOrder))):
+            if getattr(self, name) not in choices:
+                raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: {', '.join(choices)}")
         allowed = range(1, 6)
         if not self.points or any(point not in allowed for point in self.points):
             raise ValueError(f"points: {self.points!r}; allowed: numbers from 1 to 5")
@@ -487,10 +487,10 @@ def plan_from_json(stored: dict[str, Any]) -> Plan:
     if kind not in KINDS:
         raise ValueError(f"plan.kind: {kind!r}; allowed: {sorted(KINDS)}")
     spec = KINDS[kind]
-    known = {field.name for field in dataclasses.fields(spec)}
-    if unknown := sorted(set(fields) - known):
-        raise ValueError(f"plan: unknown {unknown}; known: {sorted(known)}")
-    if missing := sorted(known - set(fields)):
+    field_names = {field.name for field in dataclasses.fields(spec)}
+    if unknown := sorted(set(fields) - field_names):
+        raise ValueError(f"plan: unknown {unknown}; known: {sorted(field_names)}")
+    if missing := sorted(field_names - set(fields)):
         raise ValueError(f"plan: {', '.join(missing)} missing; a stored plan states every field")
     values = {
         name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()

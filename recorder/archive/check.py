@@ -143,14 +143,14 @@ def _progress(files: Files, path: Path, names: list[str]) -> str:
 
 def _check_structure(sensor: ArchivedSensor) -> Iterator[Finding]:
     for name, layout in _layouts(sensor).items():
-        where = f"{sensor.name}/{name}"
+        array_path = f"{sensor.name}/{name}"
         stored = (layout.data_type, layout.shape[1:], layout.units)
         expected = _prescribed(sensor, name, stored)
         if stored != expected:
-            yield Finding("wrong-dtype", where, f"found {stored}, expected {expected}")
+            yield Finding("wrong-dtype", array_path, f"found {stored}, expected {expected}")
         if name not in ("references", "sources") and layout.rows() != len(sensor):
             message = f"found {layout.rows()} rows, the sensor has {len(sensor)} frames"
-            yield Finding("unequal-lengths", where, message)
+            yield Finding("unequal-lengths", array_path, message)
 
 
 def _check_shared(sensor: ArchivedSensor) -> Iterator[Finding]:
@@ -182,7 +182,7 @@ def _layouts(sensor: ArchivedSensor) -> dict[str, ArchiveArray]:
         "sources",
         *(f"table/{name}" for name in COLUMNS),
     ]
-    columns = {place.name for place in sensor.files.groups(sensor.path / "table")}
+    columns = {group.name for group in sensor.files.groups(sensor.path / "table")}
     names += [f"table/{name}" for name in SIMULATED if name in columns]
     if sensor.keeps_displacement:
         names.insert(1, "displacement")

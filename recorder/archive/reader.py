@@ -192,8 +192,8 @@ class ArchivedSensor:
         if owner is None:
             layout = self._stored.displacement
         else:
-            place = self.path.parent / require_plain_name(owner)
-            layout = ArchiveArray.load(place / "displacement", self.files)
+            owner_path = self.path.parent / require_plain_name(owner)
+            layout = ArchiveArray.load(owner_path / "displacement", self.files)
         return None if layout is None else ColumnReader(layout)
 
     @property
@@ -207,8 +207,8 @@ class ArchivedSensor:
         try:
             return Lattice(int(layout.attrs["step_px"]), int(layout.attrs["margin_px"]))
         except (KeyError, TypeError, ValueError) as error:
-            where = self.files.name(layout.path)
-            raise SessionError(f"{where}: found no lattice in its attrs: {error!r}") from error
+            array_name = self.files.name(layout.path)
+            raise SessionError(f"{array_name}: found no lattice in its attrs: {error!r}") from error
 
     def displacement(self, rows: Rows) -> NDArray[np.float16]:
         """Return displacement fields (n, *lattice.shape) [px], NaN where there is no material.
@@ -243,7 +243,7 @@ class ArchivedSensor:
         Raises:
             SessionError: A chunk is missing or corrupt, or the archive is still being written.
         """
-        columns = {place.name for place in self.files.groups(self.path / "table")}
+        columns = {group.name for group in self.files.groups(self.path / "table")}
         if not columns.issuperset(SIMULATED):
             return None
         arrays = [late_array(self.path, f"table/{name}", self.files) for name in SIMULATED]

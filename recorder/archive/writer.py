@@ -221,18 +221,18 @@ class SensorWriter:
         """
         rows = self.rows_of(unit)
         count = rows.stop - rows.start
-        where = f"{self.path} unit {unit}"
-        columns = checked_columns(table, count, self._limits, where)
-        _check_lines(source, count, where)
+        unit_name = f"{self.path} unit {unit}"
+        columns = checked_columns(table, count, self._limits, unit_name)
+        _check_lines(source, count, unit_name)
         large: dict[str, Array] = {self._frames.path.name: packed}
         if displacement is not None:
             large["displacement"] = displacement
         if large.keys() != self._layouts.keys():
             raise SessionError(
-                f"{where}: found {', '.join(large)}, expected {', '.join(self._layouts)}"
+                f"{unit_name}: found {', '.join(large)}, expected {', '.join(self._layouts)}"
             )
         if displacement is not None and np.isinf(displacement).any():
-            raise SessionError(f"{where}.displacement: found infinity, expected px or NaN")
+            raise SessionError(f"{unit_name}.displacement: found infinity, expected px or NaN")
         if self._archive.complete or self.ledger.has(unit):
             return
         try:

@@ -71,14 +71,14 @@ def check(path: str | os.PathLike[str], *, quick: bool = False) -> list[Finding]
     Raises:
         SessionError: Neither a session nor an archive, or `quick` for an archive.
     """
-    files, place = locate(path)
-    if says_it_is(place, files, ARCHIVE_FORMAT):
+    files, root = locate(path)
+    if says_it_is(root, files, ARCHIVE_FORMAT):
         if quick:
             raise SessionError(f"{path}: a marker archive has no manifest; check it without quick")
         from recorder.archive.check import check_archive  # of no use to a session
 
-        return list(check_archive(files, place))
-    return list(_check(path, files, place, quick))
+        return list(check_archive(files, root))
+    return list(_check(path, files, root, quick))
 
 
 def _check(
@@ -153,15 +153,15 @@ def _check_arrays(files: Files, session: Path) -> Iterator[Finding]:
     """Yield arrays without units in the whole session."""
     documents = (path for path in files.listed(session) if path.name == "zarr.json")
     for path in sorted(documents):
-        where = str(path.parent.relative_to(session))
+        node_path = str(path.parent.relative_to(session))
         try:
             document = read_document(files, path)
         except SessionError as error:
-            yield Finding("metadata", where, str(error))
+            yield Finding("metadata", node_path, str(error))
             continue
         units = document.get("attributes", {}).get("units")
         if document.get("node_type") == "array" and not units:
-            yield Finding("missing-units", where, f"found units {units!r}")
+            yield Finding("missing-units", node_path, f"found units {units!r}")
 
 
 def _check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
@@ -169,57 +169,59 @@ def _check_table(files: Files, session: Path, name: str) -> Iterator[Finding]:
     lengths = {}
     there = set(files.listed(session / name))
     for group in files.groups(session / name):
-        where = f"{name}/{group.name}"
+        column_path = f"{name}/{group.name}"
         document = read_document(files, group / "zarr.json")
         try:
             shape, chunk = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
             check_shape(shape, document["data_type"], str(group))
             counts = [range(math.ceil(s / c)) for s, c in zip(shape, chunk, strict=True)]
         except (KeyError, TypeError, ValueError, ZeroDivisionError, SessionError) as error:
-            yield Finding("metadata", where, f"not a column of a table: {error!r}")
+            yield Finding("metadata", column_path, f"not a column of a table: {error!r}")
             continue
         lengths[group.name] = shape[0]
-        keys = (group.joinpath("c", *map(str, place)) for place in product(*counts))
+        keys = (group.joinpath("c", *map(str, indices)) for indices in product(*counts))
         # One more than the files that exist: at least one of them is missing then.
         some = list(islice(keys, len(there) + 1))
         missing = [key for key in some if key not in there]
         if missing:
             more = math.prod(map(len, counts)) - len(some) + len(missing)
-            yield Finding("missing-chunk", where, f"{more} missing, first {missing[0]}")
+            yield Finding("missing-chunk", column_path, f"{more} missing, first {missing[0]}")
             continue
         try:
             Table(session / name, files)[group.name]
         except SessionError as error:
-            yield Finding("bad-crc", where, str(error))
+            yield Finding("bad-crc", column_path, str(error))
     if len(set(lengths.values())) > 1:
         yield Finding("unequal-lengths", name, f"found {lengths}")
 
 
 def _check_stream_files(files: Files, session: Path, group: Path) -> Iterator[Finding]:
     """Yield problems in a stream's metadata and leftover files, without reading its data."""
-    where = str(group.relative_to(session))
+    stream_path = str(group.relative_to(session))
     try:
         layout = StreamLayout.load(group, files)
         spec = _spec_of(layout)
     except SessionError as error:
-        yield Finding("metadata", where, str(error))
+        yield Finding("metadata", stream_path, str(error))
         return
     if spec is not None:
-        yield from _unlike_spec(layout, spec, where)
+        yield from _unlike_spec(layout, spec, stream_path)
     unfinished = [path for path in files.listed(group) if layout.is_unfinished(path)]
     sizes = files.sizes(group) if unfinished else {}
     for path in sorted(unfinished):
         code = "torn-tail" if PARTIAL in path.name else "journal-left"
         size = sizes.get(path, 0)
-        yield Finding(code, where, f"{path.relative_to(session)}, {size} bytes, was left behind")
+        yield Finding(
+            code, stream_path, f"{path.relative_to(session)}, {size} bytes, was left behind"
+        )
     lengths = {column.column.name: column.rows() for column in layout.columns}
     if len(set(lengths.values())) > 1:
-        yield Finding("unequal-lengths", where, f"found {lengths}")
+        yield Finding("unequal-lengths", stream_path, f"found {lengths}")
 
 
 def _check_chunks(session: Path, layout: ColumnLayout) -> tuple[list[Finding], NDArray[np.uint32]]:
     """Verify every record of a column; return the findings and each chunk's CRC-32C (n,)."""
-    where = str(layout.path.relative_to(session))
+    column_path = str(layout.path.relative_to(session))
     chunks = math.ceil(layout.rows() / layout.rows_per_chunk)
     shards = math.ceil(chunks / layout.chunks_per_shard)
     # Shards after the last file are missing as well; the first of them stands for all.
@@ -236,7 +238,7 @@ def _check_chunks(session: Path, layout: ColumnLayout) -> tuple[list[Finding], N
     findings = [
         Finding(
             code,
-            where,
+            column_path,
             f"{len(messages) + further * (code == 'missing-chunk')} found, first: {messages[0]}",
         )
         for code, messages in faults.items()
@@ -258,18 +260,18 @@ def _check_shard(
     index = layout.index(shard)
     crcs = index.crcs or []
     data = layout.files.read(layout.shard(shard))
-    for place in range(len(contents)):
-        number = shard * layout.chunks_per_shard + place
+    for slot in range(len(contents)):
+        number = shard * layout.chunks_per_shard + slot
         row = number * layout.rows_per_chunk
-        offset, nbytes = index.ranges[place]
+        offset, nbytes = index.ranges[slot]
         if offset == MISSING:
             faults["missing-chunk"].append(f"row {row}")
             continue
         payload = data[offset : offset + nbytes]
         head = data[max(offset - HEADER.size, 0) : offset]
-        contents[place] = crcs[place]
+        contents[slot] = crcs[slot]
         content, crc = payload[:-CRC_BYTES], int.from_bytes(payload[-CRC_BYTES:], "little")
-        if not (record_matches(head, payload, number) and crc == crcs[place]):
+        if not (record_matches(head, payload, number) and crc == crcs[slot]):
             faults["bad-crc"].append(f"row {row}")
         # Cameras pad their frames to suit the bus, so the end marker need not come last.
         elif layout.column.codec == "jpeg" and not (
@@ -279,10 +281,10 @@ def _check_shard(
 
 
 def _unlike_spec(layout: StreamLayout, spec: StreamSpec, where: str) -> Iterator[Finding]:
-    found = {column.column.name: column.column for column in layout.columns}
+    stored = {column.column.name: column.column for column in layout.columns}
     for expected in spec.columns:
         name = f"{where}/{expected.name}"
-        column = found.get(expected.name)
+        column = stored.get(expected.name)
         if column is None:
             yield Finding("wrong-dtype", name, "column not found")
         elif (column.dtype, column.shape) != (expected.dtype, expected.shape):
@@ -311,8 +313,8 @@ def _spec_of(layout: StreamLayout) -> StreamSpec | None:
             units = image.column.units
             return depth_spec(60, name=layout.name, height=height, width=width, units=units)
         return camera_spec(60, height=height, width=width, codec=image.column.codec)
-    known = {"force": force_spec(1000), "pose": pose_spec(500)}
-    return {**known, "taxels": _taxels_spec(shapes.get("value"))}.get(kind)
+    specs = {"force": force_spec(1000), "pose": pose_spec(500)}
+    return {**specs, "taxels": _taxels_spec(shapes.get("value"))}.get(kind)
 
 
 def _taxels_spec(shape: tuple[int, ...] | None) -> StreamSpec:
@@ -347,26 +349,28 @@ def check_stream(
 
     `contents` has a checksum per image (n,); it is None for a stream without images.
     """
-    where = f"streams/{stream.name}"
+    stream_path = f"streams/{stream.name}"
     account = session.account(stream.name)
-    yield from _check_losses(session, where, stream.name, account)
+    yield from _check_losses(session, stream_path, stream.name, account)
     note = uncalibrated(stream)
     if note is not None and account.rows:
-        yield Finding("uncalibrated", where, note)
+        yield Finding("uncalibrated", stream_path, note)
     compressed = is_compressed(session.attrs)
     for run, losses in enumerate(account.runs):
         rows = session.rows_of_run(stream.name, run)
         first = rows.start or 0
         t_ns = stream.t_ns[rows]
         columns = {name: stream.array(name)[rows] for name in stream.small}
-        yield from _check_times(where, first, t_ns, columns, losses, stream.rate_hz, compressed)
+        yield from _check_times(
+            stream_path, first, t_ns, columns, losses, stream.rate_hz, compressed
+        )
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         # A scale repeats one reading while its load rests.
         if stream.traits.defaults.changes and not still and _READING not in stream.small:
             images = None if contents is None else contents[: len(stream)][rows]
             # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
             same = images if images is not None else _measured(stream, "value", columns["value"])
-            yield from _check_frozen(where, first, t_ns, same)
+            yield from _check_frozen(stream_path, first, t_ns, same)
     for name in stream.small:
         values = stream.array(name)
         if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
@@ -376,7 +380,9 @@ def check_stream(
                 missing &= ~np.isfinite(stream.array(_READING))[: len(missing)]
             bad = np.flatnonzero(missing)
             if bad.size:
-                yield Finding("nan", f"{where}/{name}", f"{bad.size} rows, first row {bad[0]}")
+                yield Finding(
+                    "nan", f"{stream_path}/{name}", f"{bad.size} rows, first row {bad[0]}"
+                )
 
 
 def _measured(stream: Stream, name: str, values: Array) -> Array:
@@ -438,24 +444,24 @@ def _check_frames(session: Session) -> Iterator[Finding]:
         yield Finding("frames-length", "frames", "missing")
         return
     expected = sum(len(ticks) for _, ticks, _ in session.run_ticks(session.rate_hz))
-    found = len(session.frames["t_ns"])
-    if found != expected:
-        yield Finding("frames-length", "frames", f"found {found} rows, expected {expected}")
+    rows = len(session.frames["t_ns"])
+    if rows != expected:
+        yield Finding("frames-length", "frames", f"found {rows} rows, expected {expected}")
 
 
 def _check_losses(session: Session, where: str, name: str, account: Account) -> Iterator[Finding]:
     if account.lost:
-        place = next(
+        first_row = next(
             (session.rows_of_run(name, run).start or 0) + int(losses.row[0])
             for run, losses in enumerate(account.runs)
             if losses.total
         )
         by = {ARRIVAL: f"arrival at {session.streams[name].rate_hz:g} Hz"}
         message = (
-            f"{account.lost} samples lost in {account.places} places, counted by "
-            f"{by.get(account.source, account.source)}; first before row {place}"
+            f"{account.lost} samples lost in {account.gaps} places, counted by "
+            f"{by.get(account.source, account.source)}; first before row {first_row}"
         )
-        yield Finding("dropped", where, f"{message}; {account.where()}")
+        yield Finding("dropped", where, f"{message}; {account.targets_text()}")
     if not account.sees_drops and account.rows:
         yield Finding("drops-unseen", where, unseen(account))
 
@@ -500,9 +506,9 @@ def _check_times(
             f"{gaps.size} found, longest {steps[worst_at]:.3f} s before row {first + worst_at + 1}"
         )
         yield Finding("gap", where, f"{message}, limit {limit:.3f} s")
-    found = other_rate(t_ns, rate_hz, losses)
-    if found is not None:
-        row, seconds, measured = found
+    stretch = other_rate(t_ns, rate_hz, losses)
+    if stretch is not None:
+        row, seconds, measured = stretch
         message = f"{measured:.4g} Hz for {seconds:.1f} s from row {first + row}"
         yield Finding("rate", where, f"{message}, declared {rate_hz:g} Hz")
 
@@ -516,12 +522,12 @@ def _clock_steps(
     if device_t is None or not np.isfinite(device_t).all():
         return np.zeros(0, np.intp)
     offset = (t_ns - t_ns[0]) * NS - (device_t - device_t[0])
-    found = [
+    step_rows = [
         at
         for at in map(int, np.flatnonzero(np.abs(np.diff(offset)) > limit))
         if abs(_level(offset, at + 1, 1) - _level(offset, at, -1)) > limit / 2
     ]
-    return np.array(found, np.intp)
+    return np.array(step_rows, np.intp)
 
 
 def _level(offset: NDArray[np.float64], at: int, direction: int) -> float:
@@ -559,16 +565,16 @@ def _check_cover(
     for stream in session.streams.values():
         if not is_regular(stream):
             continue
-        where = f"streams/{stream.name}"
+        stream_path = f"streams/{stream.name}"
         t_ns = stream.t_ns[session.rows_of_run(stream.name, run)]
         if not len(t_ns):
-            yield Finding("truncated", where, f"run {run}: no samples at all")
+            yield Finding("truncated", stream_path, f"run {run}: no samples at all")
             continue
-        late[int(t_ns[0])] = where
+        late[int(t_ns[0])] = stream_path
         short = (int(ends[of_run].max()) - int(t_ns[-1])) * NS
         if short > END_MARGIN:
             message = f"run {run}: ends {short:.1f} s before the last phase"
-            yield Finding("truncated", where, message)
+            yield Finding("truncated", stream_path, message)
     if not late:
         return
     lead = (max(late) - starts[of_run]) * NS

@@ -108,8 +108,8 @@ def _sealed_again(session: Path, attrs: dict[str, Any]) -> list[int]:
                 "sealed again only if nothing but its manifest is lost"
             )
     earlier = [one.run for one in _newest_chain(session, last)]
-    known = {*earlier, *(one.run for one in chain)}
-    lost = [run for run in range(last + 1) if run not in known]
+    readable_runs = {*earlier, *(one.run for one in chain)}
+    lost = [run for run in range(last + 1) if run not in readable_runs]
     for run in manifest_runs(session):
         if run not in (*earlier, last):
             shutil.rmtree(manifest_path(session, run).parent)

@@ -10,12 +10,12 @@ from recorder.store.files import is_url
 
 def add_session(parser: argparse.ArgumentParser, *, remote: bool = False) -> None:
     """Add the session: a folder, or with `remote` also a URL."""
-    where = "a directory NAME.zarr" + (" or a URL, e.g. s3://bucket/NAME.zarr" * remote)
-    place = _place if remote else _directory
-    parser.add_argument("session", type=place, help=f"the session, {where}")
+    forms = "a directory NAME.zarr" + (" or a URL, e.g. s3://bucket/NAME.zarr" * remote)
+    parse = _path_or_url if remote else _directory
+    parser.add_argument("session", type=parse, help=f"the session, {forms}")
 
 
-def _place(text: str) -> str | Path:
+def _path_or_url(text: str) -> str | Path:
     return text if is_url(text) else Path(text)
 
 

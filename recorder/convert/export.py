@@ -167,8 +167,8 @@ def export(
             if error.errno != errno.ENOSPC:
                 raise
             # Libraries report this at length, and for the temporary file.
-            where = os.fspath(destination)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), where) from error
+            path = os.fspath(destination)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path) from error
 
 
 def _opened(source: str | os.PathLike[str]) -> Session | MarkerArchive:

@@ -78,9 +78,9 @@ def write(session: Session, path: Path, options: Options, progress: ReportItems)
     for point, press in enumerate(presses, start=1):
         for code, folder_of_phase in enumerate(PHASES):
             rows = press.rows[phase[press.rows] == code]
-            place = Path(name) / str(point) / folder_of_phase
+            relative_path = Path(name) / str(point) / folder_of_phase
             for stream, folder in folders.items():
-                _write_rows(session, stream, base / folder / place, rows)
+                _write_rows(session, stream, base / folder / relative_path, rows)
             done += len(rows)
             progress(done, total)
 
@@ -279,22 +279,22 @@ def _press(
     """Write a press; return the axes without which its labels had to be left out, if any."""
     table = sensor.table
     shape = file_name(archive.indenters[int(table["indenter"][rows[0]])])
-    place = Path(name) / shape / str(int(table["target"][rows[0]]) + 1)
-    masks = root / "img" / "npy" / place
+    relative_path = Path(name) / shape / str(int(table["target"][rows[0]]) + 1)
+    masks = root / "img" / "npy" / relative_path
     masks.mkdir(parents=True)
     names = [f"{number:04d}.npy" for number in range(len(rows))]
     for file, packed in zip(names, sensor.packed(rows), strict=True):
         np.save(masks / file, packed)
     phase = table["phase"][rows]
     last = [int(np.flatnonzero(phase == code)[-1]) for code in range(len(PHASES))]
-    ends = "".join(f"{place.as_posix()}/{names[number]}\n" for number in last)
+    ends = "".join(f"{relative_path.as_posix()}/{names[number]}\n" for number in last)
     (masks / "last.csv").write_text(ends)
     wrench = table["wrench"][rows]
     finite = np.isfinite(wrench)
     if finite.all():
-        _write_forces(root / "force" / place, wrench)
+        _write_forces(root / "force" / relative_path, wrench)
     if sensor.attrs.get("depth") != DEPTH_UNKNOWN:
-        folder = root / "depth" / place
+        folder = root / "depth" / relative_path
         folder.mkdir(parents=True)
         depth_mm, loading = table["depth"][rows] * 1e3, np.isin(phase, LOADING)
         _write_numbers(folder / "inc_z.csv", depth_mm[loading])

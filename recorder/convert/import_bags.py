@@ -209,13 +209,13 @@ def _sample(message: Any) -> tuple[As, Any] | None:
         return ("force", np.array([*force, *torque])) if complete else None  # type: ignore[misc]
     if hasattr(message, "position") and hasattr(message, "orientation"):
         turned = message.orientation
-        place = _xyz(message.position)
+        position = _xyz(message.position)
         return (
             None
-            if place is None
+            if position is None
             else (
                 "pose",
-                np.array([*place, turned.x, turned.y, turned.z, turned.w]),
+                np.array([*position, turned.x, turned.y, turned.z, turned.w]),
             )
         )
     data = getattr(message, "data", None)

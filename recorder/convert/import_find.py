@@ -274,8 +274,8 @@ def _scan(line: str) -> tuple[float | None, list[int]] | None:
     try:
         message = json.loads(line)
         sensor = message["1"]
-        words = str(sensor["data"]).split(",")
-        counts = [int(word, 16) for word in words]
+        fields = str(sensor["data"]).split(",")
+        counts = [int(field, 16) for field in fields]
     except (ValueError, KeyError, TypeError):
         return None
     time = next((each.get("time") for each in (sensor, message) if each.get("time")), None)

@@ -118,8 +118,8 @@ def _require_finite(rows: Floats, name: str, first_line: int = 0) -> None:
     """Refuse rows (n, k) with NaN or infinity; lines are counted from `first_line`, if not 0."""
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     if bad.size:
-        where = f"line {bad[0] + first_line}" if first_line else f"row {bad[0]}"
-        raise SessionError(f"{name}: {where}: NaN or infinite ({bad.size} such rows)")
+        row_name = f"line {bad[0] + first_line}" if first_line else f"row {bad[0]}"
+        raise SessionError(f"{name}: {row_name}: NaN or infinite ({bad.size} such rows)")
 
 
 # Tables of CSV files. Names of columns and their units are parsed strictly, without guessing.
@@ -170,13 +170,13 @@ def parse_header(
 
 def _column(name: str, answers: Answers, where: str) -> tuple[str, float]:
     match = _COLUMN.match(name)
-    word = match["name"].lower() if match else ""
-    if match is None or word not in _WORDS:
+    column_name = match["name"].lower() if match else ""
+    if match is None or column_name not in _WORDS:
         raise SessionError(
             f"{where}: not known; allowed: {', '.join(AXES)}, each with its unit, as Fx (N), and "
             f"{', '.join(_TIMES)} with theirs; leave others out with --ignore NAME"
         )
-    meaning, units, option = _WORDS[word]
+    meaning, units, option = _WORDS[column_name]
     unit = match["unit"] or match["tail"] or (getattr(answers, option) if option else None)
     if unit is not None:
         return meaning, parse_unit(unit, units, where)
@@ -212,23 +212,23 @@ def read_table(
     rows = read_rows(name, lines, [at for at, each in enumerate(header) if each is not None])
     columns: dict[str, Floats] = {}
     t_ns = None
-    for place, meaning in enumerate(header):
+    for column, meaning in enumerate(header):
         if meaning is None:
             continue
-        word, factor = meaning
-        if word == "t":
-            t_ns = np.rint((rows[:, place] - rows[0, place]) * factor).astype(np.int64)
+        quantity, factor = meaning
+        if quantity == "t":
+            t_ns = np.rint((rows[:, column] - rows[0, column]) * factor).astype(np.int64)
             require_advance(t_ns, f"{name}: line", 3)
         else:
-            columns[word] = rows[:, place] * factor
+            columns[quantity] = rows[:, column] * factor
     return columns, t_ns
 
 
 def read_rows(name: str, lines: list[list[str]], used: list[int], first: int = 1) -> Floats:
     """Return the numbers of the lines from `first` on; 0 in columns that are not used."""
     rows = np.zeros((len(lines) - first, len(lines[0])))
-    for place, line in enumerate(lines[first:]):
-        number = place + first + 1
+    for row, line in enumerate(lines[first:]):
+        number = row + first + 1
         if len(line) != len(lines[0]):
             raise SessionError(
                 f"{name}: line {number}: found {len(line)} values, the header has "
@@ -236,7 +236,7 @@ def read_rows(name: str, lines: list[list[str]], used: list[int], first: int = 1
             )
         for column in used:
             try:
-                rows[place, column] = float(line[column])
+                rows[row, column] = float(line[column])
             except ValueError:
                 raise SessionError(
                     f"{name}: line {number}: {lines[0][column].strip()}: found {line[column]!r}, "

@@ -322,8 +322,8 @@ class Take:
 
 def kind_of_name(name: str) -> As | None:
     """Return the kind that a name tells by its last known word; None if it tells none."""
-    words = re.findall("[a-z]+", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower())
-    return next((WORDS[word] for word in reversed(words) if word in WORDS), None)
+    tokens = re.findall("[a-z]+", re.sub("(?<=[a-z])(?=[A-Z])", "_", name).lower())
+    return next((WORDS[token] for token in reversed(tokens) if token in WORDS), None)
 
 
 def bare_name(stem: str) -> str:

@@ -181,17 +181,17 @@ def open_film(path: Path, fps: float | None, *, stills: bool = False) -> Film:
 
 def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, by_option: bool) -> Film:
     assumed = [f"{name}: {rate_hz:g} images/s by {'--fps' if by_option else 'its header'}"]
-    places = [place for place, frame in enumerate(frames) if frame]
-    if not places:
+    numbers = [number for number, frame in enumerate(frames) if frame]
+    if not numbers:
         raise SessionError(f"{name}: no image in any of its {len(frames)} frames")
-    if len(places) < len(frames):
+    if len(numbers) < len(frames):
         assumed.append(
-            f"{name}: {len(frames) - len(places)} dropped frames, left out in their time"
+            f"{name}: {len(frames) - len(numbers)} dropped frames, left out in their time"
         )
     jpegs: list[bytes] = []
     mended = 0
-    for place in places:
-        jpeg, changed = whole_jpeg(frames[place], f"{name}: frame {place}")
+    for number in numbers:
+        jpeg, changed = whole_jpeg(frames[number], f"{name}: frame {number}")
         jpegs.append(jpeg)
         mended += changed
     if mended:
@@ -199,7 +199,7 @@ def _jpegs(name: str, frames: list[bytes], rate_hz: float, *, by_option: bool) -
     shape = _same_size(
         [_jpeg_size(jpeg, f"{name}: frame {k}") for k, jpeg in enumerate(jpegs)], name
     )
-    return Film("jpeg", shape, rate_hz, every(places, rate_hz), lambda: iter(jpegs), assumed)
+    return Film("jpeg", shape, rate_hz, every(numbers, rate_hz), lambda: iter(jpegs), assumed)
 
 
 def _folder(path: Path, fps: float | None, stills: bool) -> Film:
@@ -271,11 +271,11 @@ def _decoded(path: Path, fps: float | None) -> Film:
     def load() -> Iterator[Any]:
         again = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         try:
-            for place in range(count):
+            for index in range(count):
                 arrived, image = again.read()
                 if not arrived:
                     raise SessionError(
-                        f"{path.name}: cut short: {place} of {count} images can be decoded"
+                        f"{path.name}: cut short: {index} of {count} images can be decoded"
                     )
                 yield np.ascontiguousarray(image[:, :, ::-1])
         finally:
@@ -370,8 +370,8 @@ def _jpeg_size(jpeg: bytes, where: str) -> tuple[int, int]:
 
 
 def _same_size(sizes: list[tuple[int, int]], name: str) -> tuple[int, int]:
-    for place, size in enumerate(sizes):
+    for index, size in enumerate(sizes):
         if size != sizes[0]:
             first = f"{sizes[0][1]}x{sizes[0][0]}"
-            raise SessionError(f"{name}: image {place} is {size[1]}x{size[0]}, the first {first}")
+            raise SessionError(f"{name}: image {index} is {size[1]}x{size[0]}, the first {first}")
     return sizes[0]

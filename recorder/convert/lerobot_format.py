@@ -81,8 +81,8 @@ def _image_statistics(encoded: Sequence[bytes]) -> Statistics:
     """Return the statistics of sampled pixels of some encoded images."""
     chosen = np.unique(np.linspace(0, len(encoded) - 1, _SAMPLED).astype(int))
     pixels = []
-    for place in chosen:
-        with Image.open(io.BytesIO(encoded[place])) as image:
+    for index in chosen:
+        with Image.open(io.BytesIO(encoded[index])) as image:
             array = np.asarray(image)[::_STRIDE, ::_STRIDE]
             most = 65535.0 if image.mode.startswith("I") else 255.0  # depth
         pixels.append(array.reshape(-1, array.shape[2] if array.ndim == 3 else 1) / most)
@@ -303,14 +303,14 @@ class _Dataset:
             self.writer = pq.ParquetWriter(self._named(_DATA, self.file), self._schema(table))
         self.writer.write_table(table.cast(self._schema(table)))
         self.file_bytes += table.nbytes
-        chunk, place = divmod(self.file, _CHUNK_FILES)
+        chunk, file_in_chunk = divmod(self.file, _CHUNK_FILES)
         self.episodes.append(
             {
                 "episode_index": number,
                 "tasks": [text],
                 "length": count,
                 "data/chunk_index": chunk,
-                "data/file_index": place,
+                "data/file_index": file_in_chunk,
                 "dataset_from_index": self.frames,
                 "dataset_to_index": self.frames + count,
                 "meta/episodes/chunk_index": 0,
@@ -368,8 +368,8 @@ class _Dataset:
         return table.schema.with_metadata({"huggingface": text})
 
     def _named(self, pattern: str, file: int) -> Path:
-        chunk, place = divmod(file, _CHUNK_FILES)
-        named = self.path / pattern.format(chunk_index=chunk, file_index=place)
+        chunk, file_in_chunk = divmod(file, _CHUNK_FILES)
+        named = self.path / pattern.format(chunk_index=chunk, file_index=file_in_chunk)
         named.parent.mkdir(parents=True, exist_ok=True)
         return named
 
@@ -437,7 +437,7 @@ def _pictures(camera: Stream, rows: Array) -> list[dict[str, Any]]:
     else:
         suffix, encoded = "png", [_png(camera.images([row])[0]) for row in numbers]
     return [
-        {"bytes": data, "path": f"frame-{place:06d}.{suffix}"} for place, data in enumerate(encoded)
+        {"bytes": data, "path": f"frame-{index:06d}.{suffix}"} for index, data in enumerate(encoded)
     ]
 
 
@@ -569,8 +569,8 @@ def _film(
         )
 
     def load() -> Iterator[Any]:
-        for place, image in enumerate(whole.load()):
-            if first <= place < first + len(rows):
+        for index, image in enumerate(whole.load()):
+            if first <= index < first + len(rows):
                 yield image
 
     return replace(whole, t_ns=times, load=load)

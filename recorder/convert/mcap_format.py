@@ -279,12 +279,12 @@ def _poses(stream: Stream, rows: range, publish: list[int], *, child: str) -> It
     for moment, value, quat in zip(publish, values, quaternion(values[:, 3:]), strict=True):
         pose = PoseInFrame(frame_id=BASE)
         moved = FrameTransform(parent_frame_id=BASE, child_frame_id=child)
-        for message, place, rotation in (
+        for message, position, rotation in (
             (pose, pose.pose.position, pose.pose.orientation),
             (moved, moved.translation, moved.rotation),
         ):
             message.timestamp.FromNanoseconds(moment)
-            place.x, place.y, place.z = (float(v) for v in value[:3])
+            position.x, position.y, position.z = (float(v) for v in value[:3])
             rotation.w, rotation.x, rotation.y, rotation.z = (float(v) for v in quat)
         yield pose.SerializeToString(), moved.SerializeToString()
 
@@ -295,8 +295,8 @@ def _documents(stream: Stream, rows: range, publish: list[int]) -> Iterator[_Con
     for name in stream.small[:-1]:
         values = stream.rows_between(name, rows.start, rows.stop)
         columns[name] = values if kind == "events" else values.tolist()
-    for place, moment in enumerate(publish):
-        document: dict[str, Any] = {name: values[place] for name, values in columns.items()}
+    for index, moment in enumerate(publish):
+        document: dict[str, Any] = {name: values[index] for name, values in columns.items()}
         value: Any = document.get("value")
         if kind == "events":
             document = {"text": event_text(value)}

@@ -99,8 +99,8 @@ def place_discs(
     home = np.stack([taxel % SIDE, taxel // SIDE], axis=-1)
     limit = disc_map.shift_max
     shift = np.clip(counts[..., :2] * disc_map.shear_per_count, -limit, limit)
-    place = np.clip(home + shift, disc_map.centre_min, disc_map.centre_max)
-    fraction = (place - _AXIS_MIN) / (_AXIS_MAX - _AXIS_MIN)
+    position = np.clip(home + shift, disc_map.centre_min, disc_map.centre_max)
+    fraction = (position - _AXIS_MIN) / (_AXIS_MAX - _AXIS_MIN)
     centre = np.stack([fraction[..., 0] * WIDTH, (1.0 - fraction[..., 1]) * HEIGHT], axis=-1)
     grown = disc_map.size_min + disc_map.size_per_count * counts[..., 2]
     size = np.clip(grown, disc_map.size_min, disc_map.size_max)
@@ -120,11 +120,11 @@ def _fill(masks: Masks, centre: Array, radius: Array) -> None:
     line = frame * HEIGHT + row[drawn].astype(np.int64)
     used = np.zeros(len(masks) * HEIGHT, np.bool_)
     used[line] = True
-    place = np.cumsum(used)[line] - 1
+    used_row = np.cumsum(used)[line] - 1
     # Discs open and close runs; a pixel is set where more were opened than closed up to it.
     steps = np.zeros((np.count_nonzero(used), WIDTH + 1), np.int8)
-    np.add.at(steps, (place, left[drawn].astype(np.int64)), 1)
-    np.add.at(steps, (place, right[drawn].astype(np.int64)), -1)
+    np.add.at(steps, (used_row, left[drawn].astype(np.int64)), 1)
+    np.add.at(steps, (used_row, right[drawn].astype(np.int64)), -1)
     np.cumsum(steps, axis=1, dtype=np.int8, out=steps)
     masks.reshape(-1, WIDTH)[used] = steps[:, :WIDTH] > 0
 

@@ -48,8 +48,8 @@ class Lattice:
         return (len(self.rows), len(self.columns), 2)
 
     def _along(self, side: int) -> NDArray[np.float64]:
-        places = np.arange(-self.margin_px, side + self.margin_px + 1, self.step_px)
-        return places.astype(np.float64)
+        pixels = np.arange(-self.margin_px, side + self.margin_px + 1, self.step_px)
+        return pixels.astype(np.float64)
 
 
 # Detection of steep flanks in a displacement field: seen edge-on, they make markers hard to see.
@@ -97,8 +97,8 @@ def _cells(
     centres: Floats, lattice: Lattice
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
     """Return column and row of the cells of pixels, and the fractions along and down (n, 1)."""
-    place = (centres + lattice.margin_px) / lattice.step_px
+    position = (centres + lattice.margin_px) / lattice.step_px
     most = np.array([lattice.shape[1], lattice.shape[0]]) - 2
-    cell = np.clip(np.floor(place).astype(np.int64), 0, most)
-    fraction = place - cell
+    cell = np.clip(np.floor(position).astype(np.int64), 0, most)
+    fraction = position - cell
     return cell[:, 0], cell[:, 1], fraction[:, :1], fraction[:, 1:]

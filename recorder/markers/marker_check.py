@@ -150,9 +150,9 @@ class MarkerCheck:
                 return None
             reason = f"{missing} missing, {may_have_left} may have left the image"
             reason += f", {hidden} may be hidden on a flank" if field is not None else ""
-            reason += _places("; none near", self._blobs.only(~stayed & ~near & ~flank))
+            reason += _with_positions("; none near", self._blobs.only(~stayed & ~near & ~flank))
             merged = markers.only(markers.area > _MERGED * self._blobs.area.max())
-            return reason + _places("; grown together at", merged)
+            return reason + _with_positions("; grown together at", merged)
         near = self._near_border(markers)
         may_have_come = int(np.count_nonzero(~matched & near))
         torn = int(np.count_nonzero(flank))
@@ -160,7 +160,7 @@ class MarkerCheck:
             return None
         reason = f"{-missing} too many, {may_have_come} may have come into the image"
         reason += f", {torn} may be torn on a flank" if field is not None else ""
-        return reason + _places("; new at", markers.only(~matched & ~near))
+        return reason + _with_positions("; new at", markers.only(~matched & ~near))
 
     def _near_border(self, blobs: Blobs) -> Chosen:
         edge = np.array([WIDTH - 1, HEIGHT - 1])
@@ -195,7 +195,7 @@ def _distances(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[
     return np.asarray(np.linalg.norm(one[:, None] - other[None], axis=-1), np.float64)
 
 
-def _places(message: str, blobs: Blobs) -> str:
+def _with_positions(message: str, blobs: Blobs) -> str:
     if not len(blobs):
         return ""
     named = ", ".join(f"({column:.0f}, {row:.0f})" for column, row in blobs.centre[:_NAMED])

@@ -335,10 +335,10 @@ def captured(stream: Columns) -> Times:
     if stream.traits.clock != "monotonic" or "device_t" not in stream.names:
         return arrived
     device_t = stream.array("device_t")
-    known = np.isfinite(device_t)
-    stamped = np.round(np.where(known, device_t, 0.0) / NS).astype(np.int64)
+    has_device_time = np.isfinite(device_t)
+    stamped = np.round(np.where(has_device_time, device_t, 0.0) / NS).astype(np.int64)
     stamped += round(STAMPS[stream.traits.stamp] * _number(stream, "exposure", EXPOSURE) / NS)
-    return np.where(known, stamped, arrived)
+    return np.where(has_device_time, stamped, arrived)
 
 
 def _number(stream: Columns, key: str, default: float) -> float:
@@ -429,14 +429,14 @@ class Window:
     @property
     def skew(self) -> Floats:
         """Largest distance of a value from the capture that it belongs to (n,) [s]; NaN if none."""
-        known = [
+        distances = [
             np.abs(stream.age)
             for name, stream in self.streams.items()
             if stream.traits.roles and name != self.signal
         ]
-        if not known:
+        if not distances:
             return np.full(len(self.t_ns), np.nan)
-        worst: Floats = np.fmax.reduce(known)
+        worst: Floats = np.fmax.reduce(distances)
         return worst
 
 
@@ -484,11 +484,11 @@ def align_window(
 
 
 def _method(source: Source, method: str) -> str:
-    known = ["latest", "nearest"]
+    methods = ["latest", "nearest"]
     if source.values is not None:
-        known += ["interpolated", *([] if source.is_pose else ["mean"])]
-    if method not in known:
-        raise SessionError(f"{source.name}: found method {method!r}; known: {', '.join(known)}")
+        methods += ["interpolated", *([] if source.is_pose else ["mean"])]
+    if method not in methods:
+        raise SessionError(f"{source.name}: found method {method!r}; known: {', '.join(methods)}")
     return method
 
 

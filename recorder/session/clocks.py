@@ -191,7 +191,7 @@ def _resets(host: Floats, offset: Floats) -> list[int]:
         return []
     edges = np.linspace(0, len(offset), count + 1).astype(np.int64)
     least = np.minimum.reduceat(offset, edges[:-1])
-    found: list[int] = []
+    reset_rows: list[int] = []
     for block in range(1, count):
         # A reset inside a block affects the minima of two blocks: start from the block before it.
         before = float(least[max(block - _PERSIST, 0) : block].min())
@@ -202,9 +202,13 @@ def _resets(host: Floats, offset: Floats) -> list[int]:
         low, high = int(edges[block - 1]), int(edges[min(block + 1, count)])
         steps = np.diff(offset[low:high]) * np.sign(after - before)
         row = low + 1 + int(steps.argmax())
-        if steps.size and steps.max() > STEP and (not found or row > found[-1] + _LEAST_SAMPLES):
-            found.append(row)
-    return found
+        if (
+            steps.size
+            and steps.max() > STEP
+            and (not reset_rows or row > reset_rows[-1] + _LEAST_SAMPLES)
+        ):
+            reset_rows.append(row)
+    return reset_rows
 
 
 def _fit_piece(device: Floats, offset: Floats, first_row: int, base: float) -> ClockPiece | None:
@@ -318,7 +322,7 @@ def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | 
     session = Session(path)
     if session.status != "recording":
         raise SessionError(f"{session.name}: is closed; clocks are fitted when it is finished")
-    found: dict[str, list[dict[str, Any] | None]] = {}
+    fits: dict[str, list[dict[str, Any] | None]] = {}
     for name, stream in session.streams.items():
         clock = _device_clock(stream)
         if clock is None:
@@ -330,9 +334,9 @@ def fit_clocks(path: str | os.PathLike[str]) -> dict[str, list[dict[str, Any] | 
             fit = fit_clock(device_t[rows], stream.t_ns[rows])
             entries.append(None if fit is None else {"clock": source, **fit.to_json()})
         if any(entry is not None for entry in entries):
-            found[name] = entries
+            fits[name] = entries
             merge_attrs(Path(path) / "streams" / name, {"clock_fit": entries})
-    return found
+    return fits
 
 
 def clock_lines(session: Session) -> Iterator[str]:
@@ -346,14 +350,14 @@ def clock_lines(session: Session) -> Iterator[str]:
             continue
         fit = ClockFit.from_json(entries[-1])
         piece = fit.pieces[-1]
-        told = []
+        effects = []
         if fit.drifts:
-            told.append(f"drift {piece.drift_ppm:+.1f} +- {piece.drift_interval_ppm:.1f} ppm")
+            effects.append(f"drift {piece.drift_ppm:+.1f} +- {piece.drift_interval_ppm:.1f} ppm")
         if fit.resets:
-            told.append(f"{fit.resets} resets of the device's clock")
-        if told:
+            effects.append(f"{fit.resets} resets of the device's clock")
+        if effects:
             yield (
-                f"clock   {name:<7} {', '.join(told)}, delays rms "
+                f"clock   {name:<7} {', '.join(effects)}, delays rms "
                 f"{1e3 * piece.residual_rms:.2f} ms ({entries[-1]['clock']}); "
                 "reported, not applied"
             )

@@ -101,10 +101,10 @@ class Stream:
         Raises:
             SessionError: No such column, an image column, or a corrupt chunk.
         """
-        found = self._columns.get(name)
-        if found is None:
-            found = self._columns.put(name, self.rows_between(name, 0, self._rows))
-        return found
+        column = self._columns.get(name)
+        if column is None:
+            column = self._columns.put(name, self.rows_between(name, 0, self._rows))
+        return column
 
     def rows_between(self, name: str, start: int, stop: int) -> Array:
         """Return rows [start, stop) (n, ...) of a small column, reading only their chunks.
@@ -112,12 +112,12 @@ class Stream:
         Raises:
             SessionError: No such column, an image column, or a corrupt chunk.
         """
-        found = self._reader(name).rows_between(start, min(stop, self._rows))
+        rows = self._reader(name).rows_between(start, min(stop, self._rows))
         if self._live is None or stop <= self._live.stored:
-            return found
+            return rows
         stored = self._live.stored
         rest = self._live.journalled[name][max(start - stored, 0) : max(stop - stored, 0)]
-        return np.concatenate([found, rest])
+        return np.concatenate([rows, rest])
 
     def arrivals(self, first: int, last: int) -> Arrivals:
         """Return the arrival times of rows [first, last), those of one run, for a search."""
@@ -218,8 +218,8 @@ class StreamTable(Mapping[str, Array]):
         """Return a column (n, ...)."""
         stream = self._stream
         if name not in stream.names:
-            known = ", ".join(stream.names)
-            raise KeyError(f"{stream.layout.path}: no column {name!r}; known: {known}")
+            names = ", ".join(stream.names)
+            raise KeyError(f"{stream.layout.path}: no column {name!r}; known: {names}")
         return stream.array(name)
 
     def __iter__(self) -> Iterator[str]:
@@ -281,12 +281,12 @@ class Arrivals:
 
     def _start(self, chunk: int) -> int:
         row = max(chunk * self._stream.layout.block, self.first)
-        place = bisect_right(self._known, (row, -1))
-        if place < len(self._known) and self._known[place][0] == row:
-            return self._known[place][1]
+        index = bisect_right(self._known, (row, -1))
+        if index < len(self._known) and self._known[index][0] == row:
+            return self._known[index][1]
         time = int(self._stream.rows_between(self._stream.layout.time.column.name, row, row + 1)[0])
-        before = self._known[place - 1][1] if place else time
-        after = self._known[place][1] if place < len(self._known) else time
+        before = self._known[index - 1][1] if index else time
+        after = self._known[index][1] if index < len(self._known) else time
         self.ordered &= before <= time <= after
         insort(self._known, (row, time))
         return time

@@ -69,10 +69,10 @@ def write_frames(path: Path, rate_hz: float) -> None:
 
 def remove_leftovers(path: Path) -> bool:
     """Delete the leftovers of a killed build; return True if there were any."""
-    found = [path / name for name in (_BUILDING, _OLD) if (path / name).exists()]
-    for leftover in found:
+    leftovers = [path / name for name in (_BUILDING, _OLD) if (path / name).exists()]
+    for leftover in leftovers:
         shutil.rmtree(leftover)
-    return bool(found)
+    return bool(leftovers)
 
 
 def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
@@ -179,18 +179,18 @@ def _run_table(
 
 def frame_units(session: Session) -> dict[str, tuple[str, str]]:
     """Return units and description of every column."""
-    found = dict(UNITS)
+    units = dict(UNITS)
     for name, column in session.columns.items():
         stream = session.streams[name]
         value, how = stream.value_column, stream.traits.align
         if column in UNITS:
             continue
         if value is None or not value.is_number:
-            found[column] = ("1", f"row of streams/{name}, {how} at the capture; -1 without one")
+            units[column] = ("1", f"row of streams/{name}, {how} at the capture; -1 without one")
         else:
-            found[column] = (value.units, f"streams/{name}, {how} at the capture")
-        found[f"{column}_age"] = ("s", f"distance of {column} from the capture; NaN without one")
-    return found
+            units[column] = (value.units, f"streams/{name}, {how} at the capture")
+        units[f"{column}_age"] = ("s", f"distance of {column} from the capture; NaN without one")
+    return units
 
 
 def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Array:
@@ -225,8 +225,8 @@ def _reference_offset(
     first in this run; zero if there is none.
     """
     reference, targets = session.reference, session.targets
-    known = "point" in targets and len(targets["point"]) and column in reference
-    if not known or not len(reference["point"]):
+    has_references = "point" in targets and len(targets["point"]) and column in reference
+    if not has_references or not len(reference["point"]):
         return np.zeros((len(ticks), 6))
     offset = np.zeros((len(ticks), *reference[column].shape[1:]))
     point = _of_target(targets["point"], target, -1)

@@ -343,10 +343,10 @@ def _missing(steps: Floats, period: float) -> Floats:
     if (sums - np.minimum.accumulate(np.minimum(sums, 0.0))).max() + SLOW <= 0.5:
         return lost
     remainder = 0.0
-    for place, value in enumerate(beyond.tolist()):
+    for index, value in enumerate(beyond.tolist()):
         remainder += value
         if remainder > 0.5:
-            lost[place] = whole = math.floor(remainder + 0.5)
+            lost[index] = whole = math.floor(remainder + 0.5)
             remainder -= whole
         # Less than a period early is all that a delay before it can explain.
         remainder = (
@@ -380,15 +380,15 @@ def witnesses(stream: Columns, rows: slice) -> dict[str, Any]:
     Attribute `numbering` of a stream, or of its device, is `host` if `seq` was counted at the
     host: such numbers miss what never arrived.
     """
-    found: dict[str, Any] = {}
+    arguments: dict[str, Any] = {}
     attrs = {**stream.attrs.get("device", {}), **stream.attrs}
     if "seq" in stream.names and attrs.get("numbering", "device") != "host":
-        found["seq"] = stream.array("seq")[rows]
+        arguments["seq"] = stream.array("seq")[rows]
     if "device_t" in stream.names:
         device_t = np.asarray(stream.array("device_t")[rows], np.float64)
         if np.isfinite(device_t).any():
-            found["device_t"] = device_t
-    return found
+            arguments["device_t"] = device_t
+    return arguments
 
 
 def stream_losses(stream: Columns, rows: slice, *, timed: bool = True) -> Losses:
@@ -436,34 +436,36 @@ class Account:
         return sum(losses.total for losses in self.runs)
 
     @property
-    def places(self) -> int:
+    def gaps(self) -> int:
         """Number of gaps."""
         return sum(len(losses.count) for losses in self.runs)
 
     @property
     def source(self) -> str:
         """Basis of the counts; the least exact of the runs."""
-        known = (NOTHING, ARRIVAL, DEVICE_CLOCK, SEQUENCE, EVENTS)
-        return min((losses.source for losses in self.runs), key=known.index, default=NOTHING)
+        rising_exactness = (NOTHING, ARRIVAL, DEVICE_CLOCK, SEQUENCE, EVENTS)
+        return min(
+            (losses.source for losses in self.runs), key=rising_exactness.index, default=NOTHING
+        )
 
     @property
     def sees_drops(self) -> bool:
         """True if the device itself tells of each loss, by its numbers or its clock."""
         return all(losses.counted for losses in self.runs)
 
-    def where(self) -> str:
+    def targets_text(self) -> str:
         """Return the targets that lost samples as text, worst first; targets count from 1."""
         if not self.lost:
             return ""
         worst = sorted(self.by_target.items(), key=lambda item: (-item[1], item[0]))
-        shown = [f"target {target + 1} ({count})" for target, count in worst[:_SHOWN]]
+        parts = [f"target {target + 1} ({count})" for target, count in worst[:_SHOWN]]
         if len(worst) > _SHOWN:
             rest = sum(count for _, count in worst[_SHOWN:])
-            shown.append(f"{len(worst) - _SHOWN} more targets ({rest})")
+            parts.append(f"{len(worst) - _SHOWN} more targets ({rest})")
         outside = self.lost - sum(self.by_target.values())
         if outside:
-            shown.append(f"outside of phases ({outside})")
-        return ", ".join(shown)
+            parts.append(f"outside of phases ({outside})")
+        return ", ".join(parts)
 
 
 def account_of(
@@ -487,8 +489,8 @@ def loss_lines(accounts: Mapping[str, Account]) -> list[str]:
     for name, account in accounts.items():
         if account.lost:
             lines.append(
-                f"lost         {name}: {account.lost} samples in {account.places} places, counted "
-                f"by {account.source}; {account.where()}"
+                f"lost         {name}: {account.lost} samples in {account.gaps} places, counted "
+                f"by {account.source}; {account.targets_text()}"
             )
         if not account.sees_drops and account.rows:
             lines.append(f"note         {name}: {unseen(account)}")

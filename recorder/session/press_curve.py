@@ -35,8 +35,8 @@ class PressCurves:
 
     def work(self, curve: Floats) -> Floats:
         """Return the work of each press (r,) along `curve` [J]."""
-        known = np.where(np.isfinite(curve), curve, 0.0)
-        middle = (known[:, 1:] + known[:, :-1]) / 2
+        force = np.where(np.isfinite(curve), curve, 0.0)
+        middle = (force[:, 1:] + force[:, :-1]) / 2
         return np.asarray(middle @ np.diff(self.depth))
 
     def lines(self) -> list[str]:
@@ -45,14 +45,14 @@ class PressCurves:
             f"{'press':<7}{'depth':>9}{'force':>10}{'loading':>12}{'unloading':>12}{'lost':>8}",
         ]
         rows = zip(self.target, self.work(self.loading), self.work(self.unloading), strict=True)
-        for row, (target, given, returned) in enumerate(rows):
+        for row, (target, work_in, work_out) in enumerate(rows):
             reached = np.flatnonzero(np.isfinite(self.loading[row]))
             deepest = 1e3 * self.depth[reached[-1]] if reached.size else np.nan
             largest = np.nanmax(self.loading[row]) if reached.size else np.nan
-            lost = 100 * (1 - returned / given) if given > 0 else np.nan
+            lost = 100 * (1 - work_out / work_in) if work_in > 0 else np.nan
             lines.append(
-                f"{target + 1:<7}{deepest:>6.2f} mm{largest:>8.2f} N{1e3 * given:>9.3f} mJ"
-                f"{1e3 * returned:>9.3f} mJ{lost:>6.1f} %"
+                f"{target + 1:<7}{deepest:>6.2f} mm{largest:>8.2f} N{1e3 * work_in:>9.3f} mJ"
+                f"{1e3 * work_out:>9.3f} mJ{lost:>6.1f} %"
             )
         return lines
 
@@ -124,8 +124,8 @@ def _samples(session: Session, row: int) -> tuple[Floats, Floats]:
     frame = np.asarray(session.attrs["contact_frame"], np.float64)
     height = in_frame(frame, np.asarray(pose.array("value"))[poses])[:, 2]
     depth = -align.linear(pose.t_ns[poses], height, times[inside]).value
-    known = np.isfinite(depth)
-    return depth[known], -(value[known] - zero)
+    finite = np.isfinite(depth)
+    return depth[finite], -(value[finite] - zero)
 
 
 def _force_and_pose(session: Session) -> tuple[str, str]:
@@ -147,8 +147,8 @@ def _at(grid: Floats, depth: Floats, force: Floats) -> Floats:
     values = np.full(len(grid), np.nan)
     values[count > 0] = total[count > 0] / count[count > 0]
     # A fast move may leave an empty bin between two filled ones: interpolate it.
-    known = np.flatnonzero(count)
-    if known.size:
-        inside = slice(known[0], known[-1] + 1)
-        values[inside] = np.interp(grid[inside], grid[known], values[known])
+    filled = np.flatnonzero(count)
+    if filled.size:
+        inside = slice(filled[0], filled[-1] + 1)
+        values[inside] = np.interp(grid[inside], grid[filled], values[filled])
     return values

@@ -213,9 +213,9 @@ class Session:
 
     def __repr__(self) -> str:
         """Return its place, status, sensor, indenter and the rows of its streams."""
-        known = (self.attrs.get(key) for key in ("sensor", "indenter"))
+        labels = (self.attrs.get(key) for key in ("sensor", "indenter"))
         rows = ", ".join(f"{name} {len(stream):,}" for name, stream in self.streams.items())
-        parts = [self.status, *(str(each) for each in known if each), rows or "no streams"]
+        parts = [self.status, *(str(each) for each in labels if each), rows or "no streams"]
         return f"<Session {self.name}: {', '.join(parts)}>"
 
     def require_frames(self) -> Table:
@@ -407,12 +407,12 @@ class Session:
         streams = self.run_streams(self.run_at(t_ns) if run is None else run)
         sources = sources_near(streams, ticks) if n > 0 else sources_of_run(streams)
         rows = align_window(ticks, sources, align)
-        shown = {
+        images = {
             name: replace(aligned, value=self._pixels(name, aligned.row))
             for name, aligned in rows.streams.items()
             if aligned.row is not None and self.streams[name].layout.image is not None
         }
-        return replace(rows, streams={**rows.streams, **shown})
+        return replace(rows, streams={**rows.streams, **images})
 
     def _pixels(self, name: str, rows: NDArray[np.int64]) -> Array:
         """Return the images of some rows (n, h, w, channels); zeros for row -1."""

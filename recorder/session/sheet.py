@@ -56,11 +56,11 @@ def contact_sheet(
     sheet = Image.new("RGB", (width, _HEAD + grid_height + 240 + 220 + _SPACE), PAPER)
     draw = ImageDraw.Draw(sheet)
     _head(draw, session, width)
-    for place, (frame, picture) in enumerate(zip(chosen, pictures, strict=True)):
-        x = _SPACE + place % _COLUMNS * (_THUMB[0] + _SPACE)
-        y = _HEAD + place // _COLUMNS * (_THUMB[1] + _CAPTION + _SPACE)
+    for cell, (frame, picture) in enumerate(zip(chosen, pictures, strict=True)):
+        x = _SPACE + cell % _COLUMNS * (_THUMB[0] + _SPACE)
+        y = _HEAD + cell // _COLUMNS * (_THUMB[1] + _CAPTION + _SPACE)
         sheet.paste(picture, (x, y))
-        _caption(draw, (x, y), place + 1, session, int(frame))
+        _caption(draw, (x, y), cell + 1, session, int(frame))
     seconds = _recorded_seconds(session)
     top = _HEAD + grid_height
     wrench = frames["wrench"]
@@ -99,8 +99,8 @@ def thumbnails(session: Session, chosen: NDArray[np.intp]) -> list[Image.Image]:
             for name in cameras
         ]
         return [
-            _side_by_side([_fitted(pixels, size) for pixels in shown])
-            for shown in zip(*images, strict=True)
+            _side_by_side([_fitted(pixels, size) for pixels in row_images])
+            for row_images in zip(*images, strict=True)
         ]
     if "taxels" not in frames:
         return [Image.new("RGB", _THUMB, (30, 34, 42)) for _ in chosen]
@@ -155,15 +155,15 @@ def _disc(x: float, y: float, radius: float) -> tuple[float, float, float, float
 def _at_rest(session: Session, counts: NDArray[np.float64]) -> NDArray[Any]:
     """Return the counts without contact (taxels, 3): the first reference, else the first frame."""
     reference = session.reference["taxels"]
-    known = np.flatnonzero(np.isfinite(reference).all(axis=(1, 2)))
-    return np.asarray(reference[known[0]] if known.size else counts[0])
+    complete_rows = np.flatnonzero(np.isfinite(reference).all(axis=(1, 2)))
+    return np.asarray(reference[complete_rows[0]] if complete_rows.size else counts[0])
 
 
 def _side_by_side(pictures: list[Image.Image]) -> Image.Image:
     """Return pictures of equal size in one thumbnail."""
     thumb = Image.new("RGB", _THUMB, (30, 34, 42))
-    for place, picture in enumerate(pictures):
-        thumb.paste(picture, (place * picture.width, 0))
+    for index, picture in enumerate(pictures):
+        thumb.paste(picture, (index * picture.width, 0))
     return thumb
 
 

@@ -593,14 +593,14 @@ def recover_streams(path: Path) -> list[StreamRecovery]:
 def _recover(session: Path, group: Path) -> StreamRecovery:
     layout = StreamLayout.load(group)
     state = survey(layout)
-    seen = min(column.rows() for column in layout.columns)
+    stored_rows = min(column.rows() for column in layout.columns)
     touched = bool(state.unfinished or state.dropped_rows)
     if touched:
         StreamWriter.open(group).close()
     return StreamRecovery(
         str(group.relative_to(session)),
         state.rows,
-        state.rows - min(seen, state.rows),
+        state.rows - min(stored_rows, state.rows),
         state.torn_bytes,
         state.dropped_rows,
         touched,

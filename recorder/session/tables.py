@@ -74,20 +74,20 @@ def _library(name: str) -> Any:
 def _about(session: Session, name: str) -> dict[str, str]:
     """Return units and description of a column of `frames`, as stored."""
     path = session.path / "frames" / name / "zarr.json"
-    found = read_document(session.files, path).get("attributes", {})
-    return {key: str(found.get(key, "")) for key in ("units", "description")}
+    attributes = read_document(session.files, path).get("attributes", {})
+    return {key: str(attributes.get(key, "")) for key in ("units", "description")}
 
 
 def _components(session: Session) -> dict[str, tuple[str, ...]]:
     """Return the names of the components of each column of `frames` that has any."""
-    found: dict[str, tuple[str, ...]] = {}
+    components: dict[str, tuple[str, ...]] = {}
     for stream, column in session.columns.items():
         names = _COMPONENTS.get(session.streams[stream].traits.kind, ())
         value = session.streams[stream].value_column
         if value is not None and value.shape == (len(names),):
-            found[column] = names
-    return found
+            components[column] = names
+    return components
 
 
 def _numbered(shape: tuple[int, ...]) -> list[str]:
-    return ["_".join(map(str, place)) for place in np.ndindex(*shape)]
+    return ["_".join(map(str, index)) for index in np.ndindex(*shape)]

@@ -157,11 +157,11 @@ def time_lines(session: Session) -> list[str]:
             lines.append(f"note         {note}")
     if "time_sigma" in session.frames and len(session.frames["time_sigma"]):
         sigma = session.frames["time_sigma"]
-        known = sigma[np.isfinite(sigma)]
-        if len(known):
+        finite = sigma[np.isfinite(sigma)]
+        if len(finite):
             lines.append(
-                f"time         rows are aligned within {2e3 * np.median(known):.1f} ms (95 %, "
-                f"median; worst {2e3 * known.max():.1f} ms)"
+                f"time         rows are aligned within {2e3 * np.median(finite):.1f} ms (95 %, "
+                f"median; worst {2e3 * finite.max():.1f} ms)"
             )
     return lines
 

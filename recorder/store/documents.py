@@ -39,8 +39,8 @@ def read_document(files: Files, path: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise SessionError(f"{files.name(path)}: not readable as JSON: {error}") from error
     if not isinstance(document, dict):
-        found = type(document).__name__
-        raise SessionError(f"{files.name(path)}: found {found}, expected a JSON object")
+        type_name = type(document).__name__
+        raise SessionError(f"{files.name(path)}: found {type_name}, expected a JSON object")
     if not isinstance(document.get("attributes", {}), dict):
         attributes = document["attributes"]
         raise SessionError(
@@ -276,10 +276,10 @@ def read_session_attrs(path: Path, files: Files = LOCAL) -> dict[str, Any]:
     attrs = read_attrs(path, files, what="session", format_=FORMAT, version=FORMAT_VERSION)
     name = files.name(path)
     for key, allowed in (("status", STATUSES), (REBUILDING, STATUSES[1:])):
-        found = attrs["status"] if key == "status" else attrs.get(key, allowed[0])
-        if found not in allowed:
-            known = ", ".join(allowed)
-            raise SessionError(f"{name}: found {key} {found!r:.80}; allowed: {known}")
+        value = attrs["status"] if key == "status" else attrs.get(key, allowed[0])
+        if value not in allowed:
+            choices = ", ".join(allowed)
+            raise SessionError(f"{name}: found {key} {value!r:.80}; allowed: {choices}")
     if "rate_hz" in attrs:
         check_rate(attrs["rate_hz"], name)
     _check_runs(attrs["runs"], name)
@@ -325,11 +325,11 @@ def read_attrs(
     attrs.where = name
     if attrs.get("format") != format_:
         raise SessionError(f"{name}: found format {attrs.get('format')!r}, expected {format_!r}")
-    found = attrs.get("format_version")
-    if found != version or type(found) is not int:
-        newer = type(found) is int and found > version
+    stored_version = attrs.get("format_version")
+    if stored_version != version or type(stored_version) is not int:
+        newer = type(stored_version) is int and stored_version > version
         raise SessionError(
-            f"{name}: found format_version {found}, this program reads {version}"
+            f"{name}: found format_version {stored_version}, this program reads {version}"
             + "; update it" * newer
         )
     return attrs

@@ -86,13 +86,13 @@ class Files:
 
     def sizes(self, path: Path) -> dict[Path, int]:
         """Return all files below a directory with their sizes [bytes]."""
-        found = {}
+        sizes = {}
         for entry in self.listed(path):
             try:
-                found[entry] = entry.stat().st_size
+                sizes[entry] = entry.stat().st_size
             except FileNotFoundError:  # sealed or removed in the meantime by a writer
                 continue
-        return found
+        return sizes
 
 
 # The only instance that writers use.
@@ -188,9 +188,9 @@ class RemoteFiles(Files):
             self._check_range(path, part, stop - start)
         out = []
         for offset, nbytes in wanted:
-            place = next(i for i, (start, stop) in enumerate(joined) if start <= offset < stop)
-            first = offset - joined[place][0]
-            out.append(bytes(parts[place][first : first + nbytes]))
+            index = next(i for i, (start, stop) in enumerate(joined) if start <= offset < stop)
+            first = offset - joined[index][0]
+            out.append(bytes(parts[index][first : first + nbytes]))
         return out
 
     def _check_range(self, path: Path, data: bytes, nbytes: int) -> None:
@@ -205,41 +205,41 @@ class RemoteFiles(Files):
         """Return the Zarr nodes directly below a directory."""
         with self._said(path):
             try:
-                found = self._system().ls(self._key(path), detail=False)
+                entries = self._system().ls(self._key(path), detail=False)
             except FileNotFoundError:
                 return []
-        places = [path / PurePosixPath(str(entry).rstrip("/")).name for entry in found]
-        return sorted(place for place in self._with_documents(places) if place != path)
+        nodes = [path / PurePosixPath(str(entry).rstrip("/")).name for entry in entries]
+        return sorted(node for node in self._with_documents(nodes) if node != path)
 
     def listed(self, path: Path) -> list[Path]:
         """Return all files below a directory."""
         with self._said(path):
-            found = self._system().find(self._key(path))
-        return [Path(name.removeprefix(self.prefix)) for name in found]
+            names = self._system().find(self._key(path))
+        return [Path(name.removeprefix(self.prefix)) for name in names]
 
     def sizes(self, path: Path) -> dict[Path, int]:
         """Return all files below a directory with their sizes."""
         with self._said(path):
-            found = self._system().find(self._key(path), detail=True)
-            sizes = {name: entry["size"] for name, entry in found.items()}
+            entries = self._system().find(self._key(path), detail=True)
+            sizes = {name: entry["size"] for name, entry in entries.items()}
             unknown = [name for name, size in sizes.items() if size is None]
             if unknown:  # a web server's listing has no sizes
                 sizes |= zip(unknown, self._system().sizes(unknown), strict=True)
         return {Path(name.removeprefix(self.prefix)): int(size) for name, size in sizes.items()}
 
-    def _with_documents(self, places: list[Path]) -> list[Path]:
+    def _with_documents(self, nodes: list[Path]) -> list[Path]:
         """Return the directories that contain a `zarr.json`, fetching all concurrently."""
-        keys = {self._key(place / "zarr.json"): place for place in places}
+        keys = {self._key(node / "zarr.json"): node for node in nodes}
         if not keys:
             return []
-        with self._said(places[0]):
-            found = self._system().cat(list(keys), on_error="return")
-            for key, data in found.items():
+        with self._said(nodes[0]):
+            documents = self._system().cat(list(keys), on_error="return")
+            for key, data in documents.items():
                 if isinstance(data, bytes):
                     self._documents[keys[key] / "zarr.json"] = data
                 elif not isinstance(data, FileNotFoundError | NotADirectoryError):
                     raise data
-        return [keys[key] for key, data in found.items() if isinstance(data, bytes)]
+        return [keys[key] for key, data in documents.items() if isinstance(data, bytes)]
 
     def _system(self) -> Any:
         # fsspec keeps one instance per set of options, and makes another after a fork.
@@ -371,8 +371,8 @@ class SealedFiles(Files):
         if shard is not None:
             self._verify_shard(path, shard, data[-shard.end_bytes :], len(data))
         elif not self.is_open:
-            found = (len(data), hashlib.sha256(data).hexdigest())
-            if self.manifest.files.get(key) != found:
+            entry = (len(data), hashlib.sha256(data).hexdigest())
+            if self.manifest.files.get(key) != entry:
                 raise self._differs(path)
         return data
 

@@ -89,9 +89,9 @@ def decode_jpeg(data: bytes, shape: tuple[int, ...]) -> Image:
 def decode_jpeg_into(data: Any, out: Image) -> None:
     """Write the pixels of a JPEG, RGB, into `out` (h, w, 1 or 3) uint8, contiguous."""
     try:
-        found = simplejpeg.decode_jpeg_header(data)[:2]
-        if found != out.shape[:2]:
-            raise SessionError(f"jpeg: found {found}, expected {out.shape}")
+        size = simplejpeg.decode_jpeg_header(data)[:2]
+        if size != out.shape[:2]:
+            raise SessionError(f"jpeg: found {size}, expected {out.shape}")
         simplejpeg.decode_jpeg(data, colorspace=_COLORSPACE[out.shape[2]], buffer=out)
     except ValueError as error:
         raise SessionError(f"jpeg: {error}") from error
@@ -144,10 +144,10 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
     expected = f"{column.dtype} {column.shape}"
     dtype = np.dtype(column.dtype)
 
-    place, tables = 0, b""
+    offset, tables = 0, b""
 
     def keep(value: object) -> bytes:
-        nonlocal place, tables
+        nonlocal offset, tables
         if not isinstance(value, (bytes, bytearray, memoryview)):
             raise SessionError(
                 f"{where}: found {type(value).__name__}, expected JPEG bytes of {expected} "
@@ -155,7 +155,7 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
             )
         data = bytes(value)
         # One camera's headers are alike: the decoder is asked only if size or tables have changed.
-        if tables and data.startswith(_SOI) and data.startswith(tables, place):
+        if tables and data.startswith(_SOI) and data.startswith(tables, offset):
             return data
         try:
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
@@ -163,7 +163,7 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
             raise SessionError(f"{where}: found no JPEG ({error}), expected {expected}") from error
         if (height, width) != column.shape[:2]:
             raise SessionError(f"{where}: found JPEG {height}x{width}, expected {expected}")
-        place, tables = _frame_header(data, height, width)
+        offset, tables = _frame_header(data, height, width)
         return data
 
     def pack(value: object) -> bytes:
@@ -178,7 +178,7 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
 
 
 def _frame_header(data: bytes, height: int, width: int) -> tuple[int, bytes]:
-    """Return place and bytes of a JPEG's segments from the image's size (SOF) to SOS.
+    """Return offset and bytes of a JPEG's segments from the image's size (SOF) to SOS.
 
     They are empty if not found, as in a JPEG with fill bytes between its segments.
     """
@@ -186,11 +186,11 @@ def _frame_header(data: bytes, height: int, width: int) -> tuple[int, bytes]:
     start = re.search(rb"\xff[\xc0-\xc3\xc5-\xc7\xc9-\xcb\xcd-\xcf]..\x08" + size, data, re.DOTALL)
     if start is None:
         return 0, b""
-    place = at = start.start()
+    offset = at = start.start()
     while at + 4 <= len(data) and data[at] == 0xFF:
         end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
         if data.startswith(_SOS, at) and end <= len(data):
-            return place, data[place:end]
+            return offset, data[offset:end]
         at = end
     return 0, b""
 

@@ -83,12 +83,12 @@ class GrowingLog:
         """Read the records that were added."""
         fd = os.open(self.path, os.O_RDONLY)
         try:
-            found = os.fstat(fd)
-            if found.st_ino != self._inode or not self._continues(fd):
+            stat = os.fstat(fd)
+            if stat.st_ino != self._inode or not self._continues(fd):
                 self.records.clear()
                 self.payloads.clear()
-                self._inode = found.st_ino
-            while len(self.records) < self._limit and self._read_record(fd, found.st_size):
+                self._inode = stat.st_ino
+            while len(self.records) < self._limit and self._read_record(fd, stat.st_size):
                 pass
         finally:
             os.close(fd)

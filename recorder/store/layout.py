@@ -78,8 +78,8 @@ class ShardIndex:
     @property
     def chunks(self) -> int:
         """Number of chunks before the first missing one."""
-        places = (place for place, (offset, _) in enumerate(self.ranges) if offset == MISSING)
-        return next(places, len(self.ranges))
+        gaps = (index for index, (offset, _) in enumerate(self.ranges) if offset == MISSING)
+        return next(gaps, len(self.ranges))
 
 
 def packed_index(entries: list[tuple[int, int]], slots: int) -> bytes:
@@ -217,23 +217,23 @@ class ArrayLayout:
     def load(cls, path: Path, files: Files = LOCAL) -> Self:
         """Return the layout described by an array's metadata."""
         document = read_document(files, path / "zarr.json")
-        where = files.name(path)
+        name = files.name(path)
         try:
             layout = cls._described(path, files, document)
             expected = layout.document()
-            found = {key: document[key] for key in cls.compared}
+            stored = {key: document[key] for key in cls.compared}
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise SessionError(f"{where}: not an array of this format: {error!r}") from error
-        for key, value in found.items():
+            raise SessionError(f"{name}: not an array of this format: {error!r}") from error
+        for key, value in stored.items():
             if _without_level(value) != _without_level(expected[key]):
-                raise SessionError(f"{where}: found {key} {value}, expected {expected[key]}")
+                raise SessionError(f"{name}: found {key} {value}, expected {expected[key]}")
         return layout
 
     @classmethod
     def _described(cls, path: Path, files: Files, document: dict[str, Any]) -> Self:
-        where = files.name(path)
+        name = files.name(path)
         shape, data_type = document["shape"], document["data_type"]
-        check_shape(shape, data_type, where)
+        check_shape(shape, data_type, name)
         per_shard = document["chunk_grid"]["configuration"]["chunk_shape"][0]
         inner, codecs = [per_shard, *shape[1:]], document["codecs"]
         if cls.sharded:
@@ -242,12 +242,12 @@ class ArrayLayout:
         row_bytes = math.prod(shape[1:]) * np.dtype(data_type).itemsize
         if type(inner[0]) is not int or not 0 < inner[0] * row_bytes <= CHUNK_BYTES_MAX:
             raise SessionError(
-                f"{where}: found chunk_shape {inner}; allowed: up to {CHUNK_BYTES_MAX} bytes"
+                f"{name}: found chunk_shape {inner}; allowed: up to {CHUNK_BYTES_MAX} bytes"
             )
         most = CHUNKS_MAX * inner[0]
         if type(per_shard) is not int or not inner[0] <= per_shard <= most:
             raise SessionError(
-                f"{where}: found {per_shard!r:.80} rows per shard; allowed: {inner[0]} to {most}"
+                f"{name}: found {per_shard!r:.80} rows per shard; allowed: {inner[0]} to {most}"
             )
         attributes = dict(document.get("attributes", {}))
         return cls(
@@ -378,8 +378,8 @@ def record_matches(head: bytes, payload: bytes, index: int) -> bool:
     """Return True if a header is that of a payload with this number, and its checksum matches."""
     if len(head) != HEADER.size:
         return False
-    magic, nbytes, crc, t_ns, found = HEADER.unpack(head)
-    if nbytes != len(payload) or found != index & 0xFFFFFFFF:
+    magic, nbytes, crc, t_ns, stored_index = HEADER.unpack(head)
+    if nbytes != len(payload) or stored_index != index & 0xFFFFFFFF:
         return False
     if magic == MAGIC:
         return bool(crc == checksum(payload, t_ns, index))

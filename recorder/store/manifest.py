@@ -50,27 +50,27 @@ def manifest_path(session: Path, run: int) -> Path:
 
 def manifest_runs(session: Path) -> list[int]:
     """Return the numbers of the runs that have a manifest, in order; local sessions only."""
-    found = (path.parent.name for path in (session / GROUP).glob("*/zarr.json"))
-    return sorted(int(name) for name in found if name.isdecimal())
+    names = (path.parent.name for path in (session / GROUP).glob("*/zarr.json"))
+    return sorted(int(name) for name in names if name.isdecimal())
 
 
 def read_manifest(files: Files, session: Path, run: int) -> Manifest:
     """Return the manifest of a run."""
     path = manifest_path(session, run)
-    where = files.name(path)
+    name = files.name(path)
     try:
         check_document_size(files, path)
         data = files.read(path)
     except FileNotFoundError:
         raise SessionError(
-            f"{where}: missing, so run {run} cannot be verified (if nothing else is lost, "
+            f"{name}: missing, so run {run} cannot be verified (if nothing else is lost, "
             "tactile session recover makes it again)"
         ) from None
     stated = data[-67:-3]
     body = data[:-67] + data[-3:]
     own = hashlib.sha256(body).hexdigest()
     if not body.endswith(_END) or stated != own.encode():
-        raise SessionError(f"{where}: changed after it was written")
+        raise SessionError(f"{name}: changed after it was written")
     attrs = read_document(files, path)["attributes"]
     try:
         manifest = Manifest(
@@ -82,10 +82,10 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
             hashlib.sha256(data).hexdigest(),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise SessionError(f"{where}: not a manifest: {error!r}") from error
+        raise SessionError(f"{name}: not a manifest: {error!r}") from error
     keys = [*manifest.files, *manifest.shards]
     if manifest.run != run or any(key.startswith("/") or ".." in key.split("/") for key in keys):
-        raise SessionError(f"{where}: not the manifest of run {run}")
+        raise SessionError(f"{name}: not the manifest of run {run}")
     return manifest
 
 
@@ -101,9 +101,9 @@ def readable_chain(
         chain.append(read_manifest(files, session, run))
         while (previous := chain[-1].previous) is not None:
             earlier = read_manifest(files, session, int(previous["run"]))
-            where = files.name(manifest_path(session, earlier.run))
+            name = files.name(manifest_path(session, earlier.run))
             if earlier.run >= chain[-1].run or earlier.digest != previous["sha256"]:
-                raise SessionError(f"{where}: not the manifest that run {chain[-1].run} names")
+                raise SessionError(f"{name}: not the manifest that run {chain[-1].run} names")
             chain.append(earlier)
     except SessionError as error:
         return chain, error
@@ -237,12 +237,12 @@ def wrong_sizes(session: Path, manifest: Manifest) -> Iterator[str]:
     for key, size in (sizes | {key: shard.size for key, shard in manifest.shards.items()}).items():
         path = session / key
         try:
-            found = path.stat().st_size
+            nbytes = path.stat().st_size
         except OSError:
             yield f"{path}: missing; the manifest of run {manifest.run} names it"
             continue
-        if found != size:
-            yield f"{path}: found {found} bytes, the manifest of run {manifest.run} names {size}"
+        if nbytes != size:
+            yield f"{path}: found {nbytes} bytes, the manifest of run {manifest.run} names {size}"
 
 
 def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -253,8 +253,8 @@ def wrong_files(files: Files, session: Path, attrs: dict[str, Any]) -> Iterator[
     present = {str(path.relative_to(session)) for path in files.listed(session)}
     run, is_open = run_of(attrs), attrs["status"] == "recording"
     if is_open:
-        found = (re.fullmatch(rf"{GROUP}/(\d+)/zarr.json", key) for key in present)
-        closed = [int(match[1]) for match in found if match and int(match[1]) < run]
+        matches = (re.fullmatch(rf"{GROUP}/(\d+)/zarr.json", key) for key in present)
+        closed = [int(match[1]) for match in matches if match and int(match[1]) < run]
         if not closed:
             return
         run = max(closed)

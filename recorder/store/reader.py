@@ -75,9 +75,9 @@ class Recent:
             return
         key = id(value)  # unique as long as the object is kept
         with self._lock:
-            known = self._kept.pop(key, None)
+            previous = self._kept.pop(key, None)
             self._kept[key] = (value, nbytes)
-            self.nbytes += nbytes - (known[1] if known else 0)
+            self.nbytes += nbytes - (previous[1] if previous else 0)
             while self.nbytes > self.limit:
                 _, (_, released) = self._kept.popitem(last=False)
                 self.nbytes -= released
@@ -157,16 +157,16 @@ class ColumnReader:
             out: Destination, contiguous; of the column's shape and little-endian type.
         """
         decode = images.decoder_into(self.layout.codec, self.layout.chunk_bytes)
-        first = {row: place for place, row in reversed(list(enumerate(rows))) if row >= 0}
+        first = {row: index for index, row in reversed(list(enumerate(rows))) if row >= 0}
         wanted = sorted(first)
         for row, data in zip(wanted, self._verified_chunks(wanted), strict=True):
             try:
                 decode(data, out[first[row]])
             except SessionError as error:
-                raise SessionError(f"{self._where(row)}: {error}") from error
-        for place, row in enumerate(rows):
-            if row >= 0 and first[row] != place:
-                out[place] = out[first[row]]
+                raise SessionError(f"{self._chunk_name(row)}: {error}") from error
+        for index, row in enumerate(rows):
+            if row >= 0 and first[row] != index:
+                out[index] = out[first[row]]
 
     def rows_between(self, start: int, stop: int) -> Array:
         """Return rows [start, stop) (n, ...) of numbers, reading only their chunks."""
@@ -191,19 +191,19 @@ class ColumnReader:
         out = np.empty((len(numbers), *self.layout.shape[1:]), self.layout.dtype)
         order = np.argsort(chunk, kind="stable")
         wanted, first = np.unique(chunk[order], return_index=True)
-        places = np.split(order, first[1:])
-        for (_, rows), here in zip(self._decoded_chunks(wanted.tolist()), places, strict=False):
+        positions = np.split(order, first[1:])
+        for (_, rows), here in zip(self._decoded_chunks(wanted.tolist()), positions, strict=False):
             out[here] = rows[within[here]]
         return out
 
     def _decoded_chunks(self, numbers: Sequence[int]) -> Iterator[tuple[int, Array]]:
         """Yield chunks of a small column with their rows, in order; fill values included."""
         many = len(numbers) * self.layout.chunk_bytes > RECENT.limit // 4
-        known = {} if many else {number: self._decoded.get(number) for number in numbers}
-        missing = [number for number in numbers if known.get(number) is None]
+        cached = {} if many else {number: self._decoded.get(number) for number in numbers}
+        missing = [number for number in numbers if cached.get(number) is None]
         fetched = self._verified_chunks(missing)
         for number in numbers:
-            rows = known.get(number)
+            rows = cached.get(number)
             if rows is None:
                 rows = self.layout.decoded(next(fetched))
                 if not many:  # a whole column would only push everything else out
@@ -229,8 +229,8 @@ class ColumnReader:
             length = min(max(nbytes for _, nbytes in wanted), size)
             buffer: Any = np.empty(length, np.uint8)
             for number, (offset, nbytes) in zip(numbers, wanted, strict=True):
-                found = os.preadv(fd, [buffer[:nbytes]], offset) if offset < size else 0
-                yield self._verified(index, buffer[:found], nbytes, number)
+                read_size = os.preadv(fd, [buffer[:nbytes]], offset) if offset < size else 0
+                yield self._verified(index, buffer[:read_size], nbytes, number)
         finally:
             os.close(fd)
 
@@ -249,7 +249,7 @@ class ColumnReader:
         """Return the offset and the length of a chunk."""
         offset, nbytes = index.ranges[number % self.layout.chunks_per_shard]
         if offset == MISSING:
-            raise SessionError(f"{self._where(number)} is missing")
+            raise SessionError(f"{self._chunk_name(number)} is missing")
         return offset, nbytes
 
     def _shard_index(self, shard: int) -> ShardIndex:
@@ -265,12 +265,12 @@ class ColumnReader:
             if google_crc32c.value(chunk) == listed == end:
                 return chunk
             fault = "does not match its checksum"
-        raise SessionError(f"{self._where(number)} {fault}")
+        raise SessionError(f"{self._chunk_name(number)} {fault}")
 
-    def _where(self, number: int) -> str:
-        shard, place = divmod(number, self.layout.chunks_per_shard)
+    def _chunk_name(self, number: int) -> str:
+        shard, slot = divmod(number, self.layout.chunks_per_shard)
         name = self.layout.files.name(self.layout.shard(shard))
-        return f"{name}: chunk {place} (row {number * self.layout.rows_per_chunk})"
+        return f"{name}: chunk {slot} (row {number * self.layout.rows_per_chunk})"
 
 
 class GrowingReader(ColumnReader):
@@ -290,7 +290,7 @@ class GrowingReader(ColumnReader):
         numbers = layout.shard_numbers()
         # No shard is begun before the previous one is full, so the others need not be read.
         ends = [n for n in numbers if layout.partial(n).exists()] + numbers[-1:]
-        gaps = [place for place, number in enumerate(numbers) if number != place]
+        gaps = [index for index, number in enumerate(numbers) if number != index]
         self._number = min([*ends, *gaps], default=0)
         self._logs: dict[int, GrowingLog] = {}
         self._growing: dict[int, ShardIndex] = {}
@@ -358,7 +358,7 @@ class GrowingReader(ColumnReader):
         A resumed stream takes its last, short chunk out of the growing shard until the chunk is
         full. The sealed shard has it until the growing one takes its place.
         """
-        layout, fault = self.layout, SessionError(f"{self._where(number)} is missing")
+        layout, fault = self.layout, SessionError(f"{self._chunk_name(number)} is missing")
         for path in 2 * (layout.partial(shard), layout.shard(shard)):  # one may become the other
             try:
                 if path == layout.shard(shard):
