@@ -219,7 +219,7 @@ def test_what_is_deleted_from_a_stream_is_found_in_that_stream_alone(
     lost = int(there[-1] + 1 - len(there))
     account = session.account(name)
     assert account.lost == lost
-    assert found.message.startswith(f"{lost} samples lost in {account.places} places")
+    assert found.message.startswith(f"{lost} samples lost in {account.gaps} places")
     # Each target's part, by the times of the samples that are gone.
     gone = T0 + np.setdiff1d(rows[: there[-1]], there) / RATES[name] * 1e9
     segments = session.segments
@@ -282,7 +282,7 @@ def test_numbers_of_a_camera_count_its_losses_and_are_no_part_of_its_digest(
             session.finish("complete", rate_hz=30)
     numbered, other = map(Session, paths)
     account = numbered.account("camera")
-    assert (account.source, account.lost, account.places) == (SEQUENCE, 3, 2)
+    assert (account.source, account.lost, account.gaps) == (SEQUENCE, 3, 2)
     assert other.account("camera").lost == 3
     assert digests(numbered) == digests(other)
 
