@@ -290,15 +290,23 @@ def column_array(
 
 
 def write_table(
-    sensor: Path, columns: Mapping[str, Array], indenters: Sequence[str], lines: Sequence[str]
+    sensor: Path,
+    rows: int,
+    columns: Mapping[str, Array],
+    indenters: Sequence[str],
+    lines: Sequence[str],
 ) -> None:
-    """Write the table of a sensor, all columns of `COLUMNS`, and its provenance lines, durably."""
+    """Write the table of a sensor, all columns of `COLUMNS`, and its provenance lines, durably.
+
+    Raises:
+        SessionError: A column has not as many `rows` as the sensor has frames.
+    """
     path = sensor / "table"
     path.mkdir(exist_ok=True)
     write_group(path, {})
     names = {"indenter": indenters, "phase": PHASES}
     for name in COLUMNS:
-        array = column_array(path / name, len(columns[name]), names.get(name, ()))
+        array = column_array(path / name, rows, names.get(name, ()))
         array.write_whole(columns[name])
     _write_sources(sensor / "sources", lines)
     for folder in (path, sensor):

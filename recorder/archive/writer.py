@@ -258,7 +258,7 @@ class SensorWriter:
             if name != SOURCE
         }
         table[SOURCE] = np.concatenate(sources)
-        write_table(self.path, table, indenters, list(lines))
+        write_table(self.path, self.rows, table, indenters, list(lines))
 
 
 def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_from: str) -> None:

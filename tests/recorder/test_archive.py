@@ -519,6 +519,20 @@ def test_a_damaged_entry_of_the_ledger_is_named(tmp_path: Path) -> None:
     assert check(tmp_path / "a.markers.zarr") == []
 
 
+def test_a_table_with_another_number_of_rows_than_frames_does_not_complete_an_archive(
+    tmp_path: Path,
+) -> None:
+    writer = ArchiveWriter.begin(tmp_path / "a.markers.zarr", PLAN)
+    for name in PLAN.sensors:
+        write_units(writer, name.name, range(4))
+    ledger = writer.sensors["Circle1"].ledger.path
+    entry = (ledger / "3.npz").read_bytes()  # the last unit is shorter than others
+    (ledger / "2.npz").write_bytes(entry)
+    with pytest.raises(SessionError, match=r"found .* for shard 0, expected"):
+        writer.finish()
+    assert not writer.complete
+
+
 # ----------------------------------------------------------------------------- location pairs
 
 
