@@ -121,10 +121,10 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
     walked: dict[tuple[str, str], _Walked] = {}
     items = []
     for number, entry in enumerate(file.sessions):
-        where, key = f"{path}.sessions[{number}]", (entry.sensor, entry.plan)
+        key_path, key = f"{path}.sessions[{number}]", (entry.sensor, entry.plan)
         if key not in walked:
-            walked[key] = _walk(entry, where, benches)
-        find_indenter(entry.indenter, f"{where}.indenter")
+            walked[key] = _walk(entry, key_path, benches)
+        find_indenter(entry.indenter, f"{key_path}.indenter")
         bench_path, bench, plan, seconds = walked[key]
         name = entry.name
         if not entry.session:
@@ -134,11 +134,11 @@ def load_campaign(path: Path, benches: Path) -> Campaign:
             try:
                 plan = plan_from_json(Session(entry.session).attrs["plan"])
             except (SessionError, KeyError, TypeError, ValueError) as error:
-                raise ConfigError(f"{where}.session: {error}") from None
+                raise ConfigError(f"{key_path}.session: {error}") from None
         last = max(entry.again, default=len(plan) if entry.targets is None else entry.targets)
         if last > len(plan):
             listed = "again" if entry.session else "targets"
-            raise ConfigError(f"{where}.{listed}: found {last}; allowed: 1 to {len(plan)}")
+            raise ConfigError(f"{key_path}.{listed}: found {last}; allowed: 1 to {len(plan)}")
         total = len(entry.again) or last
         seconds = seconds * total / len(plan)
         items.append(Item(entry, bench_path, bench, plan, total, seconds, name))

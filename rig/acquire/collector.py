@@ -445,12 +445,12 @@ def seconds_per_target(bench: Bench, plan: Plan) -> float:
 
 def _tare_entry(tares: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return the attributes of a run: `tare` of the first F/T sensor, `tares` of several."""
-    found = {
+    entries = {
         name: {"mean": _or_null(tare["mean"]), "std": _or_null(tare["std"])}
         for name, tare in tares.items()
     }
-    first = {"tare": next(iter(found.values()))} if found else {}
-    return {**first, **({"tares": found} if len(found) > 1 else {})}
+    first = {"tare": next(iter(entries.values()))} if entries else {}
+    return {**first, **({"tares": entries} if len(entries) > 1 else {})}
 
 
 def _or_null(values: np.ndarray) -> list[float | None]:

@@ -43,9 +43,9 @@ def finished_targets(plan: Plan, segments: Mapping[str, np.ndarray], total: int)
             limited.add(int(target))
         else:
             complete.pop(key, None)
-    found = {index for index in limited if index < total}
+    finished = {index for index in limited if index < total}
     for target in plan.targets():
         wanted = {move.phase for move in plan.moves(target)}
         if target.index < total and any(wanted <= a for a in attempts.get(target.index, ())):
-            found.add(target.index)
-    return found
+            finished.add(target.index)
+    return finished

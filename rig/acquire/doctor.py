@@ -112,11 +112,11 @@ def plan(bench: Bench, sessions: Path) -> Finding:
 
 def disk(sessions: Path, clock: Clock) -> Finding:
     """Examine room and speed of the disk of a folder; what is written is removed."""
-    place = sessions.absolute()
-    while not place.exists():
-        place = place.parent
-    room = shutil.disk_usage(place).free
-    written = place / f".tactile-doctor-{os.getpid()}"
+    folder = sessions.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    room = shutil.disk_usage(folder).free
+    written = folder / f".tactile-doctor-{os.getpid()}"
     try:
         began_ns = clock.now_ns()
         with written.open("wb") as file:
@@ -125,12 +125,12 @@ def disk(sessions: Path, clock: Clock) -> Finding:
             os.fsync(file.fileno())
         speed = _WRITTEN * SECOND_NS / max(clock.now_ns() - began_ns, 1)
     except OSError as error:
-        cure = f"write access to {place}, or --out on another disk"
-        return Finding("disk", "FAULT", f"{place}: {error.strerror or error}", (cure,))
+        cure = f"write access to {folder}, or --out on another disk"
+        return Finding("disk", "FAULT", f"{folder}: {error.strerror or error}", (cure,))
     finally:
         with contextlib.suppress(OSError):
             written.unlink()
-    text = f"{place}: {room / 1e9:.0f} GB free, written at {speed / 1e6:.0f} MB/s"
+    text = f"{folder}: {room / 1e9:.0f} GB free, written at {speed / 1e6:.0f} MB/s"
     if room < ROOM:
         cure = f"free some space: a day of recording may take {ROOM / 1e9:.0f} GB"
         return Finding("disk", "FAULT" if room < ROOM / 20 else "note", text, (cure,))
@@ -177,19 +177,21 @@ def _stream(
         # A busy computer may delay one window; a fault shows in the next ones too.
         for _attempt in range(3):
             handle.start_measuring(window)
-            found = handle.measured(window)
+            measured = handle.measured(window)
             handle.check()
-            off = float(found["rate_hz"]) / expected - 1
+            off = float(measured["rate_hz"]) / expected - 1
             if abs(off) <= bench.preflight.rate_tolerance:
                 break
     except (ConfigError, DeviceLost, SessionError) as error:
         return Finding(row.name, "FAULT", str(error), cures)
-    rate = float(found["rate_hz"])
-    text = f"{_at(row.config)}{rate:.1f} Hz, expected {expected:.0f}{_told(description)}"
+    rate = float(measured["rate_hz"])
+    text = (
+        f"{_at(row.config)}{rate:.1f} Hz, expected {expected:.0f}{_model_and_firmware(description)}"
+    )
     if abs(off) > bench.preflight.rate_tolerance:
         text += f": {abs(off):.0%} too {'slow' if off < 0 else 'fast'}"
         return Finding(row.name, "FAULT", text, _rate_cures(row, rate))
-    wrong = _values(bench, row, handle.latest(), found)
+    wrong = _values(bench, row, handle.latest(), measured)
     if wrong is not None:
         return Finding(row.name, "FAULT", f"{text}; {wrong[0]}", wrong[1:])
     return Finding(row.name, "well", text)
@@ -252,11 +254,11 @@ def _interlocks(bench: Bench, clock: Clock) -> Iterator[Finding]:
         alone = replace(bench, pedal=None) if name == "gripper" else replace(bench, gripper=None)
         with Interlocks(alone, Control(), clock) as opened:
             try:
-                told = opened.open()[name]
+                description = opened.open()[name]
             except (ConfigError, DeviceLost) as error:
                 yield Finding(name, "FAULT", str(error), _cures(config))
                 continue
-        yield Finding(name, "well", f"{_at(config)}answers{_told(told)}")
+        yield Finding(name, "well", f"{_at(config)}answers{_model_and_firmware(description)}")
 
 
 def _cures(config: Any) -> tuple[str, ...]:
@@ -277,10 +279,10 @@ def _at(config: Any) -> str:
     return f"{address}: " if address else ""
 
 
-def _told(description: dict[str, Any]) -> str:
+def _model_and_firmware(description: dict[str, Any]) -> str:
     """Return model and firmware, if the device tells them."""
-    known = (
+    parts = (
         str(description[key]) for key in ("model", "firmware", "version") if key in description
     )
-    text = ", ".join(known)
+    text = ", ".join(parts)
     return f" ({text})" if text else ""

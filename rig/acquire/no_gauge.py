@@ -55,12 +55,12 @@ def search_depth(bench: Bench) -> float:
 
     It is never beyond half the rating, nor beyond the bench's depth limit.
     """
-    given, _, rating = bench.without_gauge
+    stand_ins, _, rating = bench.without_gauge
     planned = bench.plan_limits
     return min(
         SEARCH_BELOW,
         bench.limits.depth_max,
-        FRACTION * rating / given.stiffness[1],
+        FRACTION * rating / stand_ins.stiffness[1],
         # What the plan check allows, with the stiffness that the bench file expects.
         0.999 * planned.force_rating / planned.stiffness,
     )

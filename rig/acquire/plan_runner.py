@@ -318,16 +318,16 @@ class PlanRunner:
     def _take_reference(self, point: int) -> None:
         """Store the values of the sensor, having checked that nothing touches it."""
         bench = self._bench
-        found = self._zero(point)
+        measured = self._zero(point)
         for gauge in bench.of_kind("force"):
-            if "mean" not in found[gauge.name]:
+            if "mean" not in measured[gauge.name]:
                 raise DeviceLost(f"{gauge.name}: {no_mean(gauge)} over point {point}")
         for gauge in bench.gauges:
-            tared = found[gauge.name]["mean"] - self._zeros[gauge.name]
+            tared = measured[gauge.name]["mean"] - self._zeros[gauge.name]
             check_no_contact(bench, gauge, tared, point)
-        ended_ns = max((int(each["t_ns"]) for each in found.values()), default=0)
+        ended_ns = max((int(each["t_ns"]) for each in measured.values()), default=0)
         self._writer.reference.append(
-            **reference_columns(self._streams, found),
+            **reference_columns(self._streams, measured),
             point=point,
             run=self._run,
             t_ns=ended_ns or self._clock.now_ns(),
@@ -337,7 +337,7 @@ class PlanRunner:
                 "point %d  %sdrift since the tare %s N",
                 point,
                 "" if gauge.name == "force" else f"{gauge.name}  ",
-                " ".join(f"{value:+.3f}" for value in found[gauge.name]["mean"][:3]),
+                " ".join(f"{value:+.3f}" for value in measured[gauge.name]["mean"][:3]),
             )
 
     def _zero(self, point: int) -> dict[str, dict[str, Any]]:
@@ -349,19 +349,19 @@ class PlanRunner:
             averaged = ["pose"]
         waits = [row.settling for row in self._bench.rows]
         window = max(self._bench.preflight.point_window, *waits)
-        found = self._streams.measure(window, *averaged) if averaged else {}
-        zero_stand_ins(self._streams, found)
-        return found
+        measured = self._streams.measure(window, *averaged) if averaged else {}
+        zero_stand_ins(self._streams, measured)
+        return measured
 
     def _check_signal(self, point: int) -> None:
         """Reject a sensor that shows contact above a point: the next zero would hide it."""
         if not self._bench.no_gauge:
             return
-        given, signal, _ = self._bench.without_gauge
+        stand_ins, signal, _ = self._bench.without_gauge
         latest = self._streams[signal.name].signal()
         if latest is None:
             return
-        motion, allowed = float(latest["motion"]), CONTACT_FREE * given.signal_max
+        motion, allowed = float(latest["motion"]), CONTACT_FREE * stand_ins.signal_max
         if motion > allowed:
             raise SafetyStop(
                 f"point {point}: the signal of {self._bench.sensor} shows {motion:.3g} before the "
@@ -480,12 +480,12 @@ def reference_columns(
         name: np.full(column.shape, np.nan) if column.shape else -1
         for name, column in columns.items()
     }
-    for name, place in frame_columns([(row.name, row.traits) for row in bench.rows]).items():
+    for name, column_name in frame_columns([(row.name, row.traits) for row in bench.rows]).items():
         if bench.row(name).kind == "camera":
             latest = streams[name].latest()
-            values[place] = int(latest["row"]) if latest is not None else -1
-        elif place in columns and "mean" in measured.get(name, {}):
-            values[place] = measured[name]["mean"]
-            if f"{place}_std" in columns:
-                values[f"{place}_std"] = measured[name]["std"]
+            values[column_name] = int(latest["row"]) if latest is not None else -1
+        elif column_name in columns and "mean" in measured.get(name, {}):
+            values[column_name] = measured[name]["mean"]
+            if f"{column_name}_std" in columns:
+                values[f"{column_name}_std"] = measured[name]["std"]
     return values

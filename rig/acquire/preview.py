@@ -66,8 +66,8 @@ def draw(bench: Bench, walked: DryRun) -> Image.Image:
 
 
 def _colour(index: int, count: int) -> tuple[int, int, int]:
-    place = round(index * (len(_DEPTHS) - 1) / max(count - 1, 1))
-    return _DEPTHS[place]
+    shade = round(index * (len(_DEPTHS) - 1) / max(count - 1, 1))
+    return _DEPTHS[shade]
 
 
 def _mapping(
@@ -123,9 +123,9 @@ def _draw_top(
             canvas.line((start, end), fill=colour, width=2)
             _dot(canvas, end, 3, colour)
     for point in sorted({target.point for target in targets}):
-        place = at(*next(t for t in targets if t.point == point).origin[:2])
-        _dot(canvas, place, 9, _INK)
-        canvas.text((place[0] - 4, place[1] - 8), str(point), _PAPER, font=font)
+        centre = at(*next(t for t in targets if t.point == point).origin[:2])
+        _dot(canvas, centre, 9, _INK)
+        canvas.text((centre[0] - 4, centre[1] - 8), str(point), _PAPER, font=font)
 
 
 def _draw_side(
@@ -152,14 +152,14 @@ def _draw_side(
         # Each depth is shifted to the right, so that the paths down do not coincide.
         aside = 0.06 * reach * list(colours).index(depth)
         path = [origin, (aside, origin[1]), (aside, -depth), (aside + shear, -depth)]
-        canvas.line([at(*place) for place in path], fill=colour, width=3)
+        canvas.line([at(*corner) for corner in path], fill=colour, width=3)
         beside = at(aside + shear + 0.06 * reach, -depth + 0.04 * deepest)
         canvas.text(beside, f"{1e3 * depth:.3f} mm", colour, font=font)
     last = 0.06 * reach * (len(colours) - 1)
     corners = (("p0", origin), ("p1", (last, -deepest)), ("p2", (last + reach, -deepest)))
-    for name, place in corners:
-        _dot(canvas, at(*place), 4, _INK)
-        canvas.text((at(*place)[0] - 22, at(*place)[1] + 4), name, _INK, font=font)
+    for name, corner in corners:
+        _dot(canvas, at(*corner), 4, _INK)
+        canvas.text((at(*corner)[0] - 22, at(*corner)[1] + 4), name, _INK, font=font)
 
 
 def _dot(

@@ -75,36 +75,36 @@ class Place:
 # Network
 
 
-def places(bench: Bench) -> list[Place]:
+def network_devices(bench: Bench) -> list[Place]:
     """Return the devices that are reached by TCP, the arm first."""
-    found = [Place("arm", "arm.host", bench.arm.host, dashboard.PORT)]
+    devices = [Place("arm", "arm.host", bench.arm.host, dashboard.PORT)]
     for row in bench.rows:
         config = row.config
         address = str(getattr(config, "address", ""))
         if config.KIND == "netft":
-            found.append(Place(row.name, f"{row.key}.host", config.host, config.http_port))
+            devices.append(Place(row.name, f"{row.key}.host", config.host, config.http_port))
         elif "://" in address:
             url = urlsplit(address)
             port = url.port or 80
-            found.append(Place(row.name, f"{row.key}.address", url.hostname or "", port))
-    return found
+            devices.append(Place(row.name, f"{row.key}.address", url.hostname or "", port))
+    return devices
 
 
 def network(bench: Bench, timeout: float = 2.0) -> Iterator[Finding]:
     """Yield a finding for each device of the network: is it reached, and from which address?"""
-    found = places(bench)
-    for place in found:
-        twin = next((each for each in found if _conflict(each, place)), None)
-        own, error = _reached(place, timeout)
-        text = f"{place.host}:{place.port}"
+    devices = network_devices(bench)
+    for device in devices:
+        twin = next((each for each in devices if _conflict(each, device)), None)
+        own, error = _reached(device, timeout)
+        text = f"{device.host}:{device.port}"
         if twin is not None:
             text += f": {twin.part} has this address too"
-            cure = f"give each device its own address: {place.key}, {twin.key}"
-            yield Finding(place.part, "FAULT", text, (cure,))
+            cure = f"give each device its own address: {device.key}, {twin.key}"
+            yield Finding(device.part, "FAULT", text, (cure,))
         elif error is None:
-            yield Finding(place.part, "well", f"{text} answers, from this computer's {own}")
+            yield Finding(device.part, "well", f"{text} answers, from this computer's {own}")
         else:
-            yield Finding(place.part, "FAULT", f"{text}: {error}", _network_cures(place, own))
+            yield Finding(device.part, "FAULT", f"{text}: {error}", _network_cures(device, own))
 
 
 def _conflict(one: Place, other: Place) -> bool:
@@ -250,8 +250,8 @@ def weight(row: BenchStream, change: np.ndarray, mass: float) -> Finding:
     """Return the finding of a known mass [kg] on the sensor, by the change (3,) of a gauge [N]."""
     name, expected = f"{row.name} weight", GRAVITY * mass
     measured = ["Fx", "Fy", "Fz"]
-    known = np.array([axis in row.config.axes_measured for axis in measured])
-    change = np.where(known, change, 0.0)
+    mask = np.array([axis in row.config.axes_measured for axis in measured])
+    change = np.where(mask, change, 0.0)
     text = f"{expected:.2f} N laid on, felt " + ", ".join(
         f"{axis} {value:+.3f}" for axis, value in zip(measured, change, strict=True)
     )
@@ -319,17 +319,17 @@ def axes(row: BenchStream, along_x: np.ndarray, along_y: np.ndarray) -> Finding:
     state: State = "FAULT" if row.kind == "force" else "note"
     least = {"force": 0.05, "camera": 0.5}.get(row.kind, 20.0)
     unit = {"force": "N", "camera": "px"}.get(row.kind, "counts")
-    shown = "; ".join(
+    pushes = "; ".join(
         f"push along +{axis}: {way[0]:+.2f}, {way[1]:+.2f} {unit}"
         for axis, way in (("x", along_x), ("y", along_y))
     )
     if min(np.linalg.norm(along_x), np.linalg.norm(along_y)) < least:
         cures = ("push the middle of the sensor sideways without slipping, harder",)
-        return Finding(name, state, f"{shown}: too little", cures)
+        return Finding(name, state, f"{pushes}: too little", cures)
     ways = [_nearest(along_x), _nearest(along_y)]
     if ways == ["+x", "+y"]:
-        return Finding(name, "well", shown)
-    text = f"{shown}: +x appears as {ways[0]}, +y as {ways[1]}"
+        return Finding(name, "well", pushes)
+    text = f"{pushes}: +x appears as {ways[0]}, +y as {ways[1]}"
     turned = {"-x": 180, "+y": 90, "-y": 270}.get(ways[0])
     if (ways[0], ways[1]) in (("-x", "-y"), ("+y", "-x"), ("-y", "+x")):
         cure = (
@@ -342,8 +342,8 @@ def axes(row: BenchStream, along_x: np.ndarray, along_y: np.ndarray) -> Finding:
 
 
 def _nearest(way: np.ndarray) -> str:
-    place = int(np.argmax(np.abs(way)))
-    return f"{'-' if way[place] < 0 else '+'}{'xy'[place]}"
+    axis = int(np.argmax(np.abs(way)))
+    return f"{'-' if way[axis] < 0 else '+'}{'xy'[axis]}"
 
 
 def touch(bench: Bench, before: Sequence[Any], after: Sequence[Any]) -> Finding:
@@ -351,7 +351,7 @@ def touch(bench: Bench, before: Sequence[Any], after: Sequence[Any]) -> Finding:
 
     Of the samples `before` are those without contact, 16 or more.
     """
-    given, row, _ = bench.without_gauge
+    stand_ins, row, _ = bench.without_gauge
     level = SignalLevel(is_image=row.kind == "camera")
     for sample in before:
         level.of(reading(sample))
@@ -361,11 +361,11 @@ def touch(bench: Bench, before: Sequence[Any], after: Sequence[Any]) -> Finding:
     unit = "px" if row.kind == "camera" else "counts"
     text = (
         f"a touch changes {row.name} by {change:.0f} standard deviations of its noise, motion "
-        f"{motion:.3g} {unit} of {given.signal_max:g}"
+        f"{motion:.3g} {unit} of {stand_ins.signal_max:g}"
     )
     return _finding(
         f"{row.name} touch",
-        change > CONTACT and motion < given.signal_max,
+        change > CONTACT and motion < stand_ins.signal_max,
         f"{text}; {CONTACT:.0f} end an approach",
         f"is {row.key} the device of this sensor? Light and focus of its camera; a lighter touch "
         "if the motion is beyond stand_ins.signal_max",
@@ -444,12 +444,12 @@ def contact(bench: Bench, pose: Sequence[float] | np.ndarray) -> Finding:
 def origin_text(bench: Bench, tip: Point) -> str:
     """Return the origin at `tip` (in the current contact frame [m]) as text for a bench file."""
     pose = compose(bench.contact_frame, (*tip, 0.0, 0.0, 0.0))
-    place = ", ".join(f"{from_si(float(value), 'mm'):.3f}" for value in pose[:3])
+    position = ", ".join(f"{from_si(float(value), 'mm'):.3f}" for value in pose[:3])
     turn = ", ".join(f"{from_si(value, 'deg'):.3f}" for value in bench.contact_frame[3:])
     moved = ", ".join(f"{from_si(value, 'mm'):+.3f}" for value in tip)
     return (
         f"origin set, [{moved}] mm from the one in the bench file; to keep it, write there:\n"
-        f"contact_frame:\n  position_mm: [{place}]\n  rotation_deg: [{turn}]\n"
+        f"contact_frame:\n  position_mm: [{position}]\n  rotation_deg: [{turn}]\n"
         f"then find the surface by force: {next_command('home', sensor=bench.sensor)}"
     )
 

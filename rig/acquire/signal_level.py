@@ -47,10 +47,10 @@ def picture(jpeg: bytes) -> Floats:
     """Return the grey values of a JPEG at a quarter of its size."""
     import cv2
 
-    found = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_4)
-    if found is None:
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_4)
+    if image is None:
         raise ValueError("an image that cannot be decoded")
-    return found.astype(np.float32)
+    return image.astype(np.float32)
 
 
 def grey(image: npt.NDArray[Any]) -> Floats:
@@ -75,10 +75,10 @@ def whole_grey(value: Any) -> Grey:
     import cv2
 
     if isinstance(value, bytes):
-        found = cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_GRAYSCALE)
+        image = cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_GRAYSCALE)
     else:
-        found = cv2.cvtColor(np.asarray(value), cv2.COLOR_RGB2GRAY)
-    return np.asarray(found, np.uint8)
+        image = cv2.cvtColor(np.asarray(value), cv2.COLOR_RGB2GRAY)
+    return np.asarray(image, np.uint8)
 
 
 def shift(before: Grey, after: Grey) -> npt.NDArray[np.float64]:

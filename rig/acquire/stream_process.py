@@ -83,7 +83,7 @@ class _Measurement:
         times = np.array([self._start_ns, *self._times, self.end_ns], dtype=np.int64)
         inner = times[1:-1]
         span = (inner[-1] - inner[0]) / SECOND_NS if len(inner) > 1 else 0.0
-        found: dict[str, Any] = {
+        summary: dict[str, Any] = {
             "n": len(inner),
             "t_ns": int(self.end_ns),
             "rate_hz": (len(inner) - 1) / span if span > 0 else 0.0,
@@ -91,8 +91,8 @@ class _Measurement:
         }
         if self._averaged and self._values:
             values = np.array(self._values, dtype=float)
-            found |= {"mean": values.mean(axis=0), "std": values.std(axis=0)}
-        return found
+            summary |= {"mean": values.mean(axis=0), "std": values.std(axis=0)}
+        return summary
 
 
 class _StreamLoop:

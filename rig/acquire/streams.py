@@ -67,8 +67,8 @@ class StreamHandle:
 
     def measured(self, seconds: float) -> dict[str, Any]:
         """Return the result of the window of `start_measuring(seconds)`; see `_Measurement`."""
-        found: dict[str, Any] = self._answer("measured", seconds)
-        return found
+        result: dict[str, Any] = self._answer("measured", seconds)
+        return result
 
     def set_bias(self, bias: np.ndarray) -> None:
         """Subtract `bias` from every value from now on."""
@@ -213,16 +213,16 @@ class Streams:
 
     def wait_opened(self) -> dict[str, dict[str, Any]]:
         """Wait until all drivers are open and return the properties of their devices by stream."""
-        found: dict[str, dict[str, Any]] = {}
+        properties: dict[str, dict[str, Any]] = {}
         failures: list[Exception] = []
         for handle in self:
             try:
-                found[handle.name] = handle.wait_opened()
+                properties[handle.name] = handle.wait_opened()
             except (ConfigError, DeviceLost, SessionError) as error:
                 failures.append(error)
         if failures:
             raise combined(failures)
-        return found
+        return properties
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
         """Measure rate, mean and spread of the named streams (default: all) in one time window."""
@@ -264,8 +264,8 @@ class Streams:
 
     def counters(self) -> dict[str, np.void]:
         """Return the COUNTERS of every stream that has published some."""
-        found = {handle.name: handle.counters() for handle in self}
-        return {name: counters for name, counters in found.items() if counters is not None}
+        published = {handle.name: handle.counters() for handle in self}
+        return {name: counters for name, counters in published.items() if counters is not None}
 
     def pressing(self) -> str:
         """Return the newest normal force of every F/T sensor as text; empty without one."""
@@ -371,11 +371,15 @@ def check_clear(streams: Streams) -> None:
         and limits.box_y[0] <= y <= limits.box_y[1]
         and z <= limits.height_max
     )
-    where = f"the tip is at x {1e3 * x:.1f}, y {1e3 * y:.1f}, z {1e3 * z:.1f} mm of the sensor"
+    position_text = (
+        f"the tip is at x {1e3 * x:.1f}, y {1e3 * y:.1f}, z {1e3 * z:.1f} mm of the sensor"
+    )
     if z <= 0:
-        raise SafetyStop(f"{where}: at or below its surface; jog it clear, then start again")
+        raise SafetyStop(
+            f"{position_text}: at or below its surface; jog it clear, then start again"
+        )
     if not inside:
-        raise SafetyStop(f"{where}: outside the bench's box; jog it above the sensor")
+        raise SafetyStop(f"{position_text}: outside the bench's box; jog it above the sensor")
 
 
 def take_tares(streams: Streams) -> dict[str, dict[str, Any]]:
@@ -435,8 +439,8 @@ def check_no_contact(bench: Bench, gauge: BenchStream, force: np.ndarray, point:
 
 
 def _measured_axes(gauge: BenchStream) -> list[int]:
-    """Return the places, among `_AXES`, of the axes that an F/T sensor measures."""
-    return [place for place, axis in enumerate(_AXES) if axis in gauge.config.axes_measured]
+    """Return the indices in `_AXES` of the axes that an F/T sensor measures."""
+    return [index for index, axis in enumerate(_AXES) if axis in gauge.config.axes_measured]
 
 
 def _require_numbers(gauge: BenchStream, wrench: np.ndarray, when: str) -> None:

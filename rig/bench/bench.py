@@ -572,9 +572,9 @@ def find_bench(sensor: str, folder: Path = BENCHES_FOLDER, where: str = "--senso
     for path in (folder / "lab" / name, folder / name, BENCHES / name):
         if path.exists():
             return path
-    places = (folder / "lab", folder, BENCHES)
-    known = {path.stem for place in places for path in place.glob("*.yaml")} - {"mock"}
-    raise unknown_name(where, sensor, known, f"in {folder}/ or packaged")
+    folders = (folder / "lab", folder, BENCHES)
+    sensors = {path.stem for searched in folders for path in searched.glob("*.yaml")} - {"mock"}
+    raise unknown_name(where, sensor, sensors, f"in {folder}/ or packaged")
 
 
 def with_simulated_world(content: dict[str, Any], where: str) -> dict[str, Any]:

@@ -115,26 +115,27 @@ def planned_depth(bench: Bench, plan: Plan, total: int | None = None) -> float:
     On a dome, a shear towards the apex goes deeper than the press.
     """
     most = len(plan) if total is None else total
-    places = [
-        place
+    positions = [
+        position
         for target in plan.targets()
         if target.index < most
         for move in plan.moves(target)
-        for place in (move.start, move.end)
+        for position in (move.start, move.end)
     ]
-    return max((dome_height(bench.dome_radius, x, y) - z for x, y, z in places), default=0.0)
+    return max((dome_height(bench.dome_radius, x, y) - z for x, y, z in positions), default=0.0)
 
 
 def check_plan(bench: Bench, depth: float) -> None:
     """Reject a plan that could load the sensor beyond half of its rating, pressed `depth` [m]."""
-    given, _, rating = bench.without_gauge
-    force = given.stiffness[1] * depth
+    stand_ins, _, rating = bench.without_gauge
+    force = stand_ins.stiffness[1] * depth
     if force > FRACTION * rating:
         raise ConfigError(
             f"{bench.sensor}: the plan presses {1e3 * depth:.3g} mm deep, which could take "
-            f"{force:.3g} N at {1e-3 * given.stiffness[1]:.3g} N/mm ({given.stiffness_source}); "
+            f"{force:.3g} N at {1e-3 * stand_ins.stiffness[1]:.3g} N/mm "
+            f"({stand_ins.stiffness_source}); "
             f"allowed without a gauge: {FRACTION * rating:.3g} N, half of limits.sensor_rating_n, "
-            f"so {1e3 * FRACTION * rating / given.stiffness[1]:.3g} mm"
+            f"so {1e3 * FRACTION * rating / stand_ins.stiffness[1]:.3g} mm"
         )
 
 
@@ -158,19 +159,19 @@ def statement(bench: Bench) -> dict[str, Any]:
 
     The bench is that of `slowed`.
     """
-    given, signal, rating = bench.without_gauge
+    stand_ins, signal, rating = bench.without_gauge
     wrenches = [row.name for row in bench.of_kind("arm_wrench")]
     return {
         "sensor_rating": rating,
         "depth_stop": bench.limits.depth_max,
         "signal": {
             "stream": signal.name,
-            "largest": given.signal_max,
+            "largest": stand_ins.signal_max,
             "unit": "px" if signal.kind == "camera" else "counts",
-            "stale": given.stale_signal,
+            "stale": stand_ins.stale_signal,
         },
         "arm_wrench": {"streams": wrenches, "force": FRACTION * rating} if wrenches else None,
-        "stiffness": {"range": list(given.stiffness), "source": given.stiffness_source},
+        "stiffness": {"range": list(stand_ins.stiffness), "source": stand_ins.stiffness_source},
         "speed": bench.arm.speed,
         "travel_speed": bench.arm.travel_speed,
     }
@@ -178,17 +179,17 @@ def statement(bench: Bench) -> dict[str, Any]:
 
 def lines(bench: Bench, depth: float) -> list[str]:
     """Return what stands in for the gauge as lines, to print before anything moves."""
-    given, signal, rating = bench.without_gauge
+    stand_ins, signal, rating = bench.without_gauge
     unit = "px" if signal.kind == "camera" else "counts"
     wrenches = [row.name for row in bench.of_kind("arm_wrench")]
     crash = f"stops at {FRACTION * rating:.3g} N" if wrenches else "none: only the signal guards"
-    low, high = (1e-3 * each for each in given.stiffness)
+    low, high = (1e-3 * each for each in stand_ins.stiffness)
     return [
         f"no gauge  nothing measures the force on the sensor, rated {rating:.3g} N; forces are "
         "not recorded",
-        f"signal    {signal.name} stops the arm at {given.signal_max:g} {unit}, or after "
-        f"{1e3 * given.stale_signal:.0f} ms without a change",
+        f"signal    {signal.name} stops the arm at {stand_ins.signal_max:g} {unit}, or after "
+        f"{1e3 * stand_ins.stale_signal:.0f} ms without a change",
         f"wrench    of the arm: {crash}",
         f"force     {low * 1e3 * depth:.3g} to {high * 1e3 * depth:.3g} N expected at "
-        f"{1e3 * depth:.3g} mm ({low:.3g} to {high:.3g} N/mm, {given.stiffness_source})",
+        f"{1e3 * depth:.3g} mm ({low:.3g} to {high:.3g} N/mm, {stand_ins.stiffness_source})",
     ]

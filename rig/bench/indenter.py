@@ -59,15 +59,15 @@ class Indenter:
 
     def attrs(self) -> dict[str, Any]:
         """Return the description for the session's metadata, without paths of this machine."""
-        found: dict[str, Any] = {
+        description: dict[str, Any] = {
             "tip": self.tip,
             "size_mm": [round(from_si(width, "mm"), 4) for width in self.size],
             "source": "paper" if self.source is None else self.source.name,
         }
         if self.source is not None:
             body = (self.stl or self.source).read_bytes()
-            found["sha256"] = hashlib.sha256(body).hexdigest()
-        return found
+            description["sha256"] = hashlib.sha256(body).hexdigest()
+        return description
 
     def line(self) -> str:
         """Return name, size and tip as a line of a table."""
@@ -80,11 +80,11 @@ class Indenter:
 def paper_indenters() -> dict[str, Indenter]:
     """Return the paper's indenters by name."""
     path = _PAPER / "indenters.yaml"
-    found = {}
+    indenters = {}
     for name, content in read_yaml(path).items():
         file = build(IndenterFile, content, f"{path}.{name}")
-        found[name] = Indenter(name, file.tip, file.size, drawing=_PAPER / f"{name}.png")
-    return found
+        indenters[name] = Indenter(name, file.tip, file.size, drawing=_PAPER / f"{name}.png")
+    return indenters
 
 
 def indenter_names(folder: Path = OWN) -> list[str]:

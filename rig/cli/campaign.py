@@ -150,8 +150,8 @@ def run_campaign(
             if keep_going:
                 continue
             break
-        place = f"{number + 1} of {len(campaign.items)}"
-        if not _mount(item, place, before, ask, swap):
+        ordinal = f"{number + 1} of {len(campaign.items)}"
+        if not _mount(item, ordinal, before, ask, swap):
             failed = EXIT_INTERRUPTED
             break
         before = item
@@ -251,12 +251,12 @@ def _ask(question: str, *, has_lab_benches: bool) -> bool:
     """Wait for Enter, with a lab bench for the word `move`; return False for anything else."""
     if not sys.stdin.isatty():
         raise ConfigError("campaign: no terminal to ask on; on mock benches use --yes")
-    word = "move" if has_lab_benches else ""
-    press = 'type "move" and Enter' if word else "Enter"
+    expected = "move" if has_lab_benches else ""
+    press = 'type "move" and Enter' if expected else "Enter"
     try:
         typed = answer(f"{question}; {press} when it is mounted, anything else to stop: ")
     except KeyboardInterrupt:
         typed = None
     if typed is None:
         print()
-    return typed == word
+    return typed == expected

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def target_numbers(text: str) -> tuple[int, ...]:
     """Read numbers of targets from 1, as `3,7`, and return their indices from 0."""
     try:
-        numbers = [int(word) for word in text.split(",")]
+        numbers = [int(part) for part in text.split(",")]
     except ValueError:
         numbers = [0]
     if min(numbers) < 1:

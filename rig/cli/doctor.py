@@ -56,9 +56,9 @@ def run(options: argparse.Namespace) -> int:
         tempfile.TemporaryDirectory(prefix="tactile-rig-") as folder,
         started_bench(file) as on,
     ):
-        for found in examine(on.file.bench, Path(folder), options.out, SystemClock(), on.watch):
-            faults += found.state == "FAULT"
-            show(found)
+        for finding in examine(on.file.bench, Path(folder), options.out, SystemClock(), on.watch):
+            faults += finding.state == "FAULT"
+            show(finding)
     if faults:
         out = None if options.out == SESSIONS else options.out
         again = bench_command("doctor", options, out=out)

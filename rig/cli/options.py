@@ -180,18 +180,18 @@ def bench_file(
 def sources_of(options: argparse.Namespace, file: BenchFile) -> Sources:
     """Return the recordings of --camera, --still and --taxels."""
     path, bench = file.path, file.bench
-    for option, given, device in (
+    for option, recording, device in (
         ("--camera", options.camera, bench.of_kind("camera")),
         ("--taxels", options.taxels, bench.of_kind("taxels")),
     ):
-        if given is None:
+        if recording is None:
             continue
         if not bench.mock:
             raise ConfigError(f"{option}: {path} is a lab bench; allowed: a mock bench")
         if not device:
-            lacks = "camera" if option == "--camera" else "taxels"
+            kind = "camera" if option == "--camera" else "taxels"
             raise ConfigError(
-                f"{option}: found {given}; {path} has no {lacks}: nothing would play it"
+                f"{option}: found {recording}; {path} has no {kind}: nothing would play it"
             )
     if options.still and options.camera is None:
         raise ConfigError("--still: goes with --camera only")
@@ -224,11 +224,11 @@ def bench_choice(options: argparse.Namespace) -> dict[str, object]:
 
 def free_path(path: Path) -> Path:
     """Return `path`, or the first of NAME-2.zarr, NAME-3.zarr ... that does not exist."""
-    found, number = path, 1
-    while found.exists():
+    free, number = path, 1
+    while free.exists():
         number += 1
-        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
-    return found
+        free = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return free
 
 
 @contextlib.contextmanager

@@ -121,13 +121,13 @@ class AtBench:
         host = self.ready.arm.host
         emulation.inject(host, ports["world"], "hand", force=force)
         frame = bench.world_frame or bench.contact_frame
-        for place in places:
+        for position in places:
             # In small steps, which a simulated World can follow.
-            for way in np.linspace(self._tip, place, _STEPS)[1:]:
+            for way in np.linspace(self._tip, position, _STEPS)[1:]:
                 pose = compose(frame, (*way, *bench.tool_rotation)).tolist()
                 emulation.inject(host, ports["arm"], "freedrive", pose=pose)
                 self.clock.sleep_until(self.clock.now_ns() + _STEP_NS)
-            self._tip = place
+            self._tip = position
         # Longer than any emulated device averages or delays.
         self.clock.sleep_until(self.clock.now_ns() + 5 * _STEP_NS)
 
@@ -265,8 +265,12 @@ def home(at: AtBench, _: Answers) -> Iterator[Finding]:
         code = at.run(find_by_signal, recording)
     else:
         code = at.run(find_by_force, recording)
-    found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0]
-    text = f"surface {1e3 * found.home.shift:+.3f} mm of the bench file's" if found.home else ""
+    calibration = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0]
+    text = (
+        f"surface {1e3 * calibration.home.shift:+.3f} mm of the bench file's"
+        if calibration.home
+        else ""
+    )
     yield _outcome("home", code, text, "contact_frame in the bench file; tactile home says more")
 
 
@@ -278,11 +282,11 @@ def latency(at: AtBench, _: Answers) -> Iterator[Finding]:
         print(f"  again, with {_MORE_TAPS} taps, which narrow the interval", flush=True)
         again = functools.partial(calibrate, taps=_MORE_TAPS, width_max=_WIDE)
         code = at.run(again, at.recording("calibrate-latency"))
-    found = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].latency
+    calibration = store.load(at.options.calibrations, at.bench, at.bench.indenter)[0].latency
     text = ""
-    if found:
-        low, high = found.interval
-        late = f"{found.stream} {1e3 * found.latency:+.1f} ms late"
+    if calibration:
+        low, high = calibration.interval
+        late = f"{calibration.stream} {1e3 * calibration.latency:+.1f} ms late"
         text = f"{late} (95 % in {1e3 * (high - low):.1f} ms)"
     yield _outcome("latency", code, text, "contrast and rate of the signal; --depth-mm deeper taps")
 
@@ -413,16 +417,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Go through the steps; return the exit code."""
-    given: Answers = {}
+    answers: Answers = {}
     for stated in options.answer:
         name, equals, value = stated.partition("=")
-        known = [ask.name for step in STEPS for ask in step.asks]
-        if not equals or name not in known:
-            raise ConfigError(f"--answer: found {stated!r}; allowed: {'=, '.join(known)}=")
-        given[name] = _number(value, f"--answer {name}")
+        names = [ask.name for step in STEPS for ask in step.asks]
+        if not equals or name not in names:
+            raise ConfigError(f"--answer: found {stated!r}; allowed: {'=, '.join(names)}=")
+        answers[name] = _number(value, f"--answer {name}")
     repeated = set(options.again or ())
     while True:
-        at = AtBench(options, given)
+        at = AtBench(options, answers)
         if at.bench.mock:
             print(banner(at.file), flush=True)
         elif options.yes:
@@ -442,17 +446,17 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
     """Go through the steps that are not done; return the exit code, None to begin again."""
     needed = [step for step in STEPS if step.needed(at.bench)]
     for number, step in enumerate(needed, 1):
-        place = f"{number}/{len(needed)} {step.name}"
+        heading = f"{number}/{len(needed)} {step.name}"
         if at.record.done(step.name, step.keys) and step.name not in repeated:
             stored = at.record.steps[step.name]
-            print(f"{place}: done {stored['date_utc']}, {stored['state']}", flush=True)
+            print(f"{heading}: done {stored['date_utc']}, {stored['state']}", flush=True)
             continue
-        print(f"{place}: {(step.check.__doc__ or '').strip()}", flush=True)
+        print(f"{heading}: {(step.check.__doc__ or '').strip()}", flush=True)
         at.record.show(step.name, number, len(needed))
         answers = {ask.name: at.ask(ask.name, ask.text, ask.default(at.bench)) for ask in step.asks}
-        found = _checked(at, step, answers)
-        at.record.show(step.name, number, len(needed), found)
-        if any(each.state == "FAULT" for each in found):
+        findings = _checked(at, step, answers)
+        at.record.show(step.name, number, len(needed), findings)
+        if any(each.state == "FAULT" for each in findings):
             order = (
                 ""
                 if at.options.yes
@@ -466,7 +470,7 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
             if order != "accept":
                 print(f"setup: stopped at {step.name}; the same command goes on from there")
                 return EXIT_DEVICE_LOST
-        at.record.add(step.name, step.keys, answers, found)
+        at.record.add(step.name, step.keys, answers, findings)
         repeated.discard(step.name)
     if at.record.accepted is None:
         operator = at.options.operator or getpass.getuser()
@@ -478,16 +482,16 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
 
 
 def _checked(at: AtBench, step: Step, answers: Answers) -> list[Finding]:
-    found: list[Finding] = []
+    findings: list[Finding] = []
     try:
         for each in step.check(at, answers):
-            found.append(each)
+            findings.append(each)
             doctor.show(each)
     except (DeviceLost, OSError) as error:
         cure = "tactile doctor tests every device, and names the cure"
-        found.append(Finding(step.name, "FAULT", str(error), (cure,)))
-        doctor.show(found[-1])
-    return found
+        findings.append(Finding(step.name, "FAULT", str(error), (cure,)))
+        doctor.show(findings[-1])
+    return findings
 
 
 def _number(text: str, where: str) -> float:

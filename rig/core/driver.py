@@ -94,11 +94,11 @@ class Inbox:
         with self._changed:
             if not self._samples and self._failure is None:
                 self._changed.wait(timeout)
-            taken = list(self._samples)
+            samples = list(self._samples)
             self._samples.clear()
-            if not taken and self._failure is not None:
+            if not samples and self._failure is not None:
                 raise DeviceLost(self._failure)
-            return taken
+            return samples
 
 
 # This many corrupt samples in a row are not of this device, or its line is damaged.

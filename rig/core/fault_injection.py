@@ -149,16 +149,16 @@ class FaultInjector(Generic[M]):
             return fault in self._active
 
     def _begin(self, fault: str, values: dict[str, Any]) -> None:
-        known = _VALUES[fault]
-        given = {name: float(value) for name, value in values.items()}
-        seconds = given.pop("seconds", None)
-        unknown = sorted(set(given) - set(known))
+        defaults = _VALUES[fault]
+        overrides = {name: float(value) for name, value in values.items()}
+        seconds = overrides.pop("seconds", None)
+        unknown = sorted(set(overrides) - set(defaults))
         if unknown:
-            raise ValueError(f"{fault}: unknown {unknown}; known: {sorted({*known, 'seconds'})}")
+            raise ValueError(f"{fault}: unknown {unknown}; known: {sorted({*defaults, 'seconds'})}")
         until_ns = None
         if seconds is not None:
             until_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
-        self._active[fault] = _Active(until_ns, {**known, **given})
+        self._active[fault] = _Active(until_ns, {**defaults, **overrides})
         self.on = True
         self._changed_outside(fault)
 

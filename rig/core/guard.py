@@ -153,10 +153,10 @@ def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLi
 
 
 def _box_reason(limits: GuardLimits, point: ArrayLike) -> str | None:
-    found = np.asarray(point, np.float64).tolist()
+    position = np.asarray(point, np.float64).tolist()
     (low_x, low_y, low_z), upper = limits.box
-    lower = (low_x, low_y, low_z + dome_height(limits.dome_radius, found[0], found[1]))
-    for name, value, low, high in zip("xyz", found, lower, upper, strict=True):
+    lower = (low_x, low_y, low_z + dome_height(limits.dome_radius, position[0], position[1]))
+    for name, value, low, high in zip("xyz", position, lower, upper, strict=True):
         # Negated, so that NaN is outside too.
         if not low <= value <= high:
             return (

@@ -27,5 +27,5 @@ def packaged(path: Path, folder: Path) -> Path:
     """
     if path.exists() or path.parent not in (Path(), Path(folder.name)):
         return path
-    found = folder / path.name
-    return found if found.is_file() else path
+    candidate = folder / path.name
+    return candidate if candidate.is_file() else path

@@ -221,19 +221,19 @@ class Playback:
         step = _Step(self._folder, self._others)
         base = latest.count
         try:
-            for place in range(len(times)):
+            for row in range(len(times)):
                 if self._speed > 0:
-                    self._sleep_until(start_ns + round(int(times[place]) / self._speed))
+                    self._sleep_until(start_ns + round(int(times[row]) / self._speed))
 
-                def is_due(place: int = place) -> bool:
+                def is_due(row: int = row) -> bool:
                     read = latest.count - base
-                    self._tell(PLAYING, int(times[min(max(read, 0), place)]))
-                    return place - read < window and step.allows(int(times[place]))
+                    self._tell(PLAYING, int(times[min(max(read, 0), row)]))
+                    return row - read < window and step.allows(int(times[row]))
 
                 if not self._waited(is_due):
                     return
-                send(place)
-                self._sent = place + 1
+                send(row)
+                self._sent = row + 1
 
             def is_drained() -> bool:
                 read = latest.count - base
@@ -289,12 +289,12 @@ class _Step:
         if t_ns <= self._reached_ns + STEP_NS or not self._records:
             return True
         reached_ns = FAR_NS
-        for place, record in enumerate(self._records):
+        for index, record in enumerate(self._records):
             position = record.read()
             at_ns = 0 if position is None else int(position["t_ns"])
             if t_ns > at_ns + STEP_NS:
                 # Read first from now on, and alone until it has moved.
-                self._records.insert(0, self._records.pop(place))
+                self._records.insert(0, self._records.pop(index))
                 return False
             reached_ns = min(reached_ns, at_ns)
         self._reached_ns = reached_ns

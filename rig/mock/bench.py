@@ -110,21 +110,23 @@ class ProcessGroup:
                 selector.register(stdout, selectors.EVENT_READ)
                 line = stdout.readline() if selector.select(_READY_TIMEOUT) else ""
             if not line.startswith("ready"):
-                word = self.last_word(name)
-                missing = re.match(r"ModuleNotFoundError: No module named '([\w.]+)'", word)
+                message = self.last_word(name)
+                missing = re.match(r"ModuleNotFoundError: No module named '([\w.]+)'", message)
                 if missing and (extra := extra_of(missing[1], "rig")):
                     raise ConfigError(
                         f"{name} emulator: {missing[1]} is not installed; install the extra: "
                         f"pip install 'tactile-rig[{extra}]'"
                     )
-                raise DeviceLost(f"{name} emulator did not start: {word}")
+                raise DeviceLost(f"{name} emulator did not start: {message}")
 
     def check(self) -> None:
         """Raise if a process has ended by itself."""
         for name, process in self.processes.items():
             if process.poll() is not None:
-                word = self.last_word(name)
-                raise DeviceLost(f"{name}: its emulator ended (code {process.returncode}): {word}")
+                message = self.last_word(name)
+                raise DeviceLost(
+                    f"{name}: its emulator ended (code {process.returncode}): {message}"
+                )
 
     def last_word(self, name: str) -> str:
         """Return the last line that a process wrote to stderr."""

@@ -63,15 +63,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     emulate = import_module(module).emulate
     kind = get_type_hints(emulate)["settings"]
     try:
-        where = str(options.file or options.name)
+        document_name = str(options.file or options.name)
         document = READER.read(options.file) if options.file else options.document
         if isinstance(document, str):
-            document = READER.parse(document, where)
-        settings = READER.build(kind, document, where)
+            document = READER.parse(document, document_name)
+        settings = READER.build(kind, document, document_name)
         device_kind = getattr(getattr(settings, "device", None), "KIND", options.name)
         if device_kind != options.name:
             raise ConfigError(
-                f"{where}.device.kind: found {device_kind!r}; allowed: {options.name}"
+                f"{document_name}.device.kind: found {device_kind!r}; allowed: {options.name}"
             )
         served = emulate(settings, SystemClock())
     except (OSError, ValueError) as error:

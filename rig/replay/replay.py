@@ -194,16 +194,16 @@ class Replay:
                 StreamWriter.open(writer.stream_path(name)).close()
         replay = Session(writer.path)
         runs = list(self._start_ns)
-        for place, run in enumerate(runs):
+        for number, run in enumerate(runs):
             start_ns = self._start_ns[run]
             # A run without any row has no counterpart, so runs of the replay are renumbered.
-            if place != run:
-                logger.warning("run %d of the source is run %d of the replay", run, place)
+            if number != run:
+                logger.warning("run %d of the source is run %d of the replay", run, number)
             self._maps[run] = retiming(
                 self._source, replay, names, run, start_ns, self._request.speed
             )
-        covered = {run: covered_ns(replay, names, place) for place, run in enumerate(runs)}
-        numbers = {run: place for place, run in enumerate(runs)}
+        covered = {run: covered_ns(replay, names, number) for number, run in enumerate(runs)}
+        numbers = {run: number for number, run in enumerate(runs)}
         for row in _rows(self._source.segments):
             run = int(row["run"])
             if run not in self._maps:
@@ -245,7 +245,7 @@ class Replay:
     def _seconds(self, replay: Session) -> tuple[float, float]:
         """Return the time from first to last row of all runs, recorded and replayed [s]."""
         recorded = sum(span(self._source, self._names, run) for run in self._start_ns)
-        replayed = sum(span(replay, self._names, place) for place in range(len(self._start_ns)))
+        replayed = sum(span(replay, self._names, number) for number in range(len(self._start_ns)))
         return recorded, replayed
 
     def _stopped(self, stop: BaseException) -> int:
@@ -289,10 +289,10 @@ def _no_contact(source: Session, replay: Session, row: dict[str, Any]) -> dict[s
         if name not in ("point", "run", "t_ns"):
             blank = np.full(column.shape[1:], np.nan) if column.ndim > 1 else -1
             values[name] = row.get(name, blank) if column.ndim > 1 else blank
-    for name, place in replay.columns.items():
+    for name, column_name in replay.columns.items():
         for suffix in ("", "_std"):
-            if place + suffix in values:
-                values[place + suffix] = row[source.columns[name] + suffix]
+            if column_name + suffix in values:
+                values[column_name + suffix] = row[source.columns[name] + suffix]
     return values
 
 

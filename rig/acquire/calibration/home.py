@@ -68,7 +68,7 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
 
     `width_max` is the widest accepted interval [m].
     """
-    found: dict[int, list[Onset]] = {}
+    approaches: dict[int, list[Onset]] = {}
     for index, target in enumerate(plan.targets()):
         onset = _approach(session, index)
         if onset is None:
@@ -76,11 +76,11 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
                 f"home: no contact at point {target.point} down to {-1e3 * plan.travel:.2f} mm; "
                 "is the contact frame of the bench file right? --travel-mm extends the travel"
             )
-        found.setdefault(target.point, []).append(onset)
-    surfaces = {point: combine(onsets) for point, onsets in found.items()}
+        approaches.setdefault(target.point, []).append(onset)
+    surfaces = {point: combine(onsets) for point, onsets in approaches.items()}
     first = surfaces[plan.points[0]]
     if first.width > width_max:
-        noise = max(onset.noise for onset in found[plan.points[0]])
+        noise = max(onset.noise for onset in approaches[plan.points[0]])
         raise SafetyStop(
             f"home: the interval is {1e3 * first.width:.3f} mm wide; allowed: "
             f"{1e3 * width_max:.3f} mm; force noise {noise:.3f} N, spread between approaches "
@@ -88,7 +88,7 @@ def evaluate(session: Session, plan: Touch, *, width_max: float = WIDTH_MAX) -> 
         )
     heights = {point: surface.z for point, surface in surfaces.items()}
     slopes = slopes_of(heights, {point: plan.position(point) for point in surfaces})
-    return TouchedSurface(first, tuple(found[plan.points[0]]), heights, slopes)
+    return TouchedSurface(first, tuple(approaches[plan.points[0]]), heights, slopes)
 
 
 def _approach(session: Session, index: int) -> Onset | None:
@@ -98,8 +98,8 @@ def _approach(session: Session, index: int) -> Onset | None:
     inside = (force.t_ns >= start) & (force.t_ns < end)
     times = force.t_ns[inside]
     z = linear(*tip_heights(session), times).value
-    known = np.isfinite(z)
-    z, pressed = z[known], -np.asarray(force.array("value"))[inside][known, 2]
+    finite = np.isfinite(z)
+    z, pressed = z[finite], -np.asarray(force.array("value"))[inside][finite, 2]
     if not len(z):
         return None
     # The end is cut off: while the arm slows down and stands still, the gel relaxes.

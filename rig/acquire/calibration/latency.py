@@ -102,10 +102,10 @@ def find_lag(
     value = _best(fine, squares.sum(axis=1)[None])[0]
     rng = np.random.default_rng(0)
     drawn = rng.multinomial(len(taps), np.full(len(taps), 1 / len(taps)), _ROUNDS)
-    found = _best(fine, np.einsum("rb,lbij->rlij", drawn.astype(float), squares))
+    bootstrapped = _best(fine, np.einsum("rb,lbij->rlij", drawn.astype(float), squares))
     # With few taps the bootstrap interval is too narrow.
     widened = student_t(len(taps) - 1) / 1.96
-    low, high = value + widened * (np.percentile(found, [2.5, 97.5]) - value)
+    low, high = value + widened * (np.percentile(bootstrapped, [2.5, 97.5]) - value)
     return Lag(
         float(value),
         (float(low), float(high)),
@@ -286,10 +286,10 @@ def evaluate(session: Session, stream: str, exposure: float) -> Latency:
         times, motion = captured(signal), motion_of(signal, start)
         gel = find_lag(force.t_ns, pressed, moved_ns, depth)
         image = find_lag(force.t_ns, pressed, times, motion)
-        shown = find_lag(moved_ns, depth, times, motion)
+        behind_depth = find_lag(moved_ns, depth, times, motion)
     except ValueError as error:
         raise SafetyStop(f"calibrate-latency: {error}") from None
-    return Latency(stream, image, gel, shown, exposure)
+    return Latency(stream, image, gel, behind_depth, exposure)
 
 
 def refusal(found: Latency, *, width_max: float = WIDTH_MAX) -> str | None:

@@ -121,8 +121,8 @@ def find_onset(z: Floats, force: Floats) -> Onset | None:
         grid = np.linspace(centre - 4 * width, centre + 4 * width, _FINE)
     cost, power = _profile(z, force, grid)
     best = int(cost.argmin())
-    place, exponent = float(grid[best]), float(power[best])
-    residual, rise = _residual(z, force, place, exponent)
+    height, exponent = float(grid[best]), float(power[best])
+    residual, rise = _residual(z, force, height, exponent)
     freedom = len(z) - 5
     variance = float(residual @ residual) / freedom
     flat = float(np.var(force)) * len(z)
@@ -131,9 +131,9 @@ def find_onset(z: Floats, force: Floats) -> Onset | None:
     if not (gained > 50 * variance and rise > 3 * np.sqrt(variance)):
         return None
     limit = float(cost[best]) + _CHI2_95 * variance * _inflation(residual)
-    interval = _interval(z, force, place, limit, top - bottom)
+    interval = _interval(z, force, height, limit, top - bottom)
     noise = float(np.sqrt(variance))
-    return Onset(place, interval, exponent, rise, noise)
+    return Onset(height, interval, exponent, rise, noise)
 
 
 def combine(onsets: Sequence[Onset]) -> Surface:
@@ -144,14 +144,14 @@ def combine(onsets: Sequence[Onset]) -> Surface:
     """
     if not onsets:
         raise ValueError("onsets: found none; allowed: at least one")
-    places = np.array([onset.z for onset in onsets])
+    heights = np.array([onset.z for onset in onsets])
     halves = np.array([(onset.interval[1] - onset.interval[0]) / 2 for onset in onsets])
     count = len(onsets)
-    mean = float(places.mean())
+    mean = float(heights.mean())
     within = float(np.sqrt(np.mean(halves**2) / count))
     if count == 1:
         return Surface(mean, onsets[0].interval, float("nan"))
-    spread = float(places.std(ddof=1))
+    spread = float(heights.std(ddof=1))
     across = student_t(count - 1) * spread / np.sqrt(count)
     half = float(np.hypot(max(within, float(across)), _TIMING))
     return Surface(mean, (mean - half, mean + half), spread)
@@ -208,9 +208,9 @@ def _profile(z: Floats, force: Floats, grid: Floats) -> tuple[Floats, Floats]:
         # falls on contact is no contact.
         fine = solvable & (k > 0) & (c > -0.5 * k) & (c < k)
         alone = np.divide(ay, aa, out=np.zeros_like(aa), where=aa > 0)
-        found = np.where(fine, total - k * ay - c * by, total - np.maximum(alone, 0.0) * ay)
-        better = found < cost
-        cost[better], power[better] = found[better], exponent
+        squares = np.where(fine, total - k * ay - c * by, total - np.maximum(alone, 0.0) * ay)
+        better = squares < cost
+        cost[better], power[better] = squares[better], exponent
     return cost, power
 
 
@@ -218,9 +218,9 @@ def _residual(z: Floats, force: Floats, place: float, power: float) -> tuple[Flo
     depth = np.maximum(place - z, 0.0)
     depth /= float(depth.max()) or 1.0
     matrix = np.column_stack([np.ones_like(z), depth**power, depth ** (power + 1)])
-    found = np.linalg.lstsq(matrix, force, rcond=None)[0]
-    rise = float(found[1] + found[2])
-    return np.asarray(force - matrix @ found), rise
+    coefficients = np.linalg.lstsq(matrix, force, rcond=None)[0]
+    rise = float(coefficients[1] + coefficients[2])
+    return np.asarray(force - matrix @ coefficients), rise
 
 
 def _inflation(residual: Floats) -> float:
@@ -287,7 +287,7 @@ class Way:
 
 def onset_of(down: Way, up: Way) -> tuple[Onset, float] | None:
     """Return the onset of contact on the ways in and out, and the delay [m]; None: no contact."""
-    found = []
+    onsets = []
     for way in (down, up):
         order = np.argsort(-way.z, kind="stable")
         z, change = way.z[order], way.change[order]
@@ -295,9 +295,9 @@ def onset_of(down: Way, up: Way) -> tuple[Onset, float] | None:
         onset = find_onset(z[kept], change[kept]) if kept.sum() >= 20 else None
         if onset is None:
             return None
-        found.append(onset)
-    one, other = found
-    half = float(np.hypot(*(np.diff(onset.interval)[0] / 4 for onset in found)))
+        onsets.append(onset)
+    one, other = onsets
+    half = float(np.hypot(*(np.diff(onset.interval)[0] / 4 for onset in onsets)))
     middle = (one.z + other.z) / 2
     interval = (middle - half, middle + half)
     both = Onset(middle, interval, one.power, one.force, one.noise)
@@ -314,13 +314,15 @@ def surface_of(
     enough. From three points on, the surface is a plane through all approaches, whose places (2,)
     are in the contact frame [m].
     """
-    groups = {point: [onset for onset, _ in found] for point, found in approaches.items()}
+    groups = {point: [onset for onset, _ in repeats] for point, repeats in approaches.items()}
     first = next(iter(groups))
-    heights = {point: float(np.mean([each.z for each in found])) for point, found in groups.items()}
-    freedom = sum(len(found) - 1 for found in groups.values())
+    heights = {
+        point: float(np.mean([each.z for each in repeats])) for point, repeats in groups.items()
+    }
+    freedom = sum(len(repeats) - 1 for repeats in groups.values())
     squares = sum(
-        float(np.sum([(each.z - heights[point]) ** 2 for each in found]))
-        for point, found in groups.items()
+        float(np.sum([(each.z - heights[point]) ** 2 for each in repeats]))
+        for point, repeats in groups.items()
     )
     spread = float(np.sqrt(squares / freedom)) if freedom else float("nan")
     if len(groups) >= 3:
@@ -336,7 +338,7 @@ def surface_of(
         surface = Surface(z, (z - half, z + half), spread)
     else:
         surface = combine(groups[first])
-    delays = [delay for found in approaches.values() for _, delay in found]
+    delays = [delay for repeats in approaches.values() for _, delay in repeats]
     slopes = slopes_of(heights, places)
     return TouchedSurface(surface, tuple(groups[first]), heights, slopes, float(np.mean(delays)))
 
@@ -350,24 +352,26 @@ def _on_plane(
     move. So each approach counts by its own interval, and approaches that scatter more widely
     about the plane than their intervals say widen that of the result.
     """
-    onsets = [each for found in groups.values() for each in found]
-    where = np.array([places[point] for point, found in groups.items() for _ in found], np.float64)
+    onsets = [each for repeats in groups.values() for each in repeats]
+    positions = np.array(
+        [places[point] for point, repeats in groups.items() for _ in repeats], np.float64
+    )
     sigma = np.array([np.diff(each.interval)[0] / 2 / _SIGMAS_95 for each in onsets])
-    matrix = np.column_stack([np.ones(len(onsets)), where - where[0]]) / sigma[:, None]
+    matrix = np.column_stack([np.ones(len(onsets)), positions - positions[0]]) / sigma[:, None]
     wanted = np.array([each.z for each in onsets]) / sigma
-    found = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    residual = wanted - matrix @ found
+    plane = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    residual = wanted - matrix @ plane
     freedom = len(onsets) - 3
     excess = max(1.0, float(residual @ residual) / freedom) if freedom else 1.0
     error = float(np.sqrt(excess * np.linalg.inv(matrix.T @ matrix)[0, 0]))
     half = float(np.hypot((student_t(freedom) if freedom else _SIGMAS_95) * error, _MODEL))
-    return Surface(float(found[0]), (float(found[0]) - half, float(found[0]) + half), spread)
+    return Surface(float(plane[0]), (float(plane[0]) - half, float(plane[0]) + half), spread)
 
 
 def touched_by_signal(session: Session, plan: Plan) -> TouchedSurface:
     """Find the surface in a session of touches along `plan`, of a bench without a gauge."""
-    found: dict[int, list[tuple[Onset, float]]] = {}
-    places: dict[int, Sequence[float]] = {}
+    approaches: dict[int, list[tuple[Onset, float]]] = {}
+    positions: dict[int, Sequence[float]] = {}
     for target in plan.targets():
         ways = _ways(session, target.index)
         onset = onset_of(*ways)
@@ -386,9 +390,9 @@ def touched_by_signal(session: Session, plan: Plan) -> TouchedSurface:
             both.force,
             both.noise,
         )
-        found.setdefault(target.point, []).append((above, delay))
-        places[target.point] = target.origin[:2]
-    return surface_of(found, places)
+        approaches.setdefault(target.point, []).append((above, delay))
+        positions[target.point] = target.origin[:2]
+    return surface_of(approaches, positions)
 
 
 def span_of(session: Session, index: int, phase: str = "normal_inc") -> tuple[int, int]:

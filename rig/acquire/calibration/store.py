@@ -124,16 +124,16 @@ class Calibration:
 
     def stream_attrs(self, name: str) -> dict[str, Any]:
         """Return the attributes to add to stream `name`: `latency`, `exposure` and their source."""
-        found = self.latency
-        if found is None or found.stream != name:
+        latency = self.latency
+        if latency is None or latency.stream != name:
             return {}
         return {
-            "latency": found.latency,
-            "exposure": found.exposure,
+            "latency": latency.latency,
+            "exposure": latency.exposure,
             "latency_calibration": {
-                "date_utc": found.date_utc,
-                "method": found.method,
-                "interval_s": list(found.interval),
+                "date_utc": latency.date_utc,
+                "method": latency.method,
+                "interval_s": list(latency.interval),
             },
         }
 
@@ -254,11 +254,11 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
     if indenter in homes:
         home = build(HomeCalibration, homes[indenter], f"{path}.home.{indenter}")
         _refuse_foreign(home.mock, bench, f"{path}.home.{indenter}")
-        for name, found, wanted in (
+        for name, stored, wanted in (
             ("contact_frame", home.contact_frame, bench.contact_frame),
             ("tcp", home.tcp, bench.arm.tcp),
         ):
-            if not _same(found, wanted):
+            if not _same(stored, wanted):
                 raise ConfigError(
                     f"{path}.home.{indenter}.{name}: it was measured with another {name} than the "
                     f"bench file's; {again} ({next_command('home', sensor=bench.sensor)})"
@@ -273,8 +273,8 @@ def load(folder: Path, bench: Bench, indenter: str) -> tuple[Calibration, list[s
     if content.get("latency"):
         latency = build(LatencyCalibration, content["latency"], f"{path}.latency")
         _refuse_foreign(latency.mock, bench, f"{path}.latency")
-        known = {row.name for row in bench.rows}
-        if latency.stream not in known or latency.device != device_name(bench, latency.stream):
+        streams = {row.name for row in bench.rows}
+        if latency.stream not in streams or latency.device != device_name(bench, latency.stream):
             raise ConfigError(
                 f"{path}.latency.device: found {latency.device!r}; the bench file has another "
                 f"{latency.stream}; {again} ("
@@ -304,10 +304,10 @@ def read_setup(folder: Path, bench: Bench) -> dict[str, Any]:
     """Return the stored set-up of a bench; empty without one, or if it is of the other kind."""
     path = setup_path(folder, bench.sensor)
     try:
-        found: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
+        setup: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: {error}; remove the file, and set up again") from None
-    return found if found.get("mock") == bench.mock else {}
+    return setup if setup.get("mock") == bench.mock else {}
 
 
 def pressed_before(folder: Path, bench: Bench, indenter: str, depth: float) -> bool:
@@ -317,10 +317,10 @@ def pressed_before(folder: Path, bench: Bench, indenter: str, depth: float) -> b
     """
     path = folder / f"{bench.sensor}.yaml"
     content = read_yaml(path) if path.exists() else {}
-    found = (content.get("first_press") or {}).get(indenter)
-    if found is None:
+    entry = (content.get("first_press") or {}).get(indenter)
+    if entry is None:
         return False
-    press = build(FirstPressRecord, found, f"{path}.first_press.{indenter}")
+    press = build(FirstPressRecord, entry, f"{path}.first_press.{indenter}")
     deep_enough = press.depth > depth - _SAME_PLACE
     return deep_enough and press.mock == bench.mock and _same(press.tcp, bench.arm.tcp)
 
@@ -340,8 +340,8 @@ def store(
         raise ConfigError(
             f"{path}.sensor: found {content.get('sensor')!r}; allowed: {sensor!r}; remove the file"
         )
-    for indenter, found in (home or {}).items():
-        content.setdefault("home", {})[indenter] = _plain(found)
+    for indenter, calibration in (home or {}).items():
+        content.setdefault("home", {})[indenter] = _plain(calibration)
     for indenter, press in (first_press or {}).items():
         content.setdefault("first_press", {})[indenter] = _plain(press)
     if latency is not None:

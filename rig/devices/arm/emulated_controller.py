@@ -106,10 +106,10 @@ class Program:
         self._writes = (self._writes + 1) % 128
         if value == 0:
             self._operation = (self._operation + 1) % 128
-        word = (self._operation << 24) + (self._writes << 16)
+        status = (self._operation << 24) + (self._writes << 16)
         if value >= 0:
-            word += min(value, 0x7FFF) + 0x8000
-        self._controller.write_int(2, word)
+            status += min(value, 0x7FFF) + 0x8000
+        self._controller.write_int(2, status)
 
     def _doubles(self, start: int, count: int = 6) -> Array:
         return np.array([self._controller.read_double(start + k) for k in range(count)])
@@ -372,12 +372,12 @@ class Controller:
         return sources
 
     def _tcp_force(self) -> rtde.Value:
-        found = self.wrench
+        wrench = self.wrench
         if self.wrist is not None:
-            found = self.wrist.reported(found, self.tick * CYCLE)
+            wrench = self.wrist.reported(wrench, self.tick * CYCLE)
         if self.tool_mass is not None:
-            found = found - (0, 0, _GRAVITY * (self.tool_mass - self.payload), 0, 0, 0)
-        return tuple(found.tolist())
+            wrench = wrench - (0, 0, _GRAVITY * (self.tool_mass - self.payload), 0, 0, 0)
+        return tuple(wrench.tolist())
 
 
 _SAFETY = {1: "NORMAL", 3: "PROTECTIVE_STOP", 7: "ROBOT_EMERGENCY_STOP"}

@@ -179,11 +179,11 @@ class RtdeClient(Client):
     def _set_outputs(self, payload: bytes) -> bytes:
         rate_hz, names = rtde.unpack_output_request(payload)
         types = [rtde.OUTPUTS.get(name, "NOT_FOUND") for name in names]
-        known = [name for name in names if name in rtde.OUTPUTS]
+        available = [name for name in names if name in rtde.OUTPUTS]
         self._every = max(1, round(rtde.CONTROLLER_RATE_HZ / rate_hz))
-        self._output_types = tuple(rtde.OUTPUTS[name] for name in known)
-        self._poses = [place for place, name in enumerate(known) if name in _POSES]
-        self._sources = [self._controller.source(name) for name in known]
+        self._output_types = tuple(rtde.OUTPUTS[name] for name in available)
+        self._poses = [index for index, name in enumerate(available) if name in _POSES]
+        self._sources = [self._controller.source(name) for name in available]
         return rtde.pack_recipe(1, types)
 
     def _add_inputs(self, payload: bytes) -> bytes:
@@ -214,8 +214,8 @@ class RtdeClient(Client):
                 self._send(rtde.Kind.DATA, b"\x01" + rtde.pack_values(self._output_types, values))
                 return
             if self.line.wrong_units:
-                for place in self._poses:
-                    values[place] = tuple(1e3 * part for part in values[place])  # type: ignore[union-attr]
+                for index in self._poses:
+                    values[index] = tuple(1e3 * part for part in values[index])  # type: ignore[union-attr]
             payload = b"\x01" + rtde.pack_values(self._output_types, values)
             for sent in self.line.passed(payload):
                 self._send(rtde.Kind.DATA, sent)
@@ -442,11 +442,11 @@ class ArmEmulator(Emulator):
                 strict=True,
             )
         ]
-        shown = dict(recorded[0]) if recorded else {}
-        self._controller.report(shown)
+        outputs = dict(recorded[0]) if recorded else {}
+        self._controller.report(outputs)
 
         def send(place: int) -> None:
-            shown.update(recorded[place])
+            outputs.update(recorded[place])
             with self._lock:
                 for client in self._clients:
                     client.publish()

@@ -288,10 +288,10 @@ class Mover:
         if pose is None:
             raise DeviceLost(f"arm at {config.host}: no pose yet")
         frame = np.array(self._setup.contact_frame)
-        place = transform(invert(frame), pose[:3])
-        room = max(0.0, self._setup.limits.box[1][2] - float(place[2]))
-        place[2] += min(config.retract, room)
-        goal = (*transform(frame, place).tolist(), *pose[3:].tolist())
+        position = transform(invert(frame), pose[:3])
+        room = max(0.0, self._setup.limits.box[1][2] - float(position[2]))
+        position[2] += min(config.retract, room)
+        goal = (*transform(frame, position).tolist(), *pose[3:].tolist())
         return Move(number, goal, config.travel_speed, config.travel_acceleration, "retreat")
 
     def move(self, command: Move, on_start: Callable[[float], None]) -> Reply:
@@ -310,7 +310,7 @@ class Mover:
                 return self._reply(command, "safety_stop", start_ns, f"target: {reason}", "box")
         violation = self.step(command.mode)
         if violation is not None:
-            return self._judged(command, start_ns, violation)
+            return self._violation_reply(command, start_ns, violation)
         self._watch.require_fresh()
         if not self._control.reaches(goal.tolist()):
             return self._refused(command, start_ns, "finds the target out of reach")
@@ -326,7 +326,7 @@ class Mover:
         # A command also fails when the program has just ended: report that instead.
         violation = self._watch.look_again(0.05) or self.step(command.mode) or self._kick()
         if violation is not None:
-            return self._judged(command, start_ns, violation)
+            return self._violation_reply(command, start_ns, violation)
         return self._reply(command, "stopped", start_ns, f"the controller {what}")
 
     def _follow(
@@ -339,7 +339,7 @@ class Mover:
             violation = self.step(command.mode)
             if violation is not None:
                 self.halt()
-                return self._judged(command, start_ns, violation)
+                return self._violation_reply(command, start_ns, violation)
             if self._interrupted():
                 self.halt()
                 return self._reply(command, "stopped", start_ns, "halted by the operator")
@@ -362,7 +362,7 @@ class Mover:
                 )
                 return self._reply(command, "stopped", start_ns, why)
 
-    def _judged(self, command: Move, start_ns: int, violation: Violation) -> Reply:
+    def _violation_reply(self, command: Move, start_ns: int, violation: Violation) -> Reply:
         if violation.kind in _SAFETY:
             self.latched = violation
         outcome: Outcome = "safety_stop"
@@ -535,11 +535,11 @@ class Motion:
 
     def _next_command(self) -> Command:
         """Wait for a command, reporting each kind of guard violation at most once meanwhile."""
-        told: set[Kind] = {"force_soft", "box"}  # Resting in contact or outside is no alarm.
+        reported: set[Kind] = {"force_soft", "box"}  # Resting in contact or outside is no alarm.
         while not self._command_waits():
             violation = self._mover.step("guarded")
-            if violation is not None and self._watch.armed and violation.kind not in told:
-                told.add(violation.kind)
+            if violation is not None and self._watch.armed and violation.kind not in reported:
+                reported.add(violation.kind)
                 self._send(Alarm(violation.kind, violation.reason))
         try:
             if self._pipe is None:

@@ -228,16 +228,18 @@ def _rows(element: ET.Element, where: str) -> dict[str, tuple[list[float], float
     axes: dict[str, tuple[list[float], float]] = {}
     for row in element.findall("UserAxis"):
         name = _attribute(row, "Name", f"{where}.UserAxis")
-        place = f"{where}.UserAxis[{name}]"
+        key_path = f"{where}.UserAxis[{name}]"
         if name not in AXES or name in axes:
-            raise ConfigError(f"{place}: found {name!r}; allowed: each of {', '.join(AXES)} once")
-        words = _attribute(row, "values", place).split()
-        if len(words) != 6:
-            raise ConfigError(f"{place}.values: found {len(words)}; allowed: 6, one per gauge")
-        values = [_number(word, f"{place}.values") for word in words]
-        most = _number(_attribute(row, "max", place), f"{place}.max")
+            raise ConfigError(
+                f"{key_path}: found {name!r}; allowed: each of {', '.join(AXES)} once"
+            )
+        texts = _attribute(row, "values", key_path).split()
+        if len(texts) != 6:
+            raise ConfigError(f"{key_path}.values: found {len(texts)}; allowed: 6, one per gauge")
+        values = [_number(text, f"{key_path}.values") for text in texts]
+        most = _number(_attribute(row, "max", key_path), f"{key_path}.max")
         if most <= 0:
-            raise ConfigError(f"{place}.max: found {most:g}; allowed: above 0")
+            raise ConfigError(f"{key_path}.max: found {most:g}; allowed: above 0")
         axes[name] = values, most
     if missing := [axis for axis in AXES if axis not in axes]:
         raise ConfigError(f"{where}.UserAxis: missing {missing}; allowed: {', '.join(AXES)}")

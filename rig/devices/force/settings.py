@@ -120,8 +120,8 @@ class NidaqConfig(ForceSettings):
     @property
     def address(self) -> str:
         """Address of the device, for display."""
-        place = f"{self.device}/{self.channels}"
-        return place if self.grpc is None else f"{self.grpc} {place}"
+        physical_channels = f"{self.device}/{self.channels}"
+        return physical_channels if self.grpc is None else f"{self.grpc} {physical_channels}"
 
     @property
     def rated(self) -> tuple[float, ...] | None:

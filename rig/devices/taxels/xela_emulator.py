@@ -230,7 +230,7 @@ def _shortened(message: str) -> str:
     content = json.loads(message)
     for part in content.values():
         if isinstance(part, dict):
-            part["data"] = ",".join(word[:-1] or "0" for word in part["data"].split(","))
+            part["data"] = ",".join(value[:-1] or "0" for value in part["data"].split(","))
     return json.dumps(content)
 
 

@@ -78,18 +78,18 @@ def _values(part: dict[str, Any], taxels: int) -> list[int]:
     data = part.get("data")
     if not isinstance(data, str):
         raise ValueError(f"data: {type(data).__name__}; expected 3 x {taxels} values as text")
-    words = data.split(",")
-    if len(words) != 3 * taxels:
+    values = data.split(",")
+    if len(values) != 3 * taxels:
         model = part.get("model")
         raise ValueError(
-            f"data: {len(words)} values; expected 3 x {taxels} taxels"
+            f"data: {len(values)} values; expected 3 x {taxels} taxels"
             + (f"; it is a {model}: is it the sensor of the bench file?" if model else "")
         )
-    # Not int(word, 16) alone, which accepts a sign, an underscore, 0x and blanks.
-    bad = [word for word in words if not _HEX.fullmatch(word)]
+    # Not int(value, 16) alone, which accepts a sign, an underscore, 0x and blanks.
+    bad = [value for value in values if not _HEX.fullmatch(value)]
     if bad:
         raise ValueError(f"data: {bad[0][:16]!r}; expected hexadecimal, nothing outside 0..FFFF")
-    return [int(word, 16) for word in words]
+    return [int(value, 16) for value in values]
 
 
 def _time(part: dict[str, Any], message: dict[str, Any]) -> float:
