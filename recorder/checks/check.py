@@ -45,19 +45,10 @@ from recorder.spec import (
 )
 from recorder.store.documents import read_document, read_session_attrs, says_it_is
 from recorder.store.files import Files, locate
-from recorder.store.layout import (
-    CRC_BYTES,
-    HEADER,
-    MISSING,
-    PARTIAL,
-    Array,
-    ColumnLayout,
-    StreamLayout,
-    check_shape,
-    record_matches,
-)
+from recorder.store.layout import MISSING, PARTIAL, Array, ColumnLayout, StreamLayout, check_shape
 from recorder.store.manifest import GROUP, wrong_files
 from recorder.store.reader import Table
+from recorder.store.records import CRC_BYTES, HEADER, record_matches
 
 
 def check(path: str | os.PathLike[str], *, quick: bool = False) -> list[Finding]:

@@ -25,8 +25,9 @@ from recorder.store.journal import (
     row_time,
     write_journal,
 )
-from recorder.store.layout import HEADER, ColumnLayout, StreamLayout
+from recorder.store.layout import ColumnLayout, StreamLayout
 from recorder.store.reader import GrowingReader
+from recorder.store.records import HEADER
 from recorder.store.shard import ColumnLog, OpenShard, scan_partial
 
 # State of a stream after its writer stopped, however that happened, and how to resume it.

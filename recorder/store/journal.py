@@ -16,14 +16,8 @@ from typing import Self
 import google_crc32c
 
 from recorder.store.files import TEMPORARY, replace_file, sync_directory
-from recorder.store.layout import (
-    CHUNK_MAGIC,
-    CRC_BYTES,
-    HEADER,
-    StreamLayout,
-    header,
-    record_matches,
-)
+from recorder.store.layout import StreamLayout
+from recorder.store.records import CHUNK_MAGIC, CRC_BYTES, HEADER, header, record_matches
 
 _JOIN_BELOW = 1 << 14  # bytes; below this size one copy is cheaper than a vectored write
 # A log of images grows ahead of them in steps of this size [bytes], filled with zeros: a write into

@@ -25,7 +25,6 @@ from recorder.store import images
 from recorder.store.files import LOCAL, Files
 from recorder.store.journal import GrowingLog, JournalReader
 from recorder.store.layout import (
-    CRC_BYTES,
     MISSING,
     Array,
     ArrayLayout,
@@ -36,6 +35,7 @@ from recorder.store.layout import (
     read_table_column,
     table_columns,
 )
+from recorder.store.records import CRC_BYTES
 
 # Memory for what was read last, shared by all readers of a process and limited in bytes.
 #

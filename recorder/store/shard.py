@@ -16,14 +16,8 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store.files import TEMPORARY, sync_directory
 from recorder.store.journal import STEP, GrowingLog, JournalRecord, RecordLog
-from recorder.store.layout import (
-    CRC_BYTES,
-    HEADER,
-    ColumnLayout,
-    chunk_header,
-    packed_crc,
-    packed_index,
-)
+from recorder.store.layout import ColumnLayout, packed_index
+from recorder.store.records import CRC_BYTES, HEADER, chunk_header, packed_crc
 
 
 class OpenShard:

@@ -20,8 +20,9 @@ from recorder import (
 )
 from recorder.session.columns import Stream
 from recorder.store.journal import Journal
-from recorder.store.layout import HEADER, StreamLayout, create_stream
+from recorder.store.layout import StreamLayout, create_stream
 from recorder.store.reader import LiveStream
+from recorder.store.records import HEADER
 
 TARGETS = {
     "point": np.zeros(1, np.int16),

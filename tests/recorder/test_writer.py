@@ -18,8 +18,9 @@ from recorder import Column, SessionError, StreamSpec, StreamWriter, camera_spec
 from recorder.session import stream_writer
 from recorder.session.columns import Stream
 from recorder.store import journal
-from recorder.store.layout import StreamLayout, create_stream, header, write_table
+from recorder.store.layout import StreamLayout, create_stream, write_table
 from recorder.store.reader import Table
+from recorder.store.records import header
 
 BLOCK = 64  # rows per journal at camera rates, and frames per image shard
 
