@@ -26,6 +26,6 @@ def test_each_session_has_its_messages_in_its_own_file_and_the_outer_one_has_all
     lines = {path: path.read_text().splitlines() for path in (whole, first, second)}
     assert [line.partition("root: ")[2] for line in lines[first]] == ["in first"]
     assert [line.partition("root: ")[2] for line in lines[second]] == ["in second"]
-    said = [line.partition("root: ")[2] for line in lines[whole]]
-    assert said == ["in first", "in second", "at the end"]
+    messages = [line.partition("root: ")[2] for line in lines[whole]]
+    assert messages == ["in first", "in second", "at the end"]
     assert logging.getLogger().handlers == handlers
