@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from learning.data.images import shrink, unit
-from learning.data.presses import Progress, read_frames_of
+from learning.data.presses import read_frames_of
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
 from recorder.archive import MarkerArchive, location_pairs
+from recorder.progress import ReportItems
 
 Rows = NDArray[np.int64]
 
@@ -97,7 +98,7 @@ def read_paired(
     *,
     preset: str = "supplement",
     device: torch.device | str = "cpu",
-    progress: Progress = lambda done, total: None,
+    progress: ReportItems = lambda done, total: None,
 ) -> PairedFrames:
     """Return frames of some sensors (`paired_rows`) with their pairs in both directions."""
     sensors = [archive[name] for name in rows]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
@@ -15,13 +15,13 @@ from torch import Tensor
 from learning.data.images import SIDE, shrink, shrink_masks, unpack_masks
 from learning.errors import LearningError
 from recorder.archive import SHADING, ArchivedSensor
+from recorder.progress import ReportItems
 
 # Form of a frame in memory: an image (256, 256) uint8; its packed mask (38400,) uint8; or the
 # marker field (3, 32, 32) float32: columns [px of 640 x 480], rows [px], log of the area change; or
 # the shading (3, 128, 128) uint8 of a gel without markers.
 Form = Literal["images", "packed", "field", "shading"]
 
-Progress = Callable[[int, int], None]
 
 _AT_ONCE = 256
 _IMAGE = (SIDE, SIDE)
@@ -125,7 +125,7 @@ def load_presses(
     device: torch.device | str = "cpu",
     form: Form = "images",
     processes: int = 1,
-    progress: Progress = lambda done, total: None,
+    progress: ReportItems = lambda done, total: None,
 ) -> Presses:
     """Load presses of rows of an archive's sensor, in any order; a press is a location.
 
@@ -202,7 +202,7 @@ def read_frames(
     rows: NDArray[np.int64],
     device: torch.device,
     form: Form = "images",
-    progress: Progress = lambda done, total: None,
+    progress: ReportItems = lambda done, total: None,
 ) -> Tensor:
     """Read images (n, 256, 256), or frames as stored (n, ...), of rows, uint8, to a device."""
     shape = _IMAGE if form == "images" else sensor.representation.shape
@@ -230,7 +230,7 @@ def read_frames_of(
     sensors: Sequence[ArchivedSensor],
     rows: Sequence[NDArray[np.int64]],
     device: torch.device | str,
-    progress: Progress = lambda done, total: None,
+    progress: ReportItems = lambda done, total: None,
 ) -> Tensor:
     """Read images (n, 256, 256) uint8 of the rows of several sensors, one after another."""
     total, done = sum(map(len, rows)), 0
@@ -247,7 +247,7 @@ def read_frames_of(
 
 
 def _read_fields(
-    sensor: ArchivedSensor, presses: Presses, processes: int, progress: Progress
+    sensor: ArchivedSensor, presses: Presses, processes: int, progress: ReportItems
 ) -> Tensor:
     """Return marker fields (N, 3, 32, 32) float32 on the CPU."""
     # Imported here, as only marker fields need it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,12 +15,12 @@ from learning.evaluation.predictions import BASELINE, TARGET, UNSEEN, Prediction
 from learning.force.train import ForceModelSettings, train_force
 from learning.metrics import force_errors
 from recorder.archive import SHADING, MarkerArchive
+from recorder.progress import ReportItems
 
 Floats = NDArray[np.float64]
 # Place of Fz among the axes of errors.
 _FZ = 2
 _AXES = 3
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ class Fold:
 
 
 def folds(
-    archive: MarkerArchive, sensor: str, settings: ForceModelSettings, progress: Progress
+    archive: MarkerArchive, sensor: str, settings: ForceModelSettings, progress: ReportItems
 ) -> Iterator[Fold]:
     """Train and predict with each indenter of a sensor left out in turn.
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from learning.data.images import shrink_masks, unpack_masks
-from learning.data.presses import Form, Presses, Progress, load_presses
+from learning.data.presses import Form, Presses, load_presses
 from learning.data.splits import PressKey, Role, Split
 from learning.errors import LearningError
 from learning.markers.displacement import fields_of_presses
@@ -20,7 +20,7 @@ from learning.translation.archive import Pair, target_references
 from learning.translation.flow import warp_masks
 from learning.translation.translator import SensorView, Translator
 from recorder.archive import ArchivedSensor, MarkerArchive
-from recorder.progress import ItemProgress
+from recorder.progress import ItemProgress, ReportItems
 
 # Roles of presses whose forces are predicted.
 TESTED: tuple[Role, ...] = ("new_press", "new_indenter")
@@ -164,7 +164,7 @@ def translate_presses(
     look: TargetView,
     translator: Translator,
     *,
-    progress: Progress = lambda done, total: None,
+    progress: ReportItems = lambda done, total: None,
 ) -> Presses:
     """Translate presses to another sensor, as images.
 
@@ -185,7 +185,7 @@ def warp_presses(
     look: TargetView,
     fields: Tensor,
     *,
-    progress: Progress = lambda done, total: None,
+    progress: ReportItems = lambda done, total: None,
 ) -> Presses:
     """Translate packed presses to another sensor by displacement (N, 57, 73, 2) [px], on the CPU.
 
@@ -205,7 +205,7 @@ def flow_fields(
     target: SensorView,
     *,
     processes: int = 1,
-    progress: Progress = lambda done, total: None,
+    progress: ReportItems = lambda done, total: None,
 ) -> Tensor:
     """Compute displacements (N, 57, 73, 2) float16 [px of the target's image] from tracked markers.
 
@@ -229,7 +229,7 @@ def _as_target_images(
     presses: Presses,
     look: TargetView,
     translated: Callable[[Tensor, int, int], Tensor],
-    progress: Progress,
+    progress: ReportItems,
 ) -> Presses:
     images = torch.empty(presses.frames, 256, 256, dtype=torch.uint8, device=presses.device)
     done = 0

@@ -20,12 +20,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from learning.config import require
-from learning.data.presses import ForceRange, Presses, Progress
+from learning.data.presses import ForceRange, Presses
 from learning.errors import LearningError
 from learning.force.folder import model_folder
 from learning.plugins import load_plugin, plugin_names
 from learning.training.checkpoint import read_config, read_model_folder
 from recorder.archive import SHADING, SHADING_SIDE, SHADING_ZERO
+from recorder.progress import ReportItems
 
 # Kind of a force model's folder.
 KIND = "force"
@@ -369,7 +370,7 @@ class ForceModel(nn.Module):
         return self.low.device
 
     def predict(
-        self, presses: Presses, *, progress: Progress = lambda done, total: None
+        self, presses: Presses, *, progress: ReportItems = lambda done, total: None
     ) -> NDArray[np.float64]:
         """Return forces (N, 3) N of all frames; every press starts from the initial state.
 
@@ -386,7 +387,7 @@ class ForceModel(nn.Module):
 
     @torch.no_grad()
     def predict_normalised(
-        self, presses: Presses, *, progress: Progress = lambda done, total: None
+        self, presses: Presses, *, progress: ReportItems = lambda done, total: None
     ) -> Tensor:
         """Return forces as `predict` does, normalised to the box, on the model's device.
 

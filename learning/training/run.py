@@ -48,7 +48,7 @@ from learning.training.checkpoint import (
     read_config,
     save_weights,
 )
-from recorder.progress import ItemProgress
+from recorder.progress import ItemProgress, ReportItems
 from recorder.store import replace_file, sync_directory
 
 if TYPE_CHECKING:
@@ -490,9 +490,6 @@ class Stop:
             raise KeyboardInterrupt
 
 
-Progress = Callable[[int, int], None]
-
-
 def _no_progress(done: int, total: int) -> None:
     """Report progress to nobody."""
 
@@ -507,9 +504,9 @@ class TrainingSession:
     """Folder from which it resumes, for log, checkpoints and model."""
     stop: Stop = field(default_factory=Stop)
     """Ctrl-C handler; enter it only where the current step can be completed first."""
-    progress: Progress = _no_progress
+    progress: ReportItems = _no_progress
     """Called with the number of steps done and the total."""
-    reading: Progress = _no_progress
+    reading: ReportItems = _no_progress
     """Called likewise as data is read."""
 
     @property

@@ -324,6 +324,11 @@ def source(stream: Columns, rows: slice, losses: Losses) -> Source:
     )
 
 
+def has_device_times(stream: Columns) -> bool:
+    """Return True if samples are aligned by the device's own time, not that of their arrival."""
+    return stream.traits.clock == "monotonic" and "device_t" in stream.names
+
+
 def captured(stream: Columns) -> Times:
     """Return the capture time of each row (n,) [ns], as far as the stream gives it.
 
@@ -332,7 +337,7 @@ def captured(stream: Columns) -> Times:
     its exposure, which a device may stamp at its start or middle.
     """
     arrived = stream.t_ns - round(_number(stream, "latency", 0.0) / NS)
-    if stream.traits.clock != "monotonic" or "device_t" not in stream.names:
+    if not has_device_times(stream):
         return arrived
     device_t = stream.array("device_t")
     has_device_time = np.isfinite(device_t)

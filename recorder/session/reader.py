@@ -19,6 +19,7 @@ from recorder.session.align import (
     Window,
     align_window,
     captured,
+    has_device_times,
     source,
 )
 from recorder.session.columns import Stream, StreamPart, StreamTable
@@ -40,7 +41,7 @@ Array = np.ndarray[Any, Any]
 
 @dataclass(frozen=True, slots=True)
 class RunStreams:
-    """The streams of a session, and what of them belongs to one run."""
+    """The streams of a session, restricted to the samples of one run."""
 
     streams: Mapping[str, Stream]
     """Streams by name, in the session's order."""
@@ -112,7 +113,7 @@ def span_of_run(run: RunStreams) -> tuple[int, int] | None:
         stream, rows = run.streams[name], run.rows[name]
         if not stream.traits.roles or rows.stop <= rows.start:
             continue
-        if _has_device_times(stream):
+        if has_device_times(stream):
             times = np.sort(captured(StreamPart(stream, rows.start, rows.stop)))
         else:
             ends = (rows.start, rows.stop - 1)
@@ -130,7 +131,7 @@ def _near(run: RunStreams, name: str, start: int, stop: int) -> Source:
     """
     stream, rows = run.streams[name], run.rows[name]
     first, last, block = rows.start, rows.stop, stream.layout.block
-    if _has_device_times(stream) or last - first <= 2 * block:
+    if has_device_times(stream) or last - first <= 2 * block:
         return run.part(name, first, last)
     arrivals = stream.arrivals(first, last)
     late = round(float(stream.attrs.get("latency") or 0.0) / NS)
@@ -146,11 +147,6 @@ def _near(run: RunStreams, name: str, start: int, stop: int) -> Source:
             return part
         low, high = low - reach * before, high + reach * after
         low, reach = max(low, first // block), 2 * reach
-
-
-def _has_device_times(stream: Stream) -> bool:
-    """Return True if samples are not aligned by the time of their arrival."""
-    return stream.traits.clock == "monotonic" and "device_t" in stream.names
 
 
 # A session.

@@ -309,9 +309,6 @@ def _digests(title: str, session: Session, names: tuple[str, ...]) -> dict[str, 
 
 # One run: emulators and drivers, from the first connection to the last row.
 
-
-logger = logging.getLogger(__name__)
-
 # Conditions for the end of a run, and for giving up on it.
 
 # Longest time for a stream's last rows to arrive after its emulator has sent them all [s].
