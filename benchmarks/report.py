@@ -1,0 +1,291 @@
+"""A benchmark is a question and a list of parts; each part is measured, stored, and shown.
+
+`Benchmark` has the options that all benchmarks share, measures the chosen parts with a progress
+bar, writes what each measured to a JSON file beside the page as soon as it is there, and writes the
+page: a head (command, machine, commit, seeds, spread, time), then a section for each part, with its
+pictures in `images/`. `--draw` writes the page again from the JSON file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from recorder.command_line.errors import CommandError
+from recorder.command_line.options import add_device
+from recorder.progress import Progress, span_of
+
+ROOT = Path(__file__).parent.parent
+# Pages of complete runs, and of quick ones.
+RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "build" / "results"
+# Exit code of a run in which something failed that must hold.
+FAILED = 1
+
+
+@dataclass
+class Run:
+    """What a part is given to measure with, and what it states about its measurement."""
+
+    options: argparse.Namespace
+    """The options of the command line, those of the benchmark included."""
+    folder: Path
+    """Folder of its own for files; it is removed afterwards."""
+    progress: Callable[[float], None]
+    """Called with the fraction done, 0 to 1."""
+    seeds: Sequence[int] = ()
+    """Seeds that were used; empty: nothing was random."""
+    spread: str = ""
+    """Spread of repeated runs, e.g. `median of 5 runs, range at most 4 %`; empty: a single run."""
+    failures: list[str] = field(default_factory=list)
+    """What did not hold; any makes the exit code 1."""
+
+    @property
+    def quick(self) -> bool:
+        """Whether the run must end in seconds, with numbers that mean little."""
+        return bool(self.options.quick)
+
+    @property
+    def device(self) -> str:
+        """`cpu`, or a CUDA device."""
+        return str(getattr(self.options, "device", "cpu"))
+
+
+@dataclass(frozen=True)
+class Page:
+    """Where a section is written."""
+
+    path: Path
+
+    def picture(self, name: str) -> Path:
+        """Return where to save a picture of the page; its folder exists."""
+        path = self.path.parent / "images" / f"{self.path.stem}-{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def link(self, name: str, text: str) -> str:
+        """Return the Markdown that shows a picture saved at `picture(name)`."""
+        return f"![{text}](images/{self.path.stem}-{name}.png)"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a benchmark."""
+
+    name: str
+    measure: Callable[[Run], Any]
+    """Measures, and returns what it found as values of JSON."""
+    section: Callable[[Any, Page], str]
+    """Returns the Markdown of those values, with headings of the second level; draws pictures."""
+    weight: float = 1.0
+    """Expected share of the time, relative to the other parts."""
+    needs: str = ""
+    """Extra or device without which it cannot run, for the help; empty: nothing."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One question, the command that answers it, and its page."""
+
+    name: str
+    title: str
+    question: str
+    """What the page answers, in a sentence or a few; the first paragraph of the page."""
+    parts: Sequence[Part]
+    summary: Callable[[dict[str, Any]], str] | None = None
+    """Returns the Markdown above the sections, from the values by part; of those there are."""
+    options: Callable[[argparse.ArgumentParser], None] | None = None
+    """Adds options of its own."""
+    on_device: bool = False
+    """Whether it has `--device`."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add the options of the command."""
+        names = [part.name for part in self.parts]
+        parser.description = f"{self.question} Parts: {', '.join(names)}."
+        parser.add_argument(
+            "--quick",
+            action="store_true",
+            help="ends in two minutes; its numbers mean little, its page goes to build/results",
+        )
+        parser.add_argument(
+            "--only",
+            action="append",
+            choices=names,
+            help="measure this part (may be repeated); the page keeps the other parts",
+        )
+        parser.add_argument(
+            "--draw", action="store_true", help="measure nothing: write the page from its JSON file"
+        )
+        parser.add_argument(
+            "--out",
+            type=Path,
+            metavar="PAGE",
+            help=f"page to write, JSON beside it (default: docs/results/{self.name}.md)",
+        )
+        if self.on_device:
+            add_device(parser)
+        if self.options is not None:
+            self.options(parser)
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Measure the parts, write the page, and return the exit code.
+
+        Raises:
+            CommandError: `--draw` without a JSON file.
+        """
+        path = options.out or (QUICK_RESULTS if options.quick else RESULTS) / f"{self.name}.md"
+        stored = _read(path.with_suffix(".json"))
+        if options.draw:
+            if not stored:
+                raise CommandError(f"--draw: {path.with_suffix('.json')}: no such file")
+            self._write(path, stored)
+            return 0
+        chosen = [part for part in self.parts if not options.only or part.name in options.only]
+        whole, before, failures = sum(part.weight for part in chosen), 0.0, []
+        with Progress(self.name, sys.stderr) as progress:
+            for part in chosen:
+                share = part.weight / whole
+                with tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder:
+                    run = Run(options, Path(folder), span_of(progress, before, share))
+                    began = time.monotonic()
+                    values = part.measure(run)
+                before += share
+                stored[part.name] = _head(run, time.monotonic() - began) | {"results": values}
+                failures += [f"{part.name}: {failure}" for failure in run.failures]
+                _store(path.with_suffix(".json"), stored)
+        self._write(path, stored)
+        for failure in failures:
+            print(f"FAILED: {failure}")
+        return FAILED if failures else 0
+
+    def _write(self, path: Path, stored: dict[str, Any]) -> None:
+        """Write the page of what is stored, and name the files written."""
+        there = [part for part in self.parts if part.name in stored]
+        texts = [
+            f"# {self.title}",
+            self.question,
+            _told([part.name for part in there], stored, path),
+        ]
+        if self.summary is not None:
+            texts.append(self.summary({part.name: stored[part.name]["results"] for part in there}))
+        texts += [part.section(stored[part.name]["results"], Page(path)) for part in there]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(
+            "\n\n".join(text.strip() for text in texts if text) + "\n", encoding="utf-8"
+        )
+        print(f"written: {path}, {path.with_suffix('.json').name}")
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a Markdown table; the first column is text, the others are aligned to the right."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" + "---:|" * (len(head) - 1)]
+    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
+
+
+def machine_name(device: str = "cpu") -> str:
+    """Return the name of the processor, and of the GPU if `device` is one."""
+    model, described = platform.machine(), Path("/proc/cpuinfo")
+    if described.exists():
+        for line in described.read_text().splitlines():
+            if line.startswith("model name"):
+                model = line.partition(":")[2].strip()
+                break
+    cores = f"{model}, {len(os.sched_getaffinity(0))} cores"
+    if device == "cpu":
+        return cores
+    import warp as wp
+
+    return f"{wp.get_device(device).name} ({cores})"
+
+
+def commit() -> str:
+    """Return the commit's short name, with `+` if code differs from it; `unknown` without git.
+
+    `TACTILE_COMMIT` in the environment replaces it, for a copy that has no repository.
+    """
+
+    def git(*words: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    if named := os.environ.get("TACTILE_COMMIT"):
+        return named
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py")
+        return git("rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _head(run: Run, seconds: float) -> dict[str, Any]:
+    return {
+        "command": shlex.join(["python", "-m", "benchmarks", *sys.argv[1:]]),
+        "quick": run.quick,
+        "machine": machine_name(run.device),
+        "python": platform.python_version(),
+        "commit": commit(),
+        "seeds": list(run.seeds),
+        "spread": run.spread,
+        "seconds": round(seconds, 1),
+    }
+
+
+def _told(names: Sequence[str], stored: dict[str, Any], path: Path) -> str:
+    """Return the head of the page: one line if all parts were measured alike, and a table."""
+    heads = [stored[name] for name in names]
+    shared = {
+        key: {json.dumps(head[key]) for head in heads}
+        for key in ("command", "machine", "python", "commit")
+    }
+    measured = f"[measurements]({path.with_suffix('.json').name})"
+    quick = "**A quick run, whose numbers mean little.** " if any(h["quick"] for h in heads) else ""
+    rows = [
+        [name, _seeds(head), head["spread"] or "single run", _minutes(head["seconds"])]
+        for name, head in zip(names, heads, strict=True)
+    ]
+    columns = ["part", "seeds", "spread", "took"]
+    if all(len(values) == 1 for values in shared.values()):
+        made = "Made by `{command}` on {machine}, Python {python}, commit {commit}".format(
+            **heads[0]
+        )
+    else:
+        made = "Parts were measured one by one"
+        columns += ["made by", "machine", "commit"]
+        for row, head in zip(rows, heads, strict=True):
+            row += [f"`{head['command']}`", head["machine"], head["commit"]]
+    return f"{quick}{made}; {measured}.\n\n{table(columns, rows)}"
+
+
+def _seeds(head: dict[str, Any]) -> str:
+    seeds = head["seeds"]
+    if len(seeds) > 3 and seeds == list(range(seeds[0], seeds[-1] + 1)):
+        return f"{seeds[0]} to {seeds[-1]}"
+    return ", ".join(map(str, seeds)) or "none"
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
+
+
+def _store(path: Path, stored: dict[str, Any]) -> None:
+    """Write the JSON file, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(".json.part")
+    part.write_text(json.dumps(stored, indent=1, allow_nan=True) + "\n", encoding="utf-8")
+    part.replace(path)
