@@ -22,7 +22,7 @@ BENCHMARKS = {
     "first-hour": ("benchmarks.first_hour", "every command from the wheel to live forces"),
     "bench-drawings": ("benchmarks.bench_drawings", "draw wiring, mounting and frames of a bench"),
     # The simulator
-    "hard-cases": ("benchmarks.sim.stability.command", "cases that break simulators"),
+    "hard-cases": ("benchmarks.hard_cases.command", "cases that break simulators"),
     "refine": ("benchmarks.sim.refinement.command", "force from coarse to fine meshes"),
     "accuracy": ("benchmarks.sim.accuracy.command", "error against time and memory"),
     "speed": ("benchmarks.sim.speed.command", "the paper's 162 presses timed"),

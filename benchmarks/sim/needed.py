@@ -16,10 +16,10 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.hard_cases.random_scenes.dice import Dice
+from benchmarks.hard_cases.random_scenes.scenes import drawn
+from benchmarks.processes import INTERRUPTED, done_counts, side_by_side
 from benchmarks.sim.accuracy.errors import worst_errors
-from benchmarks.sim.stability.chance.dice import Dice
-from benchmarks.sim.stability.chance.scenes import drawn
-from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
 from recorder.command_line.options import add_seed
 from recorder.progress import duration
 from sim.errors import SceneError

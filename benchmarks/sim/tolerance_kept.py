@@ -20,9 +20,9 @@ from typing import Literal
 
 import numpy as np
 
-from benchmarks.sim.stability.chance.judgement import OutOfTime, time_limit
-from benchmarks.sim.stability.chance.scenes import Drawn, drawn
-from benchmarks.sim.stability.runner import INTERRUPTED, done_counts, side_by_side
+from benchmarks.hard_cases.random_scenes.judgement import OutOfTime, time_limit
+from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
+from benchmarks.processes import INTERRUPTED, done_counts, side_by_side
 from recorder.command_line.options import add_device, add_seed
 from recorder.progress import duration
 from recorder.store import replace_file

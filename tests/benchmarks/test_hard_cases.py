@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.sim.stability.case import Case, Run, Solver
-from benchmarks.sim.stability.catalogue import BY_NAME, CASES, chosen
-from benchmarks.sim.stability.divergence import evidence
-from benchmarks.sim.stability.laws import Law, at_least, at_most, difference, rises, smooth
-from benchmarks.sim.stability.page import page
-from benchmarks.sim.stability.planted import DETECTING_CASES, WHAT, fully_integrated, planted
-from benchmarks.sim.stability.runner import Report, run_case, run_cases
+from benchmarks.hard_cases.case import Case, Run, Solver
+from benchmarks.hard_cases.cases import BY_NAME, CASES, chosen
+from benchmarks.hard_cases.divergence import evidence
+from benchmarks.hard_cases.laws import Law, at_least, at_most, difference, rises, smooth
+from benchmarks.hard_cases.page import page
+from benchmarks.hard_cases.planted import DETECTING_CASES, WHAT, fully_integrated, planted
+from benchmarks.hard_cases.runner import Report, run_case, run_cases
 from sim.errors import SimulationDiverged
 from sim.fem import assembly, matrix, stepping
 from tests.support.few import few
@@ -114,7 +114,7 @@ def test_lines_that_the_solver_no_longer_has_are_not_silently_left_right(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     gone = {"sim.fem.element": (("gone", ""),)}
-    monkeypatch.setattr("benchmarks.sim.stability.planted._FULL_INTEGRATION", gone)
+    monkeypatch.setattr("benchmarks.hard_cases.planted._FULL_INTEGRATION", gone)
     with pytest.raises(ValueError, match="'gone' does not occur once"):
         fully_integrated.__wrapped__("sim.fem.element")
 

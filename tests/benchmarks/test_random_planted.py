@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.sim.stability.chance import run
-from benchmarks.sim.stability.chance.judgement import SceneOutcome, Settings, judge_scene
-from benchmarks.sim.stability.chance.scenes import drawn
-from benchmarks.sim.stability.chance.shrink import failure
-from benchmarks.sim.stability.planted import MISTAKES, planted
+from benchmarks.hard_cases.planted import MISTAKES, planted
+from benchmarks.hard_cases.random_scenes import run
+from benchmarks.hard_cases.random_scenes.judgement import SceneOutcome, Settings, judge_scene
+from benchmarks.hard_cases.random_scenes.scenes import drawn
+from benchmarks.hard_cases.random_scenes.shrink import failure
 
 
 def _judged(index: int, settings: Settings, folder: Path, mistake: str | None) -> SceneOutcome:

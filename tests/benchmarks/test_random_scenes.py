@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.sim.stability.chance import bounds, judgement
-from benchmarks.sim.stability.chance.footprint import footprint, half_wall
-from benchmarks.sim.stability.chance.judgement import (
+from benchmarks.hard_cases.random_scenes import bounds, judgement
+from benchmarks.hard_cases.random_scenes.footprint import footprint, half_wall
+from benchmarks.hard_cases.random_scenes.judgement import (
     OutOfTime,
     SceneOutcome,
     Settings,
@@ -22,12 +22,12 @@ from benchmarks.sim.stability.chance.judgement import (
     of_laws,
     time_limit,
 )
-from benchmarks.sim.stability.chance.page import page
-from benchmarks.sim.stability.chance.referee import LAWS, held, loading
-from benchmarks.sim.stability.chance.run import RandomRun, Told, tell
-from benchmarks.sim.stability.chance.scenes import ELEMENTS_MAX, Drawn, drawn
-from benchmarks.sim.stability.chance.shrink import failure, load, shrunk, snippet, store
-from benchmarks.sim.stability.chance.twins import KINDS, agrees, symmetric, twin_of
+from benchmarks.hard_cases.random_scenes.page import page
+from benchmarks.hard_cases.random_scenes.referee import LAWS, held, loading
+from benchmarks.hard_cases.random_scenes.run import RandomRun, Told, tell
+from benchmarks.hard_cases.random_scenes.scenes import ELEMENTS_MAX, Drawn, drawn
+from benchmarks.hard_cases.random_scenes.shrink import failure, load, shrunk, snippet, store
+from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of

@@ -9,7 +9,7 @@ import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array, Material
 
-from benchmarks.sim.stability.planted import fully_integrated
+from benchmarks.hard_cases.planted import fully_integrated
 from sim.fem.element import GAUSS_POINTS
 from sim.fem.lanes import AT_ONCE
 from sim.scalars import vector_of

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.sim.stability.chance.judgement import Settings, judge_scene
-from benchmarks.sim.stability.chance.shrink import failure, load
+from benchmarks.hard_cases.random_scenes.judgement import Settings, judge_scene
+from benchmarks.hard_cases.random_scenes.shrink import failure, load
 
 FOUND = sorted((Path(__file__).parent / "found").glob("*.json"))
 # Reason why a result is still silently wrong.

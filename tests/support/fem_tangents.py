@@ -9,7 +9,7 @@ import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array, Material
 
-from benchmarks.sim.stability.planted import planted
+from benchmarks.hard_cases.planted import planted
 from sim.fem.contact import face_rule
 from sim.fem.matrix import SLOTS, BlockMatrix, neighbours
 from sim.fem.mesh import Mesh

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sim.stability.chance.dice import Dice, rounded
-from benchmarks.sim.stability.chance.shapes import blade, draw_shape
+from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
+from benchmarks.hard_cases.random_scenes.shapes import blade, draw_shape
 from sim.errors import SceneError
 from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of

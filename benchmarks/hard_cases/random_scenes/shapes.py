@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.stability.chance.dice import Dice, rounded
+from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
 from sim.indenters import NAMES, Indenter, Part, from_stl, named, shapes
 
 Array = NDArray[np.float64]

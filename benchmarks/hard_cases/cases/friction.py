@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from benchmarks.sim.stability.bodies import MAT, MM, PAD, SPHERE
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.laws import (
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import MAT, MM, PAD, SPHERE
+from benchmarks.hard_cases.laws import (
     SAME,
     Law,
     at_least,

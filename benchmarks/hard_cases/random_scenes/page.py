@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.sim.stability.chance.referee import LAWS
-from benchmarks.sim.stability.chance.run import WRONG, RandomRun, Told, by_class
-from benchmarks.sim.stability.chance.shrink import failure
-from benchmarks.sim.stability.laws import escaped
+from benchmarks.hard_cases.laws import escaped
+from benchmarks.hard_cases.random_scenes.referee import LAWS
+from benchmarks.hard_cases.random_scenes.run import WRONG, RandomRun, Told, by_class
+from benchmarks.hard_cases.random_scenes.shrink import failure
 from recorder.pages import render
 
 

@@ -16,9 +16,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.stability.chance import bounds, overlap
-from benchmarks.sim.stability.chance.footprint import footprint, half_wall, inside_by
-from benchmarks.sim.stability.laws import Law, at_least, at_most
+from benchmarks.hard_cases.laws import Law, at_least, at_most
+from benchmarks.hard_cases.random_scenes import bounds, overlap
+from benchmarks.hard_cases.random_scenes.footprint import footprint, half_wall, inside_by
 from sim.result import Result, force_scale
 from sim.scene import Scene
 

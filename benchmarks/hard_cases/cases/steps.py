@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.sim.stability.bodies import GEL, MAT, MM, PAD, SPHERE
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.divergence import evidence
-from benchmarks.sim.stability.laws import (
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import GEL, MAT, MM, PAD, SPHERE
+from benchmarks.hard_cases.divergence import evidence
+from benchmarks.hard_cases.laws import (
     SAME,
     Law,
     at_least,

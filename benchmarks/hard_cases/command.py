@@ -15,8 +15,8 @@ from sim.errors import SceneError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from benchmarks.sim.stability.case import Case
-    from benchmarks.sim.stability.runner import Report
+    from benchmarks.hard_cases.case import Case
+    from benchmarks.hard_cases.runner import Report
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,10 +92,11 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         SceneError: Unknown case, bug or device; an option out of range.
     """
-    from benchmarks.sim.stability.catalogue import CASES, chosen
-    from benchmarks.sim.stability.page import page
-    from benchmarks.sim.stability.planted import MISTAKES
-    from benchmarks.sim.stability.runner import INTERRUPTED, run_cases
+    from benchmarks.hard_cases.cases import CASES, chosen
+    from benchmarks.hard_cases.page import page
+    from benchmarks.hard_cases.planted import MISTAKES
+    from benchmarks.hard_cases.runner import run_cases
+    from benchmarks.processes import INTERRUPTED
     from sim.device import ready_device
 
     if options.list:
@@ -136,10 +137,10 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_random(options: argparse.Namespace, processes: int) -> int:
-    from benchmarks.sim.stability.chance.judgement import Settings
-    from benchmarks.sim.stability.chance.page import page
-    from benchmarks.sim.stability.chance.run import RandomRun, judge_all, tell
-    from benchmarks.sim.stability.runner import INTERRUPTED
+    from benchmarks.hard_cases.random_scenes.judgement import Settings
+    from benchmarks.hard_cases.random_scenes.page import page
+    from benchmarks.hard_cases.random_scenes.run import RandomRun, judge_all, tell
+    from benchmarks.processes import INTERRUPTED
     from sim.device import ready_device
 
     for name, least in (("random", 1), ("scene", 0), ("seconds", 1e-3)):
@@ -177,7 +178,7 @@ def _tell(reports: Sequence[Report]) -> bool:
 
 
 def _catch(mistake: str, cases: Sequence[Case], device: str, processes: int) -> int:
-    from benchmarks.sim.stability.runner import run_cases
+    from benchmarks.hard_cases.runner import run_cases
 
     reports = run_cases(cases, device=device, mistake=mistake, processes=processes)
     caught = [report.name for report in reports if not report.passed]
@@ -187,9 +188,9 @@ def _catch(mistake: str, cases: Sequence[Case], device: str, processes: int) -> 
 
 def _catch_all(device: str, processes: int) -> tuple[dict[str, Sequence[Report]], bool]:
     """Run each bug on the cases that must detect it; return reports, and True if all were found."""
-    from benchmarks.sim.stability.catalogue import BY_NAME
-    from benchmarks.sim.stability.planted import DETECTING_CASES
-    from benchmarks.sim.stability.runner import run_cases
+    from benchmarks.hard_cases.cases import BY_NAME
+    from benchmarks.hard_cases.planted import DETECTING_CASES
+    from benchmarks.hard_cases.runner import run_cases
 
     caught: dict[str, Sequence[Report]] = {}
     every = True

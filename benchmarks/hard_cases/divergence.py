@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.sim.stability.laws import Law, at_least, at_most
+from benchmarks.hard_cases.laws import Law, at_least, at_most
 from sim.errors import SimulationDiverged
 
 

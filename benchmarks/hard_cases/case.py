@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.sim.stability.laws import Law
+from benchmarks.hard_cases.laws import Law
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.result import Result

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.catalogue import BY_NAME
-from benchmarks.sim.stability.laws import Law
-from benchmarks.sim.stability.planted import planted
-from recorder.processes import Workers
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases import BY_NAME
+from benchmarks.hard_cases.laws import Law
+from benchmarks.hard_cases.planted import planted
+from benchmarks.processes import done_counts, side_by_side
 from recorder.progress import duration
 from sim.errors import SimulationDiverged
-
-Item = TypeVar("Item")
-Outcome = TypeVar("Outcome")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,39 +98,6 @@ def _done(
 
 def _run_case(device: str, mistake: str | None, name: str) -> Report:
     return run_case(name, device, mistake)
-
-
-def side_by_side(
-    run: Callable[[Item], Outcome], items: Iterable[Item], device: str, processes: int
-) -> Iterator[Outcome]:
-    """Yield results as they complete, from several processes; items start in their order."""
-    if processes == 1:
-        yield from map(run, items)
-        return
-    with Workers(processes, _begin, device) as workers:
-        for task in as_completed([workers.submit(run, item) for item in items]):
-            yield task.result()
-
-
-# Exit code of a run ended by Ctrl-C, as usual.
-INTERRUPTED = 130
-
-
-@contextmanager
-def done_counts(say: Callable[[str], None]) -> Iterator[None]:
-    """End the block on Ctrl-C, so that completed results are kept and reported."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        say("interrupted; only completed results follow")
-
-
-def _begin(device: str) -> None:
-    """Start Warp in a new process without its banner."""
-    from sim.device import ready_device
-
-    ready_device(device)
-    sys.stdout.flush()
 
 
 def _line(report: Report, done: int, count: int, left: float) -> str:

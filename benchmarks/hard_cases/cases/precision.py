@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.sim.stability.bodies import GEL, MAT, MM, PAD, SPHERE
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.laws import (
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import GEL, MAT, MM, PAD, SPHERE
+from benchmarks.hard_cases.laws import (
     LAST_DIGITS,
     SAME,
     Law,

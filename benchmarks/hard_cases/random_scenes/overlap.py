@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from benchmarks.sim.stability.chance.footprint import half_wall
+from benchmarks.hard_cases.random_scenes.footprint import half_wall
 from sim.result import Result
 
 Array = NDArray[np.float64]

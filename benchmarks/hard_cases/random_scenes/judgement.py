@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Literal, get_args
 
-from benchmarks.sim.stability.chance.dice import Dice
-from benchmarks.sim.stability.chance.referee import Held, held
-from benchmarks.sim.stability.chance.scenes import Drawn
-from benchmarks.sim.stability.chance.twins import KINDS, Twin, agrees, symmetric, twin_of
+from benchmarks.hard_cases.random_scenes.dice import Dice
+from benchmarks.hard_cases.random_scenes.referee import Held, held
+from benchmarks.hard_cases.random_scenes.scenes import Drawn
+from benchmarks.hard_cases.random_scenes.twins import KINDS, Twin, agrees, symmetric, twin_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.result import Outcome, Result

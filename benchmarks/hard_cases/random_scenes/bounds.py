@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from benchmarks.sim.stability.chance.footprint import Footprint, footprint, inside_by
+from benchmarks.hard_cases.random_scenes.footprint import Footprint, footprint, inside_by
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.result import Result

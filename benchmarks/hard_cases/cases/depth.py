@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.sim.stability.bodies import DOME, GEL, MM, SLAB, SPHERE
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.divergence import evidence
-from benchmarks.sim.stability.laws import (
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import DOME, GEL, MM, SLAB, SPHERE
+from benchmarks.hard_cases.divergence import evidence
+from benchmarks.hard_cases.laws import (
     LAST_DIGITS,
     Law,
     at_least,

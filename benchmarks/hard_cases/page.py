@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from benchmarks.sim.stability.catalogue import FAMILIES
-from benchmarks.sim.stability.laws import escaped
-from benchmarks.sim.stability.planted import WHAT
-from benchmarks.sim.stability.runner import Report
+from benchmarks.hard_cases.cases import FAMILIES
+from benchmarks.hard_cases.laws import escaped
+from benchmarks.hard_cases.planted import WHAT
+from benchmarks.hard_cases.runner import Report
 from recorder.pages import render
 
 _TITLES = {

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from fnmatch import fnmatch
 
-from benchmarks.sim.stability import (
+from benchmarks.hard_cases.case import Case
+from benchmarks.hard_cases.cases import (
     depth,
     edges,
     friction,
@@ -15,7 +16,6 @@ from benchmarks.sim.stability import (
     steps,
     wrong_input,
 )
-from benchmarks.sim.stability.case import Case
 
 FAMILIES = (material, depth, edges, rim, friction, steps, precision, in_time, wrong_input)
 CASES: tuple[Case, ...] = tuple(case for family in FAMILIES for case in family.CASES)

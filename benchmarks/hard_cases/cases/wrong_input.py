@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.sim.stability.bodies import MM, PAD, SPHERE
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.divergence import evidence
-from benchmarks.sim.stability.laws import Law, at_least, at_most
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import MM, PAD, SPHERE
+from benchmarks.hard_cases.divergence import evidence
+from benchmarks.hard_cases.laws import Law, at_least, at_most
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import Part, named, shapes

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.stability.chance.referee import (
+from benchmarks.hard_cases.laws import at_most
+from benchmarks.hard_cases.random_scenes.referee import (
     Held,
     elastic,
     largest,
@@ -17,7 +18,6 @@ from benchmarks.sim.stability.chance.referee import (
     stated,
     weightless,
 )
-from benchmarks.sim.stability.laws import at_most
 from sim.errors import SceneError
 from sim.indenters import Indenter, Part
 from sim.result import Result

@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.sim.reference_solutions import layer_sag
-from benchmarks.sim.stability.bodies import MM, PAD, SPHERE
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.laws import (
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import MM, PAD, SPHERE
+from benchmarks.hard_cases.laws import (
     BALANCE,
     SAME,
     Law,
@@ -25,6 +24,7 @@ from benchmarks.sim.stability.laws import (
     slides,
     validity_laws,
 )
+from benchmarks.sim.reference_solutions import layer_sag
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 
 # Stiffness of the only branch over the equilibrium stiffness, and its relaxation time [s].

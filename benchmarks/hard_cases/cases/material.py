@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from benchmarks.sim.stability.bodies import GEL, MM, SPHERE
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.laws import (
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import GEL, MM, SPHERE
+from benchmarks.hard_cases.laws import (
     Law,
     at_most,
     difference,

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from benchmarks.sim.stability.chance.judgement import CLASSES, SceneOutcome, Settings, judge
-from benchmarks.sim.stability.chance.scenes import FOLDER, drawn
-from benchmarks.sim.stability.chance.shrink import failure, shrunk, snippet, store
-from benchmarks.sim.stability.planted import planted
-from benchmarks.sim.stability.runner import done_counts, side_by_side
+from benchmarks.hard_cases.planted import planted
+from benchmarks.hard_cases.random_scenes.judgement import CLASSES, SceneOutcome, Settings, judge
+from benchmarks.hard_cases.random_scenes.scenes import FOLDER, drawn
+from benchmarks.hard_cases.random_scenes.shrink import failure, shrunk, snippet, store
+from benchmarks.processes import done_counts, side_by_side
 from recorder.progress import duration
 
 # Outcomes that fail a run.

@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 
-from benchmarks.sim.reference_solutions import layer_punch
-from benchmarks.sim.stability.bodies import GEL, MM, PAD
-from benchmarks.sim.stability.case import Case, Solver
-from benchmarks.sim.stability.divergence import evidence
-from benchmarks.sim.stability.laws import (
+from benchmarks.hard_cases.case import Case, Solver
+from benchmarks.hard_cases.cases.bodies import GEL, MM, PAD
+from benchmarks.hard_cases.divergence import evidence
+from benchmarks.hard_cases.laws import (
     Law,
     at_least,
     at_most,
@@ -21,6 +20,7 @@ from benchmarks.sim.stability.laws import (
     smooth,
     validity_laws,
 )
+from benchmarks.sim.reference_solutions import layer_punch
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named, shapes
 from sim.scene import Body, Scene, press

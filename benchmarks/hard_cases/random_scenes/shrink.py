@@ -9,8 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sim.stability.chance.dice import rounded
-from benchmarks.sim.stability.chance.judgement import SceneOutcome, Settings, covered, judge_scene
+from benchmarks.hard_cases.random_scenes.dice import rounded
+from benchmarks.hard_cases.random_scenes.judgement import (
+    SceneOutcome,
+    Settings,
+    covered,
+    judge_scene,
+)
 from sim.errors import SceneError
 from sim.result import from_json, to_json
 from sim.scene import Body, Effects, Motion, Scene, through
