@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.independent.formulas import hertz
 from benchmarks.sim.accuracy import campaign
 from benchmarks.sim.accuracy.campaign import CLOSED_FORM, AccuracyCampaign, measure, measure_here
 from benchmarks.sim.accuracy.cases import CASES, chosen
@@ -16,7 +17,6 @@ from benchmarks.sim.accuracy.competitors import by_name, competitors
 from benchmarks.sim.accuracy.page import COLOURS, write_page
 from benchmarks.sim.accuracy.reference import Reference, finer, solve_references
 from benchmarks.sim.accuracy.row import MEASURES, Measured, Row, append, begin, read
-from benchmarks.sim.reference_solutions import hertz
 from benchmarks.sim.spent import spent_by
 from sim.errors import SceneError
 from sim.layer import Layer

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from benchmarks.sim.independent.axisymmetric import AxisymmetricPress, Layer
-from benchmarks.sim.independent.cases import CASES, Case
-from benchmarks.sim.independent.comparison import foreign_scene, own_error, scene_of
-from benchmarks.sim.independent.element import Elastic, Grid
-from benchmarks.sim.independent.foreign import load as load_foreign
-from benchmarks.sim.independent.foreign_cases import CASES as FOREIGN
-from benchmarks.sim.independent.mesh import Fine, layer_grid
-from benchmarks.sim.independent.profile import Profile, cone, punch, sphere, torus, tube
-from benchmarks.sim.independent.truth import COARSE, load, solved
-from benchmarks.sim.reference_solutions import layer_punch, layer_sphere
+from benchmarks.independent.axisymmetric import AxisymmetricPress, Layer
+from benchmarks.independent.cases import CASES, Case
+from benchmarks.independent.comparison import foreign_scene, own_error, scene_of
+from benchmarks.independent.element import Elastic, Grid
+from benchmarks.independent.foreign import load as load_foreign
+from benchmarks.independent.foreign_cases import CASES as FOREIGN
+from benchmarks.independent.formulas import layer_punch, layer_sphere
+from benchmarks.independent.mesh import Fine, layer_grid
+from benchmarks.independent.profile import Profile, cone, punch, sphere, torus, tube
+from benchmarks.independent.truth import COARSE, load, solved
 
 MM = 1e-3
 MODULUS, POISSON = 0.145e6, 0.45

@@ -9,7 +9,7 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from scipy.integrate import quad
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     HAYES_KAPPA,
     HAYES_POISSON,
     HAYES_PRINTED,
@@ -33,7 +33,7 @@ from benchmarks.sim.reference_solutions import (
     sphere,
     sphere_contact_radius,
 )
-from benchmarks.sim.reference_solutions.layer_contact import deficit_rule
+from benchmarks.independent.formulas.layer_contact import deficit_rule
 from tests.support.few import few
 
 SOFT = (0.145e6, 0.45)

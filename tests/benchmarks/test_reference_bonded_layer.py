@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     edge_decay,
     layer_compliance,
     layer_deficit,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.sim.reference_solutions import NEO_HOOKEAN_SPHERE, layer_sphere
+from benchmarks.independent.formulas import NEO_HOOKEAN_SPHERE, layer_sphere
 
 PRESS = NEO_HOOKEAN_SPHERE
 LAYER = (PRESS.radius, PRESS.thickness, PRESS.modulus, PRESS.poisson)

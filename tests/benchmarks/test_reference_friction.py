@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     cerruti,
     mindlin_displacement,
     mindlin_force,

@@ -9,7 +9,7 @@ import pytest
 from numpy.polynomial.legendre import leggauss
 from scipy.integrate import quad
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     boussinesq,
     cerruti,
     cone,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     confined_stress,
     oedometric_modulus,
     simple_shear_stress,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     flat_punch,
     hereditary,
     hertz,

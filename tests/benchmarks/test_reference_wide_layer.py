@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.linalg import eigh
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     compression_frequency,
     layer_sag,
     oedometric_modulus,

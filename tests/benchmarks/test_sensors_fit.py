@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.sim.sensors.fit import (
+from benchmarks.twin.picture import COLUMNS, Tile, outlined, sheet
+from benchmarks.twin.relaxation import hysteresis, relaxed
+from benchmarks.twin.rows import (
     COUNTS_NORMAL,
     COUNTS_SHEAR,
     FORCES,
@@ -18,9 +20,7 @@ from benchmarks.sim.sensors.fit import (
     prism_press,
     prism_shear,
 )
-from benchmarks.sim.sensors.picture import COLUMNS, Tile, outlined, sheet
-from benchmarks.sim.sensors.relaxation import hysteresis, relaxed
-from benchmarks.sim.sensors.timing import stages
+from benchmarks.twin.timing import stages
 from sim.layer import Layer
 from sim.scene import Viscosity
 from sim.sensors import SimulatedSensor, TaxelSignal, sensor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
+from benchmarks.twin.relaxation import fitted, hysteresis, relaxed
 from sim.errors import SceneError
 from sim.scene import Viscosity
 

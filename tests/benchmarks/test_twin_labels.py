@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from support.commands import run_module
 
-from benchmarks.sim.twin import labels, pads
-from benchmarks.sim.twin.planted import Bench, felt, printed
+from benchmarks.twin import labels, pads
+from benchmarks.twin.planted import Bench, felt, printed
 from learning.metrics import r_squared
 from sim.errors import SceneError
 from sim.indenters import NAMES, named

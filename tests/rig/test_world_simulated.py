@@ -371,7 +371,7 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
 def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     sensor: str, tmp_path: Path
 ) -> None:
-    from benchmarks.sim.sensors.stream_accuracy import recorded, simulated
+    from benchmarks.twin.session import recorded, simulated
     from sim import Layer
 
     more = "trajectory: {points: [1], angle_step_deg: 180.0}"

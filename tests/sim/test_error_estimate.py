@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.sim.independent.comparison import Settings, Task, compared, round_tasks
+from benchmarks.independent.comparison import Settings, Task, compared, round_tasks
 from sim import Body, Layer, Scene, press, simulate
 from sim.indenters import flat_punch, sphere
 from tests.support.few import few

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.sim.independent.foreign import load
-from benchmarks.sim.independent.foreign_cases import CASES
+from benchmarks.independent.foreign import load
+from benchmarks.independent.foreign_cases import CASES
 from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, press, simulate
 from sim.fem import Fem
 from sim.indenters import Indenter, box, plane, sphere

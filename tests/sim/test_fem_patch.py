@@ -8,7 +8,7 @@ import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array
 
-from benchmarks.sim.reference_solutions import confined_stress, simple_shear_stress, uniaxial_stress
+from benchmarks.independent.formulas import confined_stress, simple_shear_stress, uniaxial_stress
 from sim import Body, Effects, Friction, Gravity, Indenter, Inertia, Scene, Viscosity, press
 from sim.fem import Fem
 from sim.fem.assembly import Assembly

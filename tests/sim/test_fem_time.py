@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.sim.reference_solutions import compression_frequency, hereditary, layer_sag
+from benchmarks.independent.formulas import compression_frequency, hereditary, layer_sag
 from sim import (
     Body,
     Effects,

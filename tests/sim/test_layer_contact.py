@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from benchmarks.sim.reference_solutions import layer_punch, layer_sphere
+from benchmarks.independent.formulas import layer_punch, layer_sphere
 from sim.indenters import flat_punch, named, plane, sphere
 from sim.layer import Layer
 from sim.layer import solver as press_module

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.sim.reference_solutions import boussinesq, cerruti
+from benchmarks.independent.formulas import boussinesq, cerruti
 from sim.errors import SceneError
 from sim.layer.spectral import Convolutions, PixelGrid
 from sim.scene import Body

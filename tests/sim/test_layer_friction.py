@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     hertz_contact_radius,
     mindlin_displacement,
     mindlin_stick_radius,

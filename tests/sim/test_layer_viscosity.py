@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.sim.reference_solutions import hereditary, layer_sphere
+from benchmarks.independent.formulas import hereditary, layer_sphere
 from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer

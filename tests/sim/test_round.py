@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.sim.independent import axisymmetric
-from benchmarks.sim.independent.axisymmetric import AxisymmetricPress
-from benchmarks.sim.independent.mesh import Fine, layer_grid
-from benchmarks.sim.independent.profile import punch
-from benchmarks.sim.independent.profile import sphere as ball
+from benchmarks.independent import axisymmetric
+from benchmarks.independent.axisymmetric import AxisymmetricPress
+from benchmarks.independent.mesh import Fine, layer_grid
+from benchmarks.independent.profile import punch
+from benchmarks.independent.profile import sphere as ball
 from sim import (
     Body,
     Effects,

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.sim.sensors.colour import pictures
 from recorder.markers import count_markers, find_blobs, marker_centres
 from sim.indenters import named, sphere
 from sim.markers import Camera, Renderer
@@ -24,6 +23,7 @@ from sim.sensors import (
     readout,
     sensor,
 )
+from tests.support.colour import pictures
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from benchmarks.sim.sensors.colour import Lamp, Shading
+from tests.support.colour import Lamp, Shading
 
 RED = Lamp(azimuth=math.pi, elevation=0.5, colour=(200.0, 0.0, 0.0))
 BLUE = Lamp(azimuth=0.0, elevation=0.5, colour=(0.0, 0.0, 200.0))

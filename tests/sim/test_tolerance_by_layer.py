@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sim.tolerance as module
-from benchmarks.sim.independent.comparison import round_tasks
+from benchmarks.independent.comparison import round_tasks
 from sim import Body, Fem, Layer, Scene, plan, press, simulate
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, sphere

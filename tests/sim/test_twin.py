@@ -18,8 +18,8 @@ import pytest
 from support.marker_rows import write_rows
 from support.sessions import CONTACT_FRAME, T0, Columns, make_session
 
-from benchmarks.sim.twin.command import usual
-from benchmarks.sim.twin.planted import (
+from benchmarks.twin.command import usual
+from benchmarks.twin.planted import (
     Bench,
     Forces,
     observed,

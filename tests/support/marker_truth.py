@@ -76,10 +76,10 @@ def mock_pictures(view: MarkerView, *, grey_noise: float, frames: int = 6) -> It
 
 def simulated_pictures() -> Iterator[Known]:
     """Yield coloured pictures of the simulator's GelSight under a sphere."""
-    from benchmarks.sim.sensors.colour import pictures
     from sim import press, simulate
     from sim.indenters import named
     from sim.sensors import CameraReadout, SurfaceField, readout, sensor
+    from tests.support.colour import pictures
 
     each = sensor("gelsight")
     motion = press([0.3e-3, 0.6e-3, 1.0e-3], speed=each.speed)

@@ -20,7 +20,7 @@ from benchmarks.hard_cases.laws import (
     smooth,
     validity_laws,
 )
-from benchmarks.sim.reference_solutions import layer_punch
+from benchmarks.independent.formulas import layer_punch
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named, shapes
 from sim.scene import Body, Scene, press

@@ -24,7 +24,7 @@ from benchmarks.hard_cases.laws import (
     slides,
     validity_laws,
 )
-from benchmarks.sim.reference_solutions import layer_sag
+from benchmarks.independent.formulas import layer_sag
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 
 # Stiffness of the only branch over the equilibrium stiffness, and its relaxation time [s].

@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
     from benchmarks.learning.gauge_tables import coverage, jobs, page
     from benchmarks.learning.gauge_tables.skins import write_rows
     from benchmarks.learning.tables.on_gpus import Machine, _gpus, done_in, run_on
-    from benchmarks.sim.twin.command import stored
+    from benchmarks.twin.command import stored
 
     if not all(seed.isdecimal() for seed in options.seeds):
         raise LearningError(f"--seeds: found {', '.join(options.seeds)}; allowed: numbers from 0")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.reference_solutions import (
+from benchmarks.independent.formulas import (
     cone,
     flat_punch,
     hertz,

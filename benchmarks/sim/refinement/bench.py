@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.reference_solutions import NEO_HOOKEAN_SPHERE
+from benchmarks.independent.formulas import NEO_HOOKEAN_SPHERE
 from sim.fem import Fem
 from sim.indenters import sphere
 from sim.result import Result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from benchmarks.sim.reference_solutions.half_space import hertz, hertz_contact_radius
+from benchmarks.independent.formulas.half_space import hertz, hertz_contact_radius
 
 
 def dimitriadis(

@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from benchmarks.sim.independent.axisymmetric import Answer, AxisymmetricPress
-from benchmarks.sim.independent.cases import CASES, MM, Case
-from benchmarks.sim.independent.mesh import layer_grid
+from benchmarks.independent.axisymmetric import Answer, AxisymmetricPress
+from benchmarks.independent.cases import CASES, MM, Case
+from benchmarks.independent.mesh import layer_grid
 
 FILE = Path(__file__).with_name("axisymmetric.csv")
 
@@ -137,7 +137,7 @@ def make(
     """
     from time import perf_counter
 
-    from benchmarks.sim.independent.axisymmetric import NotSolved
+    from benchmarks.independent.axisymmetric import NotSolved
 
     wanted = [case for case in CASES if not only or any(word in case.name for word in only)]
     have = {row.case for row in load(path)}

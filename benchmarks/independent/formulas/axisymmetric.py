@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from benchmarks.sim.reference_solutions.bonded_layer import Base
-from benchmarks.sim.reference_solutions.layer_contact import (
+from benchmarks.independent.formulas.bonded_layer import Base
+from benchmarks.independent.formulas.layer_contact import (
     LayerContact,
     Profile,
     deficit_rule,

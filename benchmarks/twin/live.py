@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.sensors.fit import SPACING
+from benchmarks.twin.rows import SPACING
 from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.errors import SimulationDiverged

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import dawsn
 
-from benchmarks.sim.reference_solutions.half_space import reduced_modulus
+from benchmarks.independent.formulas.half_space import reduced_modulus
 
 Array = NDArray[np.float64]
 

@@ -6,21 +6,21 @@ depth are positive, displacements are in the contact frame (z up, out of the mat
 
 from __future__ import annotations
 
-from benchmarks.sim.reference_solutions.axisymmetric import (
+from benchmarks.independent.formulas.axisymmetric import (
     layer_cone,
     layer_paraboloid,
     layer_punch,
     layer_sphere,
 )
-from benchmarks.sim.reference_solutions.bonded_layer import (
+from benchmarks.independent.formulas.bonded_layer import (
     edge_decay,
     layer_compliance,
     layer_deficit,
     layer_ratio,
 )
-from benchmarks.sim.reference_solutions.deep_indentation import NEO_HOOKEAN_SPHERE, DeepIndentation
-from benchmarks.sim.reference_solutions.dimitriadis import dimitriadis
-from benchmarks.sim.reference_solutions.friction import (
+from benchmarks.independent.formulas.deep_indentation import NEO_HOOKEAN_SPHERE, DeepIndentation
+from benchmarks.independent.formulas.dimitriadis import dimitriadis
+from benchmarks.independent.formulas.friction import (
     mindlin_displacement,
     mindlin_force,
     mindlin_loss,
@@ -28,7 +28,7 @@ from benchmarks.sim.reference_solutions.friction import (
     mindlin_stick_radius,
     mindlin_traction,
 )
-from benchmarks.sim.reference_solutions.half_space import (
+from benchmarks.independent.formulas.half_space import (
     cone,
     cone_contact_radius,
     flat_punch,
@@ -40,26 +40,26 @@ from benchmarks.sim.reference_solutions.half_space import (
     sphere,
     sphere_contact_radius,
 )
-from benchmarks.sim.reference_solutions.hayes import (
+from benchmarks.independent.formulas.hayes import (
     HAYES_KAPPA,
     HAYES_POISSON,
     HAYES_PRINTED,
     hayes_kappa,
 )
-from benchmarks.sim.reference_solutions.homogeneous import (
+from benchmarks.independent.formulas.homogeneous import (
     confined_stress,
     simple_shear_stress,
     uniaxial_stress,
 )
-from benchmarks.sim.reference_solutions.layer_contact import LayerContact
-from benchmarks.sim.reference_solutions.point_load import boussinesq, cerruti
-from benchmarks.sim.reference_solutions.viscoelastic import (
+from benchmarks.independent.formulas.layer_contact import LayerContact
+from benchmarks.independent.formulas.point_load import boussinesq, cerruti
+from benchmarks.independent.formulas.viscoelastic import (
     hereditary,
     lee_radok_punch,
     lee_radok_sphere,
     relaxation_modulus,
 )
-from benchmarks.sim.reference_solutions.wide_layer import (
+from benchmarks.independent.formulas.wide_layer import (
     compression_frequency,
     layer_sag,
     oedometric_modulus,

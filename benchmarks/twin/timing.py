@@ -15,7 +15,6 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.sim.sensors.colour import pictures
 from recorder.command_line.options import add_device
 from recorder.markers import draw_discs
 from sim.device import ready_device
@@ -61,11 +60,6 @@ def stages(frames: int, device: str) -> Iterator[tuple[str, Callable[[], object]
             what = "masks" if seed is None else "masks, turned and segmented"
             yield f"{name}: {what}", partial(reader.masks, field)
             yield f"{name}: displacement lattice", partial(reader.displacement, field)
-            if name == "gelsight":
-                yield (
-                    f"{name}: pictures in colour",
-                    partial(pictures, each, reader, field, device=device),
-                )
 
 
 def dents(body: Body, frames: int) -> SurfaceField:

@@ -20,7 +20,7 @@ from sim.mpm import Mpm
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from benchmarks.sim.independent.comparison import Row
+    from benchmarks.independent.comparison import Row
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     """
     if options.make:
         return _make(options)
-    from benchmarks.sim.independent.comparison import (
+    from benchmarks.independent.comparison import (
         HEAD,
         Settings,
         all_compared,
@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _make(options: argparse.Namespace) -> int:
-    from benchmarks.sim.independent import foreign, truth
+    from benchmarks.independent import foreign, truth
 
     try:
         made = truth if options.make == "axisymmetric" else foreign
@@ -116,7 +116,7 @@ def _make(options: argparse.Namespace) -> int:
 
 
 def _write(path: Path, rows: Sequence[Row]) -> None:
-    from benchmarks.sim.independent.comparison import Row
+    from benchmarks.independent.comparison import Row
 
     names = [one.name for one in fields(Row)]
     with path.open("w", newline="") as file:

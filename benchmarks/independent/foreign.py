@@ -13,10 +13,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from benchmarks.sim.independent.foreign_cases import CASES, ForeignCase
+from benchmarks.independent.foreign_cases import CASES, ForeignCase
 
 FILE = Path(__file__).with_name("foreign.csv")
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 # Environment variable with the interpreter that has GetFEM.
 PYTHON = "FOREIGN_PYTHON"
 # Interpreter for which Debian and Ubuntu install `python3-getfem`.
@@ -120,7 +120,7 @@ Force = tuple[tuple[float, float, float], int]
 
 def _solved(python: str, case: ForeignCase, scale: float) -> list[Force]:
     """Return the force and number of elements at each point of the path that was reached."""
-    module = "benchmarks.sim.independent.getfem_press"
+    module = "benchmarks.independent.getfem_press"
     done = subprocess.run(
         [python, "-m", module, case.name, f"{scale}"],
         capture_output=True,

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.sensors.relaxation import fitted, hysteresis, relaxed
+from benchmarks.twin.relaxation import fitted, hysteresis, relaxed
 from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.fem import FOR_EDGES, Fem

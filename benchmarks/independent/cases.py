@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from benchmarks.sim.independent.axisymmetric import Layer
-from benchmarks.sim.independent.mesh import Fine
-from benchmarks.sim.independent.profile import Kind, Profile, cone, punch, sphere, torus, tube
+from benchmarks.independent.axisymmetric import Layer
+from benchmarks.independent.mesh import Fine
+from benchmarks.independent.profile import Kind, Profile, cone, punch, sphere, torus, tube
 
 MM = 1e-3
 

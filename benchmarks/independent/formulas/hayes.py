@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from benchmarks.sim.reference_solutions.axisymmetric import layer_punch
+from benchmarks.independent.formulas.axisymmetric import layer_punch
 
 # Poisson's ratios of the columns of `HAYES_KAPPA`.
 HAYES_POISSON = (0.30, 0.40, 0.45, 0.49, 0.50)

@@ -14,8 +14,8 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import j0
 
-from benchmarks.sim.reference_solutions.bonded_layer import Base, layer_deficit
-from benchmarks.sim.reference_solutions.half_space import reduced_modulus
+from benchmarks.independent.formulas.bonded_layer import Base, layer_deficit
+from benchmarks.independent.formulas.half_space import reduced_modulus
 
 Array = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.learning.sums import r_squared_of_sums
-from benchmarks.sim.twin.command import each_of, stored
-from benchmarks.sim.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, STEPS, Pad, Pressed, table
+from benchmarks.twin.command import each_of, stored
+from benchmarks.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, STEPS, Pad, Pressed, table
 from learning.compensation.prior import Prior, compensate, curve_of_table, fit_prior
 from learning.compensation.search import best_for_priors
 from learning.compensation.simulated import simulated_labels, twin_forces

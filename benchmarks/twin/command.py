@@ -27,7 +27,7 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 
-from benchmarks.sim.twin.planted import (
+from benchmarks.twin.planted import (
     GRID,
     Bench,
     Forces,

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
+from benchmarks.independent import foreign, foreign_cases
+from benchmarks.independent.cases import CASES, MM, Case
+from benchmarks.independent.foreign_cases import ForeignCase
+from benchmarks.independent.truth import load
 from benchmarks.processes import side_by_side
-from benchmarks.sim.independent import foreign, foreign_cases
-from benchmarks.sim.independent.cases import CASES, MM, Case
-from benchmarks.sim.independent.foreign_cases import ForeignCase
-from benchmarks.sim.independent.truth import load
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import (

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from benchmarks.sim.independent.element import Elastic, Grid, quadratic
-from benchmarks.sim.independent.profile import Profile
+from benchmarks.independent.element import Elastic, Grid, quadratic
+from benchmarks.independent.profile import Profile
 
 Array = NDArray[np.float64]
 Base = Literal["bonded", "sliding"]

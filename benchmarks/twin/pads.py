@@ -11,8 +11,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.twin.command import usual
-from benchmarks.sim.twin.planted import Bench, felt, observed, random_skin, solved
+from benchmarks.twin.command import usual
+from benchmarks.twin.planted import Bench, felt, observed, random_skin, solved
 from recorder.archive import ArchivedSensor, Simulated
 from sim.dataset import DatasetPlan
 from sim.dataset.plan import PlannedPress, code, target_presses

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion
 
-from benchmarks.sim.sensors.colour import pictures
 from recorder.plot import INK, PAPER, SOFT, font
 from sim.device import ready_device
 from sim.fem import FOR_EDGES, Fem
@@ -28,7 +27,7 @@ from sim.layer import Layer
 from sim.result import Result
 from sim.scene import press
 from sim.sensors.field import SurfaceField
-from sim.sensors.readout import CameraReadout, readout
+from sim.sensors.readout import readout
 from sim.sensors.sensor import HETEROGENEOUS, HOMOGENEOUS, MATERIAL, SimulatedSensor, sensor
 from sim.tiers import simulate
 
@@ -120,6 +119,4 @@ def _tiles(each: SimulatedSensor, result: Result) -> list[Tile]:
         Tile(f"{each.name}: {reader.patterns[one]}", text, outlined(masks[one], undeformed[one]))
         for one in shown
     ]
-    if each.name == "gelsight" and isinstance(reader, CameraReadout):
-        tiles.append(Tile(f"{each.name} in colour", text, pictures(each, reader, top)[-1]))
     return tiles

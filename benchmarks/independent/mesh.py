@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.sim.independent.element import Grid
+from benchmarks.independent.element import Grid
 
 Array = NDArray[np.float64]
 

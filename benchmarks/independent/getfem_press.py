@@ -1,6 +1,6 @@
 """Press solved by GetFEM, an independent program, in an interpreter that has it.
 
-    python3 -m benchmarks.sim.independent.getfem_press NAME SCALE
+    python3 -m benchmarks.independent.getfem_press NAME SCALE
 
 prints one line of JSON per point of the path: force on the body [N] and number of elements. SCALE
 multiplies the size of every element. GetFEM (getfem.org; Debian: python3-getfem) assembles the weak
@@ -23,8 +23,8 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from benchmarks.sim.independent.foreign_cases import CASES, ForeignCase
-from benchmarks.sim.independent.mesh import Fine, graded
+from benchmarks.independent.foreign_cases import CASES, ForeignCase
+from benchmarks.independent.mesh import Fine, graded
 
 try:
     import pypardiso
