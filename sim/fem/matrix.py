@@ -15,7 +15,7 @@ float16, which halves the memory traffic that takes most of conjugate gradients'
 for a Newton step to no more than three digits, and its residual is computed from the exact
 equations. On finer meshes, and in nearly incompressible bodies, the rounding outweighs the softest
 motions, and Newton's method takes three times the iterations or does not end
-(docs/decisions/0025).
+(docs/decisions/0032).
 """
 
 import functools

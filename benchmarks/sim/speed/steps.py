@@ -27,7 +27,7 @@ Where = Literal["cpu", "gpu", "both"]
 EVEN = 0.6
 # Name of the baseline run.
 AS_IT_IS = "as it is"
-# Name of a step that CPUs once had too (docs/decisions/0025-whole-tangents-in-products.md).
+# Name of a step that CPUs once had too (docs/decisions/0032-linear-solves.md).
 READ_HALF = "products read the tangent in float16"
 
 
