@@ -26,8 +26,6 @@ from tactile.run import joined
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = "trajectories|recorder|rig|sim|learning|benchmarks"
-# Historical texts: they keep the names of their time.
-HISTORY = ("CHANGELOG.md", "docs/decisions/")
 _PATH = re.compile(
     rf"(?<![\w./-])((?:{PACKAGES}|tests|docs|examples)/[\w./-]*\w\.(?:py|md|csv|sh))\b"
 )
@@ -52,7 +50,7 @@ def _texts() -> list[Path]:
     return [
         ROOT / name
         for name in listed
-        if not name.startswith((*HISTORY, "tests/golden")) and (ROOT / name).is_file()
+        if not name.startswith("tests/golden") and (ROOT / name).is_file()
     ]
 
 
