@@ -69,8 +69,10 @@ NAMES = {
 WHAT_MOST = 1.0
 # Words of a sentence, at most.
 SENTENCE_MOST = 40
-# Pages generated from the code, and lists of changes.
-LEFT_OUT = ("docs/reference/", "CHANGELOG.md")
+# Pages generated from the code.
+LEFT_OUT = tuple(
+    f"docs/reference/{name}.md" for name in ("commands", "public-names", "wrong-inputs")
+)
 
 _WORDS = {re.compile(rf"\b{word}", re.IGNORECASE): instead for word, instead in WORDS.items()}
 _OPENERS = re.compile(r"\s*(What|Whether|How)\b")
