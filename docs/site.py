@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 OUTSIDE = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md"}
 OUTSIDE["CHANGELOG.md"] = "changelog.md"
 DECISIONS = sorted((ROOT / "docs" / "decisions").glob("0*.md"))
+RESULTS = ROOT / "docs" / "results"
 _LINK = re.compile(r"(?<=\]\()(?![a-z]+:|#)([^)\s#]+)")
 _BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$\n?", re.MULTILINE | re.DOTALL)
 _BEGINS = re.compile(r" *([-*|] ?|\d+\. )")
@@ -32,9 +33,14 @@ class _Nested(Extension):
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Add the decisions to the navigation, in their order."""
-    pages = ["README.md", *(path.name for path in DECISIONS)]
-    config.nav.append({"Decisions": [f"decisions/{page}" for page in pages]})
+    """Add results, in the order of their list, and decisions to the navigation."""
+    linked = ["README.md", *_LINK.findall((RESULTS / "README.md").read_text())]
+    there = sorted(str(path.relative_to(RESULTS)) for path in RESULTS.rglob("*.md"))
+    pages = [*dict.fromkeys(page for page in linked if page in there)]
+    pages += [page for page in there if page not in pages]
+    config.nav.append({"Results": [f"results/{page}" for page in pages]})
+    numbered = ["README.md", *(path.name for path in DECISIONS)]
+    config.nav.append({"Decisions": [f"decisions/{page}" for page in numbered]})
     config.markdown_extensions.append(_Nested())
     return config
 
