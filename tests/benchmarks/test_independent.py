@@ -14,7 +14,7 @@ from benchmarks.independent.comparison import foreign_scene, own_error, scene_of
 from benchmarks.independent.element import Elastic, Grid
 from benchmarks.independent.foreign import load as load_foreign
 from benchmarks.independent.foreign_cases import CASES as FOREIGN
-from benchmarks.independent.formulas import layer_punch, layer_sphere
+from benchmarks.independent.formulas import LinearLayer, layer_punch, layer_sphere
 from benchmarks.independent.mesh import Fine, layer_grid
 from benchmarks.independent.profile import Profile, cone, punch, sphere, torus, tube
 from benchmarks.independent.truth import COARSE, load, solved
@@ -73,11 +73,11 @@ def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
     [
         (
             Case("sphere", (4,), 4, (0.02,)),
-            layer_sphere(0.02 * MM, 4 * MM, 4 * MM, MODULUS, POISSON).force,
+            layer_sphere(0.02 * MM, 4 * MM, LinearLayer(4 * MM, MODULUS, POISSON)).force,
         ),
         (
             Case("sphere", (10,), 1, (0.02,)),
-            layer_sphere(0.02 * MM, 10 * MM, 1 * MM, MODULUS, POISSON).force,
+            layer_sphere(0.02 * MM, 10 * MM, LinearLayer(1 * MM, MODULUS, POISSON)).force,
         ),
     ],
     ids=lambda value: value.name if isinstance(value, Case) else "",
@@ -94,9 +94,9 @@ def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
     for edge in (0.2, 0.1):
         case = Case("punch", (3, edge), 4, (depth,))
         forces[edge] = solved(case, case.size / 2 * MM, COARSE)[0].force
-    sharp = layer_punch(depth * MM, 3 * MM, 4 * MM, MODULUS, POISSON).force
+    sharp = layer_punch(depth * MM, 3 * MM, LinearLayer(4 * MM, MODULUS, POISSON)).force
     assert forces[0.2] < forces[0.1] < sharp
-    within = layer_punch(depth * MM, 2.8 * MM, 4 * MM, MODULUS, POISSON).force
+    within = layer_punch(depth * MM, 2.8 * MM, LinearLayer(4 * MM, MODULUS, POISSON)).force
     assert within < forces[0.2]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from benchmarks.independent.formulas import layer_punch, layer_sphere
+from benchmarks.independent.formulas import LinearLayer, layer_punch, layer_sphere
 from sim.indenters import flat_punch, named, plane, sphere
 from sim.layer import Layer
 from sim.layer import solver as press_module
@@ -35,7 +35,8 @@ def _pressed(
 def _exact(radius: float, poisson: float = 0.45) -> list[float]:
     body = Body()
     return [
-        layer_sphere(depth, radius, body.thickness, body.modulus, poisson).force for depth in DEPTHS
+        layer_sphere(depth, radius, LinearLayer(body.thickness, body.modulus, poisson)).force
+        for depth in DEPTHS
     ]
 
 
@@ -61,7 +62,7 @@ def test_forces_are_exact_for_any_poisson_ratio(poisson: float) -> None:
 def test_the_skin_rises_beside_the_contact_as_it_should() -> None:
     result = _pressed(4e-3)
     body = result.scene.body
-    exact = layer_sphere(DEPTHS[-1], 4e-3, body.thickness, body.modulus, body.poisson)
+    exact = layer_sphere(DEPTHS[-1], 4e-3, LinearLayer(body.thickness, body.modulus, body.poisson))
     row = np.argmin(np.abs(result.surface_y))
     distance = np.hypot(result.surface_x, result.surface_y[row])
     beside = (distance > 3.2e-3) & (distance < 8e-3)
@@ -72,7 +73,7 @@ def test_the_skin_rises_beside_the_contact_as_it_should() -> None:
 
 def test_a_sharp_punch_is_right_to_two_hundredths_and_better_with_a_finer_grid() -> None:
     body = Body()
-    exact = layer_punch(0.1e-3, 3e-3, body.thickness, body.modulus, body.poisson).force
+    exact = layer_punch(0.1e-3, 3e-3, LinearLayer(body.thickness, body.modulus, body.poisson)).force
     errors = []
     for grid in (128, 256):
         result = simulate_layer(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.independent.formulas import hereditary, layer_sphere
+from benchmarks.independent.formulas import LinearLayer, hereditary, layer_sphere
 from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
@@ -47,7 +47,8 @@ def test_a_sphere_loads_a_relaxing_layer_as_lee_and_radok_say() -> None:
     body = Body()
     depths = np.linspace(0, depth, 22)[1:]
     exact = [
-        layer_sphere(d, 4e-3, body.thickness, body.modulus, body.poisson).force for d in depths
+        layer_sphere(d, 4e-3, LinearLayer(body.thickness, body.modulus, body.poisson)).force
+        for d in depths
     ]
     times = np.concatenate([np.linspace(0, ramp, 22), motion.time[4:]])
     elastic = np.concatenate([[0.0], exact, np.repeat(exact[-1], 3)])

@@ -20,7 +20,7 @@ from benchmarks.hard_cases.laws import (
     smooth,
     validity_laws,
 )
-from benchmarks.independent.formulas import layer_punch
+from benchmarks.independent.formulas import LinearLayer, layer_punch
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named, shapes
 from sim.scene import Body, Scene, press
@@ -104,7 +104,7 @@ def flat_punch_between_bounds(solver: Solver) -> list[Law]:
     """A flat punch with a rounded edge lies between the exact punches with and without its rim."""
     result = solver.one(Scene(PUNCH, press([PUNCH_DEPTH])))
     narrow, wide = (
-        layer_punch(PUNCH_DEPTH, radius, 4 * MM, 0.145e6, 0.45).force
+        layer_punch(PUNCH_DEPTH, radius, LinearLayer(4 * MM, 0.145e6, 0.45)).force
         for radius in (2.7 * MM, 3.0 * MM)
     )
     # 3 % beyond the bounds for the effect of large strain at a depth of 7.5 % of the thickness.

@@ -1,6 +1,20 @@
-"""Solved contact of a rigid axisymmetric indenter with a layer: force, pressure, surface.
+"""Rigid axisymmetric indenters on a layer, frictionless: exact within linear elasticity.
 
-Everything follows from the density phi of `axisymmetric` and its cosine transform A(k).
+The pressure is represented by a density phi(t) on 0..a (a: contact radius). The surface under the
+indenter has its shape if, for 0 <= t <= a,
+
+    phi(t) + 2/pi int_0^a K(t, s) phi(s) ds = 2/pi (d - g(t)),
+    K(t, s) = int_0^inf (L(k h) - 1) cos(k t) cos(k s) dk,
+
+a Fredholm equation of the second kind (Lebedev & Ufliand, J. Appl. Math. Mech. 22 (1958) 442;
+Hayes et al., J. Biomech. 5 (1972) 541), with L of `layer` and g(t) = t int_0^t z'(r) dr /
+sqrt(t^2 - r^2) for an indenter of height z(r) above its tip. Then F = pi E* int_0^a phi dt. A
+smooth indenter adds phi(a) = 0 (no infinite pressure at the edge), which ties d to a.
+
+Both integrals use Gauss-Legendre rules, so the error decreases faster than any power of the number
+of points. `points` is the number of t up to a/h = 10 and grows in proportion beyond, as does the
+number of k: doubling it changes no force by more than 1e-12 for a/h up to 10 and 1e-10 for a/h up
+to 80, at any nu up to 0.5.
 """
 
 from __future__ import annotations
@@ -12,10 +26,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 from scipy.special import j0
 
-from benchmarks.independent.formulas.bonded_layer import Base, layer_deficit
 from benchmarks.independent.formulas.half_space import reduced_modulus
+from benchmarks.independent.formulas.layer import Base, layer_deficit
 
 Array = NDArray[np.float64]
 
@@ -24,11 +39,29 @@ _ALPHA_MAX = 24.0
 
 
 @dataclass(frozen=True, slots=True)
+class LinearLayer:
+    """Infinite layer on a rigid base, and the resolution of the equation."""
+
+    thickness: float
+    """[m]."""
+    modulus: float
+    """[Pa]."""
+    poisson: float
+    base: Base = "bonded"
+    points: int = 64
+
+    @property
+    def reduced(self) -> float:
+        """E* [Pa]."""
+        return reduced_modulus(self.modulus, self.poisson)
+
+
+@dataclass(frozen=True, slots=True)
 class Profile:
     """Indenter shape in the form used by the integral equation."""
 
     transform: Callable[[Array], Array]
-    """g(t) [m] of `axisymmetric`; 0 at the axis."""
+    """g(t) [m] of the equation; 0 at the axis."""
     slope: Callable[[Array], Array]
     """dg/dt."""
     slope_at_axis: float = 0.0
@@ -40,10 +73,7 @@ class LayerContact:
     """Solved contact, whose results are its properties and methods."""
 
     profile: Profile
-    thickness: float
-    modulus: float
-    poisson: float
-    base: Base
+    layer: LinearLayer
     depth: float
     """Depth of the tip below the undeformed surface [m]."""
     contact_radius: float
@@ -58,7 +88,7 @@ class LayerContact:
     @property
     def force(self) -> float:
         """Pressing force [N]: pi E* int phi dt."""
-        return math.pi * reduced_modulus(self.modulus, self.poisson) * float(np.sum(self.load))
+        return math.pi * self.layer.reduced * float(np.sum(self.load))
 
     def pressure(self, r: ArrayLike) -> Array:
         """Return the contact pressure at distances `r` from the axis [Pa]; 0 outside.
@@ -90,7 +120,7 @@ class LayerContact:
         if self.profile.slope_at_axis:
             part = math.acosh(self.contact_radius / r) if r > 0 else math.inf
             total += self.profile.slope_at_axis * part
-        half_modulus = reduced_modulus(self.modulus, self.poisson) / 2
+        half_modulus = self.layer.reduced / 2
         return half_modulus * (2 / math.pi * total + self.edge_density / leg)
 
     def _displacement(self, r: float) -> float:
@@ -105,8 +135,104 @@ class LayerContact:
 
     def _spectrum(self, reach: float) -> tuple[Array, Array]:
         """Return wave numbers k and (L(k h) - 1) A(k) dk, for sums with cos(k reach) or slower."""
-        k, weight = deficit_rule(self.thickness, self.poisson, self.base, reach)
+        k, weight = deficit_rule(self.layer, reach)
         return k, -weight * (np.cos(np.multiply.outer(k, self.points)) @ self.load)
+
+
+def layer_punch(depth: float, radius: float, layer: LinearLayer) -> LayerContact:
+    """Flat circular punch of `radius` [m], pressed in by `depth` [m].
+
+    Raises:
+        ValueError: The depth is not positive.
+    """
+    _require_depth(depth)
+    flat = Profile(transform=np.zeros_like, slope=np.zeros_like)
+    return _Equation(radius, flat, layer).contact(depth)
+
+
+def layer_sphere(depth: float, radius: float, layer: LinearLayer) -> LayerContact:
+    """True sphere of `radius` [m], pressed in by `depth` [m].
+
+    Raises:
+        ValueError: The depth is not positive, or the contact would pass the equator.
+    """
+
+    def slope(t: Array) -> Array:
+        part = t / radius
+        result: Array = np.arctanh(part) + part / (1 - part**2)
+        return result
+
+    shape = Profile(lambda t: t * np.arctanh(t / radius), slope)
+    limit = radius * (1 - 1e-6)
+    return _smooth(shape, layer, depth, min(math.sqrt(radius * abs(depth)), limit), limit)
+
+
+def layer_cone(depth: float, half_angle: float, layer: LinearLayer) -> LayerContact:
+    """Cone, `half_angle` [rad] from its axis to its side, pressed in by `depth` [m].
+
+    Raises:
+        ValueError: The depth is not positive.
+    """
+    steepness = math.pi / 2 / math.tan(half_angle)
+    shape = Profile(lambda t: steepness * t, lambda t: np.full_like(t, steepness), steepness)
+    return _smooth(shape, layer, depth, abs(depth) / steepness, math.inf)
+
+
+class _Equation:
+    """Integral equation at one contact radius, solved for d = 1 and for g."""
+
+    def __init__(self, contact_radius: float, profile: Profile, layer: LinearLayer) -> None:
+        self.profile, self.contact_radius, self.layer = profile, contact_radius, layer
+        count = math.ceil(layer.points * max(1.0, contact_radius / (10 * layer.thickness)))
+        self.points, self.weights = gauss_rule(contact_radius, count)
+        k, weight = deficit_rule(layer, 2 * contact_radius)
+        rows = np.append(self.points, contact_radius)
+        waves = np.cos(np.multiply.outer(rows, k))
+        kernel = -2 / math.pi * (waves * weight) @ waves[:-1].T * self.weights
+        right = 2 / math.pi * np.stack([np.ones_like(rows), profile.transform(rows)], axis=1)
+        self.solution = np.linalg.solve(np.eye(count) + kernel[:-1], right[:-1])
+        self.edge = right[-1] - kernel[-1] @ self.solution
+
+    @property
+    def smooth_depth(self) -> float:
+        """Depth at which phi(a) = 0 [m]."""
+        return float(self.edge[1] / self.edge[0])
+
+    def contact(self, depth: float) -> LayerContact:
+        density = depth * self.solution[:, 0] - self.solution[:, 1]
+        return LayerContact(
+            profile=self.profile,
+            layer=self.layer,
+            depth=depth,
+            contact_radius=self.contact_radius,
+            points=self.points,
+            load=density * self.weights,
+            edge_density=float(depth * self.edge[0] - self.edge[1]),
+        )
+
+
+def _smooth(
+    profile: Profile, layer: LinearLayer, depth: float, guess: float, limit: float
+) -> LayerContact:
+    """Return the contact whose radius, at most `limit`, has phi(a) = 0 at `depth`."""
+    _require_depth(depth)
+
+    def excess(contact_radius: float) -> float:
+        return _Equation(contact_radius, profile, layer).smooth_depth - depth
+
+    # The layer widens the contact compared with the half-space, where the search begins.
+    low, high = guess / 2, min(1.5 * guess, limit)
+    while excess(high) < 0:
+        if high == limit:
+            raise ValueError(f"depth: {depth!r} m; allowed: less, contact ends at {limit:.6g} m")
+        low, high = high, min(1.5 * high, limit)
+    radius = float(brentq(excess, low, high, xtol=1e-15 * guess, rtol=1e-14))
+    return _Equation(radius, profile, layer).contact(depth)
+
+
+def _require_depth(depth: float) -> None:
+    if not depth > 0:
+        raise ValueError(f"depth: {depth!r} m; allowed: above 0")
 
 
 def gauss_rule(end: float, points: int) -> tuple[Array, Array]:
@@ -115,15 +241,15 @@ def gauss_rule(end: float, points: int) -> tuple[Array, Array]:
     return end / 2 * (place + 1), end / 2 * weight
 
 
-def deficit_rule(thickness: float, poisson: float, base: Base, reach: float) -> tuple[Array, Array]:
+def deficit_rule(layer: LinearLayer, reach: float) -> tuple[Array, Array]:
     """Return wave numbers k and weights such that sum(weight f(k)) = int (1 - L(k h)) f(k) dk.
 
     The integral is over 0..inf, for f that oscillates no faster than cos(k reach), `reach` in m: a
     panel of 16 points spans at most 4 rad of it.
     """
-    panels = math.ceil(_ALPHA_MAX * max(2.0, reach / thickness / 4))
+    panels = math.ceil(_ALPHA_MAX * max(2.0, reach / layer.thickness / 4))
     width = _ALPHA_MAX / panels
     place, weight = gauss_rule(width, 16)
     alpha = np.ravel(width * np.arange(panels)[:, None] + place)
-    fraction = np.tile(weight, panels) * layer_deficit(alpha, poisson, base)
-    return alpha / thickness, fraction / thickness
+    fraction = np.tile(weight, panels) * layer_deficit(alpha, layer.poisson, layer.base)
+    return alpha / layer.thickness, fraction / layer.thickness

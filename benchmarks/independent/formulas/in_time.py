@@ -1,10 +1,10 @@
-"""Lee and Radok: indentation of a relaxing body, from its elastic solution.
+"""Viscosity, weight and inertia of a linear body.
 
-The modulus is E(t) = E (1 + sum_i ratio_i exp(-t/time_i)), with the equilibrium modulus E;
-Poisson's ratio is constant, so the bulk relaxes with the shear. Any elastic force F_el with
-modulus E becomes F(t) = int_0^t (E(t - s)/E) dF_el(s), as long as the contact never shrinks: Lee &
-Radok, J. Appl. Mech. 27 (1960) 438. Motions are linear between the given times, as in `Motion`;
-depth before the first time is 0, so a first depth above 0 is a jump.
+The modulus is E(t) = E (1 + sum_i ratio_i exp(-t/time_i)) with the equilibrium modulus E; Poisson's
+ratio is constant. An elastic force F_el with modulus E becomes F(t) = int_0^t (E(t - s)/E) dF_el(s)
+as long as the contact never shrinks: Lee & Radok, J. Appl. Mech. 27 (1960) 438. Motions are linear
+between the given times, as in `Motion`; a first depth above 0 is a jump. A wide bonded layer, from
+z = -h to 0, is a function of height at several heights from its sides.
 """
 
 from __future__ import annotations
@@ -19,17 +19,6 @@ from scipy.special import dawsn
 from benchmarks.independent.formulas.half_space import reduced_modulus
 
 Array = NDArray[np.float64]
-
-
-def relaxation_modulus(
-    time: ArrayLike, modulus: float, ratios: Sequence[float], times: Sequence[float]
-) -> Array:
-    """Return E(t) after a step of strain [Pa]; `modulus` is the equilibrium modulus."""
-    time = np.asarray(time, float)
-    value = np.ones_like(time)
-    for ratio, relaxation in zip(ratios, times, strict=True):
-        value = value + ratio * np.exp(-time / relaxation)
-    return modulus * value
 
 
 def hereditary(
@@ -54,29 +43,6 @@ def hereditary(
             memory[index] = memory[index - 1] * math.exp(-span / relaxation) + fresh
         total += ratio * memory
     return total
-
-
-def lee_radok_punch(
-    time: Sequence[float],
-    depth: ArrayLike,
-    radius: float,
-    modulus: float,
-    poisson: float,
-    ratios: Sequence[float],
-    times: Sequence[float],
-    *,
-    kappa: float = 1.0,
-) -> Array:
-    """Return the force of a flat punch [N]: F = 2 a kappa/(1 - nu^2) int E(t - s) d depth(s).
-
-    Valid at `time` (N,) for any history of `depth` (N,) [m], including withdrawal, while the force
-    is positive (no adhesion). `kappa` is 1 on the half-space, `hayes_kappa` on a layer.
-
-    Raises:
-        ValueError: Times that do not increase, or lengths that differ.
-    """
-    stiffness = 2 * radius * kappa * reduced_modulus(modulus, poisson)
-    return hereditary(time, stiffness * np.asarray(depth, float), ratios, times)
 
 
 def lee_radok_sphere(
@@ -133,3 +99,36 @@ def _checked(time: Sequence[float], values: ArrayLike, name: str) -> tuple[Array
     if np.any(np.diff(at) <= 0):
         raise ValueError("time: not increasing; allowed: increasing [s]")
     return at, values
+
+
+def oedometric_modulus(modulus: float, poisson: float) -> float:
+    """Return M = E (1 - nu) / ((1 + nu)(1 - 2 nu)) [Pa]: confined stress over strain."""
+    return modulus * (1 - poisson) / ((1 + poisson) * (1 - 2 * poisson))
+
+
+def layer_sag(
+    z: ArrayLike,
+    acceleration: Sequence[float],
+    thickness: float,
+    density: float,
+    modulus: float,
+    poisson: float,
+) -> Array:
+    """Return the displacement (..., 3) at height `z` under a uniform acceleration (x, y, z) [m].
+
+    u_i = density a_i (h^2 - z^2) / (2 C_i), C = (G, G, M): the solution of C u'' + density a = 0,
+    u(-h) = 0, u'(0) = 0. The top sinks by density g h^2 / (2 M).
+    """
+    shear = modulus / (2 * (1 + poisson))
+    stiffness = np.array([shear, shear, oedometric_modulus(modulus, poisson)])
+    profile = (thickness**2 - np.square(np.asarray(z, float))) / 2
+    sag: Array = profile[..., None] * density * np.asarray(acceleration, float) / stiffness
+    return sag
+
+
+def compression_frequency(
+    thickness: float, density: float, modulus: float, poisson: float, *, overtone: int = 0
+) -> float:
+    """Return the vertical frequency [Hz]: (2 n + 1) c_p / (4 h), c_p = sqrt(M / density)."""
+    speed = math.sqrt(oedometric_modulus(modulus, poisson) / density)
+    return (2 * overtone + 1) * speed / (4 * thickness)

@@ -9,12 +9,10 @@ where L is 1 on a half-space. Frictionless load, small strain, any Poisson's rat
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 Array = NDArray[np.float64]
 # Boundary condition at the base: glued, or sliding without lifting.
@@ -73,21 +71,6 @@ def layer_compliance(
     per_alpha = np.divide(ratio, alpha, out=np.full_like(alpha, slope), where=alpha > 0)
     compliance: Array = 2 * (1 - poisson**2) * thickness / modulus * per_alpha
     return compliance
-
-
-def edge_decay(poisson: float) -> float:
-    """Return the rate b at which the effect of a bonded layer's far edge decays, as exp(-b x/h).
-
-    The root of 2 kappa cos 2b + 1 + kappa^2 - 4 b^2 = 0, the pole of L at alpha = i b nearest to
-    the real axis: 0.739 (nu = 0.5), 0.783 (0.45), 0.913 (0.3). Formulas for an infinite layer
-    apply to a block only where exp(-b x/h) is small, x being the distance to the nearest side.
-    """
-    kappa = 3 - 4 * poisson
-
-    def denominator(rate: float) -> float:
-        return 2 * kappa * math.cos(2 * rate) + 1 + kappa**2 - 4 * rate**2
-
-    return float(brentq(denominator, 0.5, math.pi / 2, xtol=1e-15))
 
 
 def _denominator(alpha: Array, poisson: float, base: Base) -> Array:

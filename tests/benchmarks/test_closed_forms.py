@@ -1,0 +1,624 @@
+"""Closed forms and integral equations against quadrature, their limits and each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+from scipy.integrate import quad, solve_bvp
+from scipy.linalg import eigh, expm
+from scipy.optimize import minimize_scalar
+
+from benchmarks.independent.formulas import (
+    LinearLayer,
+    boussinesq,
+    cerruti,
+    compression_frequency,
+    cone,
+    confined_stress,
+    flat_punch,
+    hereditary,
+    hertz,
+    hertz_contact_radius,
+    layer_compliance,
+    layer_cone,
+    layer_deficit,
+    layer_punch,
+    layer_ratio,
+    layer_sag,
+    layer_sphere,
+    lee_radok_sphere,
+    mindlin_displacement,
+    mindlin_force,
+    mindlin_stick_radius,
+    oedometric_modulus,
+    reduced_modulus,
+    simple_shear_stress,
+    uniaxial_stress,
+)
+from benchmarks.independent.formulas.layer_contact import deficit_rule
+from tests.support.few import few
+
+Array = NDArray[np.float64]
+
+SOFT = (0.145e6, 0.45)
+GEL = LinearLayer(4e-3, *SOFT)
+POISSON = [0.0, 0.3, 0.45, 0.4999, 0.5]
+ANY_LAYER = [("bonded", nu) for nu in POISSON] + [("frictionless", 0.3)]
+# Shapes by size: function of the layer, height above the tip, force on a half-space.
+SHAPES: dict[str, tuple[Any, float, Callable[[Array, float], Array]]] = {
+    "punch": (layer_punch, 3e-3, lambda r, size: np.zeros_like(r)),
+    "sphere": (layer_sphere, 4e-3, lambda r, size: size - np.sqrt(size**2 - r**2)),
+    "cone": (layer_cone, 1.2, lambda r, size: r / math.tan(size)),
+}
+ANY_SHAPE = pytest.mark.parametrize("shape", SHAPES)
+SMOOTH = pytest.mark.parametrize("shape", ["sphere", "cone"])
+
+
+def unit(ratio: float, poisson: float, base: Any = "bonded", **how: Any) -> float:
+    """Return the force of a punch as wide as `ratio` heights, of modulus and depth 1."""
+    return layer_punch(1.0, ratio, LinearLayer(1.0, 1.0, poisson, base, **how)).force
+
+
+# Waves on a layer.
+
+
+def _ratio_from_elasticity(alpha: float, poisson: float, base: str) -> float:
+    """Return L(alpha), integrating (U, W, T, S) from base to top through plane-strain elasticity.
+
+    u = U sin kx, w = W cos kx, shear traction T sin kx, normal traction S cos kx; G = k = 1. The
+    state's derivative contains lambda only in quotients that stay finite at nu = 0.5.
+    """
+    quotient = poisson / (1 - poisson)  # lambda / (lambda + 2 G)
+    inverse = (1 - 2 * poisson) / (2 * (1 - poisson))  # G / (lambda + 2 G)
+    system = np.array(
+        [
+            [0, 1, 1, 0],  # T = U' - W
+            [-quotient, 0, 0, inverse],  # S = (lambda + 2 G) W' + lambda U
+            [2 + 2 * quotient, 0, 0, quotient],  # T' = (lambda + 2 G) U + lambda W'
+            [0, 0, -1, 0],  # S' = -T
+        ]
+    )
+    # At the base W = 0 and U = 0 (bonded) or T = 0 (frictionless): two amplitudes are free.
+    top = expm(system * alpha)[:, [2, 3] if base == "bonded" else [0, 3]]
+    amplitude = np.linalg.solve(top[2:], [0.0, 1.0])
+    return float(top[1] @ amplitude) / (1 - poisson)  # over 2 (1 - nu^2)/(E k) = (1 - nu)/G
+
+
+@pytest.mark.parametrize(("base", "poisson"), ANY_LAYER)
+def test_waves_solve_the_equations_of_elasticity(base: Any, poisson: float) -> None:
+    for alpha in (0.1, 0.5, 1.0, 2.0, 4.0, 7.0):
+        expected = _ratio_from_elasticity(alpha, poisson, base)
+        assert layer_ratio(alpha, poisson, base) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("poisson", POISSON)
+def test_waves_keep_their_digits_where_the_textbook_form_loses_them(poisson: float) -> None:
+    alpha = np.concatenate([np.geomspace(1e-2, 0.4, 12), np.linspace(0.45, 0.55, 11), [1, 5, 20]])
+    a, nu = alpha.astype(np.longdouble), np.longdouble(poisson)
+    kappa = 3 - 4 * nu
+    above = 2 * kappa * np.sinh(2 * a) - 4 * a
+    below = 2 * kappa * np.cosh(2 * a) + 1 + kappa**2 + 4 * a**2
+    expected = (above / below).astype(float)
+    np.testing.assert_allclose(layer_ratio(alpha, poisson), expected, rtol=2e-14)
+
+
+@pytest.mark.parametrize(("base", "poisson"), ANY_LAYER)
+def test_waves_are_safe_from_nothing_to_a_million(base: Any, poisson: float) -> None:
+    alpha = np.concatenate([[0.0, 1e-300, 1e-30], np.geomspace(1e-8, 1e6, 200)])
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        ratio = layer_ratio(alpha, poisson, base)
+        deficit = layer_deficit(alpha, poisson, base)
+    assert np.all(ratio >= 0)
+    np.testing.assert_allclose(ratio + deficit, 1, rtol=0, atol=5e-16)
+    assert (ratio[0], ratio[-1], deficit[-1]) == (0, 1, 0)
+
+
+def test_the_deficit_keeps_its_digits_where_the_ratio_is_one() -> None:
+    alpha = 30.0
+    expected = (4 * alpha**2 + 4 * alpha + 1 + 1.2**2) * np.exp(-2 * alpha) / 1.2
+    assert layer_deficit(alpha, 0.45) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wave", "base", "poisson", "compliance"),
+    [
+        *(
+            (wave, "bonded", nu, 2 / oedometric_modulus(1.0, nu))
+            for nu in (0.0, 0.3, 0.49)
+            for wave in (0.0, 1e-6)
+        ),
+        (0.0, "frictionless", 0.3, 2 / reduced_modulus(1.0, 0.3)),
+        (1e-6, "frictionless", 0.3, 2 / reduced_modulus(1.0, 0.3)),
+        # Lubrication: h^3 k^2 / (3 G).
+        (1e-5, "bonded", 0.5, 2**3 * 1e-5**2),
+        (0.0, "bonded", 0.5, 0.0),
+        (50.0, "bonded", 0.3, 2 / (reduced_modulus(1.0, 0.3) * 50)),
+        (50.0, "frictionless", 0.3, 2 / (reduced_modulus(1.0, 0.3) * 50)),
+    ],
+)
+def test_long_waves_feel_the_layer_and_short_ones_a_half_space(
+    wave: float, base: Any, poisson: float, compliance: float
+) -> None:
+    found = layer_compliance(wave, 2.0, 1.0, poisson, base)
+    assert found == pytest.approx(compliance, rel=1e-6, abs=0)
+
+
+# Contact with a layer.
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.45, 0.5])
+@ANY_SHAPE
+def test_the_surface_takes_the_shape_of_the_indenter(shape: str, poisson: float) -> None:
+    pressed, size, height = SHAPES[shape]
+    contact = pressed(1e-3, size, LinearLayer(4e-3, 0.145e6, poisson))
+    r = contact.contact_radius * np.array([0.0, 0.2, 0.5, 0.8, 0.99])
+    # The density of a cone has a kink at the axis, so its transform converges more slowly.
+    tolerance = 1e-6 if shape == "cone" else 1e-11
+    expected = height(r, size) - 1e-3
+    np.testing.assert_allclose(contact.displacement(r), expected, rtol=0, atol=1e-3 * tolerance)
+
+
+@pytest.mark.parametrize("base", ["bonded", "frictionless"])
+@ANY_SHAPE
+def test_the_pressure_adds_up_to_the_force(shape: str, base: Any) -> None:
+    pressed, size, _ = SHAPES[shape]
+    contact = pressed(1e-3, size, LinearLayer(4e-3, *SOFT, base))
+    place, weight = leggauss(64)
+    angle = np.pi / 4 * (place + 1)
+    r = contact.contact_radius * np.sin(angle)
+    ring = np.pi / 4 * weight * contact.contact_radius * np.cos(angle)
+    force = 2 * np.pi * np.sum(contact.pressure(r) * r * ring)
+    assert force == pytest.approx(contact.force, rel=1e-6)
+    assert contact.pressure(1.001 * contact.contact_radius) == 0
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.5])
+@pytest.mark.parametrize("ratio", few([0.3, 2.0, 10.0], 2))
+def test_more_points_change_nothing(ratio: float, poisson: float) -> None:
+    assert unit(ratio, poisson) == pytest.approx(unit(ratio, poisson, points=128), rel=1e-11)
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.7, 20.0])
+def test_the_rule_for_waves_integrates_what_it_promises(reach: float) -> None:
+    k, weight = deficit_rule(LinearLayer(1.0, 1.0, 0.5), reach)
+    expected, _ = quad(
+        lambda alpha: float(layer_deficit(alpha, 0.5)) * math.cos(alpha * reach),
+        *(0, 24),
+        epsabs=1e-13,
+        epsrel=1e-13,
+        limit=400,
+    )
+    assert np.sum(weight * np.cos(k * reach)) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_thick_layer_is_a_half_space() -> None:
+    depth, deep = 1e-3, LinearLayer(4e3, *SOFT)
+    punch = layer_punch(depth, 3e-3, deep)
+    assert punch.force == pytest.approx(flat_punch(depth, 3e-3, *SOFT), rel=1e-5)
+    edge = flat_punch(depth, 3e-3, *SOFT) / (2 * np.pi * 3e-3) / math.sqrt(3e-3**2 - 1e-3**2)
+    assert punch.pressure(1e-3) == pytest.approx(edge, rel=1e-5)
+    # F = E* ((a^2 + R^2) artanh(a/R) - a R), d = a artanh(a/R): Sneddon (1965).
+    true, radius = layer_sphere(depth, 4e-3, deep), 4e-3
+    across, turn = true.contact_radius, math.atanh(true.contact_radius / radius)
+    assert across * turn == pytest.approx(depth, rel=1e-5)
+    expected = reduced_modulus(*SOFT) * ((across**2 + radius**2) * turn - across * radius)
+    assert true.force == pytest.approx(expected, rel=1e-5)
+    blunt = layer_cone(depth, 1.2, deep)
+    assert blunt.force == pytest.approx(cone(depth, 1.2, *SOFT), rel=1e-5)
+    # Under a cone p = E*/2 cot(angle) arcosh(a/r): Sneddon (1965).
+    steep = reduced_modulus(*SOFT) / 2 / math.tan(1.2)
+    expected = steep * math.acosh(blunt.contact_radius / 0.5e-3)
+    assert blunt.pressure(0.5e-3) == pytest.approx(expected, rel=1e-4)
+    assert blunt.pressure(0.0) == math.inf
+
+
+@pytest.mark.parametrize(
+    ("base", "poisson", "exponent", "film"),
+    [
+        ("bonded", 0.3, 2, math.pi * oedometric_modulus(1.0, 0.3)),
+        ("frictionless", 0.3, 2, math.pi * reduced_modulus(1.0, 0.3)),
+        # Reynolds: p = 3 G d (a^2 - r^2) / (4 h^3), F = 3 pi G d a^4 / (8 h^3).
+        ("bonded", 0.5, 4, math.pi / 8),
+    ],
+    ids=["springs", "sliding springs", "squeezed film"],
+)
+def test_a_thin_layer_carries_a_punch_as_a_film(
+    base: Any, poisson: float, exponent: int, film: float
+) -> None:
+    """The rest is an edge effect: the punch acts as if wider by a fixed fraction of the height."""
+    half, full = (
+        (unit(ratio, poisson, base) / film) ** (1 / exponent) - ratio for ratio in (20.0, 40.0)
+    )
+    assert 0 < full < 1.5
+    assert half == pytest.approx(full, rel=2e-3)
+
+
+@SMOOTH
+def test_stiffness_is_that_of_a_punch_as_wide_as_the_contact(shape: str) -> None:
+    (pressed, size, _), step = SHAPES[shape], 1e-7
+    rise = pressed(1e-3 + step, size, GEL).force - pressed(1e-3 - step, size, GEL).force
+    punch = layer_punch(1.0, pressed(1e-3, size, GEL).contact_radius, GEL).force
+    assert rise / (2 * step) == pytest.approx(punch, rel=1e-6)
+
+
+@pytest.mark.parametrize(("depth", "force"), [(0.1e-3, 0.01833), (0.5e-3, 0.263), (1.5e-3, 1.8618)])
+def test_a_sphere_on_the_papers_gel_has_its_known_forces(depth: float, force: float) -> None:
+    assert layer_sphere(depth, 4e-3, GEL).force == pytest.approx(force, rel=3e-4)
+
+
+def test_a_punch_has_the_published_factors_of_a_layer() -> None:
+    """Hayes' kappa, J. Biomech. 5 (1972) 541, whose integral equation is solved to convergence."""
+    for ratio, row in {
+        0.2: (1.2066, 1.2523, 1.2806),
+        0.6: (1.7848, 2.0328, 2.2129),
+        1.0: (2.4835, 3.0914, 3.6187),
+        2.0: (4.3532, 6.4206, 9.1494),
+    }.items():
+        for poisson, kappa in zip((0.30, 0.45, 0.50), row, strict=True):
+            found = unit(ratio, poisson) / flat_punch(1.0, ratio, 1.0, poisson)
+            assert found == pytest.approx(kappa, abs=1.01e-4)
+
+
+def _paraboloid(c: float, poisson: float) -> float:
+    """Return the force over Hertz' at sqrt(R d)/h = c, by a sphere much larger than its contact."""
+    depth, radius = c**2 / 1e3, 1e3
+    exact = layer_sphere(depth, radius, LinearLayer(1.0, 1.0, poisson)).force
+    return exact / hertz(depth, radius, 1.0, poisson)
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45, 0.5])
+def test_small_contacts_follow_the_expansion_of_the_equation(poisson: float) -> None:
+    """F/F_Hertz in c = sqrt(R d)/h up to c^4, derived by hand.
+
+    cos kt cos ks = 1 - k^2 (t^2 + s^2)/2 makes phi a parabola, with which
+    c^2 = x^2 - p x^3 + 6/5 e x^5 - p e x^6 and F/F_Hertz = (x/c)^3 (1 + e x^3), x = a/h,
+    p = 4/(3 pi) int (1 - L) d alpha, e = 2/(3 pi) int (1 - L) alpha^2 d alpha.
+    """
+
+    def moment(power: int) -> float:
+        return quad(lambda alpha: float(layer_deficit(alpha, poisson)) * alpha**power, 0, 30)[0]
+
+    p, e = 4 / (3 * math.pi) * moment(0), 2 / (3 * math.pi) * moment(2)
+    terms = (1, 3 / 2 * p, 21 / 8 * p**2, 5 * p**3 - 4 / 5 * e, 1287 / 128 * p**4 - 18 / 5 * p * e)
+    for c in (0.01, 0.03, 0.06):
+        series = sum(term * c**power for power, term in enumerate(terms))
+        assert _paraboloid(c, poisson) == pytest.approx(series, rel=2 * c**5 + 1e-9)
+
+
+def test_the_published_series_for_an_incompressible_layer_agrees() -> None:
+    """Garcia & Garcia, Biophys. J. 114 (2018) 2923: paraboloid, nu = 0.5."""
+    for c in (0.1, 0.2, 0.3, 0.4):
+        published = 1 + 1.133 * c + 1.497 * c**2 + 1.469 * c**3 + 0.755 * c**4
+        assert _paraboloid(c, 0.5) == pytest.approx(published, rel=3e-3)
+
+
+# All forces.
+
+FORCES: dict[str, Callable[[float, float, float], float]] = {
+    # Functions of depth [m], of the unit of all other lengths [m], and of the modulus [Pa].
+    "hertz": lambda depth, length, modulus: hertz(depth, 4 * length, modulus, 0.45),
+    "punch": lambda depth, length, modulus: flat_punch(depth, 3 * length, modulus, 0.45),
+    "cone": lambda depth, length, modulus: cone(depth, 1.2, modulus, 0.45),
+    **{
+        f"layer, {shape}": lambda depth, length, modulus, made=made, size=size: (
+            made(
+                depth,
+                size if made is layer_cone else 1e3 * size * length,
+                LinearLayer(4 * length, modulus, 0.45),
+            ).force
+        )
+        for shape, (made, size, _) in SHAPES.items()
+    },
+    "relaxing": lambda depth, length, modulus: float(
+        lee_radok_sphere([0, 1], [0, depth], 4 * length, modulus, 0.45, (0.5,), (0.3,))[-1]
+    ),
+    "sheared": lambda depth, length, modulus: mindlin_force(
+        depth, 0.5 * modulus * length**2, 0.6, length, modulus, 0.45
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_forces_grow_with_depth_as_the_modulus_and_as_the_square_of_lengths(name: str) -> None:
+    force = FORCES[name]
+    one = force(0.1, 1.0, 1.0)
+    assert 0 < one < force(0.12, 1.0, 1.0)
+    assert force(0.1, 1.0, 2e5) == pytest.approx(2e5 * one)
+    assert force(0.1e-3, 1e-3, 1.0) == pytest.approx(1e-6 * one)
+
+
+# Half-space.
+
+
+@pytest.mark.parametrize("depth", [1e-5, 1.5e-3])
+@pytest.mark.parametrize(
+    ("force", "argument", "radius", "slope"),
+    [
+        (hertz, 4e-3, hertz_contact_radius, lambda x: x / 4e-3),
+        (
+            cone,
+            1.2,
+            lambda d, angle: 2 / math.pi * d * math.tan(angle),
+            lambda x: 1 / math.tan(1.2),
+        ),
+    ],
+    ids=["paraboloid", "cone"],
+)
+def test_forces_solve_the_integrals_of_the_profile(
+    force: Any, argument: float, radius: Any, slope: Any, depth: float
+) -> None:
+    """d = a int z'(a sin) d, F = 2 E* int z' (a sin)^2 d: Galin and Sneddon."""
+    a = radius(depth, argument)
+    first = quad(lambda angle: slope(a * math.sin(angle)), 0, np.pi / 2)[0]
+    assert a * first == pytest.approx(depth, rel=1e-10)
+    second = quad(lambda angle: slope(a * math.sin(angle)) * math.sin(angle) ** 2, 0, np.pi / 2)[0]
+    expected = 2 * reduced_modulus(*SOFT) * a**2 * second
+    assert force(depth, argument, *SOFT) == pytest.approx(expected, rel=1e-8)
+    assert force(0.0, 1.0, *SOFT) == force(-1e-3, 1.0, *SOFT) == flat_punch(-1e-3, 1.0, *SOFT) == 0
+
+
+def _under(traction: Any, load: Any, x: float, y: float, radii: tuple[float, ...]) -> Array:
+    """Return the surface displacement (3,) at (x, y) under traction(r), by a point load.
+
+    Polar coordinates about the point; each chord is split at `radii`, where the traction has a
+    kink, and sines remove the square roots at the ends of its parts.
+    """
+    place, weight = leggauss(24)
+    total, count = np.zeros(3), 96
+    for direction in (np.arange(count) + 0.5) * 2 * np.pi / count:
+        ahead = np.array([math.cos(direction), math.sin(direction)])
+        along, ends = x * ahead[0] + y * ahead[1], [0.0]
+        for radius in radii:
+            inside = along**2 - x * x - y * y + radius**2
+            if inside > 0:
+                both = (-along - math.sqrt(inside), -along + math.sqrt(inside))
+                ends += [root for root in both if root > 0]
+        for low, high in pairwise(sorted(ends)):
+            distance = (high + low) / 2 + (high - low) / 2 * np.sin(np.pi / 2 * place)
+            step = (high - low) / 2 * np.cos(np.pi / 2 * place) * np.pi / 2 * weight
+            at_x, at_y = distance * ahead[0], distance * ahead[1]
+            strength = traction(np.hypot(x + at_x, y + at_y)) * distance * step
+            total += strength @ load(-at_x, -at_y, 1.0, *SOFT)
+    return total * 2 * np.pi / count
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.8])
+def test_a_point_load_under_the_pressure_of_hertz_gives_the_paraboloid(fraction: float) -> None:
+    depth, radius = 0.3e-3, 4e-3
+    a = hertz_contact_radius(depth, radius)
+    peak = 3 * hertz(depth, radius, *SOFT) / (2 * math.pi * a**2)
+    x = fraction * a
+    moved = _under(lambda r: -peak * np.sqrt(1 - (r / a) ** 2), boussinesq, x, 0.0, (a,))
+    assert moved[2] == pytest.approx(x**2 / (2 * radius) - depth, rel=1e-6)
+    # u_r = -(1 - 2 nu)(1 + nu)/(3 E) p0 a^2/r (1 - (1 - r^2/a^2)^1.5): Johnson (1985), eq. 3.41b.
+    modulus, poisson = SOFT
+    drag = (1 - 2 * poisson) * (1 + poisson) / (3 * modulus) * peak * a
+    inwards = -drag * (1 - (1 - fraction**2) ** 1.5) / fraction if fraction else 0.0
+    assert moved[0] == pytest.approx(inwards, rel=1e-5, abs=1e-12)
+
+
+def test_point_loads_are_reciprocal_and_take_arrays() -> None:
+    """Betti: swapping the two points and the two directions gives the same displacement."""
+    x, y = np.array([0.7e-3, 2e-3]), np.array([-1.9e-3, 1e-3])
+    up, along = boussinesq(x, y, 1.0, *SOFT), cerruti(x, y, 1.0, *SOFT)
+    assert up[:, 0] == pytest.approx(cerruti(-x, -y, 1.0, *SOFT)[:, 2])
+    assert along[:, 1] == pytest.approx(cerruti(y, x, 1.0, *SOFT)[:, 1])
+    assert along[1] == pytest.approx(cerruti(2e-3, 1e-3, 1.0, *SOFT))
+    # Nothing mixes normal and tangential on an incompressible surface.
+    assert boussinesq(1e-3, 2e-3, 1.0, 1e5, 0.5)[:2] == pytest.approx([0, 0])
+    assert cerruti(1e-3, 2e-3, 1.0, 1e5, 0.5)[2] == 0
+
+
+# Friction: normal force [N], coefficient, contact radius [m], modulus [Pa], Poisson's ratio.
+
+NORMAL, COEFFICIENT, RADIUS = 0.5, 0.6, 1.4e-3
+MOST = NORMAL * COEFFICIENT
+SYSTEM = (NORMAL, COEFFICIENT, RADIUS, *SOFT)
+
+
+@pytest.mark.parametrize("fraction", [0.2, 0.7, 0.95])
+def test_the_sticking_core_moves_as_one_and_its_rim_stays_behind(fraction: float) -> None:
+    """Traction 3 mu N / (2 pi a^3) (sqrt(a^2 - r^2) - sqrt(c^2 - r^2)), by Cerruti's point load."""
+    core = mindlin_stick_radius(fraction * MOST, *SYSTEM[:3])
+
+    def traction(r: Array) -> Array:
+        slip, stick = (np.sqrt(np.maximum(each**2 - r**2, 0)) for each in (RADIUS, core))
+        return 3 * MOST / (2 * math.pi * RADIUS**3) * (slip - stick)
+
+    shift = mindlin_displacement(fraction * MOST, *SYSTEM)
+    for x, y in ((0.0, 0.0), (0.6 * core, 0.0), (-0.3 * core, 0.8 * core)):
+        moved = _under(traction, cerruti, x, y, (core, RADIUS))
+        assert moved[0] == pytest.approx(shift, rel=1e-5)
+        assert abs(moved[1]) < 1e-5 * shift
+    rim = _under(traction, cerruti, 0.99 * RADIUS, 0.0, (core, RADIUS))[0]
+    assert 0 < rim < shift
+
+
+def test_force_is_the_inverse_of_displacement_up_to_full_slip() -> None:
+    for fraction in (-1.0, -0.4, 0.0, 0.1, 0.99, 1.0):
+        shift = mindlin_displacement(fraction * MOST, *SYSTEM)
+        assert mindlin_force(shift, *SYSTEM) == pytest.approx(fraction * MOST, rel=1e-9, abs=1e-15)
+    assert mindlin_force(10 * mindlin_displacement(MOST, *SYSTEM), *SYSTEM) == MOST
+    # A small push meets the stiffness of full stick, 8 a G / (2 - nu).
+    stiffness = 8 * RADIUS * SOFT[0] / (2 * (1 + SOFT[1])) / (2 - SOFT[1])
+    small = mindlin_displacement(1e-6 * MOST, *SYSTEM)
+    assert small == pytest.approx(1e-6 * MOST / stiffness, rel=1e-6)
+
+
+# Large strain.
+
+
+def _energy(gradient: Any, poisson: float) -> Any:
+    """Return W(F) of modulus 1 as defined by `Body`, also for complex F."""
+    shear, bulk = 1 / (2 * (1 + poisson)), 1 / (3 * (1 - 2 * poisson))
+    volume = np.linalg.det(gradient)
+    isochoric = shear / 2 * (volume ** (-2 / 3) * np.sum(gradient * gradient) - 3)
+    return isochoric + bulk / 2 * ((volume**2 - 1) / 2 - np.log(volume))
+
+
+def _nominal(gradient: Any, poisson: float) -> Array:
+    """Return P = dW/dF (3, 3) by complex steps, exact to round-off."""
+    stress = np.empty((3, 3))
+    for index in np.ndindex(3, 3):
+        stepped = gradient.astype(complex)
+        stepped[index] += 1e-30j
+        stress[index] = _energy(stepped, poisson).imag / 1e-30
+    return stress
+
+
+@pytest.mark.parametrize("poisson", [0.0, 0.45, 0.499])
+@pytest.mark.parametrize("stretch", [0.4, 1.0, 1.3])
+def test_stress_is_the_slope_of_the_energy(stretch: float, poisson: float) -> None:
+    confined = _nominal(np.diag([1.0, 1.0, stretch]), poisson)[2, 2]
+    assert confined_stress(stretch, 1.0, poisson) == pytest.approx(confined, rel=1e-10, abs=1e-13)
+    side = minimize_scalar(
+        lambda side: float(_energy(np.diag([side, side, stretch]), poisson)),
+        bounds=(0.4, 2.5),
+        method="bounded",
+        options={"xatol": 1e-12},
+    ).x
+    free = _nominal(np.diag([side, side, stretch]), poisson)
+    # The minimum is flat, so its position and the stress have only half the digits.
+    assert uniaxial_stress(stretch, 1.0, poisson) == pytest.approx(free[2, 2], abs=1e-5)
+    gradient = np.eye(3)
+    gradient[0, 2] = stretch - 1.7
+    sheared = _nominal(gradient, poisson)
+    shear = simple_shear_stress(stretch - 1.7, 1.0, poisson)
+    assert shear == pytest.approx((sheared[0, 2], sheared[2, 2]))
+
+
+def test_small_strains_meet_the_linear_moduli_and_a_rubber_bar_the_textbook() -> None:
+    for stress, modulus in (
+        (confined_stress, oedometric_modulus(*SOFT)),
+        (uniaxial_stress, SOFT[0]),
+    ):
+        slope = (stress(1 + 1e-6, *SOFT) - stress(1 - 1e-6, *SOFT)) / 2e-6
+        assert slope == pytest.approx(modulus, rel=1e-6)
+        assert stress(1.0, *SOFT) == 0
+    # P = G (s - 1/s^2), G = E/3: Treloar.
+    for stretch in (0.5, 1.7):
+        expected = (stretch - stretch**-2) / 3
+        assert uniaxial_stress(stretch, 1.0, 0.4999999) == pytest.approx(expected, rel=1e-5)
+
+
+# Viscosity, weight and inertia.
+
+RATIOS, TIMES = (0.5, 0.2), (0.3, 4.0)
+RAMP = np.array([0.0, 0.2, 0.5, 0.9, 2.0, 6.0])
+DEPTH = np.array([0.0, 0.3e-3, 0.4e-3, 1.0e-3, 1.0e-3, 1.2e-3])
+
+
+def _modulus(time: Any) -> Any:
+    return 1 + sum(ratio * np.exp(-time / each) for ratio, each in zip(RATIOS, TIMES, strict=True))
+
+
+def _hertz_history(until: float) -> float:
+    """Return int_0^until E(until - s)/E dF_Hertz(s), interval by interval."""
+    total = 0.0
+    for low, high in pairwise([*RAMP[until > RAMP], until]):
+        depth = np.interp([low, high], RAMP, DEPTH)
+        speed, span = np.diff(depth)[0] / (high - low), high - low
+
+        def piece(x: float, low: float = low, span: float = span, speed: float = speed) -> float:
+            # s = low + span x^2 removes the square root at first contact.
+            time = low + span * x * x
+            rate = 1.5 * math.sqrt(np.interp(time, RAMP, DEPTH)) * speed
+            return float(_modulus(until - time)) * rate * 2 * span * x
+
+        total += quad(piece, 0, 1, epsabs=0, epsrel=1e-11)[0]
+    return hertz(1.0, 4e-3, *SOFT) * total
+
+
+def test_a_relaxing_sphere_is_the_convolution_by_quadrature() -> None:
+    force = lee_radok_sphere(RAMP, DEPTH, 4e-3, *SOFT, RATIOS, TIMES)
+    for time, value in zip(RAMP[1:], force[1:], strict=True):
+        assert value == pytest.approx(_hertz_history(float(time)), rel=1e-8)
+    # Finer pieces of the same motion change nothing; any elastic force relaxes likewise.
+    fine = np.unique(np.concatenate([RAMP, np.linspace(0, 6, 6001)]))
+    depth = np.interp(fine, RAMP, DEPTH)
+    again = lee_radok_sphere(fine, depth, 4e-3, *SOFT, RATIOS, TIMES)
+    np.testing.assert_allclose(again[np.isin(fine, RAMP)], force, rtol=1e-9)
+    elastic = [hertz(float(each), 4e-3, *SOFT) for each in depth]
+    relaxed = hereditary(fine, elastic, RATIOS, TIMES)
+    np.testing.assert_allclose(relaxed[np.isin(fine, RAMP)], force, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("pace", "branches", "factor"),
+    [(1e-7, (RATIOS, TIMES), 1.7), (1e7, (RATIOS, TIMES), 1.0), (1.0, ((), ()), 1.0)],
+    ids=["at once", "at rest", "without branches"],
+)
+def test_a_sphere_has_its_elastic_force_times_the_modulus_of_its_pace(
+    pace: float, branches: tuple[Any, Any], factor: float
+) -> None:
+    force = lee_radok_sphere(RAMP * pace, DEPTH, 4e-3, *SOFT, *branches)
+    expected = [factor * hertz(depth, 4e-3, *SOFT) for depth in DEPTH]
+    np.testing.assert_allclose(force, expected, rtol=1e-5)
+
+
+def test_a_step_relaxes_along_the_modulus() -> None:
+    time, held = [0.0, 0.1, 1.0, 50.0], [0.5e-3] * 4
+    sphere = lee_radok_sphere(time, held, 4e-3, *SOFT, RATIOS, TIMES)
+    expected = _modulus(np.array(time))
+    np.testing.assert_allclose(sphere / hertz(0.5e-3, 4e-3, *SOFT), expected, rtol=1e-13)
+    np.testing.assert_allclose(hereditary(time, [1.0] * 4, RATIOS, TIMES), expected, rtol=1e-13)
+
+
+HEIGHT, DENSITY = 4e-3, 1070.0
+
+
+def test_the_sag_of_a_wide_layer_is_in_balance_with_its_weight() -> None:
+    acceleration, shear = (3.0, -4.0, -9.81), SOFT[0] / (2 * (1 + SOFT[1]))
+    z = np.linspace(-HEIGHT, 0, 9)
+    sag = layer_sag(z, acceleration, HEIGHT, DENSITY, *SOFT)
+    for axis, stiffness in enumerate((shear, shear, oedometric_modulus(*SOFT))):
+        # Heights are scaled by the layer's, so that the solver's tolerance is meaningful.
+        pull = DENSITY * acceleration[axis] * HEIGHT**2 / stiffness
+        solved = solve_bvp(
+            lambda _, state, pull=pull: np.vstack([state[1], np.full_like(state[0], -pull)]),
+            lambda base, top: np.array([base[0], top[1]]),
+            np.linspace(-1, 0, 9),
+            np.zeros((2, 9)),
+            tol=1e-9,
+        )
+        np.testing.assert_allclose(sag[:, axis], solved.sol(z / HEIGHT)[0], rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("overtone", [0, 2])
+def test_frequencies_are_those_of_a_column_of_elements(overtone: int) -> None:
+    count = 400
+    length = HEIGHT / count
+    stiff = np.diag(np.full(count, 2.0)) - np.eye(count, k=1) - np.eye(count, k=-1)
+    mass = np.diag(np.full(count, 4.0)) + np.eye(count, k=1) + np.eye(count, k=-1)
+    stiff[-1, -1], mass[-1, -1] = 1, 2  # the free top; the fixed base is omitted
+    squares = eigh(
+        stiff / length, mass * length / 6 * DENSITY, eigvals_only=True, subset_by_index=[0, 2]
+    )
+    expected = np.sqrt(oedometric_modulus(*SOFT) * squares[overtone]) / (2 * np.pi)
+    found = compression_frequency(HEIGHT, DENSITY, *SOFT, overtone=overtone)
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("refused", "words"),
+    [
+        (lambda: layer_punch(0.0, 3e-3, GEL), "depth"),
+        (lambda: layer_cone(-1e-3, 1.2, GEL), "depth"),
+        (lambda: layer_sphere(1.0, 1e-3, GEL), "contact ends"),
+        (lambda: mindlin_displacement(1.01 * MOST, *SYSTEM), "mu N"),
+        (lambda: mindlin_stick_radius(math.nan, *SYSTEM[:3]), "mu N"),
+        (lambda: lee_radok_sphere([0, 1, 2], [0, 2, 1], 4e-3, *SOFT, RATIOS, TIMES), "decreases"),
+        (lambda: hereditary([0, 1, 1], [0, 1, 1], RATIOS, TIMES), "time: not increasing"),
+        (lambda: hereditary([0, 1], [0, 1, 2], RATIOS, TIMES), "shape"),
+    ],
+)
+def test_presses_beyond_the_theory_are_refused(refused: Callable[[], object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        refused()
