@@ -36,7 +36,7 @@ BENCHMARKS = {
     "mpm": ("benchmarks.sim.tiers.mpm", "the `mpm` tier compared with `fem`"),
     "independent": (
         "benchmarks.independent.command",
-        "forces compared with other mechanics programs",
+        "forces beside solutions by other methods",
     ),
     "tolerance": ("benchmarks.sim.tolerance_kept", "are tolerances met on random scenes"),
     "render-check": ("benchmarks.sim.render.check", "marker images against ray casting"),

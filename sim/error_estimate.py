@@ -37,7 +37,7 @@ EDGE_MOST = 0.2
 # Error of `layer` over depth over thickness: it is limited to small strains.
 LAYER_PER_DEPTH = 0.7
 # Error of `layer` over the pixel's side over the contact's width. With both numbers the error
-# covers all 136 forces of `benchmarks independent --tier layer --set axisymmetric`.
+# covers all 136 forces of `benchmarks independent --only layer` that have an axis.
 LAYER_PER_PIXEL = 1.2
 # A force is missing for the greater part if its contact is narrower than this many pixels and it is
 # below this fraction of a later one in proportion to the depth.

@@ -4,12 +4,12 @@ Both meshes follow the contact, the coarser one with elements 1.6 times as long,
 eighth of the time. The discretisation error of a press falls about as the square of the elements'
 size, so both give its size, and the force without it (Richardson 1911). The error of that force is
 taken as a fraction of the correction, which held in presses solved independently (`python -m
-benchmarks independent --tolerance "1 %"`). Surface and markers are those of the finer mesh; their
+benchmarks independent --only tolerance`). Surface and markers are those of the finer mesh; their
 error is the difference of both times the fraction that remains at order 2.
 
 Before any mesh `layer` is tried, which takes a tenth of a second. Its result is returned if its
 estimate is below a tolerance of the force, in scenes like those on which it was checked: the
-frictionless presses of `python -m benchmarks independent --set axisymmetric --tier layer`, and 30
+frictionless presses of `python -m benchmarks independent --only layer` that have an axis, and 30
 more frictionless scenes by `fem` within 1.5 to 3 %: punches, boxes, bars, balls and shapes of the
 catalogue, upright, tilted by up to 6 degrees, off-centre and sliding. The estimate covered all of
 them; none of the 30 errors was more than 0.77 of it. tests/sim/test_tolerance_by_layer.py has some.

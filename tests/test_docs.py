@@ -216,7 +216,6 @@ NOT_RUN = {
     "endurance": "half an hour in real time; its report has tests",
     "extrapolation": "hours of training",
     "indenter-drawings": "overwrites packaged drawings",
-    "independent": "minutes of reference solutions, whose parts have tests",
     "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
     "live-forces": "minutes of solutions by fem",
     "refine": "hours on a CPU",

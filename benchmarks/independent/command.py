@@ -1,125 +1,353 @@
-"""`sim` compared with independent solutions: `python -m benchmarks independent`.
-
-With `--make`, missing solutions are computed instead of the comparison.
-"""
+"""Forces of `sim` beside solutions by other methods: `python -m benchmarks independent`."""
 
 from __future__ import annotations
 
 import argparse
-import csv
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from recorder.command_line.options import add_device
-from sim.errors import SceneError
+import numpy as np
+
+from benchmarks.independent import stored
+from benchmarks.independent.axisymmetric import NotSolved
+from benchmarks.independent.cases import CASES, Case
+from benchmarks.independent.foreign_cases import CASES as FOREIGN
+from benchmarks.independent.formulas import LinearLayer, layer_sphere
+from benchmarks.independent.presses import Row, compared, tasks
+from benchmarks.processes import done_counts, side_by_side
+from benchmarks.report import Benchmark, Page, Part, Run, table
+from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, chart
+from recorder.command_line.options import whole
+from sim.device import ready_device
 from sim.fem import Fem
+from sim.indenters import sphere
 from sim.layer import Layer
-from sim.mpm import Mpm
+from sim.scene import Body, Scene, press
+from sim.tiers import simulate
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+# Error that counts as small [%], beside the uncertainty of the other solution.
+WITHIN = 3.0
+TOLERANCE = "1 %"
+# Each tier and its coarse form; a quick run has axisymmetric cases with and without friction, and
+# one of GetFEM.
+SOLVERS: dict[str, tuple[Fem | Layer | str, Fem | Layer | str]] = {
+    "layer": (Layer(), Layer()),
+    "fem": (Fem(), Fem(fineness=0.3)),
+    TOLERANCE: (TOLERANCE, "15 %"),
+}
+QUICK = ("sphere 4 in 4, mu 0, nu 0.45, to 1.5", "sphere 2 in 2, mu 0.3", "two spheres 2")
+# Cases of the other method that a quick run solves again, and how exactly they must repeat [%].
+AGAIN, REPEATS = "sphere 4 in 4, mu 0, nu 0.45, to 0.005", 0.1
+# Spheres on the gel of the paper by radius, and depths, over the gel's thickness.
+RADII, DEPTHS = (0.5, 1.0, 5.0), (0.01, 0.03, 0.1, 0.3)
+COLORS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, INK)
 
-    from benchmarks.independent.comparison import Row
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    parser.description = (
-        "Solves presses whose forces are known from finite elements that share no code "
-        "with `sim`, and reports the error of `sim`. The exit code is 0 for any error."
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--only",
-        action="append",
-        default=[],
-        metavar="WORD",
-        help="cases whose name contains this (may be repeated)",
-    )
-    parser.add_argument("--list", action="store_true", help="list the cases and exit")
-    parser.add_argument(
-        "--set", choices=("axisymmetric", "foreign"), help="compare with this set only"
-    )
-    parser.add_argument("--tolerance", metavar="ERROR", help='tolerance for `sim`: "1 %%"')
-    parser.add_argument("--tier", choices=("layer", "fem", "mpm"), help="the tier of `sim`")
-    parser.add_argument(
-        "--processes", type=int, default=1, help="number of parallel cases (%(default)s)"
-    )
-    add_device(parser)
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file")
-    parser.add_argument(
-        "--make",
-        choices=("axisymmetric", "foreign"),
-        help="solve the cases missing from the reference file, and add them",
+        "--processes", type=whole(1, 256), default=1, metavar="N", help="(%(default)s)"
     )
 
 
-def run(options: argparse.Namespace) -> int:
-    """Compare, or make reference solutions, and return the exit code.
+# Forces beside stored ones.
 
-    Raises:
-        SceneError: Unknown case; both a tier and a tolerance; fewer than 1 process; GetFEM is
-            needed but not installed.
-        WorkerLost: A worker process was killed.
-    """
-    if options.make:
-        return _make(options)
-    from benchmarks.independent.comparison import (
-        HEAD,
-        Settings,
-        all_compared,
-        foreign_tasks,
-        line,
-        round_tasks,
-        summary,
-    )
 
-    if options.tier and options.tolerance:
-        raise SceneError(f"--tier: {options.tier!r} with --tolerance; allowed: either")
-    if options.processes < 1:
-        raise SceneError(f"--processes: {options.processes}; allowed: 1 or more")
-    tasks = [] if options.set == "foreign" else round_tasks(options.only)
-    if options.set != "axisymmetric":
-        tasks += foreign_tasks(options.only)
-    if not tasks:
-        raise SceneError(
-            f"--only: {', '.join(options.only)!r}; allowed: part of the name of a case"
-        )
-    if options.list:
-        print("\n".join(task.name for task in tasks))
-        return 0
+def presses(tier: str, run: Run) -> dict[str, Any]:
+    """Compare the forces of a tier, or to a tolerance, with all that are stored."""
+    ready_device(run.device)
+    every = tasks(QUICK if run.quick else ())
     rows: list[Row] = []
-    print(HEAD)
-    tier = {"layer": Layer, "fem": Fem, "mpm": Mpm}[options.tier or "fem"]()
-    settings = Settings(tier, options.tolerance, options.device)
-    for found in all_compared(tasks, settings, options.processes):
-        print("\n".join(map(line, found)), flush=True)
-        rows += found
-    print(summary(rows))
-    if options.csv:
-        _write(options.csv, rows)
-        print(f"{options.csv}: written")
-    return 0
+    with done_counts(run.failures.append):
+        solver = SOLVERS[tier][run.quick]
+        solve = partial(compared, tier=solver, device=run.device)
+        # Slender and small contacts take longest: they begin first.
+        longest = sorted(every, key=lambda task: task.scene.indenter.narrowest)
+        for done in side_by_side(solve, longest, run.device, run.options.processes):
+            rows += done
+            run.progress(len({row.case for row in rows}) / len(every))
+    order = {task.name: index for index, task in enumerate(every)}
+    rows.sort(key=lambda row: (order[row.case], row.depth_mm))
+    return {"tier": tier, "processes": run.options.processes, "rows": [*map(asdict, rows)]}
 
 
-def _make(options: argparse.Namespace) -> int:
-    from benchmarks.independent import foreign, truth
+def solved(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the rows of presses that were solved."""
+    return [row for row in rows if row["error_percent"] is not None]
 
+
+def covered(row: Mapping[str, Any]) -> bool:
+    """Return True if the stated error and the reference's uncertainty contain the error."""
+    stated = row["stated_percent"]
+    return stated is not None and abs(row["error_percent"]) <= stated + row["truth_percent"]
+
+
+def figures(values: Mapping[str, Any]) -> list[str]:
+    """Return a row of the table of tiers."""
+    rows = values["rows"]
+    right = solved(rows)
+    if not right:
+        return [_title(values["tier"]), f"0 of {len(rows)}", *("-" for _ in range(6))]
+    errors = [abs(row["error_percent"]) for row in right]
+    near = [abs(row["error_percent"]) <= WITHIN + row["truth_percent"] for row in right]
+    stating = [row for row in right if row["stated_percent"] is not None]
+    seconds = sorted({row["case"]: row["seconds"] for row in rows}.values())
+    return [
+        _title(values["tier"]),
+        f"{len(right)} of {len(rows)}",
+        f"{np.median(errors):.2f} %",
+        f"{np.quantile(errors, 0.9):.2f} %",
+        f"{max(errors):.2f} %",
+        f"{sum(near)}",
+        f"{sum(map(covered, stating))} of {len(stating)}",
+        f"{np.median(seconds):.2g} s, {seconds[-1]:.2g} s",
+    ]
+
+
+def _title(tier: str) -> str:
+    return f"`{tier}`" if tier in ("layer", "fem", "mpm") else f"to {tier}"
+
+
+def summary(values: dict[str, Any]) -> str:
+    """Return the table of tiers."""
+    rows = [figures(values[name]) for name in ("layer", "fem", "tolerance") if name in values]
+    if not rows:
+        return ""
+    head = ["forces by", "solved", "median error", "90 % below", "largest", f"within {WITHIN:g} %"]
+    head += ["inside the stated error", "a press: median, longest"]
+    return f"""{table(head, rows)}
+
+`layer` is the linear layer, `fem` the default elements, and "to {TOLERANCE}" is
+`plan(scene, "{TOLERANCE}")`. An error is the difference from the other method's force over that
+force. "Within" and "inside" allow for the other method's own uncertainty. The stated error is
+`record["error"]["percent"]`, one number for all forces of a press.
+"""
+
+
+def tier_section(values: dict[str, Any], page: Page) -> str:
+    """Return the errors by form, and the forces outside the stated error; `fem` has a picture."""
+    rows, tier = values["rows"], values["tier"]
+    lines: list[list[object]] = []
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        these = [row for row in rows if row["kind"] == kind]
+        errors = [abs(row["error_percent"]) for row in solved(these)]
+        cells = (f"{np.median(errors):.2f} %", f"{max(errors):.2f} %") if errors else ("-", "-")
+        inside = f"{sum(map(covered, solved(these)))} of {len(these)}"
+        lines.append([kind, len({row["case"] for row in these}), len(these), *cells, inside])
+    head = ["indenter", "presses", "forces", "median error", "largest", "inside the stated error"]
+    texts = [f"## {_title(tier)}", table(head, lines)]
+    if outside := [row for row in solved(rows) if not covered(row)]:
+        outside.sort(key=lambda row: -abs(row["error_percent"]))
+        count = len(outside)
+        rim = [
+            [
+                row["case"],
+                f"{row['depth_mm']:.3g}",
+                f"{row['error_percent']:+.2f} %",
+                "none" if row["stated_percent"] is None else f"{row['stated_percent']:.2f} %",
+                f"{row['truth_percent']:.2f} %",
+            ]
+            for row in outside[:6]
+        ]
+        head = ["press", "depth [mm]", "error", "stated", "uncertainty of the other"]
+        more = f" (the {len(rim)} largest)" if count > len(rim) else ""
+        texts.append(f"Outside the stated error, {count} forces{more}:\n\n{table(head, rim)}")
+    reasons = {row["case"]: row["reason"].partition("\n")[0] for row in rows if row["reason"]}
+    texts += [f"No solution of {case}: {reason}" for case, reason in reasons.items()]
+    if tier == "fem" and solved(rows):
+        draw(solved(rows), page)
+        texts.append(page.link("fem", "Error of each force beside the error that is stated"))
+    return "\n\n".join(texts)
+
+
+def draw(rows: Sequence[Mapping[str, Any]], page: Page) -> None:
+    """Draw the error of each force beside the error that its result states."""
+    with chart(page.picture("fem"), 7.0, 4.2) as figure:
+        axes = figure.subplots()
+        kinds = list(dict.fromkeys(row["kind"] for row in rows))
+        for index, kind in enumerate(kinds):
+            these = [row for row in rows if row["kind"] == kind and row["stated_percent"]]
+            error = np.maximum([abs(row["error_percent"]) for row in these], 0.01)
+            stated = [row["stated_percent"] for row in these]
+            bars = [row["truth_percent"] for row in these]
+            color = COLORS[index % len(COLORS)]
+            marker = "os^Dv"[index // len(COLORS)]
+            low = np.minimum(bars, 0.9 * error)
+            axes.errorbar(
+                stated,
+                error,
+                yerr=[low, bars],
+                fmt=marker,
+                ms=4,
+                lw=0.7,
+                color=color,
+                label=kind,
+            )
+        axes.plot([0.03, 100], [0.03, 100], color=INK, lw=0.9, ls="--")
+        axes.text(22, 30, "error = stated", fontsize=8, ha="right")
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlim(0.2, 40)
+        axes.set_ylim(0.008, 40)
+        axes.set_xlabel("error that the result states [%]")
+        axes.set_ylabel("difference from the other method [%]")
+        axes.set_title("Forces of `fem`; bars: uncertainty of the other method")
+        axes.legend(loc="lower right", ncols=2, fontsize=8)
+
+
+# The integral equation of a linear layer.
+
+
+def formulas(run: Run) -> list[dict[str, float]]:
+    """Compare spheres on the paper's gel with the integral equation of a linear layer."""
+    ready_device(run.device)
+    rows: list[dict[str, float]] = []
+    for radius in RADII[1:2] if run.quick else RADII:
+        thickness = Body().thickness
+        depths = [thickness * depth for depth in DEPTHS if depth < radius]
+        body = Body(14 * thickness, 14 * thickness)
+        layer = LinearLayer(thickness, body.modulus, body.poisson)
+        scene = Scene(sphere(radius * thickness), press(depths), body)
+        by_layer = simulate(scene, Layer(grid=256))
+        by_fem = simulate(scene, Fem(fineness=0.3 if run.quick else 1.0), device=run.device)
+        for frame, depth in enumerate(depths, 1):
+            exact = layer_sphere(depth, radius * thickness, layer).force
+            of_layer, of_fem = (
+                float(-result.force[frame, 2] / exact - 1) for result in (by_layer, by_fem)
+            )
+            rows.append(
+                {
+                    "radius": radius,
+                    "depth": depth / thickness,
+                    "exact_n": exact,
+                    "layer": of_layer,
+                    "fem": of_fem,
+                }
+            )
+        run.progress(len(rows) / (len(RADII) * len(DEPTHS)))
+    return rows
+
+
+def formulas_section(rows: list[dict[str, float]], _: Page) -> str:
+    """Return the table of spheres on a linear layer."""
+    lines = [
+        [
+            f"{row['radius']:g}",
+            f"{row['depth']:g}",
+            f"{row['exact_n']:.4g}",
+            f"{100 * row['layer']:+.2f} %",
+            f"{100 * row['fem']:+.2f} %",
+        ]
+        for row in rows
+    ]
+    head = [
+        "radius over thickness",
+        "depth over thickness",
+        "exact, linear [N]",
+        "`layer`",
+        "`fem`",
+    ]
+    return f"""## Beside the exact linear layer
+A sphere on a layer of 4 mm and 145 kPa, 14 thicknesses wide, by the integral equation of a bonded
+layer, which is exact for small strain. `layer` (256 pixels) solves the same equations, so its
+difference is that of its pixels; that of `fem` is also what large strain adds.
+
+{table(head, lines)}
+"""
+
+
+# The other solutions, again.
+
+
+def references(run: Run) -> dict[str, Any]:
+    """Solve the cases of the other methods again, and add those that are not stored."""
+    cases = [case for case in CASES if not run.quick or case.name.startswith(AGAIN)]
+    differences: dict[str, float] = {}
+
+    def keep(name: str, path: Path, again: Sequence[stored.Truth]) -> None:
+        before = [row for row in stored.load(path) if row.case == name]
+        if not again:
+            run.failures.append(f"{name}: not solved again")
+        elif not before:
+            stored.add(path, again)
+        else:
+            pairs = [
+                np.nan_to_num([new.force, old.force])
+                for new, old in zip(again, before, strict=True)
+            ]
+            each = [np.linalg.norm(new - old) / np.linalg.norm(old) for new, old in pairs]
+            differences[name] = 100 * float(max(each))
+            if differences[name] > REPEATS:
+                run.failures.append(f"{name}: {differences[name]:.2f} % from the stored force")
+
+    with done_counts(run.failures.append):
+        solving = side_by_side(_again, cases, "cpu", run.options.processes)
+        for count, (name, rows) in enumerate(solving, 1):
+            keep(name, stored.AXISYMMETRIC, rows)
+            run.progress(count / len(cases))
+        for case in FOREIGN if stored.interpreter() and not run.quick else ():
+            keep(case.name, stored.GETFEM, stored.by_getfem(case))
+    methods = {"axisymmetric": stored.AXISYMMETRIC, "GetFEM": stored.GETFEM}
+    return {
+        "differences_percent": differences,
+        "uncertainties_percent": {
+            name: [row.error_percent for row in stored.load(path)] for name, path in methods.items()
+        },
+    }
+
+
+def _again(case: Case) -> tuple[str, list[stored.Truth]]:
     try:
-        made = truth if options.make == "axisymmetric" else foreign
-        failed = made.make(options.only)
-    except foreign.MissingProgram as error:
-        raise SceneError(str(error)) from error
-    if failed:
-        print(f"not solved: {'; '.join(failed)}")
-    return int(bool(failed))
+        return case.name, stored.by_axisymmetric(case)
+    except NotSolved:
+        return case.name, []
 
 
-def _write(path: Path, rows: Sequence[Row]) -> None:
-    from benchmarks.independent.comparison import Row
+def references_section(values: dict[str, Any], _: Page) -> str:
+    """Return how the other solutions were made, how exact they are, and whether they repeat."""
+    lines = [
+        [name, len(errors), f"{np.median(errors):.2f} %", f"{max(errors):.2f} %"]
+        for name, errors in values["uncertainties_percent"].items()
+    ]
+    again = values["differences_percent"]
+    most = f", the largest difference of a force is {max(again.values()):.1g} %" if again else ""
+    return f"""## The other methods
+Neither shares code with `sim`; both have its material law and the exact outline of each indenter.
 
-    names = [one.name for one in fields(Row)]
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
-        writer.writerows([getattr(row, name) for name in names] for row in rows)
+- Axisymmetric: finite elements of second order with a separate dilatation, on a mesh graded to the
+  contact: spheres of 0.5 to 20 mm, punches, cones and rings in gels of 0.5 to 20 mm, from 5 um to
+  0.4 thicknesses deep, Coulomb friction 0 to 1, Poisson's ratio 0.3 to 0.49. The uncertainty is
+  the difference from a mesh of half the elements, plus half of what the square body's corners can
+  add, plus twice the penetration that is left.
+- GetFEM (getfem.org), hexahedra of second order: a sphere near the edge, beyond the rim, on a dome,
+  on a thin gel and dragged with friction; two spheres, a box, a blade, upright and leaning bars, a
+  leaning punch. The uncertainty is the difference from a coarser mesh. It runs where an interpreter
+  has it (Debian: `python3-getfem`; `FOREIGN_PYTHON` names another one), and is stored.
+
+{table(["method", "forces", "uncertainty, median", "largest"], lines)}
+
+Presses solved again: {len(again)}{most}.
+"""
+
+
+BENCHMARK = Benchmark(
+    name="independent",
+    title="Forces beside solutions by other methods",
+    question=(
+        "How far are forces of each tier from solutions by methods that share no code with it, "
+        "and does the error that a result states contain the difference?"
+    ),
+    parts=[
+        Part("layer", partial(presses, "layer"), tier_section, weight=1),
+        Part("fem", partial(presses, "fem"), tier_section, weight=20),
+        Part("tolerance", partial(presses, TOLERANCE), tier_section, weight=60),
+        Part("formulas", formulas, formulas_section, weight=2),
+        Part("references", references, references_section, weight=25),
+    ],
+    summary=summary,
+    options=_options,
+    on_device=True,
+)
+add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

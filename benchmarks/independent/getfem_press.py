@@ -114,12 +114,10 @@ def distance(case: ForeignCase) -> str:
     if case.shape == "punch":
         out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(2))+1e-20)-{measures[0] - edge!r}))"
         return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
-    if case.shape == "bar":
-        radius = measures[0]
-        out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(3)-{radius!r})+1e-20)-{radius - edge!r}))"
-        end = f"2*half_sqr_pos_part({_abs(2)}-{measures[1] / 2 - edge!r})"
-        return f"sqrt({out}+{end}+1e-30)-{edge!r}"
-    return _triangle(measures, edge)
+    radius = measures[0]
+    out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(3)-{radius!r})+1e-20)-{radius - edge!r}))"
+    end = f"2*half_sqr_pos_part({_abs(2)}-{measures[1] / 2 - edge!r})"
+    return f"sqrt({out}+{end}+1e-30)-{edge!r}"
 
 
 def _abs(axis: int) -> str:
@@ -128,32 +126,6 @@ def _abs(axis: int) -> str:
 
 def _least(one: str, other: str) -> str:
     return f"({one}+({other}-{one})*step({one}-{other}))"
-
-
-def _triangle(measures: tuple[float, ...], edge: float) -> str:
-    corners = np.array(measures[:6]).reshape(3, 2)
-    along = np.roll(corners, -1, axis=0) - corners
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    # Core: every side moved inwards by the edge radius.
-    offset = np.sum(normal * corners, axis=1) - edge
-    core = [
-        np.linalg.solve(np.stack([normal[index - 1], normal[index]]), offset[[index - 1, index]])
-        for index in range(3)
-    ]
-    sides, near = [], []
-    for index in range(3):
-        start, end = core[index], core[(index + 1) % 3]
-        length = float(np.linalg.norm(end - start))
-        u, v = (end - start) / length
-        x, y = f"(q(1)-({float(start[0])!r}))", f"(q(2)-({float(start[1])!r}))"
-        sides.append(f"({float(v)!r}*{x}-({float(u)!r})*{y})")
-        far = f"({float(u)!r}*{x}+({float(v)!r})*{y})"
-        fraction = f"({far}*step({far})*step({length!r}-{far})+{length!r}*step({far}-{length!r}))"
-        near.append(f"(sqr({x}-({float(u)!r})*{fraction})+sqr({y}-({float(v)!r})*{fraction}))")
-    outside = f"(1-step(-{sides[0]})*step(-{sides[1]})*step(-{sides[2]}))"
-    out = f"{outside}*{_least(near[0], _least(near[1], near[2]))}"
-    return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
 
 
 class Solver:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sim.tolerance as module
-from benchmarks.independent.comparison import round_tasks
+from benchmarks.independent.presses import tasks
 from sim import Body, Fem, Layer, Scene, plan, press, simulate
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, sphere
@@ -61,7 +61,7 @@ def test_layer_is_taken_where_its_estimate_is_below_and_says_why() -> None:
 )
 @pytest.mark.usefixtures("no_meshes")
 def test_its_forces_are_within_the_tolerance_of_the_truth(name: str, percent: float) -> None:
-    (task,) = round_tasks([name])
+    (task,) = tasks([name])
     result = plan(task.scene, f"{percent:g} %").run()
     assert result.tier == "layer"
     truths = np.array([-truth[2] for truth in task.truths])
