@@ -31,6 +31,17 @@ ROOT = Path(__file__).parent.parent
 RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "build" / "results"
 # Exit code of a run in which something failed that must hold.
 FAILED = 1
+# What is stored of each part beside its results, and of what type.
+HEAD = {
+    "command": str,
+    "quick": bool,
+    "machine": str,
+    "python": str,
+    "commit": str,
+    "seeds": list,
+    "spread": str,
+    "seconds": (int, float),
+}
 
 
 @dataclass
@@ -141,14 +152,18 @@ class Benchmark:
     def run(self, options: argparse.Namespace) -> int:
         """Measure the parts, write the page, and return the exit code.
 
+        What Ctrl-C or an error leaves of a run is in the JSON file, from which `--draw` makes the
+        page.
+
         Raises:
-            CommandError: `--draw` without a JSON file.
+            CommandError: `--draw` without a JSON file, or one that does not fit.
         """
         path = options.out or (QUICK_RESULTS if options.quick else RESULTS) / f"{self.name}.md"
-        stored = _read(path.with_suffix(".json"))
+        measurements = path.with_suffix(".json")
+        stored = self._stored(measurements)
         if options.draw:
             if not stored:
-                raise CommandError(f"--draw: {path.with_suffix('.json')}: no such file")
+                raise CommandError(f"--draw: {measurements}: no such file")
             self._write(path, stored)
             return 0
         chosen = [part for part in self.parts if not options.only or part.name in options.only]
@@ -163,24 +178,56 @@ class Benchmark:
                 before += share
                 stored[part.name] = _head(run, time.monotonic() - began) | {"results": values}
                 failures += [f"{part.name}: {failure}" for failure in run.failures]
-                _store(path.with_suffix(".json"), stored)
-        self._write(path, stored)
+                _store(measurements, stored)
+        self._write(path, stored, measured=[part.name for part in chosen])
         for failure in failures:
             print(f"FAILED: {failure}")
         return FAILED if failures else 0
 
-    def _write(self, path: Path, stored: dict[str, Any]) -> None:
-        """Write the page of what is stored, and name the files written."""
+    def _stored(self, path: Path) -> dict[str, Any]:
+        """Return what a JSON file holds of this benchmark's parts; nothing if there is no file."""
+        if not path.exists():
+            return {}
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise CommandError(f"{path}: not JSON: {error}") from None
+        if not isinstance(document, dict):
+            raise CommandError(f"{path}: not the measurements of a benchmark")
+        stored = {part.name: document[part.name] for part in self.parts if part.name in document}
+        for name, values in stored.items():
+            for key, kind in HEAD.items():
+                if not (isinstance(values, dict) and isinstance(values.get(key), kind)):
+                    raise CommandError(f"{path}: {name}.{key}: missing or of another type")
+            if "results" not in values:
+                raise CommandError(f"{path}: {name}.results: missing")
+        return stored
+
+    def _write(self, path: Path, stored: dict[str, Any], measured: Sequence[str] = ()) -> None:
+        """Write the page of what is stored, and name the files written.
+
+        Values that were not `measured` now may come from another version of the benchmark.
+        """
         there = [part for part in self.parts if part.name in stored]
-        texts = [
-            f"# {self.title}",
-            self.question,
-            _told([part.name for part in there], stored, path),
+        values = {part.name: stored[part.name]["results"] for part in there}
+        texts = [f"# {self.title}", self.question, _made([*values], stored, path)]
+        texts += [
+            f"**Failed:** {name}: {failure}"
+            for name in values
+            for failure in stored[name].get("failures", ())
         ]
-        if self.summary is not None:
-            texts.append(self.summary({part.name: stored[part.name]["results"] for part in there}))
-        texts += [part.section(stored[part.name]["results"], Page(path)) for part in there]
         path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            if self.summary is not None:
+                texts.append(self.summary(values))
+            texts += [part.section(values[part.name], Page(path)) for part in there]
+        except (LookupError, TypeError) as error:
+            if set(values) <= set(measured):
+                raise
+            raise CommandError(
+                f"{path.with_suffix('.json')}: does not fit this version of the benchmark, "
+                f"measure again: {type(error).__name__}: {error}"
+            ) from error
         path.write_text(
             "\n\n".join(text.strip() for text in texts if text) + "\n", encoding="utf-8"
         )
@@ -239,10 +286,11 @@ def _head(run: Run, seconds: float) -> dict[str, Any]:
         "seeds": list(run.seeds),
         "spread": run.spread,
         "seconds": round(seconds, 1),
+        "failures": list(run.failures),
     }
 
 
-def _told(names: Sequence[str], stored: dict[str, Any], path: Path) -> str:
+def _made(names: Sequence[str], stored: dict[str, Any], path: Path) -> str:
     """Return the head of the page: one line if all parts were measured alike, and a table."""
     heads = [stored[name] for name in names]
     shared = {
@@ -277,10 +325,6 @@ def _seeds(head: dict[str, Any]) -> str:
 
 def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
 
 
 def _store(path: Path, stored: dict[str, Any]) -> None:

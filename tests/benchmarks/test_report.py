@@ -1,0 +1,188 @@
+"""Options, pages and measurements that all benchmarks share."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import report
+from benchmarks.report import FAILED, Benchmark, Page, Part, Run, table
+from recorder.command_line.errors import CommandError
+
+SPEEDS = {"ours": 3.0, "theirs": 2.0}
+
+
+def measure_speed(run: Run) -> dict[str, float]:
+    run.seeds, run.spread = range(5), "median of 5 runs, range at most 4 %"
+    run.progress(0.5)
+    (run.folder / "scratch").touch()
+    return SPEEDS
+
+
+def show_speed(values: dict[str, float], page: Page) -> str:
+    page.picture("speed").write_bytes(b"a picture")
+    return (
+        f"## Speed\n{table(['store', 'MB/s'], [*values.items()])}\n\n{page.link('speed', 'bars')}"
+    )
+
+
+def benchmark(measure_size: Callable[[Run], Any] = lambda run: [1, 2]) -> Benchmark:
+    return Benchmark(
+        "stores",
+        "Stores compared",
+        "Which store is fastest?",
+        (
+            Part("speed", measure_speed, show_speed, weight=3.0),
+            Part("size", measure_size, lambda values, page: f"## Size\nThe largest: {values[-1]}."),
+        ),
+        summary=lambda values: f"Measured: {', '.join(values)}.",
+    )
+
+
+def run(of: Benchmark, *words: str) -> int:
+    parser = argparse.ArgumentParser()
+    of.add_arguments(parser)
+    return of.run(parser.parse_args(words))
+
+
+def interrupt(run: Run) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.fixture
+def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Path of the page of complete runs; that of quick ones is in `quick` beside it."""
+    monkeypatch.setattr(report, "RESULTS", tmp_path)
+    monkeypatch.setattr(report, "QUICK_RESULTS", tmp_path / "quick")
+    return tmp_path / "stores.md"
+
+
+def test_a_page_states_how_it_was_made_and_shows_each_part(
+    page: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(benchmark()) == 0
+    assert capsys.readouterr().out == f"written: {page}, stores.json\n"
+    text = page.read_text()
+    assert text.startswith("# Stores compared\n\nWhich store is fastest?\n\nMade by `python -m")
+    assert f"commit {report.commit()}; [measurements](stores.json)." in text
+    assert "\n| speed | 0 to 4 | median of 5 runs, range at most 4 % | 0 s |\n" in text
+    assert "\n| size | none | single run | 0 s |\n" in text
+    assert "\nMeasured: speed, size.\n" in text
+    assert "| store | MB/s |\n|---|---:|\n| ours | 3.0 |\n| theirs | 2.0 |\n" in text
+    assert "![bars](images/stores-speed.png)" in text
+    assert text.endswith("\n## Size\nThe largest: 2.\n")
+    assert (page.parent / "images" / "stores-speed.png").read_bytes() == b"a picture"
+
+
+def test_measurements_are_stored_with_command_machine_commit_and_seeds(page: Path) -> None:
+    run(benchmark())
+    stored = json.loads(page.with_suffix(".json").read_text())
+    assert [*stored] == ["speed", "size"]
+    speed = stored["speed"]
+    assert speed["results"] == SPEEDS
+    assert (speed["seeds"], speed["failures"], speed["quick"]) == ([0, 1, 2, 3, 4], [], False)
+    assert speed["commit"] == report.commit()
+    assert speed["machine"] == report.machine_name()
+
+
+def test_a_part_measured_alone_leaves_the_others_as_they_are(page: Path) -> None:
+    run(benchmark())
+    before = json.loads(page.with_suffix(".json").read_text())
+    assert run(benchmark(lambda run: [7]), "--only", "size") == 0
+    after = json.loads(page.with_suffix(".json").read_text())
+    assert after["speed"] == before["speed"]
+    assert after["size"]["results"] == [7]
+    assert "| ours | 3.0 |" in page.read_text()
+    assert "The largest: 7." in page.read_text()
+
+
+def test_parts_measured_on_different_machines_are_each_named_with_theirs(
+    page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(benchmark())
+    monkeypatch.setattr(report, "machine_name", lambda device: "Analytical Engine, 1 cores")
+    run(benchmark(), "--only", "size")
+    text = page.read_text()
+    assert "Parts were measured one by one; " in text
+    assert "| part | seeds | spread | took | made by | machine | commit |" in text
+    (row,) = (line for line in text.splitlines() if line.startswith("| size |"))
+    assert "Analytical Engine" in row
+
+
+def test_a_page_is_drawn_again_from_its_measurements_alone(page: Path) -> None:
+    run(benchmark())
+    text = page.read_text()
+    page.write_text("edited")
+    assert run(benchmark(interrupt), "--draw") == 0
+    assert page.read_text() == text
+
+
+def test_a_quick_run_says_so_and_leaves_the_page_of_the_complete_one(page: Path) -> None:
+    run(benchmark())
+    text = page.read_text()
+    run(benchmark(lambda run: [9 if run.quick else 2]), "--quick")
+    assert page.read_text() == text
+    quick = (page.parent / "quick" / "stores.md").read_text()
+    assert "**A quick run, whose numbers mean little.** Made by" in quick
+    assert "The largest: 9." in quick
+
+
+def test_what_must_hold_and_does_not_gives_exit_code_1_and_is_on_the_page(
+    page: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(run: Run) -> list[int]:
+        run.failures.append("99 MB lost")
+        return [99]
+
+    assert run(benchmark(fail)) == FAILED
+    assert capsys.readouterr().out.endswith("\nFAILED: size: 99 MB lost\n")
+    assert "\n**Failed:** size: 99 MB lost\n" in page.read_text()
+
+
+def test_ctrl_c_keeps_the_parts_that_were_measured(page: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(benchmark(interrupt))
+    assert run(benchmark(), "--draw") == 0
+    text = page.read_text()
+    assert "| ours | 3.0 |" in text
+    assert "## Size" not in text
+
+
+def test_only_parts_that_exist_can_be_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        run(benchmark(), "--only", "colour")
+    assert "invalid choice: 'colour'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, r"--draw: .*stores\.json: no such file"),
+        ('{"speed"', r"stores\.json: not JSON: "),
+        ("[]", r"stores\.json: not the measurements of a benchmark"),
+        ('{"speed": {}}', r"stores\.json: speed\.command: missing or of another type"),
+        ('{"speed": 3}', r"stores\.json: speed\.command: missing or of another type"),
+    ],
+)
+def test_measurements_that_do_not_fit_are_refused(
+    text: str | None, message: str, page: Path
+) -> None:
+    if text is not None:
+        page.with_suffix(".json").write_text(text)
+    with pytest.raises(CommandError, match=message):
+        run(benchmark(), "--draw")
+    assert not page.exists()
+
+
+def test_values_of_another_version_are_refused_by_name(page: Path) -> None:
+    run(benchmark(lambda run: []), "--only", "speed")
+    path = page.with_suffix(".json")
+    stored = json.loads(path.read_text())
+    path.write_text(json.dumps(stored | {"size": stored["speed"] | {"results": []}}))
+    with pytest.raises(CommandError, match=r"does not fit this version .*: IndexError"):
+        run(benchmark(), "--draw")
