@@ -2,15 +2,20 @@
 VENV    := .venv
 PY      := $(VENV)/bin/python
 TACTILE := $(PY) -m tactile
-PYTHON  ?= $(shell for p in python3.12 python3.11 python3; do \
-            $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' \
-            2>/dev/null && echo $$p && break; done)
-PIP     := $(PY) -m pip install --quiet --disable-pip-version-check -c constraints.txt -e
+# ur-rtde has wheels for these: the first that runs, those of pyenv and uv included.
+FITS    := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))
+PYTHON  ?= $(shell for p in python3.12 python3.11 python3 ~/.pyenv/versions/3.1[21].*/bin/python \
+            $$(uv python find '>=3.11,<3.13' 2>/dev/null); do \
+            $$p -c '$(FITS)' 2>/dev/null && echo $$p && break; done)
+# Bytecode is left to the first import: most of the modules are never imported.
+PIP     := $(if $(shell command -v uv 2>/dev/null),uv pip install --python $(PY),$(PY) -m pip install \
+            --no-compile --disable-pip-version-check) --quiet -c constraints.txt -e
 MKDOCS  := NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs
 BARE    := examples/demo-transfer
 DEMO    := examples/demo-learning
 SMALL   := --tier layer --scale 0.025 --steps 4 --no-check
 ALL     := rig-sim learning-sim diffusion-sim
+SLOW    := RUN_SLOW=1 $(PY) -m pytest -q --durations=10
 comma   := ,
 
 # A variable counts if it is typed after `make`; one of that name in the environment (HOST) does not.
@@ -25,13 +30,13 @@ folder  = $(call quoted,$(or $(call given,OUT),$(1)))
 # Names are checked before anything is installed: make itself ignores a variable that no target reads.
 TYPED   := $(foreach name,$(.VARIABLES),$(if $(filter command,$(origin $(name))),$(name)))
 ifneq ($(TYPED),)
-WRONG   := $(shell $(PYTHON) tests/support/make_names.py $(call quoted,$(MAKECMDGOALS)) \
+WRONG   := $(shell $(or $(PYTHON),python3) tests/support/make_names.py $(call quoted,$(MAKECMDGOALS)) \
             $(foreach name,$(TYPED),$(call quoted,$(name)=$(value $(name)))))
 $(if $(WRONG),$(error wrong input: $(WRONG)))
 endif
 
 .PHONY: help collect resume campaign replay demo-learning demo-transfer demo-twin demo-paper \
-  test test-all golden check docs reference format setup clean
+  test test-slow-sim test-slow-rest check docs reference format setup clean
 
 help:
 	@echo 'make TARGET [NAME=value ...]; ARGS="..." are further options; tactile --help lists the commands'
@@ -74,14 +79,15 @@ demo-paper: $(VENV)/.diffusion-sim  ## the paper's chain at toy size
 
 ##@ Develop
 test: $(VENV)/.rig-dev  ## run the default tests (about 6 minutes on 2 cores)
-	@$(PY) -m pytest -q -n 3 --dist worksteal -m 'not serial' --ignore tests/golden
-	@$(PY) -m pytest -q -m serial --ignore tests/golden
+	@$(PY) -m pytest -q -n 3 --dist worksteal -m 'not serial'
+	@$(PY) -m pytest -q -m serial
 
-test-all: $(VENV)/.rig-dev  ## run all tests, including the slow ones
-	@RUN_SLOW=1 $(PY) -m pytest -q --durations=10
+test-slow-sim: $(VENV)/.rig-dev  ## run slow tests of simulator and benchmarks (half an hour on 2 cores)
+	@$(SLOW) -n 2 --dist worksteal -m 'slow and not serial' tests/sim tests/benchmarks
 
-golden: $(VENV)/.rig-dev  ## compare every command with its recorded results (3 minutes)
-	@$(PY) tests/golden/replay.py -j 2 $(call options)
+test-slow-rest: $(VENV)/.rig-dev  ## run the other slow tests, tutorials included (half an hour)
+	@$(SLOW) -n 2 --dist worksteal -m 'slow and not serial' --ignore tests/sim --ignore tests/benchmarks
+	@$(SLOW) -m 'slow and serial'
 
 check: $(VENV)/.rig-dev  ## check lint, format, types, layers of imports, spelling, prose and docs
 	@$(PY) -m ruff check . && $(PY) -m ruff format --check . && $(PY) -m mypy
@@ -103,9 +109,10 @@ clean:  ## remove the venv and caches, keep sessions
 	rm -rf $(VENV) build *.egg-info .mypy_cache .pytest_cache .ruff_cache
 
 $(PY):
-	@test -n "$(PYTHON)" || { echo "Python 3.11 or 3.12 is needed (ur-rtde has no wheel for others)"; exit 2; }
-	@echo "setting up $(VENV) with $(PYTHON), once ..."
-	@$(PYTHON) -m venv $(VENV)
+	@$(if $(PYTHON),,uv --version >/dev/null || { echo "needs Python 3.12 or 3.11, or uv; or another Python" \
+	  "and, to build ur-rtde, a C++ compiler, cmake and Boost: make PYTHON=python3.13"; exit 2; })
+	@echo "setting up $(VENV) with $(or $(PYTHON),uv), once ..."
+	@$(or $(if $(PYTHON),$(PYTHON) -m venv),uv venv --quiet --seed --python 3.12) $(VENV)
 
 # The file .rig-sim says that the extras rig and sim are installed; those of development include all others.
 $(VENV)/.%: pyproject.toml constraints.txt | $(PY)

@@ -57,7 +57,10 @@ def pytest_collection() -> Iterator[None]:
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """With `-m serial`, skip files without such tests, since importing them is slow."""
-    if config.option.markexpr != "serial" or collection_path.suffix != ".py":
+    if (
+        config.option.markexpr not in ("serial", "slow and serial")
+        or collection_path.suffix != ".py"
+    ):
         return None
     return True if b"mark.serial" not in collection_path.read_bytes() else None
 
@@ -65,7 +68,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if os.environ.get("RUN_SLOW"):
         return
-    skip = pytest.mark.skip(reason="slow: takes minutes; run with RUN_SLOW=1 (make test-all)")
+    skip = pytest.mark.skip(reason="slow: takes minutes; run with RUN_SLOW=1 (make test-slow-sim)")
     for item in items:
         if "slow" in item.keywords:
             item.add_marker(skip)

@@ -96,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_device(group)
     group.add_argument(
         "--processes",
-        type=int,
+        type=whole(),
         metavar="N",
         help="worker processes (2); with fem on a GPU, those that render images "
         f"(at most {RENDERERS})",
@@ -181,13 +181,10 @@ def _fill(options: argparse.Namespace, opened: OpenArchive) -> int:
 
 def _processes(options: argparse.Namespace) -> int:
     from recorder.processes import cores
-    from sim.tiers import check_processes
 
-    processes: int | None = options.processes
-    if processes is None:
-        processes = 2 if options.device == "cpu" else max(1, min(RENDERERS, cores() // 2))
-    check_processes(processes)
-    return processes
+    if options.processes is not None:
+        return int(options.processes)
+    return 2 if options.device == "cpu" else max(1, min(RENDERERS, cores() // 2))
 
 
 def _solving(options: argparse.Namespace, *, smoke: bool) -> Solving:

@@ -38,6 +38,7 @@ from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
+from tactile.run import main
 
 CPU = torch.device("cpu")
 SMALL = (
@@ -87,7 +88,10 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
-    archive: MarkerArchive, done: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
+    archive: MarkerArchive,
+    done: tuple[Path, list[str]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out, reported = done
     assert reported[-1].startswith("source-only R2 ")
@@ -106,6 +110,11 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
     monkeypatch.setattr(stages, "train_force", refuse)
     undrawn(monkeypatch)
     assert run(archive, out) == [line for line in reported if "labels of >" not in line]
+    words = ["experiment", str(archive.path), "--out", str(out), "--pairs", "dots:grid"]
+    assert main([*words, *(f"--set={each}" for each in SMALL)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[-1] == reported[-1]
+    assert printed[-2].startswith(f"{out / 'report' / 'report.html'}: written, beside ")
     with pytest.raises(LearningError, match=r"experiment\.json\.seed: found 0, asked for 1"):
         run(archive, out, "seed=1")
     with pytest.raises(LearningError, match="models_per_batch: found 1, asked for 4"):

@@ -35,8 +35,6 @@ from recorder.store.layout import StreamLayout, create_stream
 from recorder.store.manifest import seal
 from tactile.__main__ import main
 
-RECORDED = Path(__file__).parents[1] / "golden" / "data"
-
 
 @pytest.fixture(scope="module")
 def jpeg_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -115,7 +113,7 @@ def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
 
 def copy_unsealed(path: Path) -> None:
     """Copy a session as it was in its first run, when no manifest stood before other checks."""
-    shutil.copytree(RECORDED / "gelsight.zarr", path)
+    make_session(path, seconds=1.2)
     shutil.rmtree(path / "manifest")
     edit(path / "zarr.json", lambda d: d["attributes"].update(status="recording"))
 
@@ -427,7 +425,8 @@ def recovered(folder: Path) -> Path:
 
 
 def copied(folder: Path) -> Path:
-    export(RECORDED / "uskin.zarr", folder / "s.zarr", "zarr")
+    source = make_session(folder / "t.zarr", seconds=1.2, names=("taxels", "force", "pose"))
+    export(source, folder / "s.zarr", "zarr")
     return folder / "s.zarr"
 
 

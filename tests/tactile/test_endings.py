@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.sessions import make_session
 
 from learning.errors import LearningError
 from recorder import SessionError
@@ -17,8 +18,6 @@ from rig.acquire.control import Interrupted
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from sim.errors import SceneError, SimulationDiverged
 from tactile.run import ended, joined
-
-SESSION = Path(__file__).parents[1] / "golden" / "data" / "gelsight.zarr"
 
 
 def raised(error: BaseException) -> int:
@@ -76,8 +75,13 @@ def test_other_errors_are_faults_and_keep_their_traceback(error: Exception) -> N
         raised(error)
 
 
-@pytest.mark.parametrize("words", [f"session info {SESSION}", "--help", "sim --help"])
-def test_a_reader_that_leaves_ends_the_command_quietly(words: str) -> None:
+@pytest.mark.parametrize("words", ["session info s.zarr", "--help", "sim --help"])
+def test_a_reader_that_leaves_ends_the_command_quietly(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_session(tmp_path / "s.zarr", seconds=0.5, names=("force",))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    monkeypatch.chdir(tmp_path)
     program = [sys.executable, "-m", "tactile", *words.split()]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
