@@ -73,7 +73,6 @@ def test_a_leak_shows_as_its_slope_and_the_warm_up_does_not() -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_a_short_long_run_finds_every_process_and_says_what_was_recorded(tmp_path: Path) -> None:
     bench = quick_bench(tmp_path, "tacpalm")
     path, targets = long_bench(bench, 30.0, tmp_path)

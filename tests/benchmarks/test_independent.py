@@ -215,7 +215,6 @@ def test_an_error_beyond_the_stated_one_and_a_failure_are_named(page: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(200)
 def test_skin_at_a_sharp_edge_without_friction_is_smooth_on_coarse_meshes_only() -> None:
     """It leaves the edge in one row of elements; forces hardly notice.
 

@@ -36,7 +36,6 @@ HARMLESS_HERE = {"nodal-contact"}
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("mistake", CAUGHT)
 def test_a_planted_mistake_is_caught_on_a_scene_that_is_right_without_it(
     mistake: str, tmp_path: Path

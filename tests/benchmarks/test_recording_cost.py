@@ -526,7 +526,6 @@ def test_lerobot_writes_in_its_own_interpreter(key: str, tmp_path: Path) -> None
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_the_whole_quick_run_writes_every_part(tmp_path: Path) -> None:
     out = tmp_path / "recording.md"
     arguments = ["recording", "--quick", "--scratch", str(tmp_path), "--out", str(out)]

@@ -34,7 +34,6 @@ SECOND = 1_000 * MS
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_the_command_runs_a_row_and_writes_its_page(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -209,7 +208,6 @@ def test_a_labs_stale_limits_are_50_and_100_ms_and_stop_the_arm_just_past_them()
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", [name for name in names() if name not in ("kills", "disk-full")])
 def test_every_row_is_as_it_should_be(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -220,7 +218,6 @@ def test_every_row_is_as_it_should_be(
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_a_full_disk_loses_nothing(tmp_path: Path) -> None:
     try:
         judged = disk.fill_disk(tmp_path, BENCHES)

@@ -30,7 +30,6 @@ def _learning(*arguments: object, of: str = "tactile") -> subprocess.CompletedPr
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_an_archive_becomes_a_model_a_file_and_a_table(tmp_path: Path) -> None:
     archive = made_up_archive(tmp_path / "x.markers.zarr", targets=3, frames_per_phase=1)
     split, model = tmp_path / "split.json", tmp_path / "model"
@@ -196,7 +195,6 @@ def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize(
     ("change", "message"),
     [

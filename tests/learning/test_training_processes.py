@@ -69,7 +69,6 @@ def _run(path: Path, folder: Path, processes: int, stop_at: int) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_two_processes_learn_and_stop_as_one(tmp_path: Path) -> None:
     message = _run(tmp_path / "toy.py", tmp_path / "two", 2, 11)
     assert "2 processes, cpu" in message

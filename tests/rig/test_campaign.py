@@ -447,7 +447,6 @@ def test_an_entry_is_recorded_with_its_bench_session_and_operator_or_resumed(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_a_campaign_killed_in_the_middle_goes_on_and_loses_nothing(tmp_path: Path) -> None:
     benches = tmp_path / "benches"
     benches.mkdir()

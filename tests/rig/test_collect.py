@@ -14,7 +14,7 @@ from learning.markers.recording import read_recording
 from recorder import OUTCOMES, Session
 from tactile.__main__ import main
 
-pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.serial
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,6 @@ def test_the_table_names_every_stream(collected: tuple[Session, Collection, Path
     assert collected[1].session.with_suffix(".png").exists()
 
 
-@pytest.mark.timeout(240)
 def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

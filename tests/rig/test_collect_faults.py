@@ -16,7 +16,7 @@ from support.collecting import Collection, faults_of, quick_bench
 from recorder import OUTCOMES, Session
 from rig.core.mock_names import PORTS
 
-pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.serial
 
 EMULATORS = ("arm", "camera", "force", "taxels", "world")
 

@@ -35,7 +35,6 @@ def killed(folder: Path, kills: int, sessions: int, *, seed: int, targets: int) 
     return found
 
 
-@pytest.mark.timeout(200)
 @pytest.mark.slow
 def test_a_killed_collection_loses_nothing_and_is_resumed(tmp_path: Path) -> None:
     found = killed(tmp_path, 1, 1, seed=SEED_OF_ALL, targets=2)

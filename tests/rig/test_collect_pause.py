@@ -350,7 +350,6 @@ WHOLE = [(phase, COMPLETE) for phase in range(4)]
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_a_grip_lost_in_mid_press_halts_retracts_and_exits_with_4(collect: Collect) -> None:
     run = collect(4)
     in_second_phase(run)
@@ -369,7 +368,6 @@ def test_a_grip_lost_in_mid_press_halts_retracts_and_exits_with_4(collect: Colle
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: Collect) -> None:
     run = collect(2, "pause")
     in_second_phase(run)
@@ -397,7 +395,6 @@ def test_a_pause_waits_clear_of_the_surface_and_leaves_a_clean_session(collect: 
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_ctrl_c_ends_a_pause_with_everything_kept(collect: Collect) -> None:
     run = collect(2, "pause")
     in_second_phase(run)
@@ -411,7 +408,6 @@ def test_ctrl_c_ends_a_pause_with_everything_kept(collect: Collect) -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(240)
 def test_a_pedal_released_in_mid_shear_halts_and_the_target_is_pressed_again(
     collect: Collect,
 ) -> None:
@@ -456,7 +452,6 @@ def last_part(run: Collection, word: str) -> str:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_an_unplugged_dead_man_pedal_halts_and_is_lost_after_its_limit(collect: Collect) -> None:
     run = collect(2, "dead_man", 8.0)
     run.until(run.recording)
@@ -476,7 +471,6 @@ def test_an_unplugged_dead_man_pedal_halts_and_is_lost_after_its_limit(collect: 
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_a_pedal_plugged_in_again_in_time_goes_on(collect: Collect) -> None:
     run = collect(1, "dead_man")
     run.until(run.recording)

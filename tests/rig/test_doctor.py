@@ -49,7 +49,6 @@ def found(content: dict[str, Any], folder: Path) -> dict[str, Finding]:
 
 
 @pytest.mark.serial
-@pytest.mark.timeout(120)
 def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     started: dict[str, Any], tmp_path: Path
 ) -> None:

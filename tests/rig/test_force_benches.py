@@ -203,7 +203,6 @@ def check_against_truth(session: Session, truth: Truth) -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_two_targets_through_the_ni_card(tmp_path: Path) -> None:
     session, truth = collected(tmp_path, "nidaq")
     check_against_truth(session, truth)

@@ -175,7 +175,6 @@ def test_a_broken_package_is_named_and_stops_only_benches_that_use_it(
 
 
 @pytest.mark.serial
-@pytest.mark.timeout(120)
 def test_the_contract_suite_tests_a_device_of_another_package(site: Path) -> None:
     done = subprocess.run(
         [
@@ -191,7 +190,6 @@ def test_the_contract_suite_tests_a_device_of_another_package(site: Path) -> Non
 
 
 @pytest.mark.serial
-@pytest.mark.timeout(120)
 def test_a_session_is_collected_from_devices_of_other_packages(site: Path, tmp_path: Path) -> None:
     path, truth = tmp_path / "s.zarr", tmp_path / "truth"
     done = subprocess.run(

@@ -137,7 +137,6 @@ def jogging(tmp_path: Path) -> Iterator[Hand]:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_the_arm_follows_the_cap_stops_with_it_and_a_button_takes_the_origin(hand: Hand) -> None:
     hand.move("push", x=1.0, seconds=1.0)
     hand.wait(hand.moving)
@@ -160,7 +159,6 @@ def test_the_arm_follows_the_cap_stops_with_it_and_a_button_takes_the_origin(han
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_an_unplugged_cap_stops_the_arm_and_ends_with_3(hand: Hand) -> None:
     hand.move("push", y=-1.0, seconds=30.0)
     hand.wait(hand.moving)
@@ -171,7 +169,6 @@ def test_an_unplugged_cap_stops_the_arm_and_ends_with_3(hand: Hand) -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_ctrl_c_stops_the_arm_and_ends_with_130(hand: Hand) -> None:
     hand.move("push", x=-1.0, seconds=30.0)
     hand.wait(hand.moving)
@@ -181,7 +178,6 @@ def test_ctrl_c_stops_the_arm_and_ends_with_130(hand: Hand) -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_pushed_into_the_wall_of_the_box_the_tip_stays_inside(hand: Hand) -> None:
     hand.move("push", x=1.0, seconds=6.0)
     hand.wait(hand.moving)

@@ -246,7 +246,6 @@ def test_a_latency_becomes_the_attributes_of_its_stream(tmp_path: Path) -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_home_finds_a_surface_that_the_bench_file_has_wrong_and_collect_goes_there(
     tmp_path: Path,
 ) -> None:
@@ -280,7 +279,6 @@ world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_home_refuses_when_there_is_nothing_to_touch(tmp_path: Path) -> None:
     bench = tmp_path / "bench.yaml"
     bench.write_text(

@@ -32,7 +32,7 @@ from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.mock.bench import MockBench
 
-pytestmark = [pytest.mark.serial, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.serial
 
 # Height above the sensor to which a stopped arm retracts, less the tolerance of the move [mm].
 RETRACTED = 15.0

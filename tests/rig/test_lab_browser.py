@@ -12,7 +12,6 @@ from benchmarks.chromium import CHROMIUM, Chromium
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(240),
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium"),
 ]
 

@@ -165,7 +165,6 @@ def test_taps_are_light_irregular_and_the_same_again() -> None:
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize("delay_ms", [0.0, 55.0])
 def test_the_emulated_cameras_lag_is_found(tmp_path: Path, delay_ms: float) -> None:
     bench = tmp_path / "bench.yaml"

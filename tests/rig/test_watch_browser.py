@@ -24,7 +24,6 @@ from rig.monitor.lab import Folders
 pytestmark = [
     pytest.mark.serial,
     pytest.mark.slow,
-    pytest.mark.timeout(240),
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium"),
 ]
 

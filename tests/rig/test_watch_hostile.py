@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 
 from recorder import Session
 
-pytestmark = [pytest.mark.serial, pytest.mark.slow, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.serial, pytest.mark.slow]
 
 _PAUSE = 0.005
 # Between two attempts of one attacker [s]: the attackers share two cores with the bench.

@@ -366,7 +366,6 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 @pytest.mark.parametrize("sensor", ["tacpalm", "gelsight", "uskin"])
 def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     sensor: str, tmp_path: Path

@@ -35,7 +35,6 @@ from sim.scene import through
 from sim.sensors import SurfaceField, sensor
 
 # The archive that most tests read takes 12 s of one core, and a minute on a busy machine.
-pytestmark = pytest.mark.timeout(240)
 
 __all__ = ["own_grid", "solved_once"]
 

@@ -271,7 +271,6 @@ def test_killed_at_random_moments_and_started_again_it_is_the_same(tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(200)
 def test_ctrl_c_between_processes_ends_with_130(tmp_path: Path) -> None:
     path = tmp_path / "a.markers.zarr"
     process = _verb(path)

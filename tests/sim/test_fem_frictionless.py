@@ -114,7 +114,6 @@ def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float) -> None
 
 
 @SLOW
-@pytest.mark.timeout(180)
 @pytest.mark.parametrize("degrees", [0, 5, 15, 30])
 def test_a_leaning_punch_on_the_default_mesh_is_not_pulled_aside(degrees: int) -> None:
     _punch(degrees, 0.13e-3, Fem())

@@ -72,7 +72,6 @@ def test_a_plate_on_all_of_a_skin_that_keeps_its_volume_has_a_finer_meshs_force(
 
 
 @SLOW
-@pytest.mark.timeout(180)
 @pytest.mark.parametrize("at", [9.9e-3, 10e-3])
 def test_a_deep_press_at_the_corner_has_a_finer_meshs_force(at: float) -> None:
     scene = Scene(sphere(4e-3), press([1e-3], at=(at, at)))
@@ -82,21 +81,18 @@ def test_a_deep_press_at_the_corner_has_a_finer_meshs_force(at: float) -> None:
 
 
 @SLOW
-@pytest.mark.timeout(180)
 def test_a_box_over_the_corner_has_a_finer_meshs_force() -> None:
     scene = Scene(box(4e-3, 4e-3, 0.5e-3), press([0.3e-3], at=(9e-3, 9e-3)))
     assert _against_finer(scene, 0.75, 1.1).record["error"]["percent"] < 5
 
 
 @SLOW
-@pytest.mark.timeout(300)
 def test_a_shallow_blade_has_getfems_force() -> None:
     result = _against_getfem("blade 0.5 x 12", BLADE, Fem(fineness=0.4))
     assert result.record["error"]["percent"] < 20
 
 
 @SLOW
-@pytest.mark.timeout(300)
 def test_a_blade_as_deep_as_it_is_thick_has_a_finer_meshs_force() -> None:
     result = _against_finer(Scene(BLADE, press([0.5e-3])), 0.3, 0.4)
     assert result.quality.overlap.max() < 0.04 * 0.5e-3

@@ -27,13 +27,13 @@ def _case(path: Path) -> object:
 # Scenes that take more than 5 seconds.
 SLOW: dict[str, list[pytest.MarkDecorator]] = {
     "blade-goes-through": [pytest.mark.slow],
-    "corner-below-the-base": [pytest.mark.slow, pytest.mark.timeout(180)],
+    "corner-below-the-base": [pytest.mark.slow],
     "corner-is-not-symmetric": [pytest.mark.slow],
     "deep-cone-leaves-the-axis": [pytest.mark.slow],
     "first-touch-is-nothing": [pytest.mark.slow],
     "leaves-the-skin": [pytest.mark.slow],
     "press-at-the-corner": [pytest.mark.slow],
-    "skin-leaps-over-the-sphere": [pytest.mark.slow, pytest.mark.timeout(180)],
+    "skin-leaps-over-the-sphere": [pytest.mark.slow],
     "tube-on-its-rounded-edge": [pytest.mark.slow],
 }
 

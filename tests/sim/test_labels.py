@@ -95,7 +95,6 @@ def test_forces_of_a_twin_are_those_of_its_presses(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_forces_of_a_twin_that_was_identified_by_tier_fem_are_of_that_tier(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(TWIN.replace("MODULUS", "145").replace("]]}", "]], tier: fem}"))

@@ -57,7 +57,6 @@ from sim.twin.record import lines, plan_files, twin_yaml
 from tactile.__main__ import main
 
 # A fit takes some 20 s of a free core.
-pytestmark = pytest.mark.timeout(300)
 
 COARSE = 32
 SHORT = {
@@ -285,7 +284,6 @@ def test_images_of_another_sensor_are_refused_in_pixels(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_presses_at_three_places_tell_the_tilt() -> None:
     one = planned_presses("sphere", (1.0e-3,), 0.6e-3, 0.6)
     apart = replace(one, plan=replace(one.plan, points=(1, 2, 3), step_x=4e-3, step_y=4e-3))
