@@ -1,6 +1,6 @@
 """A benchmark is a question and a list of parts; each part is measured, stored, and shown.
 
-`Benchmark` has the options that all benchmarks share, measures the chosen parts with a progress
+`Benchmark` has the options that all benchmarks fraction, measures the chosen parts with a progress
 bar, writes what each measured to a JSON file beside the page as soon as it is there, and writes the
 page: a head (command, machine, commit, seeds, spread, time), then a section for each part, with its
 pictures in `images/`. `--draw` writes the page again from the JSON file.
@@ -46,7 +46,7 @@ HEAD = {
 
 @dataclass
 class Run:
-    """What a part is given to measure with, and what it states about its measurement."""
+    """Settings of a measurement, and its statements about itself."""
 
     options: argparse.Namespace
     """The options of the command line, those of the benchmark included."""
@@ -59,11 +59,11 @@ class Run:
     spread: str = ""
     """Spread of repeated runs, e.g. `median of 5 runs, range at most 4 %`; empty: a single run."""
     failures: list[str] = field(default_factory=list)
-    """What did not hold; any makes the exit code 1."""
+    """Statements that must hold and do not; any makes the exit code 1."""
 
     @property
     def quick(self) -> bool:
-        """Whether the run must end in seconds, with numbers that mean little."""
+        """Return True if the run must end soon, with numbers that mean little."""
         return bool(self.options.quick)
 
     @property
@@ -111,14 +111,14 @@ class Benchmark:
     name: str
     title: str
     question: str
-    """What the page answers, in a sentence or a few; the first paragraph of the page."""
+    """The page answers it: a sentence or a few, its first paragraph."""
     parts: Sequence[Part]
     summary: Callable[[dict[str, Any]], str] | None = None
     """Returns the Markdown above the sections, from the values by part; of those there are."""
     options: Callable[[argparse.ArgumentParser], None] | None = None
     """Adds options of its own."""
     on_device: bool = False
-    """Whether it has `--device`."""
+    """True if it has `--device`."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options of the command."""
@@ -170,12 +170,12 @@ class Benchmark:
         whole, before, failures = sum(part.weight for part in chosen), 0.0, []
         with Progress(self.name, sys.stderr) as progress:
             for part in chosen:
-                share = part.weight / whole
+                fraction = part.weight / whole
                 with tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder:
-                    run = Run(options, Path(folder), span_of(progress, before, share))
+                    run = Run(options, Path(folder), span_of(progress, before, fraction))
                     began = time.monotonic()
                     values = part.measure(run)
-                before += share
+                before += fraction
                 stored[part.name] = _head(run, time.monotonic() - began) | {"results": values}
                 failures += [f"{part.name}: {failure}" for failure in run.failures]
                 _store(measurements, stored)

@@ -1,7 +1,7 @@
 """Mistakes in files, one or more in each kind of file, and the command that reads each.
 
 `make reference` makes `docs/reference/wrong-inputs.md` of them and of what the commands print;
-tests/tactile/test_wrong_files.py compares the page with what they print now.
+tests/tactile/test_wrong_inputs.py compares the page with what they print now.
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ FOLDERS: dict[str, tuple[str, str, str, dict[str, tuple[str, object]]]] = {
 
 @dataclass(frozen=True)
 class Refusal:
-    """What a command printed about a wrong file."""
+    """Outcome of a command that read a wrong file."""
 
     mistake: str
     code: int

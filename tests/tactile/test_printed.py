@@ -1,4 +1,4 @@
-"""What commands print where no other test looks, and the values that they store with it."""
+"""Printed lines that no other test compares, and the values that are stored with them."""
 
 from __future__ import annotations
 
