@@ -1,6 +1,6 @@
 """A benchmark is a question and a list of parts; each part is measured, stored, and shown.
 
-`Benchmark` has the options that all benchmarks fraction, measures the chosen parts with a progress
+`Benchmark` has the options that all benchmarks share, measures the chosen parts with a progress
 bar, writes what each measured to a JSON file beside the page as soon as it is there, and writes the
 page: a head (command, machine, commit, seeds, spread, time), then a section for each part, with its
 pictures in `images/`. `--draw` writes the page again from the JSON file.
@@ -32,7 +32,7 @@ RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "build" / "results"
 # Exit code of a run in which something failed that must hold.
 FAILED = 1
 # What is stored of each part beside its results, and of what type.
-HEAD = {
+HEAD: dict[str, type | tuple[type, ...]] = {
     "command": str,
     "quick": bool,
     "machine": str,
