@@ -12,13 +12,7 @@ from tactile.run import HELP, ended, run_module
 BENCHMARKS = {
     # Recording
     "recording": ("benchmarks.recording.command", "cost of recording, compared with other stores"),
-    "faults": ("benchmarks.faults.command", "inject every fault into a mock bench"),
-    "survival": (
-        "benchmarks.faults.survival",
-        "kill writing, recovering and resuming programs; fill disks",
-    ),
-    "no-gauge": ("benchmarks.no_gauge.command", "wrong benches without a force gauge"),
-    "endurance": ("benchmarks.endurance.command", "half an hour on the mock bench"),
+    "faults": ("benchmarks.faults.command", "faults, kills, wrong benches, endurance"),
     "first-hour": ("benchmarks.first_hour", "every command from the wheel to live forces"),
     "bench-drawings": ("benchmarks.bench_drawings", "draw wiring, mounting and frames of a bench"),
     # The simulator

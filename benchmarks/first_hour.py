@@ -1,12 +1,9 @@
-"""From the wheel to live forces: every command of a user's first hour, in an empty folder.
-
-    python -m benchmarks first-hour --page times.md
+"""`python -m benchmarks first-hour`: every command of a user's first hour, and its time.
 
 Builds the wheel and installs it into a new environment. In a lab outside of the repository it tests
 and sets up a mock bench, and records three sessions. It looks at one on the page by clicks in a
 browser, marks two targets there, and records these again. It trains the smallest force model and
-predicts forces as the mock bench is touched. Every command is printed with its time. Only the
-dependencies of the wheel come from the network.
+predicts forces as the mock bench is touched. Only the dependencies come from the network.
 """
 
 from __future__ import annotations
@@ -19,31 +16,30 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from benchmarks.chromium import CHROMIUM, Chromium
+from benchmarks.report import ROOT, Benchmark, Page, Part, Run, table
+from recorder.charts import BLUE, chart
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
-from recorder.processes import cores
 from recorder.progress import duration
+from tests.support.chromium import CHROMIUM, Chromium
 
-ROOT = Path(__file__).parents[1]
 SENSOR = "gelsight"
 # Cone is one of the paper's six indenters that no training uses.
 INDENTERS = ("sphere", "cylinder", "cone")
-TARGETS = 8
-AGAIN = (3, 7)
+TARGETS, QUICK_TARGETS = 8, 3
+AGAIN, QUICK_AGAIN = (3, 7), (1, 3)
 # Times that a step on the mock bench is tried: on a busy machine an emulator may answer late.
 TRIES = 3
 # What a stopped collection prints before the command that goes on with it.
 CONTINUE = "to continue: "
-# Lines of a command's output that are shown, and of one that failed.
-SHOWN, SHOWN_FAILED = 3, 20
 # Duration of the live prediction [s].
-LIVE_S = 20
+LIVE, QUICK_LIVE = 20, 4
+_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,83 +55,30 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """A command that ended."""
+    """A command that ended: its time [s] has those of earlier tries."""
 
     command: str
     code: int
     lines: list[str]
-    """Its output."""
     seconds: float
-    """Its time, with those of earlier tries [s]."""
     tries: int
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the script."""
-    parser.description = (
-        "Runs every command of a user's first hour, from the wheel to live forces, on a mock bench."
-    )
-    parser.add_argument(
-        "--venv",
-        type=Path,
-        metavar="DIR",
-        help="use this environment, in which tactile-rig[rig,learning] is installed, instead of a "
-        "wheel and a new environment; no network",
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="new folder that is kept (default: a temporary one)"
-    )
-    parser.add_argument("--page", type=Path, metavar="FILE", help="page of the times to write")
-    parser.add_argument(
-        "--picture", type=Path, metavar="FILE", help="picture (PNG) of the page to write"
-    )
-
-
-def run(options: argparse.Namespace) -> int:
-    """Run all steps; return the exit code of the one that failed, or 0."""
-    done: list[Ran] = []
-    if CHROMIUM is None:
-        print("first hour: found no chromium: the page is not opened, targets are named by hand")
-    with tempfile.TemporaryDirectory(prefix="first-hour-") as name:
-        folder = Path(name) if options.out is None else options.out.resolve()
-        folder.mkdir(parents=True, exist_ok=True)
-        for each in commands(folder, options.venv, options.picture):
-            done.append(each)
-            if each.code != EXIT_DONE:
-                print(f"first hour: stopped by {each.command}, exit code {each.code}")
-                return each.code
-    took = duration(sum(each.seconds for each in done))
-    last = done[-1].lines[-1] if done[-1].lines else ""
-    print(f"first hour: {len(done)} commands in {took}, from the wheel to live forces: {last}")
-    if options.page is not None:
-        options.page.write_text(page(done))
-    return EXIT_DONE
-
-
-def commands(folder: Path, environment: Path | None, picture: Path | None) -> Iterator[Ran]:
-    """Run the commands one after the other, in a new environment if there is none."""
-    if environment is None:
-        environment = folder / "venv"
-        yield from installed(folder, environment)
-    tactile = environment.resolve() / "bin" / "tactile"
-    for number, step in enumerate(steps(clicks=CHROMIUM is not None)):
-        place = folder if number == 0 else folder / "lab"
-        words = [str(tactile), *step.words]
-        yield clicked(words, place, picture) if step.by_clicks else ran(words, place, step.at_bench)
-
-
-def steps(*, clicks: bool) -> Iterator[Step]:
+def steps(*, clicks: bool, quick: bool = False) -> Iterator[Step]:
     """Yield the commands of `tactile`, the first in the folder that gets the lab.
 
     Args:
         clicks: Mark the targets to record again on the page; else they are named in a command.
+        quick: Without the set-up of the bench, with few targets and the shortest training.
     """
     yield Step(("init", "lab"))
     yield Step(("doctor", "--sensor", SENSOR), at_bench=True)
-    yield Step(("setup", "--sensor", SENSOR, "--yes"), at_bench=True)
-    sessions = [f"sessions/{indenter}.zarr" for indenter in INDENTERS]
-    for indenter, session in zip(INDENTERS, sessions, strict=True):
-        chosen = ("--sensor", SENSOR, "--indenter", indenter, "--targets", str(TARGETS))
+    if not quick:
+        yield Step(("setup", "--sensor", SENSOR, "--yes"), at_bench=True)
+    sessions = [f"sessions/{indenter}.zarr" for indenter in INDENTERS[: 1 if quick else None]]
+    targets = str(QUICK_TARGETS if quick else TARGETS)
+    for indenter, session in zip(INDENTERS, sessions, strict=False):
+        chosen = ("--sensor", SENSOR, "--indenter", indenter, "--targets", targets)
         yield Step(("collect", *chosen, "--out", session), at_bench=True)
     yield Step(("session", "info", sessions[0]))
     yield Step(("session", "info", sessions[0], "--picture", "sphere.png"))
@@ -143,7 +86,7 @@ def steps(*, clicks: bool) -> Iterator[Step]:
         yield Step(("page", "--port", "0"), by_clicks=True)
         yield Step(("campaign", "--file", "campaigns/again.yaml", "--yes"), at_bench=True)
     else:
-        again = ",".join(map(str, AGAIN))
+        again = ",".join(map(str, QUICK_AGAIN if quick else AGAIN))
         yield Step(("collect", "--resume", sessions[0], "--again", again), at_bench=True)
     yield Step(("session", "check", sessions[0]))
     yield Step(("markers", *sessions, "--out", "gel.markers.zarr", "--sheet", "gel.png"))
@@ -151,22 +94,61 @@ def steps(*, clicks: bool) -> Iterator[Step]:
     yield Step(("train", "force", *learned, "--preset", "tiny", "--out", "runs/force"))
     yield Step(("predict", "runs/force", *learned, "--out", "results/force.npz"))
     yield Step(("evaluate", "results", "--out", "report"))
-    live = ("--sensor", SENSOR, "--model", "runs/force", "--seconds", str(LIVE_S))
+    live = (
+        "--sensor",
+        SENSOR,
+        "--model",
+        "runs/force",
+        "--seconds",
+        str(QUICK_LIVE if quick else LIVE),
+    )
     yield Step(("live", *live, "--out", "forces.csv"), at_bench=True)
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """Run the commands one after the other, until one fails; return their times."""
+    quick, environment = run.quick, run.options.venv
+    if quick and environment is None:
+        environment = Path(sys.prefix)
+    wanted = list(steps(clicks=CHROMIUM is not None, quick=quick))
+    done: list[Ran] = []
+    for each in _commands(run.folder, environment, wanted, quick, run.options.picture):
+        done.append(each)
+        run.progress(len(done) / (len(wanted) + 3))
+        if each.code != EXIT_DONE:
+            output = "\n".join(each.lines[-20:])
+            run.failures.append(f"{each.command}: exit code {each.code}:\n{output}")
+            break
+    return {"commands": [{**asdict(each), "lines": each.lines[-_SHOWN:]} for each in done]}
+
+
+def _commands(
+    folder: Path,
+    environment: Path | None,
+    wanted: Sequence[Step],
+    quick: bool,
+    picture: Path | None,
+) -> Iterator[Ran]:
+    if environment is None:
+        environment = folder / "venv"
+        yield from installed(folder, environment)
+    tactile = environment.resolve() / "bin" / "tactile"
+    for number, step in enumerate(wanted):
+        place = folder if number == 0 else folder / "lab"
+        words = [str(tactile), *step.words]
+        if step.by_clicks:
+            yield clicked(words, place, picture, QUICK_AGAIN if quick else AGAIN)
+        else:
+            yield ran(words, place, step.at_bench)
 
 
 def installed(folder: Path, environment: Path) -> Iterator[Ran]:
     """Build the wheel of this checkout, and install it into a new environment."""
     # A copy: a build in the checkout would pack what an earlier one left there.
     source, wheels = folder / "source", folder / "wheels"
-    listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    ).stdout
-    for name in filter(None, listed.split("\0")):
+    listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    files = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for name in filter(None, files.split("\0")):
         if (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, source / name)
@@ -180,72 +162,40 @@ def installed(folder: Path, environment: Path) -> Iterator[Ran]:
 
 
 def ran(words: Sequence[str], place: Path, at_bench: bool = False) -> Ran:
-    """Run one command in a folder; print it, its last lines and its time.
+    """Run one command in a folder.
 
-    Args:
-        words: The command.
-        place: Folder.
-        at_bench: Try it again, or continue, when a device of the mock bench was lost.
+    `at_bench`: run it again, or continue as it says, when a device of the mock bench was lost.
     """
-    first, code, lines, seconds, tries = shown(words), EXIT_DEVICE_LOST, [""], 0.0, 0
+    first, code, lines, tries = shown(words), EXIT_DEVICE_LOST, [""], 0
+    began = time.monotonic()
     while code == EXIT_DEVICE_LOST and tries < (TRIES if at_bench else 1):
         tries += 1
-        print(f"$ {shown(words)}", flush=True)
-        began = time.monotonic()
-        done = subprocess.run(
-            words,
-            cwd=place,
-            env=_environment(),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            check=False,
-        )
-        took = time.monotonic() - began
-        code, seconds = done.returncode, seconds + took
+        done = _started(words, place, stdin=subprocess.DEVNULL)
+        output, _ = done.communicate()
+        code = done.returncode
         # Progress is rewritten in place.
-        lines = [line.rpartition("\r")[2].rstrip() for line in done.stdout.splitlines()]
+        lines = [line.rpartition("\r")[2].rstrip() for line in output.splitlines()]
         lines = [line for line in lines if line]
-        for line in lines[-(SHOWN if code == EXIT_DONE else SHOWN_FAILED) :]:
-            print(f"  {line}", flush=True)
-        print(f"  {took:.1f} s", flush=True)
-        # Again, or as the command itself said.
         for line in lines:
             if line.startswith(CONTINUE):
                 words = [words[0], *shlex.split(line.removeprefix(CONTINUE))[1:]]
-    return Ran(first, code, lines, seconds, tries)
+    return Ran(first, code, lines, time.monotonic() - began, tries)
 
 
-def clicked(words: Sequence[str], place: Path, picture: Path | None) -> Ran:
-    """Serve the page and use it in a browser as a user does: look at a session, mark two targets.
-
-    Args:
-        words: The command that serves it.
-        place: Folder.
-        picture: File for a picture of the page (PNG); None: none.
-    """
-    print(f"$ {shown(words)}", flush=True)
-    began = time.monotonic()
-    served = subprocess.Popen(
-        words,
-        cwd=place,
-        env=_environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+def clicked(
+    words: Sequence[str], place: Path, picture: Path | None, again: Sequence[int] = AGAIN
+) -> Ran:
+    """Serve the page and use it in a browser as a user does; optionally take a picture (PNG)."""
+    began, failed = time.monotonic(), False
+    served = _started(words, place)
     assert served.stdout is not None
     lines = [served.stdout.readline().rstrip()]
-    failed = False
     try:
         address = re.search(r"watch it at (http\S+)", lines[0])
         with Chromium() as browser:
             if address is None:
                 raise RuntimeError("no address was printed")
-            for line in look(browser, address[1], picture):
-                lines.append(line)
-                print(f"  {line}", flush=True)
+            lines += look(browser, address[1], picture, again)
     except (AssertionError, RuntimeError) as error:
         failed = True
         lines += str(error).splitlines()
@@ -254,15 +204,13 @@ def clicked(words: Sequence[str], place: Path, picture: Path | None) -> Ran:
         rest, _ = served.communicate()
     lines += rest.splitlines()
     code = 1 if failed else served.returncode
-    if code != EXIT_DONE:
-        print("\n".join(f"  {line}" for line in lines[-SHOWN_FAILED:]), flush=True)
-    took = time.monotonic() - began
-    print(f"  {took:.1f} s", flush=True)
-    return Ran(shown(words), code, lines, took, 1)
+    return Ran(shown(words), code, lines, time.monotonic() - began, 1)
 
 
-def look(browser: Chromium, address: str, picture: Path | None) -> Iterator[str]:
-    """Look at the first session of the lab on the page and mark `AGAIN`; yield the visible results.
+def look(
+    browser: Chromium, address: str, picture: Path | None, again: Sequence[int]
+) -> Iterator[str]:
+    """Look at the first session of the lab on the page and mark targets; yield what it shows.
 
     Raises:
         AssertionError: Something does not appear.
@@ -281,7 +229,7 @@ def look(browser: Chromium, address: str, picture: Path | None) -> Iterator[str]
     browser.click("#slider")
     browser.until(f"{frame} > {before}")
     yield f"replay: {browser.eval(text('place'))}"
-    for target in AGAIN:
+    for target in again:
         browser.click(f"#r-map [data-index='{target - 1}']")
         browser.until(f"{text('r-cell')}.startsWith('Target {target}:')")
         browser.click("#mark")
@@ -292,9 +240,13 @@ def look(browser: Chromium, address: str, picture: Path | None) -> Iterator[str]
         browser.screenshot(picture)
 
 
-def _environment() -> dict[str, str]:
-    """Return the environment of a user without the repository."""
-    return {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+def _started(words: Sequence[str], place: Path, stdin: int | None = None) -> subprocess.Popen[str]:
+    """Start a command with the environment of a user who has no repository."""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    pipe, merged = subprocess.PIPE, subprocess.STDOUT
+    return subprocess.Popen(
+        words, cwd=place, env=environment, stdin=stdin, stdout=pipe, stderr=merged, text=True
+    )
 
 
 def shown(words: Sequence[str]) -> str:
@@ -302,29 +254,48 @@ def shown(words: Sequence[str]) -> str:
     return shlex.join([Path(word).name if word.startswith("/") else word for word in words])
 
 
-def page(done: Sequence[Ran]) -> str:
-    """Return the page of results."""
-    rows = "\n".join(
-        f"| `{each.command}` | {each.seconds:.0f} | {each.tries if each.tries > 1 else ''} |"
-        for each in done
-    )
-    took = duration(sum(each.seconds for each in done))
-    last = "\n".join(done[-1].lines[-SHOWN:])
-    return f"""# A user's first hour
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return the times of the commands as table and chart, and the last lines."""
+    commands = values["commands"]
+    with chart(page.picture("times"), 8, 0.8 + 0.25 * len(commands)) as figure:
+        axes = figure.subplots()
+        names = [f"{number + 1} {each['command'][:40]}" for number, each in enumerate(commands)]
+        axes.barh(names, [each["seconds"] for each in commands], color=BLUE)
+        axes.set(xlabel="time [s]")
+        axes.invert_yaxis()
+    rows = [(f"`{each['command']}`", f"{each['seconds']:.0f}", each["tries"]) for each in commands]
+    last = "\n".join(commands[-1]["lines"])
+    return f"""## The commands
 
-Every command from the wheel to live forces, in a new environment and an empty folder, on the mock
-bench: {len(done)} commands in {took}. One run on {cores()} cores, made by
-`python -m benchmarks first-hour --page FILE`.
+{len(commands)} commands in {duration(sum(each["seconds"] for each in commands))}, in an empty
+folder outside of the checkout. Targets are marked on the page by clicks in a browser without a
+window, if there is one. A command on the mock bench is run again if an emulator answered too late (`tries`).
 
-| command | time [s] | tries |
-|---|---|---|
-{rows}
+{page.link("times", "Time of each command")}
+
+{table(("command", "time [s]", "tries"), rows)}
 
 The last one ended with:
 
 ```text
 {last}
-```
+```"""
 
-A command on the mock bench is tried again when an emulator answered too late (a busy computer).
-"""
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    venv = (
+        "environment with tactile-rig[rig,learning], in place of a wheel and a new one; no network"
+    )
+    parser.add_argument("--venv", type=Path, metavar="DIR", help=venv)
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="picture (PNG) of the page")
+
+
+BENCHMARK = Benchmark(
+    "first-hour",
+    "A user's first hour",
+    "How long is it from the wheel to live forces, by every command of a user's first hour? On the "
+    "mock bench, in real time.",
+    (Part("hour", measure, section),),
+    options=_options,
+)
+add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

@@ -1,4 +1,1 @@
-"""Faults injected into mock collections one by one, and the reaction of the rig.
-
-Run with `python -m benchmarks faults`.
-"""
+"""Faults of devices, processes, disks and bench files, and what the rig loses or breaks by them."""

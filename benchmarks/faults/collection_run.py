@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.faults.observer import Observer, Seen
+from benchmarks.faults.observer import Observed, Observer
 from benchmarks.faults.processes import family, kill, stream_process, wait_gone
 from recorder import OUTCOMES, Session
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.mock_names import PORTS
+from rig.core.packaged import BENCHES
 
 # Emulator of each device, as `rig.mock.emulate` names it.
 EMULATORS = {
@@ -41,6 +42,25 @@ _STARTING = 60.0
 _POLL_NS = SECOND_NS // 50
 
 
+def quick_bench(folder: Path, sensor: str, *, limits: str = "{}", more: str = "") -> Path:
+    """Write a mock bench with a short preflight and fast travel through free space.
+
+    It extends the packaged bench of `sensor`; `limits` is YAML merged over its limits, and `more`
+    is YAML to add, in which BENCHES is replaced by the folder of the packaged benches.
+    """
+    path = folder / "bench.yaml"
+    path.write_text(
+        f"""
+extends: {BENCHES / f"{sensor}.yaml"}
+preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
+arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
+limits: {limits}
+{more.replace("BENCHES", str(BENCHES))}
+"""
+    )
+    return path
+
+
 class Hangs(Exception):
     """Raised if a collection does not end or reach a stage, with its output."""
 
@@ -48,10 +68,8 @@ class Hangs(Exception):
 class CollectionRun:
     """Context manager of a running collection, which ends all its processes on exit.
 
-    Args:
-        session: Session to write.
-        *arguments: Arguments of `tactile collect`.
-        preload: Library to preload, for devices that need a device node of the kernel.
+    `preload` is a library to preload, for devices that need a device node of the kernel. Methods
+    that wait raise Hangs if the collection ended, or too much time passed.
     """
 
     def __init__(self, session: Path, *arguments: str, preload: Path | None = None) -> None:
@@ -111,11 +129,7 @@ class CollectionRun:
         return self.lines[-1][1] if self.lines else ""
 
     def until(self, condition: Callable[[], bool], what: str, timeout: float = _STARTING) -> None:
-        """Wait for `condition`, with the collection still running.
-
-        Raises:
-            Hangs: The collection ended, or `timeout` [s] passed.
-        """
+        """Wait up to `timeout` [s] for `condition`, with the collection still running."""
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while not condition():
             ended = self.process.poll() is not None
@@ -126,11 +140,7 @@ class CollectionRun:
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
 
     def until_recording(self) -> None:
-        """Wait until every stream of this run has stored a row, and observe it from then on.
-
-        Raises:
-            Hangs: It was not reached.
-        """
+        """Wait until every stream of this run has stored a row, and observe it from then on."""
         self.until(self._find_bench, "the mock bench")
         if self.folder is None:
             raise Hangs(f"no run folder:\n{self.text}")
@@ -140,20 +150,12 @@ class CollectionRun:
     def until_pressing(self, before: Callable[[CollectionRun], None] | None = None) -> None:
         """Wait until the first phase of this session has ended and the next one has begun.
 
-        Args:
-            before: Operator's action after recording starts, without which nothing is pressed.
-
-        Raises:
-            Hangs: It was not reached.
+        `before` is the operator's action after recording starts, without which nothing is pressed.
         """
         self.until_recording()
         if before is not None:
             before(self)
         self.until(lambda: self._segment_bytes() > 0, "the first phase")
-
-    def rows(self, name: str) -> int:
-        """Return the rows that the stream reports as stored; 0 before `until_recording`."""
-        return 0 if self._observer is None else self._observer.rows(name)
 
     def _segment_bytes(self) -> int:
         return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
@@ -173,22 +175,14 @@ class CollectionRun:
         return found
 
     def emulator(self, device: str) -> int:
-        """Return the pid of a device's emulator.
-
-        Raises:
-            LookupError: It is not running.
-        """
+        """Return the pid of a device's emulator; LookupError if it is not running."""
         for pid, command in self.processes().items():
             if f"-m rig.mock.emulate {EMULATORS[device]} " in command:
                 return pid
         raise LookupError(f"no emulator of the {device} runs")
 
     def stream(self, name: str) -> int:
-        """Return the pid of the process that writes a stream.
-
-        Raises:
-            LookupError: It is not running, or is not recording.
-        """
+        """Return the pid of the process that writes a stream; LookupError if there is none."""
         return stream_process(self.processes(), self.session, name)
 
     def kill(self, *pids: int) -> None:
@@ -203,39 +197,23 @@ class CollectionRun:
         os.kill(self.process.pid, number)
 
     def inject(self, device: str, fault: str, **values: Any) -> dict[str, Any]:
-        """Inject a fault through the device's fault port and return the device's state.
-
-        Raises:
-            OSError, ValueError: See `rig.core.emulation.inject`.
-        """
+        """Inject a fault through the device's fault port and return the device's state."""
         self.injected_ns = self._clock.now_ns()
         return self.tell(device, fault, **values)
 
     def tell(self, device: str, what: str, **values: Any) -> dict[str, Any]:
-        """Send a command that is no fault through the device's fault port and return its state.
-
-        Raises:
-            OSError, ValueError: See `rig.core.emulation.inject`.
-        """
+        """Send a command that is no fault through the device's fault port."""
         port = PORTS[_LINES.get(device, device)]
         return emulation.inject(self.host, port, what, **values)
 
     def until_said(self, words: str, after: str = "") -> None:
-        """Wait until it has printed `words`, after the first `after`.
-
-        Raises:
-            Hangs: It did not print them in time.
-        """
+        """Wait until it has printed `words`, after the first `after`."""
         self.until(
             lambda: words in self.text[self.text.find(after) :] and after in self.text, words
         )
 
     def wait(self, timeout: float = 60.0) -> int:
-        """Wait for the end and return the exit code.
-
-        Raises:
-            Hangs: It did not end within `timeout` [s].
-        """
+        """Wait for the end, up to `timeout` [s], and return the exit code."""
         try:
             code = self.process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -244,12 +222,12 @@ class CollectionRun:
         self._reader.join(5.0)
         return code
 
-    def seen(self) -> Seen:
+    def observed(self) -> Observed:
         """End the observation and return it."""
-        return Seen() if self._observer is None else self._observer.close()
+        return Observed() if self._observer is None else self._observer.close()
 
     def noticed(self) -> float | None:
-        """Return the time from the fault to the end of the phase it ended, by the session [s].
+        """Return the time from the fault to the end of the phase that it ended [s].
 
         If it ended no phase, use the line that gives the reason for stopping; None without either.
         """

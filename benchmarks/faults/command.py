@@ -1,81 +1,87 @@
-"""Inject every fault into a mock collection and report the reaction of the rig.
-
-`python -m benchmarks faults`.
-"""
+"""`python -m benchmarks faults`: faults of devices, kills, wrong benches, and a long collection."""
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+from typing import Any
 
-from rig.core.errors import ConfigError
-from rig.core.packaged import BENCHES
+from benchmarks.faults import device_faults, endurance, kills, wrong_benches
+from benchmarks.report import Benchmark, Part
+from recorder.command_line.options import whole
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    parser.description = (
-        "Injects faults into short mock collections, one after the other, and checks "
-        "the session of each. Exit code 1 if any row loses samples, hangs or leaves the "
-        "arm moving. About half an hour; with --quick, and fewer kills, about ten minutes."
-    )
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--only",
+        "--row",
         action="append",
-        metavar="ROW",
-        help="run this row only (may be repeated); no page is written unless --out is given; "
-        "--list names them",
-    )
-    parser.add_argument("--list", action="store_true", help="name the rows and end")
-    parser.add_argument(
-        "--kills", type=int, help="number of kill -9s (default: 100; 10 with --quick)"
+        metavar="NAME",
+        help="a row of `faults` to run (may be repeated), with --quick or --out; '' names them",
     )
     parser.add_argument(
-        "--quick", action="store_true", help="each row once, 10 kills in place of 100"
+        "--kills",
+        type=whole(0),
+        metavar="N",
+        help=f"kills of collections ({kills.KILLS}; {kills.QUICK_KILLS} with --quick)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="random seed of the kills (%(default)s)"
+        "--benches",
+        type=whole(1),
+        metavar="N",
+        help=f"wrong benches ({wrong_benches.COUNT}; {wrong_benches.QUICK_COUNT} with --quick)",
     )
-    parser.add_argument("--benches", type=Path, default=BENCHES, help="folder of benches")
     parser.add_argument(
-        "--out", type=Path, help="page to write (default: docs/results/reliability.md)"
-    )
-    parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="keep sessions and logs of bad rows here"
+        "--minutes",
+        type=float,
+        metavar="MIN",
+        help=f"length of the collection of `endurance` ({endurance.MINUTES:g})",
     )
 
 
-def run(options: argparse.Namespace) -> int:
-    """Run the rows, write the page and return 0, or 1 if any row failed.
+def _summary(values: dict[str, Any]) -> str:
+    lines = []
+    if rows := values.get("faults", {}).get("rows"):
+        passed = sum(not row["wrong"] for row in rows)
+        looked_for, lost = (sum(row[key] for row in rows) for key in ("looked_for", "lost"))
+        lines.append(
+            f"{passed} of {len(rows)} faults ended as they must; {lost} of {looked_for:,} "
+            "accepted samples were lost."
+        )
+        lines += [
+            f"- **{row['device']} {row['fault']}**: {what}" for row in rows for what in row["wrong"]
+        ]
+    if killed := values.get("kills"):
+        collections, programs = killed["collections"], killed["programs"]
+        count = sum(collections["victims"].values()) + sum(programs["kills"].values())
+        wrong = [*collections["wrong"], *programs["wrong"]]
+        lines.append(f"{count} kills and {killed['disks']} full disks: {len(wrong)} failures.")
+        lines += [f"- **{what}**" for what in wrong]
+    if benches := values.get("no-gauge"):
+        most = max(each["largest"] / each["rating"] for each in benches)
+        lines.append(
+            f"On {len(benches)} wrong benches without a gauge the true force reached at most "
+            f"{most:.0%} of the sensor's rating."
+        )
+    if streams := values.get("endurance", {}).get("streams"):
+        dropped = sum(stream["dropped"] for stream in streams.values())
+        lines.append(
+            f"{values['endurance']['seconds'] / 60:.0f} minutes without a pause: {dropped} samples "
+            "dropped."
+        )
+    return "\n\n".join(lines)
 
-    Raises:
-        ConfigError: Unknown row, or missing folder of benches.
-    """
-    from benchmarks.faults.rows import SENSORS
-    from benchmarks.faults.run import Campaign, names
-    from rig.bench.bench import BenchFile
 
-    if options.list:
-        print("\n".join(names()))
-        return 0
-    unknown = sorted(set(options.only or ()) - set(names()))
-    if unknown:
-        raise ConfigError(f"--only: found {unknown}; known: {', '.join(names())}")
-    for sensor in SENSORS:
-        path = options.benches / f"{sensor}.yaml"
-        if not BenchFile.read(path).bench.mock:
-            raise ConfigError(
-                f"{path}: mock: found false; allowed: true: faults go into mock arms only"
-            )
-    kills = options.kills if options.kills is not None else 10 if options.quick else 100
-    if kills < 0:
-        raise ConfigError(f"--kills: found {kills}; allowed: 0 or more")
-    out = options.out or (None if options.only else Path("docs/results/reliability.md"))
-    campaign = Campaign(
-        options.benches,
-        only=tuple(options.only or names()),
-        kills=kills,
-        seed=options.seed,
-        keep=options.keep,
-    )
-    return 0 if campaign.run(out) else 1
+BENCHMARK = Benchmark(
+    "faults",
+    "Faults, kills, wrong benches, endurance",
+    "What does the rig lose or break when devices fail, processes are killed, disks fill up, the "
+    "bench file is wrong, or it runs for long? On mock benches, in real time.",
+    (
+        Part("faults", device_faults.measure, device_faults.section, weight=10.0),
+        Part("kills", kills.measure, kills.section, weight=20.0),
+        Part("no-gauge", wrong_benches.measure, wrong_benches.section, weight=10.0),
+        Part("endurance", endurance.measure, endurance.section, weight=30.0),
+    ),
+    summary=_summary,
+    options=_options,
+)
+add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

@@ -6,14 +6,14 @@ of the devices, and the position of the arm is the one reported by its emulator.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.faults.observer import Seen, age
-from recorder import Session, SessionError, check, faults
+from benchmarks.faults.observer import Observed, age
+from recorder import Session, check, faults
 from rig.devices.camera.jpeg import frame_stamp
 
 # The arm's emulator ends with the bench; the collection may then take long to close its session.
@@ -24,7 +24,7 @@ _EXCUSED = ("gap", "clock-step", "dropped", "rate", "frozen", "truncated")
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class Stored:
     """Content of a session."""
 
     status: str
@@ -40,29 +40,7 @@ class Left:
     """Number of rejected samples recorded in the session, by stream and reason."""
 
 
-@dataclass(frozen=True, slots=True)
-class FaultResult:
-    """One row of the page."""
-
-    code: int | None
-    """Exit code, or None if the collection did not end."""
-    what: str
-    """Last message of the rig."""
-    noticed: float | None
-    """Time from the fault to the message that the rig stops [s]."""
-    left: Left | None
-    """Content of the session, or None if it cannot be read."""
-    shown: int
-    """Number of samples seen while recording, which were looked for in the session."""
-    lost: int
-    """Number of those that are missing from the session, plus missing stored rows."""
-    arm: str
-    """State of the arm at the end, in words."""
-    wrong: tuple[str, ...] = field(default=())
-    """Failures; empty if the row passed."""
-
-
-def left_in(path: Path) -> Left:
+def stored_in(path: Path) -> Stored:
     """Return the content of a session.
 
     Raises:
@@ -71,21 +49,18 @@ def left_in(path: Path) -> Left:
     session = Session(path)
     rows, missing, disorder = {}, {}, {}
     for name, stream in session.streams.items():
+        steps = [_steps(session, name, run) for run in range(max(len(session.runs), 1))]
         rows[name] = len(stream)
-        lost = out_of_order = 0
-        for run in range(max(len(session.runs), 1)):
-            steps = _steps(session, name, run)
-            lost += max(int((steps - 1).sum()), 0)
-            out_of_order += int((steps < 1).sum())
-        missing[name], disorder[name] = lost, out_of_order
+        missing[name] = sum(max(int((of_run - 1).sum()), 0) for of_run in steps)
+        disorder[name] = sum(int((of_run < 1).sum()) for of_run in steps)
     summary = session.attrs.get("summary") or {}
-    return Left(
+    return Stored(
         status=session.status,
         rows=rows,
         missing=missing,
         disorder=disorder,
         findings=tuple(sorted({finding.code for finding in faults(check(path))})),
-        rejected={name: found.get("refused", {}) for name, found in summary.items()},
+        rejected={name: counts.get("refused", {}) for name, counts in summary.items()},
     )
 
 
@@ -104,7 +79,7 @@ def _steps(session: Session, name: str, run: int) -> np.ndarray:
     return np.diff(np.asarray(stream.array("seq"))[rows])
 
 
-def losses(path: Path, seen: Seen) -> tuple[int, int]:
+def losses(path: Path, observed: Observed) -> tuple[int, int]:
     """Return the number of samples compared and the number missing from the session.
 
     Raises:
@@ -112,56 +87,43 @@ def losses(path: Path, seen: Seen) -> tuple[int, int]:
     """
     session = Session(path)
     compared = lost = 0
-    for name in {*seen.shown, *seen.rows}:
-        shown = seen.shown.get(name, set())
+    for name in {*observed.shown, *observed.rows}:
+        shown = observed.shown.get(name, set())
         times = np.asarray(session.streams[name].t_ns)
         rows = times[session.rows_of_run(name, max(len(session.runs) - 1, 0))]
         # Samples shown before this run's first row were not yet recorded.
         wanted = np.array(sorted(t for t in shown if len(rows) and t >= rows[0]), np.int64)
         compared += len(wanted)
         lost += int((~np.isin(wanted, times)).sum())
-        lost += max(seen.rows.get(name, 0) - len(rows), 0)
+        lost += max(observed.rows.get(name, 0) - len(rows), 0)
     return compared, lost
 
 
-def complaints(path: Path, left: Left, findings_allowed: Iterable[str] = ()) -> list[str]:
-    """Return defects that no session may have: disorder, corrupt storage."""
-    wrong = [
-        f"{name}: {count} rows twice or out of order"
-        for name, count in left.disorder.items()
-        if count
-    ]
-    excused = {*_EXCUSED, *findings_allowed}
-    wrong += [
+def complaints(path: Path, disorder: Mapping[str, int]) -> list[str]:
+    """Return defects that no session may have: rows out of order, corrupt storage."""
+    return [
+        f"{name}: {count} rows twice or out of order" for name, count in disorder.items() if count
+    ] + [
         str(finding).replace(str(path), path.name)
         for finding in faults(check(path))
-        if finding.code not in excused
+        if finding.code not in _EXCUSED
     ]
-    return wrong
 
 
-def arm_in_words(seen: Seen, ended_ns: int, gone: bool) -> tuple[str, bool]:
+def arm_in_words(observed: Observed, ended_ns: int, gone: bool) -> tuple[str, bool]:
     """Return the state of the arm at the end, and True if it is known to have stopped.
 
     Args:
-        seen: Observations, with the states that the arm's emulator reported.
+        observed: Observations, with the states that the arm's emulator reported.
         ended_ns: Time at which the collection ended [ns].
         gone: True if the controller itself was killed.
     """
     if gone:
         return "controller gone", True
-    last_ns = ended_ns if seen.arm_silent_ns is None else min(ended_ns, seen.arm_silent_ns)
-    if not seen.arm or age(seen.arm[-1], last_ns) >= _RECENT:
+    silent_ns = observed.arm_silent_ns
+    last_ns = ended_ns if silent_ns is None else min(ended_ns, silent_ns)
+    if not observed.arm or age(observed.arm[-1], last_ns) >= _RECENT:
         return "not known", False
-    last = seen.arm[-1]
+    last = observed.arm[-1]
     place = "clear" if last.clear else f"at {1e3 * last.height:.1f} mm"
     return (f"still, {place}" if last.still else f"MOVING, {place}"), last.still
-
-
-def readable(path: Path) -> bool:
-    """Return True if the session can be opened."""
-    try:
-        Session(path)
-    except (SessionError, OSError):
-        return False
-    return True

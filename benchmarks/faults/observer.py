@@ -12,7 +12,6 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -37,13 +36,11 @@ _CLEAR = 0.01
 
 @dataclass(frozen=True, slots=True)
 class ArmState:
-    """State reported by the arm's emulator at one time."""
+    """State reported by the arm's emulator: time [ns], height of the tip [m] and speed [m/s]."""
 
     t_ns: int
     height: float
-    """Height of the tip above the surface [m]."""
     speed: float
-    """Speed of the tip [m/s]."""
 
     @property
     def still(self) -> bool:
@@ -57,7 +54,7 @@ class ArmState:
 
 
 @dataclass(slots=True)
-class Seen:
+class Observed:
     """Observations of one run."""
 
     shown: dict[str, set[int]] = field(default_factory=dict)
@@ -79,10 +76,11 @@ class Observer:
     """
 
     def __init__(self, folder: Path, host: str) -> None:
-        self.seen = Seen()
+        self.observed = Observed()
         self._folder = folder
         self._host = host
-        self._frame = _contact_frame(folder)
+        world = folder / "world.json"
+        self._frame = np.array(build(WorldConfig, read_yaml(world), str(world)).contact_frame)
         self._clock = SystemClock()
         self._records: dict[str, tuple[SharedLatest, SharedLatest]] = {}
         self._stopping = threading.Event()
@@ -91,9 +89,9 @@ class Observer:
 
     def rows(self, name: str) -> int:
         """Return the number of rows that the stream reports as stored in this run."""
-        return self.seen.rows.get(name, 0)
+        return self.observed.rows.get(name, 0)
 
-    def close(self) -> Seen:
+    def close(self) -> Observed:
         """Observe a last time, stop, and return the observations. May be called twice."""
         if not self._stopping.is_set():
             self._stopping.set()
@@ -103,7 +101,7 @@ class Observer:
                 for record in records:
                     record.close()
             self._records.clear()
-        return self.seen
+        return self.observed
 
     def _run(self) -> None:
         tick = 0
@@ -117,9 +115,9 @@ class Observer:
         for name, (latest, counters) in self._open_records():
             count, newest = counters.read(), latest.read()
             if count is not None:
-                self.seen.rows[name] = max(self.seen.rows.get(name, 0), int(count["rows"]))
-            if newest is not None and self.seen.rows.get(name, 0) > 0:
-                self.seen.shown.setdefault(name, set()).add(int(newest["t_ns"]))
+                self.observed.rows[name] = max(self.observed.rows.get(name, 0), int(count["rows"]))
+            if newest is not None and self.observed.rows.get(name, 0) > 0:
+                self.observed.shown.setdefault(name, set()).add(int(newest["t_ns"]))
 
     def _open_records(self) -> Iterator[tuple[str, tuple[SharedLatest, SharedLatest]]]:
         for name in KINDS:
@@ -138,21 +136,13 @@ class Observer:
             state = emulation.inject(self._host, PORTS["arm"], "state")
         except (OSError, ValueError):
             # The controller is gone, so the last state heard stays, with its time.
-            if self.seen.arm_silent_ns is None:
-                self.seen.arm_silent_ns = self._clock.now_ns()
+            if self.observed.arm_silent_ns is None:
+                self.observed.arm_silent_ns = self._clock.now_ns()
             return
-        self.seen.arm_silent_ns = None
-        self.seen.arm.append(_arm_state(state, self._frame, self._clock.now_ns()))
-
-
-def _arm_state(state: dict[str, Any], frame: np.ndarray, t_ns: int) -> ArmState:
-    height = float(compose(invert(frame), state["pose"])[2])
-    return ArmState(t_ns, height, float(np.linalg.norm(state["speed"][:3])))
-
-
-def _contact_frame(folder: Path) -> np.ndarray:
-    path = folder / "world.json"
-    return np.array(build(WorldConfig, read_yaml(path), str(path)).contact_frame)
+        self.observed.arm_silent_ns = None
+        height = float(compose(invert(self._frame), state["pose"])[2])
+        speed = float(np.linalg.norm(state["speed"][:3]))
+        self.observed.arm.append(ArmState(self._clock.now_ns(), height, speed))
 
 
 def age(state: ArmState, now_ns: int) -> float:

@@ -1,4 +1,4 @@
-"""Processes of a running collection, found in /proc so that they can be killed."""
+"""Processes of a running collection, found so that they can be killed or watched."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import signal
 from collections.abc import Iterable
 from pathlib import Path
 
+import psutil
+
 from rig.core.clock import SECOND_NS, SystemClock
 
 _POLL_NS = SECOND_NS // 100
@@ -15,23 +17,24 @@ _POLL_NS = SECOND_NS // 100
 
 def family(main: int) -> dict[int, str]:
     """Return the command lines of process `main` and all its descendants, by pid."""
-    parents: dict[int, int] = {}
     commands: dict[int, str] = {}
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            status = (entry / "stat").read_text()
-            command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-        except OSError:
-            continue
-        pid = int(entry.name)
-        parents[pid] = int(status.rsplit(")", 1)[1].split()[1])
-        commands[pid] = command
-    found = {main}
-    while more := {pid for pid, parent in parents.items() if parent in found} - found:
-        found |= more
-    return {pid: commands[pid] for pid in found if pid in commands}
+    with contextlib.suppress(psutil.NoSuchProcess):
+        process = psutil.Process(main)
+        for each in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                commands[each.pid] = " ".join(each.cmdline())
+    return commands
+
+
+def stream_written(pid: int, session: Path) -> str | None:
+    """Return the name of the stream of `session` that a process writes; None: none."""
+    folder = f"{session.resolve() / 'streams'}/"
+    with contextlib.suppress(psutil.Error):
+        for file in psutil.Process(pid).open_files():
+            path: str = file.path
+            if path.startswith(folder):
+                return path.removeprefix(folder).split("/")[0]
+    return None
 
 
 def stream_process(pids: Iterable[int], session: Path, name: str) -> int:
@@ -40,14 +43,10 @@ def stream_process(pids: Iterable[int], session: Path, name: str) -> int:
     Raises:
         LookupError: None of them writes it.
     """
-    folder = f"{session / 'streams' / name}/"
     for pid in pids:
-        with contextlib.suppress(OSError):
-            for link in Path(f"/proc/{pid}/fd").iterdir():
-                with contextlib.suppress(OSError):
-                    if os.readlink(link).startswith(folder):
-                        return pid
-    raise LookupError(f"no process writes {folder}")
+        if stream_written(pid, session) == name:
+            return pid
+    raise LookupError(f"no process writes stream {name} of {session}")
 
 
 def kill(pids: Iterable[int]) -> None:
@@ -70,8 +69,7 @@ def wait_gone(pids: Iterable[int], seconds: float) -> list[int]:
 
 def _runs(pid: int) -> bool:
     try:
-        status = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
+        # A zombie has ended, but its parent has not yet collected its exit status.
+        return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
         return False
-    # A zombie has ended, but its parent has not yet collected its exit status.
-    return status.rsplit(")", 1)[1].split()[0] != "Z"

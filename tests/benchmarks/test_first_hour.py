@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from support.chromium import CHROMIUM
 from support.collecting import ROOT
 from support.lab_page import BENCH, PLAN, TARGETS
 from support.sessions import make_session, set_attrs
 
 from benchmarks import first_hour
-from benchmarks.chromium import CHROMIUM
+from benchmarks.__main__ import main
+from benchmarks.report import Page
 from recorder.command_line.errors import EXIT_DEVICE_LOST
 from rig.acquire.collector import target_table
 from tactile.commands import COMMANDS
@@ -19,17 +23,15 @@ from trajectories import plan_to_json
 
 
 def test_every_step_is_a_command_and_the_live_one_is_the_last() -> None:
-    for clicks in (True, False):
-        steps = list(first_hour.steps(clicks=clicks))
+    for clicks, quick in itertools.product((True, False), repeat=2):
+        steps = list(first_hour.steps(clicks=clicks, quick=quick))
         for step in steps:
             assert step.words[0] in COMMANDS or " ".join(step.words[:2]) in COMMANDS
         assert [steps[0].words[0], steps[-1].words[0]] == ["init", "live"]
         assert sum(step.by_clicks for step in steps) == clicks
 
 
-def test_a_lost_device_continues_by_the_command_that_was_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_lost_device_continues_by_the_command_that_was_printed(tmp_path: Path) -> None:
     tactile = tmp_path / "tactile"
     tactile.write_text(
         '#!/bin/sh\n[ "$2" = --resume ] && { echo complete; exit 0; }\n'
@@ -39,8 +41,8 @@ def test_a_lost_device_continues_by_the_command_that_was_printed(
     words = [str(tactile), "collect", "--out", "s.zarr"]
     done = first_hour.ran(words, tmp_path, at_bench=True)
     assert (done.code, done.lines, done.tries) == (0, ["complete"], 2)
-    assert "$ tactile collect --resume s.zarr\n  complete" in capsys.readouterr().out
-    assert "| `tactile collect --out s.zarr` | 0 | 2 |" in first_hour.page([done])
+    text = first_hour.section({"commands": [asdict(done)]}, Page(tmp_path / "first-hour.md"))
+    assert "| `tactile collect --out s.zarr` | 0 | 2 |" in text
     once = first_hour.ran(words, tmp_path)
     assert (once.code, once.tries) == (EXIT_DEVICE_LOST, 1)
 
@@ -52,19 +54,16 @@ def test_it_stops_at_the_first_command_that_fails(
     tactile = tmp_path / "bin" / "tactile"
     tactile.write_text('#!/bin/sh\n[ "$1" = init ] && mkdir lab && exit 0\necho broken\nexit 2\n')
     tactile.chmod(0o755)
-    words = ["first-hour", "--venv", str(tmp_path), "--out", str(tmp_path / "new")]
-    from benchmarks.__main__ import main
-
-    assert main(words) == 2
-    text = capsys.readouterr().out
-    assert text.endswith("stopped by tactile doctor --sensor gelsight, exit code 2\n")
+    out = tmp_path / "new" / "first-hour.md"
+    assert main(["first-hour", "--venv", str(tmp_path), "--out", str(out)]) == 1
+    failed = "FAILED: hour: tactile doctor --sensor gelsight: exit code 2:\nbroken\n"
+    assert capsys.readouterr().out.endswith(failed)
+    assert "2 commands in" in out.read_text()
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium")
-def test_targets_are_marked_on_the_page_by_clicks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_targets_are_marked_on_the_page_by_clicks(tmp_path: Path) -> None:
     (tmp_path / "sessions").mkdir()
     known = {"plan": plan_to_json(PLAN), "targets_wanted": TARGETS, "sensor": "gelsight"}
     for name in (*first_hour.INDENTERS, "gelsight-setup-home-20261126-002053"):
@@ -87,7 +86,7 @@ def test_targets_are_marked_on_the_page_by_clicks(
     assert "again: [3, 7]" in (tmp_path / "campaigns" / "again.yaml").read_text()
     assert picture.read_bytes().startswith(b"\x89PNG")
     # The step fails, with a message, if the page lacks a session.
-    capsys.readouterr()
     (tmp_path / "empty").mkdir()
-    assert first_hour.clicked(words, tmp_path / "empty", None).code == 1
-    assert "never true" in capsys.readouterr().out
+    failed = first_hour.clicked(words, tmp_path / "empty", None)
+    assert failed.code == 1
+    assert any("never true" in line for line in failed.lines)

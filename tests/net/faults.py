@@ -1,7 +1,7 @@
-"""Ends of the rows of `benchmarks faults`, compared between two of its pages.
+"""Ends of the rows of `benchmarks faults`, compared with those recorded.
 
-`python tests/net/faults.py PAGE` prints the rows of a page as JSON, and `--against faults.json` the
-rows that end otherwise, with exit code 1. `faults.json` is of the commit c69dc120.
+`python tests/net/faults.py JSON` prints the rows of a run, and `--against faults.json` those that
+end otherwise, with exit code 1; `--some` compares only the rows that were run.
 """
 
 from __future__ import annotations
@@ -11,43 +11,36 @@ import json
 import re
 import sys
 from pathlib import Path
-
-# What must not change of a row: the exit code, where the arm ended, what was lost.
-KEPT = ("exit", "lost", "arm")
+from typing import Any
 
 
-def rows_of(page: str) -> dict[str, dict[str, str]]:
-    """Return what must not change of each row of a page, by its device and fault."""
-    rows: dict[str, dict[str, str]] = {}
-    device, names = "", []
-    for line in page.splitlines():
-        if line.startswith("## "):
-            device = line[3:]
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("| fault"):
-            names = cells
-        elif line.startswith("| ") and len(cells) == len(names) and not line.startswith("|--"):
-            row = dict(zip(names, cells, strict=True))
-            kept = {key: row[key] for key in KEPT if key in row}
-            # Depth at which it stands, and samples that were looked for, vary from run to run.
-            kept = {key: re.sub(r"at -?[\d.]+ mm", "in contact", kept[key]) for key in kept}
-            rows[f"{device}: {cells[0]}"] = {
-                key: re.sub(r"(\d+) of \d+", r"\1", value) for key, value in kept.items()
-            }
-    return rows
+def rows_of(stored: dict[str, Any]) -> dict[str, dict[str, str]]:
+    """Return what must not change of each row of a run, by its device and fault."""
+    return {
+        f"{row['device'][0].upper()}{row['device'][1:]}: {row['fault']}": {
+            "exit": str(row["exit"]),
+            "lost": str(row["lost"]),
+            # The depth at which it stands varies from run to run.
+            "arm": re.sub(r"at -?[\d.]+ mm", "in contact", row["arm"]),
+        }
+        for row in stored["faults"]["results"]["rows"]
+    }
 
 
 def main() -> int:
-    """Print the rows of a page, or those that differ, and return the exit code."""
+    """Print the rows of a run, or those that differ, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("page", type=Path, help="page that python -m benchmarks faults wrote")
+    parser.add_argument("json", type=Path, help="JSON file that python -m benchmarks faults wrote")
     parser.add_argument("--against", type=Path, help="rows to compare with")
+    parser.add_argument("--some", action="store_true", help="compare only the rows that were run")
     options = parser.parse_args()
-    rows = rows_of(options.page.read_text())
+    rows = rows_of(json.loads(options.json.read_text()))
     if options.against is None:
         print(json.dumps(rows, indent=1))
         return 0
     before = json.loads(options.against.read_text())
+    if options.some:
+        before = {name: before.get(name) for name in rows}
     differing = [name for name in before if rows.get(name) != before[name]]
     for name in differing:
         print(f"{name}: {before[name]}, now {rows.get(name)}")

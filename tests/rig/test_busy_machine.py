@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.collecting import Collection, quick_bench
+from support.collecting import Collection
 from support.mock_errors import compare
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of, quick_bench
+from support.collecting import Collection, faults_of
 
+from benchmarks.faults.collection_run import quick_bench
 from learning.markers.recording import read_recording
 from recorder import OUTCOMES, Session
 from tactile.__main__ import main

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of, quick_bench
+from support.collecting import Collection, faults_of
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import OUTCOMES, Session
 from rig.core.mock_names import PORTS
 

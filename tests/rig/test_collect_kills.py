@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.faults.kills import VICTIMS, Kills, kill_often
-from rig.core.packaged import BENCHES
+from benchmarks.faults.collection_kills import VICTIMS, Kills, kill_often
 
 pytestmark = pytest.mark.serial
 
@@ -18,17 +17,8 @@ SEED_OF_ALL = 25
 
 
 def killed(folder: Path, kills: int, sessions: int, *, seed: int, targets: int) -> Kills:
-    lines: list[str] = []
-    found = kill_often(
-        folder,
-        BENCHES,
-        kills=kills,
-        sessions=sessions,
-        seed=seed,
-        report=lines.append,
-        targets=targets,
-    )
-    assert found.wrong == [], "\n".join(lines)
+    found = kill_often(folder, kills=kills, sessions=sessions, seed=seed, targets=targets)
+    assert found.wrong == []
     assert found.lost == 0
     assert found.victims.total() == kills
     assert found.completed >= sessions

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 import yaml
-from support.collecting import ROOT, move_typed, quick_bench
+from support.collecting import ROOT, move_typed
 
+from benchmarks.faults.collection_run import quick_bench
 from rig.bench.bench import BenchFile
 from rig.mock.bench import MockBench
 

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, quick_bench
+from support.collecting import ROOT
 
+from benchmarks.faults.collection_run import quick_bench
 from rig.acquire import collector
 from rig.cli.options import free_path
 from rig.core.packaged import BENCHES

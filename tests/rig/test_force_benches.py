@@ -9,8 +9,9 @@ from typing import get_type_hints
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of, quick_bench
+from support.collecting import Collection, faults_of
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.guards import guard_limits

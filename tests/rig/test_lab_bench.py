@@ -22,8 +22,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from support.collecting import ROOT, quick_bench
+from support.collecting import ROOT
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 from rig.bench.bench import BenchFile
 from rig.core.geometry import invert, transform

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
+from support.chromium import CHROMIUM, Chromium
 from support.lab_page import LabPage, make_lab, running
 from support.layout import OVERFLOW
-
-from benchmarks.chromium import CHROMIUM, Chromium
 
 pytestmark = [
     pytest.mark.slow,

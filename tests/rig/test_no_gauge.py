@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.no_gauge import command
-from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
+from benchmarks.faults.simulated_bench import SimulatedBench, Stages, Truth
+from benchmarks.faults.wrong_benches import collected
 from rig.acquire import no_gauge
 from rig.acquire.calibration.onset import Onset, Way, onset_of, surface_of
 from rig.acquire.calibration.store import (
@@ -429,4 +429,4 @@ def test_a_wrong_bench_is_stopped_below_the_rating_and_named(tmp_path: Path) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 16, 21, 27, 30])
 def test_wrong_benches_stay_below_the_rating(seed: int) -> None:
-    assert command.collected(seed).fraction < 1.0
+    assert collected(seed).fraction < 1.0

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of, quick_bench
+from support.collecting import Collection, faults_of
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import Session, SessionWriter, recover
 from recorder.convert import FORMATS, export
 from recorder.spec import frame_columns

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from support.chromium import CHROMIUM, Chromium
 from support.collecting import Collection
 from support.layout import OVERFLOW
 from support.live_quality import GELSIGHT, PLACES, picture, recording
 
-from benchmarks.chromium import CHROMIUM, Chromium
 from rig.acquire.collector import CollectRequest
 from rig.acquire.control import Control
 from rig.core.packaged import BENCHES

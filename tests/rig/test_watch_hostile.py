@@ -12,10 +12,11 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from support.collecting import Collection, faults_of, quick_bench
+from support.collecting import Collection, faults_of
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]

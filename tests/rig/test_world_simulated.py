@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of, quick_bench
+from support.collecting import Collection, faults_of
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 from rig.bench.bench import BenchFile, bench_from, find_bench, with_simulated_world
 from rig.core.clock import FakeClock

@@ -16,23 +16,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.faults import quick as reliability
 from benchmarks.faults.processes import family, stream_process
 from recorder import check, faults
-from rig.core.packaged import BENCHES
 
 ROOT = Path(__file__).parents[2]
-
-
-def quick_bench(folder: Path, sensor: str, *, limits: str = "{}") -> Path:
-    """Write a mock bench for fast tests: short preflight, fast travel away from contact.
-
-    Args:
-        folder: Folder to write it to.
-        sensor: Packaged bench to extend.
-        limits: YAML mapping merged over its limits.
-    """
-    return reliability.quick_bench(folder, sensor, BENCHES, limits=limits)
 
 
 def faults_of(session: Path, *, stopped: bool = False) -> list[str]:

@@ -40,16 +40,9 @@ class Chromium:
         self._profile = tempfile.TemporaryDirectory(
             prefix="tactile-rig-chromium-", ignore_cleanup_errors=True
         )
+        words = [CHROMIUM, *_FLAGS, f"--user-data-dir={self._profile.name}", "about:blank"]
         self._process = subprocess.Popen(
-            [
-                "nice",
-                "-n",
-                "15",
-                CHROMIUM,
-                *_FLAGS,
-                f"--user-data-dir={self._profile.name}",
-                "about:blank",
-            ],
+            ["nice", "-n", "15", *words],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
@@ -100,7 +93,7 @@ class Chromium:
             message["sessionId"] = self._session
         self._browser.send(json.dumps(message))
         while True:
-            answer: dict[str, Any] = json.loads(self._browser.recv(timeout=30.0))
+            answer: dict[str, Any] = json.loads(self._browser.recv(timeout=120.0))
             self._note(answer)
             if answer.get("id") == number:
                 if "error" in answer:
@@ -145,7 +138,7 @@ class Chromium:
             raise RuntimeError(json.dumps(answer["exceptionDetails"]))
         return answer["result"].get("value")
 
-    def until(self, script: str, timeout: float = 30.0) -> Any:
+    def until(self, script: str, timeout: float = 120.0) -> Any:
         """Wait until a JavaScript expression is true; return its value."""
         deadline = time.monotonic() + timeout
         while not (value := self.eval(script)):
@@ -163,15 +156,9 @@ class Chromium:
             " e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
             " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
         )
+        place = {"x": box[0], "y": box[1], "button": "left", "clickCount": 1}
         for kind in ("mousePressed", "mouseReleased"):
-            self._ask(
-                "Input.dispatchMouseEvent",
-                type=kind,
-                x=box[0],
-                y=box[1],
-                button="left",
-                clickCount=1,
-            )
+            self._ask("Input.dispatchMouseEvent", type=kind, **place)
 
     def screenshot(self, path: Path, *, whole: bool = False) -> None:
         """Write a picture (PNG) of the window, or of the whole page."""

@@ -1,25 +1,30 @@
-"""Collect on wrong benches without a gauge, and compare the true force with the rating.
-
-`python -m benchmarks no-gauge`.
-"""
+"""Part `no-gauge`: does the true force stay below the rating on wrong benches without a gauge?"""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.no_gauge.simulated_bench import SimulatedBench, Stages, Truth
-from recorder.command_line.options import whole
-from recorder.processes import Workers
+from benchmarks.faults.simulated_bench import (
+    CAMERA_DELAY,
+    TAXELS_DELAY,
+    WRENCH_DELAY,
+    SimulatedBench,
+    Stages,
+    Truth,
+)
+from benchmarks.report import Page, Run, table
+from recorder.charts import BLUE, RED, chart
+from recorder.processes import Workers, cores
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.no_gauge import find_surface, press_in_steps
 from rig.bench.bench import Bench, BenchFile, bench_from
@@ -34,6 +39,8 @@ from trajectories import Move, Plan, Target
 MM = 1e-3
 SENSORS = ("uskin", "gelsight", "uskin", "tacpalm", "uskin")
 FAULTS = ("surface", "longer", "tilt", "frozen", "payload", "indenter", "several")
+# Benches of a complete and of a quick run, whose sensors have no camera and whose faults differ.
+COUNT, QUICK_COUNT = 300, 3
 # Targets of the plan that are pressed after the first press, one at each of five points.
 _TARGETS = 5
 
@@ -62,47 +69,22 @@ class Outcome:
         return self.largest / self.rating
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    parser.description = (
-        "Collects without a gauge on wrong mock benches: surface off by -2 to +1 mm, an indenter "
-        "that is 5 mm longer, tilt, a frozen signal, a wrong payload, another indenter, and "
-        "several of these. Exit code 1 if the true force ever exceeds the rating of the sensor."
-    )
-    parser.add_argument("--benches", type=int, default=300, help="number of benches (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first (%(default)s)")
-    parser.add_argument(
-        "--processes", type=whole(1), default=1, metavar="N", help="benches at once (%(default)s)"
-    )
-    parser.add_argument("--out", type=Path, help="page to write")
-
-
-def run(options: argparse.Namespace) -> int:
-    """Run the benches, print each and a summary; return 1 if a rating was exceeded."""
-    found = []
-    for outcome in _outcomes(range(options.seed, options.seed + options.benches), options):
-        found.append(outcome)
-        print(
-            f"{outcome.seed:4d} {outcome.sensor:8} {outcome.fault:8} "
-            f"{'wrist' if outcome.wrist else '-':5} {100 * outcome.fraction:5.1f} %  "
-            f"{outcome.stage:11} {outcome.reason or 'completed'}",
-            flush=True,
-        )
-    text = page(found)
-    print(text)
-    if options.out is not None:
-        options.out.write_text(text)
-    return int(any(outcome.fraction > 1 for outcome in found))
-
-
-def _outcomes(seeds: Sequence[int], options: argparse.Namespace) -> Iterator[Outcome]:
-    """Yield the outcomes in the order of their seeds."""
-    if options.processes == 1:
-        yield from map(collected, seeds)
-        return
-    with Workers(options.processes) as workers:
-        for waiting in [workers.submit(collected, seed) for seed in seeds]:
-            yield waiting.result()
+def measure(run: Run) -> list[dict[str, Any]]:
+    """Collect on each wrong bench; return the outcomes."""
+    count = run.options.benches or (QUICK_COUNT if run.quick else COUNT)
+    outcomes: list[Outcome] = []
+    each = len(SENSORS)
+    run.seeds = range(each, each * (count + 1), each) if run.quick else range(count)
+    with Workers(cores()) as workers:
+        for waiting in [workers.submit(collected, seed) for seed in run.seeds]:
+            outcomes.append(waiting.result())
+            run.progress(len(outcomes) / count)
+    run.failures += [
+        f"seed {each.seed}: {each.fraction:.0%} of the rating of {each.sensor} ({each.fault})"
+        for each in outcomes
+        if each.fraction > 1
+    ]
+    return [asdict(each) for each in outcomes]
 
 
 def collected(seed: int) -> Outcome:
@@ -125,7 +107,7 @@ def collected(seed: int) -> Outcome:
         stages = Stages(clock)
         reason = ""
         try:
-            with contextlib.redirect_stdout(io.StringIO()):
+            with contextlib.redirect_stdout(out := io.StringIO()), contextlib.redirect_stderr(out):
                 _collect(BenchFile(Path(sensor), content, bench), stages)
         except (ConfigError, SafetyStop, DeviceLost) as error:
             reason = str(error)
@@ -206,63 +188,42 @@ def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wris
     return replace(truth, wrist=Wrist(seed, payload) if wrist else None)
 
 
-# First words of a reason, and the guard that they belong to.
-_NAMES = (
-    ("home: no contact in the signal at", "touch: a point without contact"),
-    ("home: no contact", "search: no contact found"),
-    ("home: the surface is", "surface: too far from the bench file"),
-    ("home: the surface at", "surface: uneven (tilt)"),
-    ("home: the interval", "surface: interval too wide"),
-    ("newest signal that changed", "signal: frozen"),
-    ("newest signal", "signal: silent"),
-    ("signal:", "signal: too large"),
-    ("contact where none", "signal: contact on the way to a point"),
-    ("wrench of the arm", "wrench of the arm"),
-    ("TCP outside", "depth"),
-    ("the tip is", "depth"),
-    ("point", "signal: contact above a point"),
-)
-
-
-def name_of(reason: str) -> str:
-    """Return the guard that stopped a bench, by its message."""
-    if not reason:
-        return "completed"
-    return next((name for start, name in _NAMES if reason.startswith(start)), reason)
-
-
-def page(found: list[Outcome]) -> str:
-    """Return the summary as Markdown."""
-    worst = max(found, key=lambda each: each.fraction)
-    over = [each.seed for each in found if each.fraction > 1]
-    lines = [
-        "# Wrong benches without a gauge",
-        "",
-        f"{len(found)} mock benches by `python -m benchmarks no-gauge --benches {len(found)} "
-        f"--seed {found[0].seed}`, on a simulated clock. The true force exceeded the rating of the "
-        f"sensor on {len(over)} of them; the largest was {100 * worst.fraction:.0f} % of it (seed "
-        f"{worst.seed}: {worst.sensor}, {worst.fault}).",
-        "",
-        "Each bench finds its surface, presses in steps and presses targets spread over its plan. "
-        "Samples reach the guards late: images 90 ms, taxels 30 ms, the wrench 12 ms, this with "
-        "a gain that is wrong by up to 30 %, a bias and a drift. A wrong indenter is a punch or a "
-        "sphere of 1 to 5 mm; `several` are three faults at once.",
-        "",
-        "| fault | benches | largest force, % of rating | ended by |",
-        "|---|---|---|---|",
-    ]
-    for fault in FAULTS:
-        rows = [each for each in found if each.fault == fault]
-        if not rows:
-            continue
-        ends = Counter(name_of(each.reason) for each in rows)
+def section(values: list[dict[str, Any]], page: Page) -> str:
+    """Return the largest forces and the ends by fault, as table and chart."""
+    outcomes = [Outcome(**each) for each in values]
+    worst = max(outcomes, key=lambda each: each.fraction)
+    by_fault = {fault: [each for each in outcomes if each.fault == fault] for fault in FAULTS}
+    by_fault = {fault: each for fault, each in by_fault.items() if each}
+    with chart(page.picture("force"), 8, 0.9 + 0.3 * len(by_fault)) as figure:
+        axes = figure.subplots()
+        for place, each in enumerate(by_fault.values()):
+            forces = [100 * outcome.fraction for outcome in each]
+            axes.plot(forces, [place] * len(forces), "|", color=BLUE, markersize=12)
+        axes.axvline(100, color=RED)
+        axes.set_yticks(range(len(by_fault)), list(by_fault))
+        axes.set(xlabel="largest true force of a bench [% of the rating]", xlim=(0, 105))
+        axes.invert_yaxis()
+    rows = []
+    for fault, each in by_fault.items():
+        ends = Counter(
+            f"stopped in {outcome.stage}" if outcome.reason else "completed" for outcome in each
+        )
         text = ", ".join(f"{name} {count}" for name, count in ends.most_common())
-        largest = 100 * max(each.fraction for each in rows)
-        lines.append(f"| {fault} | {len(rows)} | {largest:.0f} | {text} |")
-    without = [each.fraction for each in found if not each.wrist]
-    if without:
-        lines += [
-            "",
-            f"Without the arm's wrench ({len(without)} benches): {100 * max(without):.0f} %.",
-        ]
-    return "\n".join(lines) + "\n"
+        rows.append((fault, text, len(each), f"{max(one.fraction for one in each):.0%}"))
+    without = [each.fraction for each in outcomes if not each.wrist]
+    return f"""## Wrong benches without a gauge
+
+{len(outcomes)} mock benches on a simulated clock, of which {len(without)} without the arm's wrench.
+The true force reached at most {worst.fraction:.0%} of the sensor's rating (seed {worst.seed}:
+{worst.sensor}, {worst.fault}), and {max(without, default=0.0):.0%} without the wrench.
+
+Each bench finds its surface, presses in steps and presses targets spread over its plan. Samples
+reach the guards late: images {1e3 * CAMERA_DELAY:.0f} ms, taxels {1e3 * TAXELS_DELAY:.0f} ms, the
+wrench {1e3 * WRENCH_DELAY:.0f} ms, this with a gain that is wrong by up to 30 %, a bias and a
+drift. Faults: the surface is off by -2 to +1 mm, the indenter 5 mm longer, the sensor tilted by up
+to 8 degrees, its signal frozen or silent, the payload wrong, the indenter a punch or sphere of 1 to
+5 mm; `several` are three at once.
+
+{page.link("force", "Largest true force of each bench, by fault")}
+
+{table(("fault", "ended by", "benches", "largest force"), rows)}"""

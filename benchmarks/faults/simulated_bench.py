@@ -12,11 +12,11 @@ import contextlib
 import dataclasses
 import itertools
 import math
-import types
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.arm import MoveResult
 from rig.devices.arm.emulated_arm import CYCLE, Robot, Wrist
-from rig.devices.arm.messages import Move, Reply, Setup
+from rig.devices.arm.messages import Move, Setup
 from rig.devices.arm.mover import Mover, Watch
 from rig.mock.world.analytic import AnalyticWorld, surface_of
 from rig.mock.world.picture import MarkerCamera
@@ -103,8 +103,8 @@ class SimulatedBench(FakeClock):
         self._state: np.void | None = None
         self._rng = np.random.default_rng(truth.seed)
         self._picture = _Picture(truth.world, self._rng)
-        self.movement: Iterator[None] | None = None
-        self.operation, self.largest = 0, 0.0
+        self._movement: Iterator[None] | None = None
+        self._operation, self.largest = 0, 0.0
         self.poses: list[tuple[int, np.ndarray]] = []
         self.signals: list[tuple[int, np.ndarray]] = []
         self.wrenches: list[tuple[int, np.ndarray]] = []
@@ -140,16 +140,44 @@ class SimulatedBench(FakeClock):
             self._cycle()
         self._now_ns = max(self._now_ns, deadline_ns)
 
-    def samples(self) -> list[dict[str, Any]]:
-        """Return the poses since the last call."""
-        found, self._fresh = self._fresh, []
-        return found
+    # The calls of `RtdeLink` and of `UrControl`.
+
+    def receive(self, timeout: float) -> list[dict[str, Any]]:
+        """Return the poses since the last call, after `timeout` [s]."""
+        self.sleep_until(self._now_ns + round(timeout * SECOND_NS))
+        poses, self._fresh = self._fresh, []
+        return poses
+
+    def kick(self) -> bool:
+        """Return True: the watchdog is never late."""
+        return True
+
+    connected = kick
+
+    def reaches(self, pose: list[float]) -> bool:
+        """Return True: no pose is out of reach."""
+        return True
+
+    def start_move(self, pose: list[float], speed: float, acceleration: float) -> bool:
+        """Begin a linear move."""
+        self._operation += 1
+        self._movement = self.robot.move_linear(np.array(pose), acceleration, speed)
+        return True
+
+    def start_stop(self, deceleration: float) -> None:
+        """Begin to stop."""
+        self._operation += 1
+        self._movement = self.robot.stop(deceleration)
+
+    def operation(self) -> tuple[int, bool]:
+        """Return the number of the newest move or stop, and True while it runs."""
+        return self._operation, self._movement is not None
 
     def _cycle(self) -> None:
         self._ticks += 1
         before = self.robot.pose
-        if self.movement is not None and next(self.movement, True):
-            self.movement = None
+        if self._movement is not None and next(self._movement, True):
+            self._movement = None
         self.robot.end_cycle(before)
         now_ns = self._now_ns
         while self._under_way and self._under_way[0][0] <= now_ns:
@@ -240,46 +268,6 @@ class _Picture:
         return np.asarray(np.rint(image + noise), np.float32)
 
 
-class _Control:
-    """The calls of `UrControl` on a `SimulatedBench`."""
-
-    def __init__(self, clock: SimulatedBench) -> None:
-        self._clock = clock
-
-    def kick(self) -> bool:
-        return True
-
-    def connected(self) -> bool:
-        return True
-
-    def reaches(self, pose: list[float]) -> bool:
-        return True
-
-    def start_move(self, pose: list[float], speed: float, acceleration: float) -> bool:
-        self._clock.operation += 1
-        self._clock.movement = self._clock.robot.move_linear(np.array(pose), acceleration, speed)
-        return True
-
-    def start_stop(self, deceleration: float) -> None:
-        self._clock.operation += 1
-        self._clock.movement = self._clock.robot.stop(deceleration)
-
-    def operation(self) -> tuple[int, bool]:
-        return self._clock.operation, self._clock.movement is not None
-
-
-class _Link:
-    """The calls of `RtdeLink` on a `SimulatedBench`."""
-
-    def __init__(self, clock: SimulatedBench) -> None:
-        self._clock = clock
-
-    def receive(self, timeout: float) -> list[dict[str, Any]]:
-        if timeout > 0:
-            self._clock.sleep_until(self._clock.now_ns() + round(timeout * SECOND_NS))
-        return self._clock.samples()
-
-
 class _Arm:
     """The calls of `Arm` that the plan runner makes, on a real `Mover`."""
 
@@ -291,11 +279,10 @@ class _Arm:
             None,
             tuple(guards_of(bench, folder, contact=contact).items()),
         )
-        control: Any = _Control(clock)
-        link: Any = _Link(clock)
+        world: Any = clock
         self._on_wait: Callable[[], None] | None = None
         self._clock, self._looked_ns = clock, 0
-        self._mover = Mover(setup, control, Watch(setup, link, clock), clock, self._interrupted)
+        self._mover = Mover(setup, world, Watch(setup, world, clock), clock, self._interrupted)
         self._mover.wait_for_pose(1.0)
 
     def _interrupted(self) -> bool:
@@ -320,7 +307,11 @@ class _Arm:
         # The arm's process looks between its moves too; what it sees then stops no move.
         self._mover.step("retreat")
         reply = self._mover.move(Move(2, target, speed, acceleration, mode), lambda limit: None)
-        return _result(reply)
+        if reply.outcome == "device_lost":
+            raise DeviceLost(reply.reason)
+        if reply.outcome == "safety_stop":
+            raise SafetyStop(reply.reason)
+        return MoveResult(reply.outcome, reply.start_ns, reply.end_ns, reply.reason)
 
     def halt(self) -> None:
         self._mover.halt()
@@ -336,35 +327,6 @@ class _Arm:
             self._mover.move(self._mover.retract_command(3), lambda limit: None)
 
 
-def _result(reply: Reply) -> MoveResult:
-    if reply.outcome == "device_lost":
-        raise DeviceLost(reply.reason)
-    if reply.outcome == "safety_stop":
-        raise SafetyStop(reply.reason)
-    return MoveResult(reply.outcome, reply.start_ns, reply.end_ns, reply.reason)
-
-
-class _Handle:
-    """One stream, as the plan runner uses it."""
-
-    def __init__(self, clock: SimulatedBench, name: str, kind: str) -> None:
-        self.name, self._clock, self._kind = name, clock, kind
-
-    def latest(self) -> Any:
-        if self._kind == "pose":
-            return {"value": self._clock.robot.pose, "t_ns": self._clock.now_ns()}
-        return {"row": len(self._clock.signals) - 1, "t_ns": self._clock.now_ns()}
-
-    def signal(self) -> np.void | None:
-        return self._clock.newest_signal()
-
-    def zero(self, value: np.ndarray | None) -> None:
-        if value is None:
-            self._clock.level.zero()
-        else:
-            self._clock.zeros = np.asarray(value)
-
-
 class _Streams:
     """All streams, as the plan runner uses them."""
 
@@ -372,8 +334,21 @@ class _Streams:
         self._clock = self.clock = clock
         self.bench = bench
 
-    def __getitem__(self, name: str) -> _Handle:
-        return _Handle(self._clock, name, self._clock.bench.row(name).kind)
+    def __getitem__(self, name: str) -> Any:
+        clock = self._clock
+
+        def latest() -> Any:
+            if clock.bench.row(name).kind == "pose":
+                return {"value": clock.robot.pose, "t_ns": clock.now_ns()}
+            return {"row": len(clock.signals) - 1, "t_ns": clock.now_ns()}
+
+        def zero(value: np.ndarray | None) -> None:
+            if value is None:
+                clock.level.zero()
+            else:
+                clock.zeros = np.asarray(value)
+
+        return SimpleNamespace(name=name, latest=latest, signal=clock.newest_signal, zero=zero)
 
     def check(self) -> None:
         return
@@ -393,29 +368,24 @@ class _Streams:
         return found
 
 
-@dataclass
-class _Table:
-    rows: list[dict[str, Any]] = field(default_factory=list)
-
-    def append(self, **row: Any) -> None:
-        self.rows.append(row)
-
-
 class Recorded:
     """One stage, with the parts of a `Session` that the procedure reads.
 
     Args:
         clock: The bench.
         bench: The bench as it was used.
-        segments: Rows of the phases.
+        rows: Rows of the phases.
         since: Number of the stage's first pose and signal.
     """
 
     def __init__(
-        self, clock: SimulatedBench, bench: Bench, segments: _Table, since: tuple[int, int]
+        self,
+        clock: SimulatedBench,
+        bench: Bench,
+        rows: list[dict[str, Any]],
+        since: tuple[int, int],
     ) -> None:
         self.path = clock.folder / "stage.zarr"
-        rows = segments.rows
         names = rows[0] if rows else ("target", "phase", "outcome")
         self.segments = {name: np.array([row[name] for row in rows]) for name in names}
         self.attrs = {"contact_frame": list(bench.contact_frame)}
@@ -423,27 +393,21 @@ class Recorded:
         self.signal = None if signal is None else signal.name
         poses, signals = clock.poses[since[0] :], clock.signals[since[1] :]
         kind = "taxels" if signal is None else signal.kind
-        self.streams = {"pose": _Column("pose", poses), str(self.signal): _Column(kind, signals)}
+        self.streams = {"pose": _column("pose", poses), str(self.signal): _column(kind, signals)}
 
     def first(self, kind: str) -> str | None:
         """Return the first stream of a kind."""
         return "pose" if kind == "pose" else None
 
 
-class _Column:
-    def __init__(self, kind: str, samples: list[tuple[int, np.ndarray]]) -> None:
-        self.traits = types.SimpleNamespace(kind=kind)
-        self.t_ns = np.array([t_ns for t_ns, _ in samples], np.int64)
-        self._values = [value for _, value in samples]
-
-    def jpeg(self, row: int) -> None:
-        return None
-
-    def array(self, name: str) -> list[np.ndarray]:
-        return self._values
-
-    def images(self, rows: Any) -> np.ndarray:
-        return np.zeros((1, 2, 2, 3), np.uint8)
+def _column(kind: str, samples: list[tuple[int, np.ndarray]]) -> Any:
+    return SimpleNamespace(
+        traits=SimpleNamespace(kind=kind),
+        t_ns=np.array([t_ns for t_ns, _ in samples], np.int64),
+        array=lambda name: [value for _, value in samples],
+        jpeg=lambda row: None,
+        images=lambda rows: np.zeros((1, 2, 2, 3), np.uint8),
+    )
 
 
 class Stages:
@@ -482,16 +446,16 @@ class Stages:
         clock.publish_in(folder)
         since = (len(clock.poses), len(clock.signals))
         streams: Any = _Streams(clock, bench)
-        segments, reference = _Table(), _Table()
-        writer: Any = types.SimpleNamespace(segments=segments, reference=reference)
+        rows: list[dict[str, Any]] = []
 
         def idle(*_: Any, **__: Any) -> None:
             return
 
-        live: Any = types.SimpleNamespace(
-            at=idle, ended=idle, end=idle, tick=idle, waiting=idle, waited=idle
-        )
-        interlocks: Any = types.SimpleNamespace(
+        segments = SimpleNamespace(append=lambda **row: rows.append(row))
+        writer: Any = SimpleNamespace(segments=segments, reference=SimpleNamespace(append=idle))
+        calls = ("at", "ended", "end", "tick", "waiting", "waited")
+        live: Any = SimpleNamespace(**dict.fromkeys(calls, idle))
+        interlocks: Any = SimpleNamespace(
             control=Control(), check=idle, armed=lambda: True, disarm=idle, wake=None, wish=""
         )
         names = [row.name for row in bench.of_kind("arm_wrench")] or ["pose"]
@@ -503,7 +467,7 @@ class Stages:
 
         def after(target: Target) -> None:
             if after_target is not None:
-                after_target(target, Recorded(clock, bench, segments, since))
+                after_target(target, Recorded(clock, bench, rows, since))
 
         driven: Any = arm
         runner = PlanRunner(
@@ -511,18 +475,13 @@ class Stages:
         )
         try:
             x, y, z = tip_position(streams)
-            pose = bench.tool_pose((x, y, max(bench.arm.retract, z)))
-            arm_config = bench.arm
-            result = arm.move(
-                pose,
-                speed=arm_config.travel_speed,
-                acceleration=arm_config.travel_acceleration,
-                mode="travel",
-            )
+            pose, settings = bench.tool_pose((x, y, max(bench.arm.retract, z))), bench.arm
+            speed, acceleration = settings.travel_speed, settings.travel_acceleration
+            result = arm.move(pose, speed=speed, acceleration=acceleration, mode="travel")
             require_arrival(result, pressing=False)
             zero_stand_ins(streams, streams.measure(window, *names))
             runner.press(itertools.islice(plan.targets(), total))
         finally:
             with contextlib.suppress(SafetyStop, DeviceLost):
                 arm.retract()
-        return Recorded(clock, bench, segments, since)
+        return Recorded(clock, bench, rows, since)

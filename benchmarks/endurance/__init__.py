@@ -1,1 +1,0 @@
-"""Long collection on the mock bench, with its memory and dropped samples measured."""

@@ -1,0 +1,255 @@
+"""Part `endurance`: memory, open files and losses of a long mock collection."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import subprocess
+import sys
+from bisect import bisect_left
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.processes import family, stream_written
+from benchmarks.report import Page, Run, table
+from recorder import Session, check, faults
+from recorder.charts import chart
+from recorder.command_line.errors import CommandError
+from recorder.settings import yaml_text
+from rig.bench.bench import BenchFile
+from rig.core.clock import SECOND_NS, SystemClock
+from trajectories import PressShear
+
+SENSOR = "tacpalm"
+# Length of the plan [min].
+MINUTES, QUICK_MINUTES = 30.0, 0.25
+# Buffers, caches and the first shards fill during this time [s].
+_WARM_UP, _QUICK_WARM_UP = 120.0, 5.0
+# Interval between observations [s].
+_EVERY, _QUICK_EVERY = 5.0, 1.0
+_MOST_DIRECTIONS = 360
+_MIB = 2**20
+
+
+@dataclass(slots=True)
+class Track:
+    """One process over time."""
+
+    role: str = ""
+    """What it does; empty: not identified."""
+    seconds: list[float] = field(default_factory=list)
+    """Times of observation since the start [s]."""
+    memory: list[float] = field(default_factory=list)
+    """Memory that no other process shares, at those times [bytes]."""
+    files: list[int] = field(default_factory=list)
+    """Numbers of open file descriptors at those times."""
+    cpu: float = 0.0
+    """User and system time so far [s]."""
+
+    def look(self, pid: int, seconds: float) -> None:
+        """Add the resource use of process `pid` at `seconds`, if it still runs."""
+        with contextlib.suppress(psutil.Error):
+            process = psutil.Process(pid)
+            memory, times = process.memory_full_info().uss, process.cpu_times()
+            self.files.append(process.num_fds())
+            self.cpu = times.user + times.system
+            self.seconds.append(seconds)
+            self.memory.append(float(memory))
+
+
+def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, int]:
+    """Write a bench like `bench_file` with more shear directions, to take at least `seconds`.
+
+    Returns:
+        The file, in `folder`, and the number of targets in its plan.
+
+    Raises:
+        CommandError: No press-shear plan, or `seconds` exceeds the longest plan.
+    """
+    bench = BenchFile.read(bench_file).bench
+    plan = bench.trajectory
+    if not isinstance(plan, PressShear):
+        raise CommandError(f"{bench_file}: allowed: a press_shear trajectory")
+
+    def length(directions: int) -> float:
+        return bench.dry_run(replace(plan, angle_step=2 * pi / directions)).duration
+
+    most = length(_MOST_DIRECTIONS)
+    if most < seconds:
+        raise CommandError(f"--minutes: {seconds / 60:g}; allowed: up to {most / 60:.0f}")
+    directions = bisect_left(range(1, _MOST_DIRECTIONS), seconds, key=length) + 1
+    path = folder / f"{bench.sensor}-long.yaml"
+    content = {
+        "extends": str(bench_file.resolve()),
+        "trajectory": {"kind": "press_shear", "angle_step_deg": 360.0 / directions},
+        "limits": {"duration_max_min": 2 * length(directions) / 60},
+    }
+    path.write_text(yaml_text(content))
+    return path, len(replace(plan, angle_step=2 * pi / directions))
+
+
+def role_of(pid: int, command: str, session: Path) -> str:
+    """Return the role of a child process of the collection that writes `session`."""
+    if emulator := re.search(r"-m rig\.mock\.emulate .*/(\w+)\.json", command):
+        of_world = {"world": "World", "solver": "World's solver"}
+        return of_world.get(emulator[1], f"{emulator[1]} emulator")
+    if "resource_tracker" in command:
+        return ""
+    stream = stream_written(pid, session)
+    return f"{stream} stream" if stream else "arm"
+
+
+def watched(
+    bench_file: Path, session: Path, every: float, progress: Callable[[float], None]
+) -> tuple[int, str, float, list[Track]]:
+    """Collect the plan of `bench_file` while observing its processes.
+
+    Returns:
+        Exit code, last line of output, wall time [s], and the processes.
+    """
+    clock = SystemClock()
+    start_ns = clock.now_ns()
+    command = [sys.executable, "-u", "-m", "tactile", "collect", "--bench", str(bench_file)]
+    command += ["--calibrations", str(bench_file.parent / "none-measured"), "--out", str(session)]
+    tracks: dict[int, Track] = {}
+    printed = session.with_suffix(".out")
+    with printed.open("w") as out, subprocess.Popen(command, stdout=out, stderr=out) as process:
+        while process.poll() is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(every)
+            seconds = (clock.now_ns() - start_ns) / SECOND_NS
+            for pid, line in family(process.pid).items():
+                track = tracks.setdefault(pid, Track())
+                if pid == process.pid:
+                    track.role = "collect"
+                elif track.role in ("", "arm"):
+                    # A stream opens its files, which identify it, some seconds after its start.
+                    track.role = role_of(pid, line, session)
+                track.look(pid, seconds)
+            progress(seconds)
+    seconds = (clock.now_ns() - start_ns) / SECOND_NS
+    last = (printed.read_text().splitlines() or [""])[-1]
+    return process.returncode, last, seconds, [track for track in tracks.values() if track.role]
+
+
+def growth_of(
+    track: Track, seconds: float, warm_up: float = _WARM_UP, until: float = np.inf
+) -> dict[str, Any] | None:
+    """Return the growth of one process, or None if it was observed too briefly.
+
+    It has the medians of the first and last minute [bytes], the slope of a line [bytes per hour],
+    the standard deviation around it, the open files at both ends, and CPU time over wall time.
+
+    Args:
+        track: The process.
+        seconds: Length of the whole run [s].
+        warm_up: Start of the range that is evaluated [s].
+        until: End of that range, for example when the session begins to close [s].
+    """
+    times = np.array(track.seconds)
+    late = (times >= warm_up) & (times <= until)
+    if late.sum() < 3:
+        return None
+    first, last = np.flatnonzero(late)[[0, -1]].tolist()
+    times, memory = times[late], np.array(track.memory)[late]
+    line = np.polyfit(times, memory, 1)
+    return {
+        "role": track.role,
+        "first": float(np.median(memory[times <= times[0] + 60])),
+        "last": float(np.median(memory[times >= times[-1] - 60])),
+        "slope": float(line[0]) * 3600,
+        "spread": float(np.std(memory - np.polyval(line, times))),
+        "files": [track.files[first], track.files[last]],
+        "cpu": track.cpu / seconds,
+    }
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """Run one long collection; return its rows, its losses, and the growth of its processes."""
+    minutes = run.options.minutes or (QUICK_MINUTES if run.quick else MINUTES)
+    folder, session = run.folder, run.folder / "long.zarr"
+    bench, targets = long_bench(quick_bench(folder, SENSOR), 60 * minutes, folder)
+    code, last, seconds, tracks = watched(
+        bench,
+        session,
+        _QUICK_EVERY if run.quick else _EVERY,
+        lambda so_far: run.progress(min(so_far / (60 * minutes), 1.0)),
+    )
+    if code != 0:
+        run.failures.append(f"exit code {code}: {last}")
+        return {"exit": code, "last": last}
+    # After recording, the session is closed and its frames are built, which needs memory.
+    end = min(track.seconds[-1] for track in tracks if track.role.endswith("stream"))
+    warm_up = _QUICK_WARM_UP if run.quick else _WARM_UP
+    growths = [growth_of(track, seconds, warm_up, end) for track in tracks]
+    recorded = Session(session)
+    return {
+        "exit": code,
+        "last": last,
+        "targets": targets,
+        "seconds": seconds,
+        "bytes": sum(path.stat().st_size for path in session.rglob("*") if path.is_file()),
+        "streams": {
+            name: {"rows": len(stream.t_ns), **recorded.attrs["summary"][name]}
+            for name, stream in recorded.streams.items()
+        },
+        "findings": [
+            str(each).replace(str(session), session.name) for each in faults(check(session))
+        ],
+        "warm_up": warm_up,
+        "growth": sorted(filter(None, growths), key=lambda each: str(each["role"])),
+        "tracks": [asdict(track) for track in tracks],
+    }
+
+
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return the streams, the findings, and the memory of each process as table and chart."""
+    if values["exit"] != 0:
+        return f"## Endurance\n\nThe collection ended with exit code {values['exit']}."
+    with chart(page.picture("memory"), 8, 3) as figure:
+        axes = figure.subplots()
+        for track in values["tracks"]:
+            memory = np.array(track["memory"]) / _MIB
+            axes.plot(np.array(track["seconds"]) / 60, memory, label=track["role"])
+        axes.set(xlabel="time since the start [min]", ylabel="private memory [MiB]", ylim=(0, None))
+        axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
+    streams = [
+        (name, each["rows"], each["dropped"], f"{1e3 * each['longest_gap']:.1f} ms")
+        for name, each in values["streams"].items()
+    ]
+    growth = [
+        (
+            each["role"],
+            f"{each['first'] / _MIB:.1f}",
+            f"{each['last'] / _MIB:.1f}",
+            f"{each['slope'] / _MIB:+.2f}",
+            f"{each['spread'] / _MIB:.2f}",
+            f"{each['files'][0]} to {each['files'][1]}",
+            f"{each['cpu']:.0%}",
+        )
+        for each in values["growth"]
+    ]
+    findings = "\n".join(f"- {finding}" for finding in values["findings"]) or "nothing found"
+    total = sum(each["slope"] for each in values["growth"]) / _MIB
+    head = ("process", "first minute", "last minute", "slope an hour", "std", "files", "CPU")
+    return f"""## Endurance
+
+One mock collection of {values["targets"]} targets in {values["seconds"] / 60:.1f} minutes, its
+processes observed regularly: {values["bytes"] / 1e6:.0f} MB, exit code 0. `tactile session check`:
+{findings}
+
+{table(("stream", "rows", "dropped", "longest gap"), streams)}
+
+Memory [MiB] that no other process shares, from {values["warm_up"]:.0f} s after the start to the end
+of recording. The total grows by {total:+.2f} MiB an hour.
+
+{page.link("memory", "Private memory of each process over time")}
+
+{table(head, growth)}"""

@@ -1,1 +1,0 @@
-"""Wrong benches without a gauge: does the true force stay below the rating of the sensor?"""
