@@ -269,7 +269,8 @@ def section(values: dict[str, Any], page: Page) -> str:
 
 {len(commands)} commands in {duration(sum(each["seconds"] for each in commands))}, in an empty
 folder outside of the checkout. Targets are marked on the page by clicks in a browser without a
-window, if there is one. A command on the mock bench is run again if an emulator answered too late (`tries`).
+window, if there is one. A command on the mock bench is run again if an emulator answered too late
+(`tries`).
 
 {page.link("times", "Time of each command")}
 
