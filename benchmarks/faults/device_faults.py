@@ -40,7 +40,7 @@ _LONGEST = 150
 
 @dataclass(frozen=True, slots=True)
 class RowResult:
-    """What a collection with a fault did, and left behind."""
+    """Result of a collection with a fault."""
 
     device: str
     fault: str

@@ -43,7 +43,7 @@ class Track:
     """One process over time."""
 
     role: str = ""
-    """What it does; empty: not identified."""
+    """Its task; empty: not identified."""
     seconds: list[float] = field(default_factory=list)
     """Times of observation since the start [s]."""
     memory: list[float] = field(default_factory=list)

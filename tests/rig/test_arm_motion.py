@@ -45,7 +45,7 @@ def arm(shared: Arm) -> Arm:
 
 def test_a_sequence_of_moves_reaches_every_pose_while_no_pose_is_missed(arm):
     driver = RtdePoseDriver(ArmConfig(host=HOST, rate_hz=500.0), CLOCK)
-    driver.open(5.0)
+    driver.open(60.0)
     places = [(0, 0, 0.02), (0.01, 0, 0.02), (0.01, -0.01, 0.01), (0, 0, 0.03)]
     tilted = compose([0, 0, 0, 0.02, -0.03, 0.1], [0, 0, 0, *START[3:]])[3:]
     poses = [at(*place) for place in places] + [at(0, 0, 0.03, tilted)]

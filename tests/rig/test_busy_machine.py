@@ -32,7 +32,7 @@ def collected(folder: Path) -> tuple[Path, Path]:
         try:
             options = ("--bench", str(bench), "--targets", "2", "--truth", str(truth))
             run = Collection.start(session, *options)
-            code = run.wait(150)
+            code = run.wait(240)
         finally:
             for process in busy:
                 process.kill()

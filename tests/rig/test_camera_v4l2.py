@@ -292,7 +292,7 @@ def seen(shim: Path, options: dict[str, Any], *, mjpg: bool = True, **faults: in
         capture_output=True,
         text=True,
         check=False,
-        timeout=50,
+        timeout=240,
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

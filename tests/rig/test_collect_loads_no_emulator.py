@@ -70,7 +70,7 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
             capture_output=True,
             text=True,
             check=False,
-            timeout=55,
+            timeout=240,
         )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "LAB BENCH" in done.stdout

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -16,7 +15,6 @@ from support import hidraw_nodes
 from support.collecting import Collection, faults_of
 
 from recorder import OUTCOMES, Session
-from rig.acquire.completed import first_open_target
 from rig.acquire.control import Control, Interrupted
 from rig.core import emulation
 from rig.core.clock import SystemClock
@@ -27,7 +25,6 @@ from rig.devices.gripper.robotiq import GripWatch, judge
 from rig.devices.gripper.robotiq_emulator import Fingers, RobotiqEmulator
 from rig.devices.gripper.robotiq_wire import AT_POSITION, MOVING, STOPPED_CLOSING, GripperStatus
 from rig.devices.gripper.settings import RobotiqConfig
-from trajectories import PressShear
 
 ROOT = Path(__file__).parents[2]
 COMPLETE, INTERRUPTED, STOPPED = (
@@ -60,32 +57,6 @@ def test_an_abort_names_who_asked_first_and_cannot_be_withdrawn() -> None:
     control.resume("page")
     with pytest.raises(Interrupted, match="aborted by the page"):
         control.check()
-
-
-# Progress of a target that was pressed twice in one run.
-
-PLAN = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3, points=(1,))
-
-
-def open_target(*rows: tuple[int, int, int]) -> int:
-    """Return the first open target after rows of target, phase and outcome, all of one run."""
-    columns = np.array([(*row, 0) for row in rows], dtype=int).T
-    table = dict(zip(("target", "phase", "outcome", "run"), columns, strict=True))
-    return first_open_target(PLAN, table, 48)
-
-
-def test_a_target_interrupted_and_pressed_again_in_the_same_run_is_done() -> None:
-    broken = [(0, 0, COMPLETE), (0, 1, INTERRUPTED)]
-    again = [(0, phase, COMPLETE) for phase in range(4)]
-    assert open_target(*broken) == 0
-    assert open_target(*broken, *again) == 1
-    assert open_target(*broken, *broken, *again) == 1
-
-
-def test_two_broken_attempts_in_one_run_make_no_whole_target() -> None:
-    first = [(0, 0, COMPLETE), (0, 1, COMPLETE), (0, 2, INTERRUPTED)]
-    assert open_target(*first, (0, 2, COMPLETE), (0, 3, COMPLETE)) == 0
-    assert open_target(*first[:2], *first[:2], (0, 2, COMPLETE)) == 0
 
 
 # The grip.
@@ -125,13 +96,15 @@ def emulated_gripper(tmp_path: Path) -> Iterator[RobotiqEmulator]:
 
 @pytest.fixture(name="watch")
 def watching(gripper: RobotiqEmulator) -> Iterator[GripWatch]:
-    watch = GripWatch(RobotiqConfig(gripper.address, rate_hz=100.0), SystemClock(), lambda: None)
+    # The emulator shares the cores, so it may answer late.
+    config = RobotiqConfig(gripper.address, rate_hz=100.0, answer=0.4, silence=1.5)
+    watch = GripWatch(config, SystemClock(), lambda: None)
     yield watch
     watch.close()
     watch.close()
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+def wait_until(condition: Callable[[], bool], seconds: float = 240.0) -> None:
     clock = SystemClock()
     limit_ns = clock.now_ns() + round(seconds * 1e9)
     while not condition():
@@ -346,24 +319,6 @@ def in_second_phase(run: Collection) -> None:
 
 
 WHOLE = [(phase, COMPLETE) for phase in range(4)]
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-def test_a_grip_lost_in_mid_press_halts_retracts_and_exits_with_4(collect: Collect) -> None:
-    run = collect(4)
-    in_second_phase(run)
-    inject(run, "gripper", "lose_grip")
-    assert run.wait() == 4, run.text
-    session = Session(run.session)
-    assert session.status == "stopped"
-    assert "grip lost" in session.attrs["reason"]
-    assert "NOT RETRACTED" not in session.attrs["reason"]
-    assert rows(run.session)[-1][2] == STOPPED
-    height = session.streams["pose"].array("value")[-1][2] - session.attrs["contact_frame"][2]
-    assert height > 0.015
-    assert session.runs[0]["devices"]["gripper"]["position"] == 120
-    assert faults_of(run.session, stopped=True) == []
 
 
 @pytest.mark.serial

@@ -50,6 +50,17 @@ def test_two_halves_of_two_runs_make_no_whole_target() -> None:
     assert first_open_target(PLAN, table(halves + whole(0, run=2)), 48) == 1
 
 
+def test_a_target_interrupted_and_pressed_again_in_the_same_run_is_done() -> None:
+    broken = [(0, 0, COMPLETE, 0), (0, 1, INTERRUPTED, 0)]
+    assert first_open_target(PLAN, table(broken), 48) == 0
+    assert first_open_target(PLAN, table(broken + whole(0)), 48) == 1
+    assert first_open_target(PLAN, table(broken + broken + whole(0)), 48) == 1
+    # Two broken attempts in one run make no whole target.
+    first, rest = whole(0)[:2], whole(0)[2:]
+    assert first_open_target(PLAN, table([*first, (0, 2, INTERRUPTED, 0), *rest]), 48) == 0
+    assert first_open_target(PLAN, table([*first, *first, rest[0]]), 48) == 0
+
+
 def test_a_force_limited_target_is_done() -> None:
     rows = [(0, 0, LIMITED, 0), *whole(1)]
     assert first_open_target(PLAN, table(rows), 48) == 2

@@ -1,4 +1,4 @@
-"""Mistakes on the command line are found before a device, an emulator or a page starts."""
+"""Mistakes are found before a device, an emulator or a page starts; then, devices that are dead."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import ROOT
+from support.collecting import ROOT, Collection, move_typed
 
 from benchmarks.faults.collection_run import quick_bench
 from rig.acquire import collector
@@ -46,6 +46,12 @@ def folder_of_recordings(tmp_path: Path) -> Path:
     ("arguments", "words"),
     [
         ("--sensor tacpalm --out {}/old.zarr", "exists already; resume it or choose another"),
+        ("--sensor nose", "known in"),
+        ("", "--sensor"),
+        ("--sensor tacpalm --targets 161", "1 to 160"),
+        ("--sensor tacpalm --targets 0", "1 to 160"),
+        ("--sensor tacpalm --camera /no/such", "no such file"),
+        ("--resume /no/such.zarr", "/no/such.zarr"),
         ("--sensor tacplam", "--sensor: found 'tacplam'; did you mean tacpalm? known in"),
         ("--sensor tacpalm --indenter bananna", "--indenter: found 'bananna'; known in the paper"),
         ("--sensor tacpalm --indenter cylinde", "did you mean cylinder?"),
@@ -152,3 +158,35 @@ def test_a_value_in_another_unit_is_refused(
     path.write_text(f"extends: {BENCHES / 'tacpalm.yaml'}\n{more}\n")
     assert main(["collect", "--bench", str(path), "--out", str(tmp_path / "s.zarr")]) == 2
     assert re.search(re.escape(words), capsys.readouterr().err)
+
+
+def test_a_lab_bench_whose_devices_do_not_answer_exits_with_3_and_records_nothing(
+    tmp_path: Path,
+) -> None:
+    bench = tmp_path / "lab.yaml"
+    base = BENCHES / "tacpalm.yaml"
+    host = "127.0.0.239"
+    bench.write_text(
+        f"""
+extends: {base}
+mock: false
+world: null
+arm: {{host: {host}}}
+force: {{host: {host}}}
+camera: {{address: "http://{host}:8081/stream.mjpg"}}
+gripper: {{kind: robotiq_2f, port: {tmp_path}/no-gripper}}
+pedal: {{device: {tmp_path}/no-pedal}}
+"""
+    )
+    with move_typed() as terminal:
+        run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench), stdin=terminal)
+        assert run.wait() == 3, run.text
+    assert run.lines[0].startswith("LAB BENCH")
+    assert "the arm WILL move" in run.lines[0]
+    # Every dead device is named, not only the first.
+    found = run.text[run.text.index("device lost: 5 devices:") :]
+    named = [line.split()[0].rstrip(":") for line in found.splitlines()[1:6]]
+    assert named == ["force", "pose", "camera", "gripper", "foot"]
+    assert found.count(host) >= 3
+    assert "nothing was recorded" in run.lines[-1]
+    assert not run.session.exists()

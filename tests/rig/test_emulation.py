@@ -67,7 +67,7 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
         assert process.stdout.readline() == f"ready netft {HOST}:49152 http://{HOST}:8080\n"
         driver = NetFtDriver(NetFtConfig(HOST, 8080, silence=20.0), SystemClock())
         try:
-            driver.open(5.0)
+            driver.open(60.0)
             assert driver.read(5.0)[0]["value"].tolist() == [0.0] * 6
             record.write(state(1, -2.5))
             for _ in range(100):

@@ -193,29 +193,29 @@ def _fixed_world() -> FixedWorld:
     return FixedWorld(wrench=(1.0, -2.0, -3.5, 0.01, -0.02, 0.03), taxels=taxels)
 
 
-def _netft(host: str) -> tuple[Any, Any, Callable[..., Any]]:
+def _netft(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
     emulator = NetFtEmulator(NetFtEmulatorConfig(host=host), _fixed_world(), CLOCK)
-    driver = NetFtDriver(NetFtConfig(host, 8080, silence=0.3), CLOCK)
+    driver = NetFtDriver(NetFtConfig(host, 8080, silence=silence), CLOCK)
     return emulator, driver, emulator.faults.inject
 
 
-def _xela(host: str) -> tuple[Any, Any, Callable[..., Any]]:
+def _xela(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
     settings = XelaEmulatorConfig(XelaConfig(rate_hz=200.0), host=host)
     emulator = XelaEmulator(settings, _fixed_world(), CLOCK)
-    driver = XelaDriver(XelaConfig(f"ws://{host}:5000", silence=0.3), CLOCK)
+    driver = XelaDriver(XelaConfig(f"ws://{host}:5000", silence=silence), CLOCK)
     return emulator, driver, emulator.faults.inject
 
 
-def _mjpeg(host: str) -> tuple[Any, Any, Callable[..., Any]]:
+def _mjpeg(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 255, (480, 640, 3)).astype(np.uint8)
     source = rendered(lambda state: image)
-    config = CameraConfig(f"http://{host}:8090/", rate_hz=60.0, silence=0.3)
+    config = CameraConfig(f"http://{host}:8090/", rate_hz=60.0, silence=silence)
     emulator = MjpegEmulator(MjpegEmulatorConfig(config, host=host), source, None, CLOCK)
     return emulator, OpenCvDriver(config, CLOCK), emulator.faults.inject
 
 
-def _arm(host: str) -> tuple[Any, Any, Callable[..., Any]]:
+def _arm(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
     controller = Controller(flange_pose(np.array(POSTURE)), np.zeros(6))
     emulator = ArmEmulator(host, controller, CLOCK)
     return (
@@ -229,11 +229,13 @@ DEVICES = {"force": _netft, "taxels": _xela, "camera": _mjpeg, "arm": _arm}
 
 
 @contextmanager
-def streaming(device: str, host: str) -> Iterator[tuple[Any, Callable[..., Any]]]:
-    emulator, driver, inject = DEVICES[device](host)
+def streaming(
+    device: str, host: str, silence: float = 60.0
+) -> Iterator[tuple[Any, Callable[..., Any]]]:
+    emulator, driver, inject = DEVICES[device](host, silence)
     emulator.start()
     try:
-        driver.open(5.0)
+        driver.open(60.0)
         collect(driver, 3)
         yield driver, inject
     finally:
@@ -258,8 +260,8 @@ def until_lost(driver: Any) -> list[dict[str, Any]]:
 def test_a_line_that_cannot_be_trusted_is_device_lost_and_nothing_of_it_is_kept(
     device: str, fault: str, host: str
 ) -> None:
-    values = {"seconds": 20.0} if fault == "freeze" else {}
-    with streaming(device, host) as (driver, inject):
+    values = {"seconds": 300.0} if fault == "freeze" else {}
+    with streaming(device, host, 1.0 if fault == "freeze" else 60.0) as (driver, inject):
         before = collect(driver, 3)[-1]["value"]
         inject(fault, **values)
         *kept, end = until_lost(driver)
@@ -325,14 +327,14 @@ def number_of(device: str, sample: dict[str, Any]) -> float:
 def test_an_unplugged_device_refuses_everybody_until_it_is_plugged_in_again(
     device: str, host: str
 ) -> None:
-    emulator, driver, inject = DEVICES[device](host)
+    emulator, driver, inject = DEVICES[device](host, 60.0)
     emulator.start()
     try:
         inject("unplug")
         with pytest.raises(DeviceLost):
             driver.open(0.5)
         inject("replug")
-        driver.open(5.0)
+        driver.open(60.0)
         assert collect(driver, 3)
     finally:
         driver.close()

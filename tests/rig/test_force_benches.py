@@ -186,7 +186,7 @@ def collected(folder: Path, kind: str) -> tuple[Session, Truth]:
     run = Collection.start(
         folder / "s.zarr", "--bench", str(bench), "--targets", "2", "--truth", str(truth)
     )
-    assert run.wait(100) == 0, run.text
+    assert run.wait(240) == 0, run.text
     assert faults_of(run.session) == []
     return Session(run.session), Truth(truth)
 

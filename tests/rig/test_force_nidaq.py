@@ -300,7 +300,7 @@ def test_a_calibration_of_another_range_sets_the_card_to_it(host: str, tmp_path:
     config = NidaqConfig(str(path), grpc=f"{host}:{PORT}", silence=20.0)
     with emulated(host, (0.0, 0.0, -60.0, 0.0, 0.0, 0.0)):
         driver = NidaqDriver(config, CLOCK)
-        driver.open(5.0)
+        driver.open(60.0)
         try:
             assert driver.describe()["volts_range"] == [-5.0, 5.0]
             assert collect(driver, 1)[0]["status"] & SATURATED

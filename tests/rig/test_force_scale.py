@@ -71,7 +71,7 @@ def test_every_protocol_weighs_a_press_as_negative_fz(
     emulator.start()
     driver = ScaleDriver(config, clock)
     try:
-        driver.open(5.0)
+        driver.open(60.0)
         samples: list[dict[str, object]] = []
         while not (samples and samples[-1]["settled"]):
             samples += driver.read(1.0)

@@ -90,7 +90,7 @@ class Terminal:
         os.close(slave)
         self.text = ""
 
-    def read_until(self, word: str, timeout: float = 40.0) -> None:
+    def read_until(self, word: str, timeout: float = 240.0) -> None:
         """Read the output until `word` is in it."""
         deadline = time.monotonic() + timeout
         while word not in self.text:
@@ -101,7 +101,7 @@ class Terminal:
                 except OSError:
                     raise AssertionError(f"it ended before {word!r}:\n{self.text}") from None
 
-    def wait(self, timeout: float = 40.0) -> int:
+    def wait(self, timeout: float = 240.0) -> int:
         """Return the exit code, reading the output meanwhile."""
         deadline = time.monotonic() + timeout
         while self.process.poll() is None:
@@ -161,7 +161,7 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
         terminal.read_until("target 1/4")
         _until(lambda: lab.tip() < -0.2, terminal.process)
         terminal.close()
-        assert terminal.process.wait(40) == 130
+        assert terminal.process.wait(240) == 130
     assert lab.tip() > RETRACTED
     found = Session(session)
     assert found.status == "stopped"

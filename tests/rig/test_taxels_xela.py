@@ -55,7 +55,7 @@ def emulated(
     return running(emulator)
 
 
-def opened(host: str, timeout: float = 5.0, **options: Any) -> AbstractContextManager[XelaDriver]:
+def opened(host: str, timeout: float = 60.0, **options: Any) -> AbstractContextManager[XelaDriver]:
     config = XelaConfig(f"ws://{host}:5000", **({"silence": 20.0} | options))
     driver = XelaDriver(config, CLOCK)
     return opening(driver, timeout)
@@ -142,32 +142,6 @@ def test_lost_messages_are_counted_exactly(host: str) -> None:
         lost = sum(b - a - 1 for a, b in itertools.pairwise(numbers))
         assert not [number for number in numbers if number % 5 == 0]
         assert 0 < lost <= driver.dropped
-
-
-def test_repeated_messages_count_once(host: str) -> None:
-    with emulated(host, lambda number, text: (text, text)), opened(host) as driver:
-        numbers = [sample["seq"] for sample in collect(driver, 20)]
-        assert all(a < b for a, b in itertools.pairwise(numbers))
-        assert driver.rejected["repeated"] >= 19
-
-
-def test_one_bad_message_is_skipped_and_counted(host: str) -> None:
-    with (
-        emulated(host, lambda number, text: (text, '{"mess') if number % 3 else ("", text)),
-        opened(host) as driver,
-    ):
-        numbers = [sample["seq"] for sample in collect(driver, 20)]
-        assert all(a < b for a, b in itertools.pairwise(numbers))
-        assert driver.rejected["corrupt"] >= 19
-
-
-def test_ten_bad_messages_in_a_row_are_device_lost(host: str) -> None:
-    with emulated(host) as emulator, opened(host) as driver:
-        collect(driver, 3)
-        emulator.fault = lambda number, text: ("nonsense",)
-        with pytest.raises(DeviceLost, match="10 bad messages in a row"):
-            collect(driver, 1000)
-        assert driver.rejected["corrupt"] == 10
 
 
 def test_a_server_that_counts_anew_goes_on_without_a_gap(host: str) -> None:

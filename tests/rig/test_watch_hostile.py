@@ -88,7 +88,7 @@ def test_no_sample_is_lost_while_the_page_is_attacked(tmp_path: Path) -> None:
         collection.until(collection.recording)
         for thread in threads:
             thread.start()
-        code = collection.wait(150)
+        code = collection.wait(240)
     finally:
         ending.set()
         for thread in threads:

@@ -381,7 +381,7 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
         tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench), "--world", "sim",
         "--indenter", "sphere",
     )  # fmt: skip
-    assert run.wait(150) == 0, run.text
+    assert run.wait(240) == 0, run.text
     session = Session(run.session)
     assert session.attrs["bench"]["world"]["kind"] == "simulated"
     assert faults_of(run.session) == []

@@ -92,7 +92,7 @@ class Collection:
         )
         return cls(session, process)
 
-    def wait(self, timeout: float = 55.0) -> int:
+    def wait(self, timeout: float = 240.0) -> int:
         """Return its exit code, with all printed lines in `lines`."""
         try:
             output, _ = self.process.communicate(timeout=timeout)
@@ -132,7 +132,7 @@ class Collection:
         """Return the pid of the process that writes `<session>/streams/<name>`."""
         return stream_process(self.processes(), self.session, name)
 
-    def until(self, condition: Callable[[], bool], timeout: float = 40.0) -> None:
+    def until(self, condition: Callable[[], bool], timeout: float = 240.0) -> None:
         """Wait for `condition` while the collection runs."""
         deadline = time.monotonic() + timeout
         while not condition():

@@ -51,7 +51,7 @@ def running(emulator: E) -> Iterator[E]:
 
 
 @contextmanager
-def opening(driver: D, timeout: float = 5.0) -> Iterator[D]:
+def opening(driver: D, timeout: float = 60.0) -> Iterator[D]:
     """Open a driver and close it at the end."""
     driver.open(timeout)
     try:
