@@ -233,10 +233,9 @@ def section(values: dict[str, Any], page: Page) -> str:
         with chart(page.picture("noticed"), 8, 0.8 + 0.17 * len(noticed)) as figure:
             axes = figure.subplots()
             names = [f"{row['device']}: {row['fault']}" for row in noticed]
-            axes.barh(names, [max(row["noticed"], 5e-3) for row in noticed], color=BLUE)
+            axes.plot([max(row["noticed"], 1e-3) for row in noticed], names, "o", color=BLUE)
             axes.set(xscale="log", xlabel="time from the fault to the end of the motion [s]")
-            axes.invert_yaxis()
-            axes.margins(y=0.01)
+            axes.set(ylim=(len(noticed) - 0.5, -0.5))
         parts.append(page.link("noticed", "Time until each fault ended the motion"))
     for device in devices:
         lines = [_cells(row) for row in rows if row["device"] == device]

@@ -202,7 +202,7 @@ def section(values: list[dict[str, Any]], page: Page) -> str:
         axes.axvline(100, color=RED)
         axes.set_yticks(range(len(by_fault)), list(by_fault))
         axes.set(xlabel="largest true force of a bench [% of the rating]", xlim=(0, 105))
-        axes.invert_yaxis()
+        axes.set(ylim=(len(by_fault) - 0.5, -0.5))
     rows = []
     for fault, each in by_fault.items():
         ends = Counter(
