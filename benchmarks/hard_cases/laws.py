@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim.errors import SimulationDiverged
 from sim.result import Result
 
 Array = NDArray[np.float64]
@@ -50,14 +51,18 @@ class Law:
             return False
         return self.measured <= self.limit if self.sense == "<=" else self.measured >= self.limit
 
+    @property
+    def used(self) -> float:
+        """Part of the allowance that the measured number uses: 1 at the limit, 0 far from it."""
+        over, under = self.measured, self.limit
+        if self.sense == ">=" and self.limit > 0:
+            over, under = under, over
+        if under == 0 or not math.isfinite(self.measured):
+            return 0.0 if self.holds else math.inf
+        return max(0.0, over / under)
+
     def __str__(self) -> str:
         return f"{self.says}: {self.measured:.3g} {self.sense} {self.limit:.3g}"
-
-
-def escaped(text: str) -> str:
-    """Escape a law's text for a cell of a Markdown table."""
-    plain = text.replace("<=", "≤").replace(">=", "≥").replace("<", "&lt;")
-    return plain.replace("|", "\\|")
 
 
 def at_most(says: str, measured: float, limit: float) -> Law:
@@ -131,6 +136,12 @@ def difference(first: ArrayLike, second: ArrayLike) -> float:
     return float(np.abs(one - other).max() / max(float(np.abs(one).max()), 1e-30))
 
 
+def alike(first: Result, second: Result) -> list[Law]:
+    """Return the law that no value differs in any bit."""
+    pairs = [(getattr(first, n), getattr(second, n)) for n in ("wrench", "surface", "traction")]
+    return [at_most("values that differ", sum(int((a != b).sum()) for a, b in pairs), 0)]
+
+
 def mirrored(first: Result, second: Result, limit: float) -> Law:
     """Return the law that the surface of the second is that of the first, mirrored in x."""
     turned = second.surface[:, ::-1] * np.array([-1, 1, 1], np.float32)
@@ -158,6 +169,27 @@ def rises(says: str, values: Sequence[float] | Array, least: float = 0.0) -> Law
 def push(result: Result) -> Array:
     """Return the downward push of the indenter by frame (F,) [N]."""
     return -result.force[:, 2]
+
+
+def evidence(diverged: SimulationDiverged) -> list[Law]:
+    """Return the laws of a rejection; the dump is read and removed.
+
+    If the indenter passed through the skin, the waypoint is named and there is no other state.
+    """
+    if "passes through the skin" in str(diverged):
+        return [at_least("names of the waypoint", str(diverged).count("waypoint"), 1)]
+    numbers, missing = 0, 1
+    if diverged.dump is not None:
+        with np.load(diverged.dump) as dump:
+            state = {name: dump[name] for name in dump.files}
+        diverged.forget_dump()
+        missing = len({"scene", "tip", "u", "nodes"} - set(state))
+        numbers = int(sum((~np.isfinite(state[name])).sum() for name in ("tip", "u", "nodes")))
+    return [
+        at_least("attempts listed", len(diverged.tried), 1),
+        at_most("missing in the dump", missing, 0),
+        at_most("numbers in the dump that are not finite", numbers, 0),
+    ]
 
 
 def _least(values: Iterable[Array]) -> float:

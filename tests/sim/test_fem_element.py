@@ -9,7 +9,6 @@ import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array, Material
 
-from benchmarks.hard_cases.planted import fully_integrated
 from sim.fem.element import GAUSS_POINTS
 from sim.fem.lanes import AT_ONCE
 from sim.scalars import vector_of
@@ -24,7 +23,7 @@ PRECISIONS = [
     pytest.param(wp.float64, 1e-12, id="float64"),
     pytest.param(wp.float32, 3e-5, id="float32"),
 ]
-KINDS = ["elastic", "viscous", "full_integration"]
+KINDS = ["elastic", "viscous"]
 
 
 @pytest.fixture(params=["sim.fem.element", "sim.fem.lanes"])
@@ -44,8 +43,7 @@ def _materials(kind: str) -> list[Material]:
     materials = []
     for shear, bulk in ((0.345, 3.3), (0.4, 0.5)):
         if kind != "viscous":
-            everywhere = kind == "full_integration"
-            materials.append(Material(shear, bulk, everywhere=everywhere))
+            materials.append(Material(shear, bulk))
             continue
         history = random.normal(0, 0.1, (len(ELEMENTS), GAUSS_POINTS, 3, 3))
         history = history + np.swapaxes(history, 2, 3)
@@ -90,7 +88,7 @@ def _residual(
 def _launched(
     module: str, kind: str, real: Any, inputs: list[Any], shape: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
-    of = fully_integrated(module) if kind == "full_integration" else import_module(module)
+    of = import_module(module)
     eight = module == "sim.fem.lanes"
     factory = of.forces_kernel if eight else of.element_kernels
     kernel = factory(real, kind == "viscous")

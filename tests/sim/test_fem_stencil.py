@@ -31,7 +31,6 @@ REALS = [
         ("elastic", wp.float64, 1e-12),
         ("elastic", wp.float32, 2e-5),
         ("viscous", wp.float64, 1e-12),
-        pytest.param("full_integration", wp.float64, 1e-12, marks=pytest.mark.slow),
     ],
 )
 def test_the_matrix_is_the_derivative_of_the_forces(

@@ -1,7 +1,7 @@
-"""Regression tests of scenes with silently wrong results, found by `hard-cases --random`.
+"""Regression tests of scenes with silently wrong results, found by `hard-cases`.
 
 Once a scene of `found/` is fixed, its reason is removed here and the file stays; new files are
-copied there from the folder that the command names.
+copied there from build/hard-cases.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.hard_cases.random_scenes.judgement import Settings, judge_scene
-from benchmarks.hard_cases.random_scenes.shrink import failure, load
+from benchmarks.hard_cases.random_scenes.shrink import load
 
 FOUND = sorted((Path(__file__).parent / "found").glob("*.json"))
 # Reason why a result is still silently wrong.
@@ -41,8 +41,8 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
 @pytest.mark.parametrize("path", [_case(path) for path in FOUND])
 def test_a_scene_once_found_is_no_longer_silently_wrong(path: Path) -> None:
     scene, _broken, twin = load(path)
-    outcome = judge_scene(scene, Settings(), twin or None)
-    assert not failure(outcome), outcome.why
+    outcome = judge_scene(scene, Settings(), twin)
+    assert not outcome.failure, outcome.why
 
 
 def test_every_reason_has_its_scene_and_every_scene_says_what_it_breaks() -> None:

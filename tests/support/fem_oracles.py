@@ -78,8 +78,6 @@ class Material:
     bulk_factor: float = 1.0
     history: Array | None = None
     bulk_history: Array | None = None
-    everywhere: bool = False
-    """True for volume change at every Gauss point, the element that locks."""
 
 
 def deformation(mesh: Mesh, u: Array) -> tuple[Array, Array, Array]:
@@ -114,14 +112,10 @@ def element_force(mesh: Mesh, u: Array, material: Material) -> Array:
     if material.history is not None:
         stress = stress + f @ material.history
     theta = (weight * j).sum(1) / weight.sum(1)
-    if material.everywhere:
-        pressure = material.bulk / 2 * (j - 1 / j)
-    else:
-        average = material.bulk / 2 * (theta - 1 / theta) * material.bulk_factor
-        if material.bulk_history is not None:
-            average = average + material.bulk_history
-        pressure = average[:, None]
-    stress = stress + (pressure * j)[..., None, None] * inverse
+    average = material.bulk / 2 * (theta - 1 / theta) * material.bulk_factor
+    if material.bulk_history is not None:
+        average = average + material.bulk_history
+    stress = stress + (average[:, None] * j)[..., None, None] * inverse
     return np.einsum("eq,eqij,eqaj->eai", weight, stress, slopes)
 
 

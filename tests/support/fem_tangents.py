@@ -9,7 +9,6 @@ import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array, Material
 
-from benchmarks.hard_cases.planted import planted
 from sim.fem.contact import face_rule
 from sim.fem.matrix import SLOTS, BlockMatrix, neighbours
 from sim.fem.mesh import Mesh
@@ -46,7 +45,7 @@ class Tangents:
 
     def _material(self, random: np.random.Generator, shear: float, bulk: float) -> Material:
         if self.variant != "viscous":
-            return Material(shear, bulk, everywhere=self.variant == "full_integration")
+            return Material(shear, bulk)
         history = random.normal(0, 0.1, (len(GRID.elements), 8, 3, 3))
         return Material(
             shear,
@@ -59,16 +58,10 @@ class Tangents:
 
     def block_matrix(self, real: Any, *, parallel: bool = False, half: bool = False) -> BlockMatrix:
         """Return the tangent assembled by the kernels over a matrix full of `FILLED`."""
-        with planted("full-integration" if self.variant == "full_integration" else None):
-            block_matrix = BlockMatrix(
-                GRID,
-                real,
-                3,
-                "cpu",
-                viscous=self.variant == "viscous",
-                parallel=parallel,
-                half=half,
-            )
+        viscous = self.variant == "viscous"
+        block_matrix = BlockMatrix(
+            GRID, real, 3, "cpu", viscous=viscous, parallel=parallel, half=half
+        )
         block_matrix.matrix.fill_(FILLED)
         self.assemble(block_matrix, real)
         return block_matrix

@@ -1,38 +1,67 @@
-"""All hard cases, in the order of the table."""
+"""Hard cases, by family: each function of a family's file is one, in the order of the page."""
 
 from __future__ import annotations
 
 from fnmatch import fnmatch
+from types import ModuleType
 
-from benchmarks.hard_cases.case import Case
 from benchmarks.hard_cases.cases import (
-    depth,
     edges,
     friction,
     in_time,
-    material,
     precision,
-    rim,
+    pressing,
     steps,
     wrong_input,
 )
+from benchmarks.hard_cases.solver import Case
 
-FAMILIES = (material, depth, edges, rim, friction, steps, precision, in_time, wrong_input)
-CASES: tuple[Case, ...] = tuple(case for family in FAMILIES for case in family.CASES)
-BY_NAME = {case.name: case for case in CASES}
+FAMILIES = (pressing, edges, friction, steps, precision, in_time, wrong_input)
 
 
-def chosen(patterns: list[str]) -> tuple[Case, ...]:
-    """Return cases whose name matches any pattern (with `*` and `?`), or all without patterns.
+def _cases(family: ModuleType) -> dict[str, Case]:
+    """Return the public functions that the module itself defines."""
+    return {
+        name.replace("_", "-"): value
+        for name, value in vars(family).items()
+        if getattr(value, "__module__", "") == family.__name__ and not name.startswith("_")
+    }
+
+
+BY_FAMILY = {(family.__doc__ or "").split(":")[0]: _cases(family) for family in FAMILIES}
+CASES: dict[str, Case] = {
+    name: case for cases in BY_FAMILY.values() for name, case in cases.items()
+}
+# The longest, which start first, so that none is left alone at the end.
+LONGEST = ("named-indenters", "tube-off-the-grid", "shear-in-few-or-many-frames")
+# At least one of each family, all together some seconds.
+QUICK = (
+    "poisson-0-3",
+    "flat-punch-between-bounds",
+    "lifted-while-it-slips",
+    "never-touches",
+    "starts-at-touch",
+    "metres-and-millimetres",
+    "mirror-symmetry",
+    "inertia-of-no-mass",
+    "millimetres-for-metres",
+    "one-newton-iteration",
+    "phases-without-time",
+)
+
+
+def asserts(case: Case) -> str:
+    """Return the assertion of a case, in one sentence."""
+    return (case.__doc__ or "").strip().split("\n\n")[0].replace("\n    ", " ")
+
+
+def chosen(patterns: list[str]) -> list[str]:
+    """Return the names that match any pattern (with `*` and `?`), or all without patterns.
 
     Raises:
         ValueError: A pattern that matches nothing.
     """
     for pattern in patterns:
-        if not any(fnmatch(case.name, pattern) for case in CASES):
-            raise ValueError(f"no case is called {pattern!r}; --list shows them")
-    return tuple(
-        case
-        for case in CASES
-        if not patterns or any(fnmatch(case.name, pattern) for pattern in patterns)
-    )
+        if not any(fnmatch(name, pattern) for name in CASES):
+            raise ValueError(f"no case is called {pattern!r}; allowed: {', '.join(CASES)}")
+    return [name for name in CASES if any(fnmatch(name, each) for each in patterns or ["*"])]

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from benchmarks.hard_cases.case import Case, Solver
 from benchmarks.hard_cases.cases.bodies import MAT, MM, PAD, SPHERE
 from benchmarks.hard_cases.laws import (
     SAME,
@@ -25,6 +24,7 @@ from benchmarks.hard_cases.laws import (
     swapped,
     validity_laws,
 )
+from benchmarks.hard_cases.solver import Solver
 from sim.result import Result
 from sim.scene import Effects, Friction, Motion, Scene, press, through
 
@@ -257,22 +257,3 @@ def shear_of_a_sunk_start(solver: Solver) -> list[Law]:
     sunk = solver.one(_rubbed(0.5, through([low, aside], speed=10 * MM)))
     pressed = solver.one(_rubbed(0.5, through([(0.0, 0.0, 0.0), low, aside], speed=10 * MM)))
     return [slides(sunk, pressed), same_end("force", pressed, sunk, 2e-3)]
-
-
-CASES = (
-    Case(shear_friction_0, seconds=10),
-    Case(shear_friction_0_3, seconds=12),
-    Case(shear_friction_0_8, seconds=12),
-    Case(shear_friction_2, seconds=12),
-    Case(lifted_while_it_slips, seconds=3),
-    Case(friction_rises_with_its_coefficient, seconds=20),
-    Case(shear_in_few_or_many_frames, seconds=30),
-    Case(stick_slip_reversals, seconds=10),
-    Case(light_press_long_slide, seconds=25),
-    Case(shear_mirrors, seconds=12),
-    Case(shear_along_y, seconds=10),
-    Case(shear_along_the_diagonal, seconds=12),
-    Case(full_stick_stiffens, seconds=2),
-    Case(slides_off_the_rim, seconds=22),
-    Case(shear_of_a_sunk_start, seconds=5),
-)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.hard_cases.case import Case, Solver
 from benchmarks.hard_cases.cases.bodies import MM, PAD, SPHERE
 from benchmarks.hard_cases.laws import (
     BALANCE,
@@ -24,6 +23,7 @@ from benchmarks.hard_cases.laws import (
     slides,
     validity_laws,
 )
+from benchmarks.hard_cases.solver import Solver
 from benchmarks.independent.formulas import layer_sag
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 
@@ -209,10 +209,7 @@ def gravity_upside_down(solver: Solver) -> list[Law]:
 def all_effects_at_once(solver: Solver) -> list[Law]:
     """Friction, viscosity, inertia and gravity together, pressed, sheared and released."""
     effects = Effects(
-        friction=Friction(0.5),
-        viscosity=VISCOUS.viscosity,
-        inertia=Inertia(),
-        gravity=Gravity(),
+        friction=Friction(0.5), viscosity=VISCOUS.viscosity, inertia=Inertia(), gravity=Gravity()
     )
     motion = press([0.8 * MM], shear=0.5 * MM, steps=3)
     batched = solver.one(Scene(SPHERE, motion, PAD, effects))
@@ -249,22 +246,3 @@ def oscillation_turns_steady(solver: Solver) -> list[Law]:
         dissipates(result, 0.01),
         at_most("third round against second", difference(rounds[1], rounds[2]), 1e-3),
     ]
-
-
-CASES = (
-    Case(ramp_and_hold_relaxes, seconds=2),
-    Case(loading_above_unloading, seconds=1),
-    Case(fast_and_slow_presses, seconds=1.5),
-    Case(viscosity_of_no_stiffness, seconds=2),
-    Case(four_branches, seconds=3),
-    Case(slow_press_with_mass, seconds=0.5),
-    Case(fast_press_with_mass, seconds=0.5),
-    Case(released_body_comes_to_rest, seconds=3),
-    Case(inertia_of_no_mass, seconds=1),
-    Case(sags_under_gravity, seconds=1),
-    Case(hangs_sideways, seconds=1),
-    Case(gravity_upside_down, seconds=1),
-    Case(all_effects_at_once, seconds=8),
-    Case(stays_elastic_when_rested, seconds=0.5),
-    Case(oscillation_turns_steady, seconds=6),
-)

@@ -1,18 +1,17 @@
-"""Steps: one huge step, a thousand tiny ones, loops, and unusual starts."""
+"""Steps and starts: one huge step, a thousand tiny ones, loops, and unusual starts."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.hard_cases.case import Case, Solver
 from benchmarks.hard_cases.cases.bodies import GEL, MAT, MM, PAD, SPHERE
-from benchmarks.hard_cases.divergence import evidence
 from benchmarks.hard_cases.laws import (
     SAME,
     Law,
     at_least,
     at_most,
     difference,
+    evidence,
     lets_go,
     push,
     rises,
@@ -20,6 +19,7 @@ from benchmarks.hard_cases.laws import (
     smooth,
     validity_laws,
 )
+from benchmarks.hard_cases.solver import Solver
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named
 from sim.scene import Body, Motion, Scene, press, through
@@ -201,22 +201,3 @@ def phases_without_travel(solver: Solver) -> list[Law]:
         *validity_laws(result, det_f=0.5),
         at_most("change while held", difference(held[:1].repeat(len(held), axis=0), held), 1e-4),
     ]
-
-
-CASES = (
-    Case(one_huge_step, seconds=5),
-    Case(thousand_tiny_steps, seconds=10),
-    Case(reload_after_unload, seconds=6),
-    Case(there_and_back, seconds=5),
-    Case(two_ways_to_one_place, seconds=1),
-    Case(starts_inside, seconds=2),
-    Case(prism_starts_deep_inside, seconds=8),
-    Case(prism_where_the_skin_buckles, seconds=4),
-    Case(sphere_forced_in_at_once, seconds=4),
-    Case(prism_forced_in_at_once, seconds=4),
-    Case(starts_at_touch, seconds=0.5),
-    Case(never_touches, seconds=0.5),
-    Case(arrives_from_the_air, seconds=1),
-    Case(arrives_from_the_side, seconds=1),
-    Case(phases_without_travel, seconds=2),
-)

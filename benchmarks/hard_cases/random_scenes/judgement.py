@@ -13,21 +13,30 @@ from types import FrameType
 from typing import Literal, get_args
 
 from benchmarks.hard_cases.random_scenes.dice import Dice
-from benchmarks.hard_cases.random_scenes.referee import Held, held
+from benchmarks.hard_cases.random_scenes.referee import Named, measured
 from benchmarks.hard_cases.random_scenes.scenes import Drawn
-from benchmarks.hard_cases.random_scenes.twins import KINDS, Twin, agrees, symmetric, twin_of
+from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
+from benchmarks.hard_cases.solver import Solver
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.result import Outcome, Result
 from sim.scene import Scene
-from sim.tiers import simulate_many
 
 Class = Literal["right", "refused", "diverged", "warned", "silent", "crash", "timeout"]
-CLASSES: tuple[Class, ...] = get_args(Class)
-# Acceptable for a user: a correct answer, or a message that there is none.
-PASSED: frozenset[Class] = frozenset({"right", "refused", "diverged", "warned"})
-# Default time limit of one solve, and the time after which it is called out again [s].
-SECONDS, AGAIN = 60.0, 5.0
+CLASSES: dict[Class, str] = {
+    "right": "all laws hold",
+    "refused": "a `SceneError` names the wrong input and the allowed range",
+    "diverged": "`SimulationDiverged` states the waypoint and the attempts",
+    "warned": "laws are broken, and a warning of the result covers them",
+    "silent": "laws are broken, without a warning",
+    "crash": "any other exception",
+    "timeout": "no answer within the time for one solve",
+}
+assert tuple(CLASSES) == get_args(Class)
+# Outcomes that fail a run.
+WRONG = frozenset({"silent", "crash"})
+# After this time, a solve that ignored the end of its time is called out again [s].
+AGAIN = 5.0
 # Maximum number of elements, so that a scene takes seconds; coarsened meshes are reported.
 SOLVED_MAX = 12_000
 # Fraction of the scenes that are also solved as a twin.
@@ -42,8 +51,10 @@ COVERS: tuple[tuple[str, str], ...] = (
         r"overlap|penetrat|passe?[sd]? through|inside the (indenter|gel|body)",
         r"no-overlap|no-crossing|not-through",
     ),
-    (r"overlap|passe?[sd]? through|wall|narrow|too coarse", rf"{AMOUNTS}|touches|within-bounds"),
-    (r"too coarse|too small|few elements|not resolved", rf"{AMOUNTS}|touches|within-bounds"),
+    (
+        r"overlap|passe?[sd]? through|wall|narrow|too coarse|too small|few elements|not resolved",
+        rf"{AMOUNTS}|touches|within-bounds",
+    ),
     (r"base plane|below the base", r"above-base"),
     (r"buckle", rf"{AMOUNTS}|within-bounds"),
     # Elements that a round rim cuts through may bear what is just beside the rim.
@@ -59,11 +70,10 @@ class OutOfTime(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Solver settings; `numerics` is the default of `simulate_many` except for precision."""
+    """Solver, and its time limit."""
 
-    device: str = "cpu"
-    precision: Literal["auto", "float32", "float64"] = "auto"
-    seconds: float = SECONDS
+    solver: Solver = field(default_factory=Solver)
+    seconds: float = 60.0
 
     def solve(self, scene: Scene) -> Outcome:
         """Solve a scene.
@@ -72,10 +82,8 @@ class Settings:
             OutOfTime: It took too long.
             SceneError: The scene is rejected.
         """
-        numerics = Fem(precision=self.precision, elements_max=SOLVED_MAX)
         with time_limit(self.seconds):
-            (outcome,) = simulate_many([scene], numerics, device=self.device)
-        return outcome
+            return self.solver.outcomes([scene], Fem(elements_max=SOLVED_MAX))[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,24 +93,29 @@ class SceneOutcome:
     kind: Class
     message: str = ""
     """Message of the solver or of Python."""
-    broken: tuple[Held, ...] = ()
-    """Laws that do not hold."""
+    laws: tuple[Named, ...] = ()
+    """All laws that were measured."""
     warnings: tuple[str, ...] = ()
     twin: str = ""
     """Twin that it was compared with."""
-    laws: tuple[str, ...] = ()
-    """Names of all laws that were measured."""
-    scene: Scene | None = field(default=None, compare=False)
 
     @property
-    def passed(self) -> bool:
-        """True if the outcome is acceptable for a user."""
-        return self.kind in PASSED
+    def broken(self) -> list[Named]:
+        """Laws that do not hold."""
+        return [(name, law) for name, law in self.laws if not law.holds]
+
+    @property
+    def failure(self) -> set[str]:
+        """The broken laws that no warning covers, or the kind of crash."""
+        if self.kind == "crash":
+            return {self.message.split(":")[0]}
+        silent = self.kind == "silent"
+        return {name for name, _ in self.broken if silent and not covered(name, self.warnings)}
 
     @property
     def why(self) -> str:
         """One line with the broken laws, or the message."""
-        return "; ".join(f"{each.name}: {each.law}" for each in self.broken) or self.message
+        return "; ".join(f"{name}: {law}" for name, law in self.broken) or self.message
 
 
 def judge(drawn: Drawn, settings: Settings) -> SceneOutcome:
@@ -110,46 +123,37 @@ def judge(drawn: Drawn, settings: Settings) -> SceneOutcome:
     if drawn.scene is None:
         return _unsolved(drawn.refusal or RuntimeError("neither a scene nor a refusal"))
     dice = Dice(drawn.seed, -1 - drawn.index)
-    twin = None
-    if dice.chance(TWINNED):
-        twin = dice.one_of(sorted(KINDS))
+    twin = dice.one_of(sorted(KINDS)) if dice.chance(TWINNED) else ""
     return judge_scene(drawn.scene, settings, twin)
 
 
-def judge_scene(scene: Scene, settings: Settings, twin: str | None = None) -> SceneOutcome:
+def judge_scene(scene: Scene, settings: Settings, twin: str = "") -> SceneOutcome:
     """Solve a scene, and its twin of that name if it has one, and return the outcome."""
     try:
         outcome = settings.solve(scene)
         if isinstance(outcome, SimulationDiverged):
-            return _unsolved(outcome, scene)
-        found = held(outcome)
-        if found[0].law.holds:
-            found += symmetric(outcome)
+            return _unsolved(outcome)
+        laws = measured(outcome)
+        if laws[0][1].holds:
+            laws += symmetric(outcome)
         other = twin_of(scene, twin) if twin else None
         if other is not None:
-            found += _compared(outcome, other, settings)
+            answer = settings.solve(other.scene)
+            if isinstance(answer, SimulationDiverged):
+                answer.forget_dump()  # reported by the twin itself
+            else:
+                laws.append(agrees(outcome, twin, other, answer))
     except Exception as error:
-        return _unsolved(error, scene)
-    return of_laws(outcome, found, other.name if other else "")
+        return _unsolved(error)
+    return of_laws(outcome, laws, twin if other is not None else "")
 
 
-def _compared(result: Result, twin: Twin, settings: Settings) -> list[Held]:
-    other = settings.solve(twin.scene)
-    if isinstance(other, SimulationDiverged):
-        other.forget_dump()
-        return []  # reported by the twin itself
-    return [agrees(result, twin, other)]
-
-
-def of_laws(result: Result, found: Sequence[Held], twin: str = "") -> SceneOutcome:
+def of_laws(result: Result, laws: Sequence[Named], twin: str = "") -> SceneOutcome:
     """Return the outcome on a result from its laws and its own warnings."""
     warnings = tuple(str(each) for each in result.record.get("warnings", []))
-    broken = tuple(each for each in found if not each.law.holds)
-    kind: Class = "right"
-    if broken:
-        kind = "warned" if all(covered(each.name, warnings) for each in broken) else "silent"
-    names = tuple(dict.fromkeys(each.name for each in found))
-    return SceneOutcome(kind, "", broken, warnings, twin, names, result.scene)
+    outcome = SceneOutcome("silent", "", tuple(laws), warnings, twin)
+    kind: Class = "silent" if outcome.failure else "warned" if outcome.broken else "right"
+    return SceneOutcome(kind, "", tuple(laws), warnings, twin)
 
 
 def covered(law: str, warnings: Sequence[str]) -> bool:
@@ -161,22 +165,20 @@ def covered(law: str, warnings: Sequence[str]) -> bool:
     )
 
 
-def _unsolved(error: Exception, scene: Scene | None = None) -> SceneOutcome:
+def _unsolved(error: Exception) -> SceneOutcome:
     """Return the outcome on an exception, which must state the error and the allowed range."""
     message = str(error)
-    kind: Class = "crash"
-    if isinstance(error, OutOfTime):
-        kind = "timeout"
-    elif isinstance(error, SceneError) and "allowed" in message:
-        kind = "refused"
-    elif isinstance(error, SimulationDiverged):
+    if isinstance(error, SimulationDiverged):
         error.forget_dump()
-        kind = "diverged" if "waypoint" in message else "crash"
-    if kind == "crash":
-        frames = traceback.extract_tb(error.__traceback__)
-        where = f" ({frames[-1].name}, line {frames[-1].lineno})" if frames else ""
-        message = f"{type(error).__name__}: {message}{where}"
-    return SceneOutcome(kind, message, scene=scene)
+    if isinstance(error, OutOfTime):
+        return SceneOutcome("timeout", message)
+    if isinstance(error, SceneError) and "allowed" in message:
+        return SceneOutcome("refused", message)
+    if isinstance(error, SimulationDiverged) and "waypoint" in message:
+        return SceneOutcome("diverged", message)
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" ({frames[-1].name}, line {frames[-1].lineno})" if frames else ""
+    return SceneOutcome("crash", f"{type(error).__name__}: {message}{place}")
 
 
 @contextmanager

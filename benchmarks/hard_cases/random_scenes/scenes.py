@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
 from benchmarks.hard_cases.random_scenes.shapes import blade, draw_shape
@@ -17,7 +16,7 @@ from sim.indenters import Indenter, shapes
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, through
 
 # Default folder of STL files and counter-examples.
-FOLDER = Path("runs/hard-cases")
+FOLDER = Path("build/hard-cases")
 # Frequencies in percent: typical uses, inputs known to break simulators, and mistakes or values
 # beyond every limit.
 FAMILIES: dict[str, float] = {"sensible": 70, "trap": 20, "absurd": 10}
@@ -75,13 +74,11 @@ def within_budget(scene: Scene) -> Scene:
             return scene  # the solver will raise the same error
         if len(mesh.elements) <= ELEMENTS_MAX:
             return scene
-        body = scene.body
-        longer = max(body.size_x, body.size_y)
-        sizes: dict[str, Any] = {
-            name: rounded(0.85 * size) if size > 0.7 * longer else size
-            for name, size in (("size_x", body.size_x), ("size_y", body.size_y))
-        }
-        scene = replace(scene, body=replace(body, **sizes))
+        sizes = scene.body.size_x, scene.body.size_y
+        size_x, size_y = (
+            rounded(0.85 * size) if size > 0.7 * max(sizes) else size for size in sizes
+        )
+        scene = replace(scene, body=replace(scene.body, size_x=size_x, size_y=size_y))
     return scene
 
 
@@ -95,7 +92,8 @@ def _sensible(dice: Dice, folder: Path, words: list[str]) -> Scene:
     place = _place(dice, body, words)
     effects = _effects(dice, body, words)
     depth = body.thickness * dice.scaled(0.01, 0.4)
-    return Scene(indenter, _motion(dice, body, depth, place, effects, words), body, effects)
+    motion = _motion(dice, body, depth, place, effects.friction is not None, words)
+    return Scene(indenter, motion, body, effects)
 
 
 def _sometimes_round(dice: Dice, scene: Scene, words: list[str]) -> Scene:
@@ -172,40 +170,31 @@ def _effects(dice: Dice, body: Body, words: list[str]) -> Effects:
     return effects
 
 
-Way = Callable[[Dice, float, float], list[Point]]
-
-
 def _motion(
-    dice: Dice,
-    body: Body,
-    depth: float,
-    place: tuple[float, float],
-    effects: Effects,
-    words: list[str],
+    dice: Dice, body: Body, depth: float, place: tuple[float, float], rubs: bool, words: list[str]
 ) -> Motion:
     """Return a press, a cycle, the same depth twice, a shear and its return, or a slide."""
     kind = dice.weighted({"press": 5, "cycle": 2, "twice": 1, "shear": 3, "slide": 1})
     words.append(kind)
     depth = rounded(min(depth, 0.89 * body.thickness))
-    ground = body.height(*place) if body.dome_radius is not None and _over(body, place) else 0.0
-    if effects.friction is not None:
-        depth = min(depth, rounded(TRAVEL_MAX / 3 * body.thickness))
     x, y = place
+    over = abs(x) <= body.size_x / 2 and abs(y) <= body.size_y / 2
+    ground = body.height(x, y) if body.dome_radius is not None and over else 0.0
+    most = rounded(TRAVEL_MAX / 3 * body.thickness) if rubs else math.inf
+    depth = min(depth, most)
     away = rounded(0.1 * body.thickness)
     deep = [rounded(depth * fraction) for fraction in (0.5, 1.0)]
     if kind == "press":
-        fractions = [(step + 1) / count for count in (dice.whole(1, 4),) for step in range(count)]
-        levels = [-rounded(depth * fraction) for fraction in fractions]
-        points = [(x, y, 0.0), *((x, y, level) for level in levels)]
+        count = dice.whole(1, 4)
+        points = [(x, y, 0.0)]
+        points += [(x, y, -rounded(depth * ((step + 1) / count))) for step in range(count)]
     elif kind == "cycle":
         down = [(x, y, away), (x, y, 0.0), *((x, y, -level) for level in deep)]
         points = [*down, *reversed(down[:-1])]
     elif kind == "twice":
         points = [(x, y, 0.0), (x, y, -depth), (x, y, -deep[0]), (x, y, -depth)]
     else:
-        aside = rounded(depth * dice.scaled(0.1, 2.0))
-        if effects.friction is not None:
-            aside = min(aside, rounded(TRAVEL_MAX / 3 * body.thickness))
+        aside = min(rounded(depth * dice.scaled(0.1, 2.0)), most)
         angle = dice.one_of([0.0, math.pi / 2, dice.even(0.0, math.tau)])
         low = (x, y, -depth)
         over = (rounded(x + aside * math.cos(angle)), rounded(y + aside * math.sin(angle)), -depth)
@@ -218,10 +207,6 @@ def _motion(
     return through(lowered, speed=speed)
 
 
-def _over(body: Body, place: tuple[float, float]) -> bool:
-    return abs(place[0]) <= body.size_x / 2 and abs(place[1]) <= body.size_y / 2
-
-
 # Inputs known to break simulators.
 
 
@@ -231,6 +216,12 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
          "heavy": 1, "fast": 1, "friction": 1.5, "size": 1.5}
     )  # fmt: skip
     words.append(kind)
+
+    def shape() -> Indenter:
+        name, indenter = draw_shape(dice, MM, folder)
+        words.append(name)
+        return indenter
+
     body = Body(size_x=16 * MM, size_y=16 * MM, poisson=dice.one_of([0.45, 0.45, 0.49, 0.3]))
     ball = shapes.sphere(rounded(MM * dice.even(2.0, 6.0)))
     if kind == "blade":
@@ -241,23 +232,15 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         indenter = ball if dice.chance(0.7) else shapes.named("prism")
         return _down(indenter, body, MM * dice.even(1.5, 3.5), at=at, steps=dice.whole(1, 3))
     if kind == "first touch":
-        shape, indenter = draw_shape(dice, MM, folder)
-        words.append(shape)
+        indenter = shape()
         at = (rounded(MM * dice.even(-3.0, 3.0)), rounded(MM * dice.even(-3.0, 3.0)))
         return _down(indenter, body, dice.scaled(1e-6, 20e-6), at=at, steps=dice.whole(1, 3))
     if kind == "deep":
-        shape, indenter = draw_shape(dice, MM, folder)
-        words.append(shape)
-        return _down(indenter, body, MM * dice.even(2.0, 3.59), steps=dice.whole(1, 4))
+        return _down(shape(), body, MM * dice.even(2.0, 3.59), steps=dice.whole(1, 4))
     if kind == "material":
-        hard = replace(
-            body,
-            modulus=dice.scaled(1e2, 1e9),
-            poisson=dice.one_of([0.0, 0.4, 0.49, 0.499, 0.4999, 0.49995]),
-        )
-        shape, indenter = draw_shape(dice, MM, folder)
-        words.append(shape)
-        return _down(indenter, hard, MM * dice.even(0.2, 1.5), steps=dice.whole(1, 3))
+        hard = replace(body, modulus=dice.scaled(1e2, 1e9))
+        hard = replace(hard, poisson=dice.one_of([0.0, 0.4, 0.49, 0.499, 0.4999, 0.49995]))
+        return _down(shape(), hard, MM * dice.even(0.2, 1.5), steps=dice.whole(1, 3))
     if kind == "far aside":
         body = replace(body, size_x=12 * MM, size_y=10 * MM)
         depth, aside = MM * dice.even(0.5, 1.2), rounded(MM * dice.even(1.0, 3.0))
@@ -275,9 +258,7 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         scene = _down(ball, body, MM * dice.even(0.3, 1.5), speed=dice.scaled(0.3, 30.0))
         return replace(scene, effects=Effects(inertia=Inertia()))
     if kind == "friction":
-        shape, indenter = draw_shape(dice, MM, folder)
-        words.append(shape)
-        scene = _down(indenter, body, MM * dice.even(0.3, 1.5), up=True)
+        scene = _down(shape(), body, MM * dice.even(0.3, 1.5), up=True)
         return replace(scene, effects=Effects(friction=Friction(dice.one_of([0.02, 0.9, 2.0]))))
     factor = dice.one_of([0.03, 0.1, 10.0, 30.0])
     scale = {name: getattr(body, name) * factor for name in ("size_x", "size_y", "thickness")}
@@ -306,92 +287,38 @@ def _down(
 # Mistakes, and values beyond every limit.
 
 
-def _absurd(dice: Dice, _folder: Path, words: list[str]) -> Scene:
-    kind = dice.one_of(sorted(_ABSURD))
-    words.append(kind)
-    return _ABSURD[kind](dice)
-
-
 BALL = shapes.sphere(4 * MM)
 
 
-def _still(dice: Dice) -> Scene:
-    depth = MM * dice.even(0.1, 1.0)
-    return Scene(BALL, through([(0.0, 0.0, 0.0), (0, 0, -depth), (0, 0, -depth)], speed=1e-2))
+def _wrong_value(dice: Dice) -> Scene:
+    """Return a gel with a value that must be refused."""
+    name, value = dice.one_of(
+        [
+            ("modulus", 0.0), ("modulus", -1e5), ("modulus", 1.0), ("modulus", math.inf),
+            ("poisson", 0.5), ("poisson", 0.49999), ("poisson", -0.2), ("poisson", math.nan),
+            ("size_x", 20.0), ("thickness", 4.0), ("dome_radius", 5 * MM), ("dome_radius", 9 * MM),
+        ]
+    )  # fmt: skip
+    return _down(BALL, replace(Body(), **{name: value}), MM)
+
+
+def _along_its_side(dice: Dice) -> Scene:
+    """Return a motion from outside the gel into its side, below the surface."""
+    depth = MM * dice.even(0.5, 3.0)
+    way = through([(x * MM, 0.0, -depth) for x in (15.0, 12.0, 9.0)], speed=10e-3)
+    return Scene(BALL, way, Body(size_x=16 * MM, size_y=16 * MM))
 
 
 def _held(dice: Dice) -> Scene:
     """Return a scene with one waypoint, or with the same one at later times."""
-    tip = (0.0, 0.0, -MM * dice.even(0.0, 1.5))
+    tip = (0.0, 0.0, MM * dice.even(-1.5, 0.5))
     count = dice.whole(1, 3)
     return Scene(BALL, Motion((tip,) * count, tuple(float(step) for step in range(count))))
-
-
-def _from_beside(dice: Dice) -> Scene:
-    """Return a motion from outside the gel into its side, below the surface."""
-    depth = MM * dice.even(0.5, 3.0)
-    points = [(x * MM, 0.0, -depth) for x in (15.0, 12.0, 9.0)]
-    return Scene(BALL, through(points, speed=10e-3), Body(size_x=16 * MM, size_y=16 * MM))
-
-
-def _off_the_gel(dice: Dice) -> Scene:
-    return _down(BALL, Body(), MM * dice.even(0.5, 3.5), at=(dice.even(15.0, 500.0) * MM, 0.0))
-
-
-def _never_there(dice: Dice) -> Scene:
-    height = MM * dice.even(0.1, 20.0)
-    return Scene(BALL, through([(0.0, 0.0, 2 * height), (0.0, 0.0, height)], speed=10e-3))
-
-
-def _metre(dice: Dice) -> Scene:
-    size = dice.one_of([0.5, 1.0])
-    body = Body(size, size, 0.25 * size)
-    return _down(shapes.sphere(0.2 * size), body, 0.05 * size * dice.even(0.1, 1.0))
-
-
-def _millimetres(dice: Dice) -> Scene:
-    return _down(BALL, Body(), dice.even(0.5, 2.0))
-
-
-def _large_body(_dice: Dice) -> Scene:
-    return _down(BALL, Body(20.0, 20.0, 4.0), MM)
-
-
-def _too_soft(dice: Dice) -> Scene:
-    return _down(BALL, Body(modulus=dice.one_of([0.0, -1e5, 1.0, math.nan, math.inf])), MM)
-
-
-def _incompressible(dice: Dice) -> Scene:
-    return _down(BALL, Body(poisson=dice.one_of([0.5, 0.49999, -0.2, math.nan])), MM)
-
-
-def _speck(dice: Dice) -> Scene:
-    """Return a body of minimum size under a large ball."""
-    return _down(BALL, Body(1e-4, 1e-4, 1e-4), 1e-5 * dice.even(0.1, 8.0))
-
-
-def _column(dice: Dice) -> Scene:
-    """Return a body many times taller than wide."""
-    width = MM * dice.even(1.0, 4.0)
-    return _down(BALL, Body(width, width, 20 * MM), MM * dice.even(0.2, 3.0))
-
-
-def _sheet(dice: Dice) -> Scene:
-    return _down(BALL, Body(4 * MM, 4 * MM, 0.5 * MM), MM * dice.even(0.02, 0.4))
-
-
-def _pin(dice: Dice) -> Scene:
-    """Return a needle smaller than any element."""
-    return _down(shapes.sphere(MM * dice.scaled(0.01, 0.3)), Body(), MM * dice.even(0.2, 1.5))
 
 
 def _sticky(dice: Dice) -> Scene:
     friction = Friction(dice.one_of([5.0, 10.0, 11.0, -0.1]))
     return replace(_down(BALL, Body(), MM, up=True), effects=Effects(friction=friction))
-
-
-def _steep_dome(dice: Dice) -> Scene:
-    return _down(BALL, Body(dome_radius=MM * dice.even(5.0, 40.0)), MM)
 
 
 def _frozen(dice: Dice) -> Scene:
@@ -400,10 +327,26 @@ def _frozen(dice: Dice) -> Scene:
     return replace(_down(BALL, Body(), 0.5 * MM), effects=Effects(viscosity=viscosity))
 
 
+def _gel(dice: Dice, sizes: Sequence[float], low: float, high: float) -> Scene:
+    """Return a press between two depths [mm] into a gel of these sizes [mm]."""
+    return _down(BALL, Body(*(size * MM for size in sizes)), MM * dice.even(low, high))
+
+
 _ABSURD: dict[str, Callable[[Dice], Scene]] = {
-    make.__name__.strip("_").replace("_", " "): make
-    for make in (
-        _still, _held, _from_beside, _off_the_gel, _never_there, _metre, _millimetres, _large_body,
-        _too_soft, _incompressible, _speck, _column, _sheet, _pin, _sticky, _steep_dome, _frozen,
-    )
-}  # fmt: skip
+    "wrong value": _wrong_value,
+    "along its side": _along_its_side,
+    "held": _held,
+    "off the gel": lambda dice: _down(BALL, Body(), MM, at=(dice.even(15.0, 500.0) * MM, 0.0)),
+    "millimetres": lambda dice: _down(BALL, Body(), dice.even(0.5, 2.0)),
+    "speck": lambda dice: _gel(dice, (0.1, 0.1, 0.1), 0.001, 0.08),
+    "column": lambda dice: _gel(dice, (2.0, 3.0, 20.0), 0.2, 3.0),
+    "sheet": lambda dice: _gel(dice, (4.0, 4.0, 0.5), 0.02, 0.4),
+    "pin": lambda dice: _down(shapes.sphere(MM * dice.scaled(0.01, 0.3)), Body(), MM),
+    "sticky": _sticky,
+    "frozen": _frozen,
+}
+
+
+def _absurd(dice: Dice, _folder: Path, words: list[str]) -> Scene:
+    words.append(dice.one_of(sorted(_ABSURD)))
+    return _ABSURD[words[-1]](dice)

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
 from sim.indenters import NAMES, Indenter, Part, from_stl, named, shapes
-
-Array = NDArray[np.float64]
 
 MM = 1e-3
 # Relative frequency of each kind.
@@ -111,16 +107,12 @@ def _composed(dice: Dice, unit: float) -> Indenter:
     if which == 0:
         count, ring = dice.whole(2, 5), unit * dice.even(1.5, 4.0)
         radius = unit * dice.even(0.5, 1.5)
-        dots = tuple(
-            Part(
-                "turned", "circle", (0.0, radius, radius), "union",
-                axis=(
-                    rounded(ring * math.cos(corner * math.tau / count)),
-                    rounded(ring * math.sin(corner * math.tau / count)),
-                ),
-            )
-            for corner in range(count)
-        )  # fmt: skip
+        dot = Part("turned", "circle", (0.0, radius, radius), "union")
+        turns = [corner * math.tau / count for corner in range(count)]
+        dots = [
+            replace(dot, axis=(rounded(ring * math.cos(turn)), rounded(ring * math.sin(turn))))
+            for turn in turns
+        ]
         width = 2 * (ring + radius)
         plate = Part("side", "half_plane", (0.0, -1.0, -unit * dice.even(0.5, 2.0)))
         return Indenter("dots", (*shapes.block(width, width), plate, *dots))
@@ -136,36 +128,33 @@ def _composed(dice: Dice, unit: float) -> Indenter:
 
 
 def _solid(dice: Dice, folder: Path) -> Indenter:
-    """Return a pyramid frustum or a block, as an STL file; sizes are SI, the file is in mm."""
+    """Return the frustum of a pyramid, read from an STL file in mm."""
     below, above = dice.even(2.0, 6.0), dice.even(5.0, 9.0)
     sides = dice.whole(3, 8)
     edge = dice.one_of([0.32, 0.5]) * MM
-    data = frustum(sides, below, above, 8.0)
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"frustum-{hashlib.sha256(data).hexdigest()[:12]}.stl"
+    path = folder / f"frustum-{sides}-{below:g}-{above:g}.stl"
     if not path.exists():
-        path.write_bytes(data)
+        path.write_bytes(frustum(sides, below, above, 8.0))
     return from_stl(path, edge_radius=edge, spacing=0.2 * MM, axis="file")
 
 
 def frustum(sides: int, below: float, above: float, height: float) -> bytes:
     """Return a binary STL file of a frustum, from its radii below and above, and its height."""
     angle = np.arange(sides) / sides * math.tau
-    ring = np.column_stack([np.cos(angle), np.sin(angle)])
-    low = np.column_stack([below * ring, np.zeros(sides)])
-    high = np.column_stack([above * ring, np.full(sides, height)])
-    middle = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, height]])
-    vertices = np.concatenate([low, high, middle])
-    faces = []
-    for here in range(sides):
-        there = (here + 1) % sides
-        faces += [
-            (here, there, sides + there),
-            (here, sides + there, sides + here),
-            (2 * sides, there, here),
-            (2 * sides + 1, sides + here, sides + there),
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
+    top = np.array([0.0, 0.0, height])
+    low, high = below * ring, above * ring + top
+    following = np.roll(np.arange(sides), -1)
+    corners = np.concatenate(
+        [
+            np.stack([low, low[following], high[following]], axis=1),
+            np.stack([low, high[following], high], axis=1),
+            np.stack([0 * low, low[following], low], axis=1),
+            np.stack([0 * high + top, high, high[following]], axis=1),
         ]
+    )
     record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    records = np.zeros(len(faces), record)
-    records["corners"] = vertices[np.array(faces)]
-    return bytes(80) + len(faces).to_bytes(4, "little") + records.tobytes()
+    records = np.zeros(len(corners), record)
+    records["corners"] = corners
+    return bytes(80) + len(corners).to_bytes(4, "little") + records.tobytes()

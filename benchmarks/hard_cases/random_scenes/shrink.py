@@ -10,12 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hard_cases.random_scenes.dice import rounded
-from benchmarks.hard_cases.random_scenes.judgement import (
-    SceneOutcome,
-    Settings,
-    covered,
-    judge_scene,
-)
+from benchmarks.hard_cases.random_scenes.judgement import SceneOutcome, Settings, judge_scene
 from sim.errors import SceneError
 from sim.result import from_json, to_json
 from sim.scene import Body, Effects, Motion, Scene, through
@@ -28,17 +23,6 @@ EXACT = frozenset({"cosine", "time", "poisson"})
 Judge = Callable[[Scene], SceneOutcome]
 
 
-def failure(outcome: SceneOutcome) -> frozenset[str]:
-    """Return the broken laws that no warning covers, or the kind of crash."""
-    if outcome.kind == "crash":
-        return frozenset({outcome.message.split(":")[0]})
-    if outcome.kind != "silent":
-        return frozenset()
-    return frozenset(
-        each.name for each in outcome.broken if not covered(each.name, outcome.warnings)
-    )
-
-
 def shrunk(
     scene: Scene,
     outcome: SceneOutcome,
@@ -48,24 +32,21 @@ def shrunk(
     judge: Judge | None = None,
 ) -> tuple[Scene, SceneOutcome]:
     """Return the simplest scene found that fails in one of the same ways, and its outcome."""
-    judging = judge or (lambda simpler: judge_scene(simpler, settings, outcome.twin or None))
-    wanted = failure(outcome)
-    end = time.monotonic() + seconds
-    seen, tries, going = {scene}, 0, True
-    while going:
-        going = False
+    judging = judge or (lambda simpler: judge_scene(simpler, settings, outcome.twin))
+    wanted, end, tried = outcome.failure, time.monotonic() + seconds, {scene}
+    while True:
         for simpler in simpler_ones(scene):
-            if simpler in seen:
+            if simpler in tried:
                 continue
-            if tries >= TRIES or time.monotonic() > end:
+            if len(tried) > TRIES or time.monotonic() > end:
                 return scene, outcome
-            seen.add(simpler)
-            tries += 1
-            found = judging(simpler)
-            if failure(found) & wanted:
-                scene, outcome, going = simpler, found, True
+            tried.add(simpler)
+            again = judging(simpler)
+            if again.failure & wanted:
+                scene, outcome = simpler, again
                 break
-    return scene, outcome
+        else:
+            return scene, outcome
 
 
 def simpler_ones(scene: Scene) -> Iterator[Scene]:
@@ -147,37 +128,20 @@ def _rounded(value: Any, digits: int) -> Any:
     return rounded(value, digits) if isinstance(value, float) else value
 
 
-# Output for others: a file, and lines to paste.
-
-
-def snippet(scene: Scene) -> str:
-    """Return Python code that solves the scene."""
-    return "\n".join(
-        [
-            "from math import inf",
-            "from sim import *",
-            "from sim.indenters import Indenter, Part, Solid",
-            f"scene = {scene!r}",
-            "result = simulate(scene)",
-            "print(result.force, result.record['warnings'])",
-        ]
-    )
-
-
 def store(path: Path, scene: Scene, outcome: SceneOutcome, name: str) -> None:
     """Write the scene as JSON, with the laws that it breaks and its origin."""
-    kept = {
+    values = {
         "name": name,
-        "broken": sorted(failure(outcome)),
+        "broken": sorted(outcome.failure),
         "said": outcome.why,
         "twin": outcome.twin,
         "scene": to_json(scene),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
 
 
 def load(path: Path) -> tuple[Scene, frozenset[str], str]:
     """Return a stored scene, the laws that it broke, and its twin's name or an empty string."""
-    kept = json.loads(path.read_text(encoding="utf-8"))
-    return from_json(Scene, kept["scene"], "scene"), frozenset(kept["broken"]), kept["twin"]
+    values = json.loads(path.read_text(encoding="utf-8"))
+    return from_json(Scene, values["scene"], "scene"), frozenset(values["broken"]), values["twin"]
