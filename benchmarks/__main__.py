@@ -16,7 +16,10 @@ BENCHMARKS = {
     "first-hour": ("benchmarks.first_hour", "every command from the wheel to live forces"),
     "bench-drawings": ("benchmarks.bench_drawings", "draw wiring, mounting and frames of a bench"),
     # The simulator
-    "hard-cases": ("benchmarks.hard_cases.command", "scenes that break simulators, and finer meshes"),
+    "hard-cases": (
+        "benchmarks.hard_cases.command",
+        "scenes that break simulators; finer meshes",
+    ),
     "accuracy": ("benchmarks.sim.accuracy.command", "error against time and memory"),
     "speed": ("benchmarks.sim.speed.command", "the paper's 162 presses timed"),
     "speed-shared": (

@@ -198,7 +198,6 @@ NOT_RUN = {
     "indenter-drawings": "overwrites packaged drawings",
     "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
     "live-forces": "minutes of solutions by fem",
-    "refine": "hours on a CPU",
     "render-picture": "draws minutes of solutions by fem",
     "transfer-skins": "needs the runs of make demo-transfer",
     "twin-demo": "ten minutes in real time, of which a tutorial has a short form",

@@ -31,7 +31,7 @@ def judge(case: Case, solver: Solver) -> Report:
             failures = ["no law was measured"]
     except SimulationDiverged as diverged:
         diverged.forget_dump()
-        failures = [f"no converged state: {diverged}"]
+        failures = [f"no converged state: {str(diverged).split('; state: ')[0]}"]
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         failures = [f"{type(error).__name__}: {error} ({last.filename}:{last.lineno})"]
@@ -74,7 +74,8 @@ def section(reports: dict[str, Report], page: Page) -> str:
     rows = []
     for family, some in by_family.items():
         laws = [(*law, name) for name, report in some.items() for law in report["laws"]]
-        nearest = max(laws, key=lambda law: law[4], default=None)
+        inexact = [law for law in laws if law[1] != law[3]]
+        nearest = max(inexact, key=lambda law: law[4], default=None)
         words = "none" if nearest is None else f"{_law(nearest)} (`{nearest[5]}`)"
         passed = sum(not report["failures"] for report in some.values())
         seconds = sum(report["seconds"] for report in some.values())
@@ -118,7 +119,7 @@ def _draw(by_family: dict[str, dict[str, Report]], page: Page) -> None:
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(figsize=(9, 3.2), layout="constrained")
-    least, first, middles = 1e-6, 0, []
+    least, first, middles = 1e-4, 0, []
     for some in by_family.values():
         for number, report in enumerate(some.values(), start=first):
             used = [max(law[4], least) for law in report["laws"]]
@@ -128,7 +129,7 @@ def _draw(by_family: dict[str, dict[str, Report]], page: Page) -> None:
         first += len(some)
         axes.axvline(first - 0.5, color="0.85", linewidth=0.8)
     axes.axhline(1, color="tab:red", linewidth=1)
-    axes.set(yscale="log", ylabel="used of the allowance", xlim=(-0.5, first - 0.5))
+    axes.set(yscale="log", ylabel="part of the allowance used", xlim=(-0.5, first - 0.5))
     axes.set_xticks(middles, [name.replace(" and ", "\nand ") for name in by_family], fontsize=8)
     axes.tick_params(axis="x", length=0)
     figure.savefig(page.picture("laws"), dpi=150)

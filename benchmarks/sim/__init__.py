@@ -1,1 +1,1 @@
-"""Accuracy, speed and stability of the simulator."""
+"""Accuracy and speed of the simulator."""

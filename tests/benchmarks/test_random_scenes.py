@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
+from benchmarks.hard_cases.mistakes import MISTAKES
 from benchmarks.hard_cases.random_scenes import bounds, judgement
 from benchmarks.hard_cases.random_scenes import part as random_part
 from benchmarks.hard_cases.random_scenes.bounds import footprint, half_wall
@@ -19,6 +20,7 @@ from benchmarks.hard_cases.random_scenes.judgement import (
     Settings,
     covered,
     judge,
+    judge_scene,
     of_laws,
     time_limit,
 )
@@ -400,6 +402,43 @@ def test_the_command_judges_one_scene_alone(tmp_path: Path) -> None:
     options = ["--only", "random", "--first", "59", "--scenes", "1", "--processes", "1"]
     assert main(["hard-cases", *options, "--out", str(page)]) == 0
     assert "1 are refused or diverge" in page.read_text()
+
+
+LOOP = Scene(
+    shapes.sphere(4 * MM), press([0.3 * MM, 0.6 * MM, 0.3 * MM, 0.0]), Body(10 * MM, 10 * MM)
+)
+SLIDE = Scene(
+    shapes.sphere(8 * MM),
+    press([0.5 * MM], shear=0.5 * MM, steps=1),
+    Body(16 * MM, 16 * MM),
+    Effects(friction=Friction(0.2)),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("mistake", "scene", "law"),
+    [
+        ("force-scaled", LOOP, "sums-up"),
+        ("frames-skipped", LOOP, "touches"),
+        ("loose-tolerance", LOOP, "closed-loop"),
+        ("soft-contact", LOOP, "same-place"),
+        ("pushes-outwards", SLIDE, "closed-loop"),
+        ("friction-doubled", SLIDE, "coulomb"),
+    ],
+)
+def test_the_referee_notices_a_wrong_solver(mistake: str, scene: Scene, law: str) -> None:
+    solver = MISTAKES[mistake].solver("cpu")
+    assert law in judge_scene(scene, Settings(solver, 300.0)).failure
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("scene", [LOOP, SLIDE])
+def test_the_referee_accepts_the_right_solver(scene: Scene) -> None:
+    outcome = judge_scene(scene, Settings(seconds=300.0))
+    assert outcome.kind == "right", outcome.why
 
 
 def test_laws_have_words_for_the_page() -> None:

@@ -92,7 +92,7 @@ class Reading:
         return frames
 
     def resolved(self, tip: Point) -> bool:
-        """Whether the indenter overlaps the undeformed gel by more than a first touch."""
+        """Return True if the indenter overlaps the undeformed gel by more than a first touch."""
         least = max(TOUCH[0], TOUCH[1] * self.scene.body.thickness)
         return footprint(self.scene, tip).deepest > least
 
