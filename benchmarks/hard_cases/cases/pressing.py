@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ LIGHT = press([0.2 * MM, 1.0 * MM])
 MIDDLE = 0.45
 
 
-def _poisson(solver: Solver, values: tuple[float, ...], **numerics: object) -> list[Law]:
+def _poisson(solver: Solver, values: tuple[float, ...], **numerics: Any) -> list[Law]:
     scenes = [Scene(SPHERE, PRESS, replace(GEL, poisson=value)) for value in (MIDDLE, *values)]
     middle, *others = solver.many(scenes, **numerics)
     force = [push(result)[-1] for result in (middle, *others)]

@@ -118,7 +118,7 @@ def numerics_not_a_number(solver: Solver) -> list[Law]:
     scene = Scene(SPHERE, press([0.2 * MM]), Body(4 * MM, 4 * MM, 3 * MM))
 
     def solve(name: str, value: float) -> object:
-        numerics = replace(Fem(spacing=1 * MM, halvings=0), **{name: value})
+        numerics: Any = _with(Fem(spacing=1 * MM, halvings=0), name, value)
         return solver.outcomes([scene], numerics, progress=steps.append)
 
     names = ("spacing", "tolerance", "penalty", "step_travel")
@@ -166,9 +166,8 @@ def diverges_in_a_batch(solver: Solver) -> list[Law]:
     numerics = Fem(spacing=1 * MM, newton_max=20, halvings=0, step_travel=1.0)
     (alone,) = solver.outcomes([good], numerics)
     beside, rejected = solver.outcomes([good, bad], numerics)
-    for outcome in (alone, beside):
-        if isinstance(outcome, SimulationDiverged):
-            raise outcome
+    if isinstance(alone, SimulationDiverged) or isinstance(beside, SimulationDiverged):
+        return [at_least("the good press solved", 0, 1)]
     if not isinstance(rejected, SimulationDiverged):
         return [at_least("the bad press refused", 0, 1)]
     return [*alike(alone, beside), *evidence(rejected)]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
 from benchmarks.hard_cases.random_scenes.shapes import blade, draw_shape
@@ -178,8 +179,8 @@ def _motion(
     words.append(kind)
     depth = rounded(min(depth, 0.89 * body.thickness))
     x, y = place
-    over = abs(x) <= body.size_x / 2 and abs(y) <= body.size_y / 2
-    ground = body.height(x, y) if body.dome_radius is not None and over else 0.0
+    inside = abs(x) <= body.size_x / 2 and abs(y) <= body.size_y / 2
+    ground = body.height(x, y) if body.dome_radius is not None and inside else 0.0
     most = rounded(TRAVEL_MAX / 3 * body.thickness) if rubs else math.inf
     depth = min(depth, most)
     away = rounded(0.1 * body.thickness)
@@ -299,7 +300,8 @@ def _wrong_value(dice: Dice) -> Scene:
             ("size_x", 20.0), ("thickness", 4.0), ("dome_radius", 5 * MM), ("dome_radius", 9 * MM),
         ]
     )  # fmt: skip
-    return _down(BALL, replace(Body(), **{name: value}), MM)
+    changed: dict[str, Any] = {name: value}
+    return _down(BALL, replace(Body(), **changed), MM)
 
 
 def _along_its_side(dice: Dice) -> Scene:
@@ -327,9 +329,10 @@ def _frozen(dice: Dice) -> Scene:
     return replace(_down(BALL, Body(), 0.5 * MM), effects=Effects(viscosity=viscosity))
 
 
-def _gel(dice: Dice, sizes: Sequence[float], low: float, high: float) -> Scene:
+def _gel(dice: Dice, sizes: Point, low: float, high: float) -> Scene:
     """Return a press between two depths [mm] into a gel of these sizes [mm]."""
-    return _down(BALL, Body(*(size * MM for size in sizes)), MM * dice.even(low, high))
+    size_x, size_y, thickness = (size * MM for size in sizes)
+    return _down(BALL, Body(size_x, size_y, thickness), MM * dice.even(low, high))
 
 
 _ABSURD: dict[str, Callable[[Dice], Scene]] = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.hard_cases.laws import at_most
+from benchmarks.hard_cases.random_scenes.bounds import Point
 from benchmarks.hard_cases.random_scenes.referee import Named, Reading
 from sim.errors import SceneError
 from sim.indenters import Indenter, Part
@@ -76,12 +77,12 @@ PLACES = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 3)) + np.array([0.0, 
 def _mirrored(scene: Scene, turn: Array) -> Twin | None:
     """Return the scene in a vertical mirror; None if the indenter looks different there."""
 
-    def turned(place: Sequence[float]) -> tuple[float, ...]:
-        x, y = turn @ place[:2]
-        return float(x), float(y), *place[2:]
+    def turned(x: float, y: float, z: float = 0.0) -> Point:
+        x, y = turn @ (x, y)
+        return float(x), float(y), z
 
     indenter = scene.indenter
-    x, y = turned(indenter.tilt)
+    x, y, _ = turned(*indenter.tilt)
     # An angle changes sign in a mirror, because its axis is a pseudovector.
     other = replace(indenter, tilt=(-x, -y))
     whole = np.eye(3)
@@ -93,8 +94,8 @@ def _mirrored(scene: Scene, turn: Array) -> Twin | None:
     body = replace(scene.body, size_x=float(size_x), size_y=float(size_y))
     effects, gravity = scene.effects, scene.effects.gravity
     if gravity is not None:
-        effects = replace(effects, gravity=Gravity(turned(gravity.acceleration)))
-    motion = replace(scene.motion, tip=tuple(turned(tip) for tip in scene.motion.tip))
+        effects = replace(effects, gravity=Gravity(turned(*gravity.acceleration)))
+    motion = replace(scene.motion, tip=tuple(turned(*tip) for tip in scene.motion.tip))
     return Twin(Scene(other, motion, body, effects), lambda force: force @ whole.T)
 
 
