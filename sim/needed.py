@@ -39,7 +39,7 @@ Progress = Callable[[float], None]
 # Fraction of a tolerance that left-out effects may use; the rest is for the mesh.
 PART = 1 / 3
 # Largest error by leaving out effects on a finer mesh over that of the probes: up to 1.34 in 22
-# random scenes, except for one whose error was below `NOISE` (`python -m benchmarks needed`).
+# random scenes, except for one whose error was below `NOISE` (`benchmarks accuracy`).
 SAFETY = 1.5
 # Least error of a force, over the force, that probes resolve: their states are found along
 # different steps, and with a remaining penetration.

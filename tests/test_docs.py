@@ -193,12 +193,10 @@ def test_every_command_is_run_by_a_test() -> None:
 
 # Benchmarks whose module no test names, and why.
 NOT_RUN = {
-    "blender": "needs Blender",
     "extrapolation": "hours of training",
     "indenter-drawings": "overwrites packaged drawings",
     "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
     "live-forces": "minutes of solutions by fem",
-    "render-picture": "draws minutes of solutions by fem",
     "transfer-skins": "needs the runs of make demo-transfer",
     "twin-demo": "ten minutes in real time, of which a tutorial has a short form",
 }

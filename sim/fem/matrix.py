@@ -78,9 +78,9 @@ def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[i
 # Product of a row of the stencil with a vector, in a CPU's wide registers.
 #
 # A row is 27 contiguous blocks of 3x3, 243 numbers. Compiled block by block, a product takes twice
-# as long (docs/results/speed.md). So rows are written here as vectors of eight lanes, which Clang
-# offers for every CPU. Three neighbours in a line are next to each other in memory: nine times
-# three blocks make a row.
+# as long (63 ns a node in place of 28, one core). So rows are written here as vectors of eight
+# lanes, which Clang offers for every CPU. Three neighbours in a line are next to each other in
+# memory: nine times three blocks make a row.
 
 _LINE = """
     typedef {real} number;

@@ -345,7 +345,7 @@ BELOW_GOOD = 0.01
 
 
 # Radius of an edge over the depth below which skin that slides over it may have no smooth state: of
-# 26 random scenes without an answer 21 have such an edge (docs/results/tolerance.md).
+# 26 random scenes without an answer 21 have such an edge (docs/results/accuracy.md).
 SHARP = 0.3
 
 

@@ -218,7 +218,7 @@ def test_an_error_beyond_the_stated_one_and_a_failure_are_named(page: Path) -> N
 def test_skin_at_a_sharp_edge_without_friction_is_smooth_on_coarse_meshes_only() -> None:
     """It leaves the edge in one row of elements; forces hardly notice.
 
-    It is why random scenes with such edges have no answer (docs/results/tolerance.md).
+    It is why random scenes with such edges have no answer (docs/results/accuracy.md).
     """
     layer = Layer(4.25 * MM, 4 * MM, 14_300.0, POISSON)
     radius, edge = 1.46 * MM, 0.146 * MM

@@ -1,19 +1,15 @@
 """Error measures: force, surface and markers of one outcome against another."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.sim.accuracy.errors import POINTS, compare, frames, load, save
-from sim.indenters import sphere
-from sim.layer import Layer
-from sim.layer.solver import simulate_layer
+from benchmarks.accuracy.errors import compare, frames
 from sim.markers.camera import DISTANCE, FOCAL
-from sim.metrics import Outcome, marker_pixels, marker_places, outcome_of, pixels_of
+from sim.metrics import Outcome, marker_pixels, marker_places, pixels_of
 from sim.result import WEAK
-from sim.scene import Body, Scene, press
+from sim.scene import Body
 
 BODY = Body()
 
@@ -107,23 +103,6 @@ def test_a_weak_frame_is_measured_by_a_tenth_of_the_strongest():
     assert errors.worst()["force_last"] == pytest.approx(0.01)
 
 
-def test_beside_the_contact_what_happens_under_it_does_not_count():
-    x = even(101)
-    true = outcome(x, x)
-    wrong = true.surface.copy()
-    wrong[:, true.touched[0]] += 1e-4
-    errors = compare(replace(true, surface=wrong), true, BODY)
-    assert errors.surface[0] > 1.7e-4
-    assert errors.outside[0] < 0.2 * errors.surface[0]
-
-
-def test_a_body_touched_everywhere_has_nothing_beside_the_contact():
-    x = even(21)
-    errors = compare(outcome(x, x, touched_within=1.0), outcome(x, x, touched_within=1.0), BODY)
-    assert np.isnan(errors.outside).all()
-    assert math.isnan(errors.worst()["outside"])
-
-
 def test_outcomes_that_do_not_belong_together_are_refused():
     x = even(21)
     one = outcome(x, x)
@@ -131,22 +110,3 @@ def test_outcomes_that_do_not_belong_together_are_refused():
         compare(one, frames(one, [1]), BODY)
     with pytest.raises(ValueError, match="on a body of"):
         compare(one, one, Body(size_x=10e-3, size_y=10e-3))
-
-
-def test_an_outcome_comes_back_from_its_file(tmp_path):
-    one = outcome_of(simulate_layer(Scene(sphere(4e-3), press([0.5e-3])), Layer(grid=32)))
-    save(tmp_path / "kept.npz", {"a": one, "b-fine": frames(one, [1])})
-    again = load(tmp_path / "kept.npz")
-    assert set(again) == {"a", "b-fine"}
-    assert compare(again["a"], one, BODY).worst()["surface"] == 0
-    assert again["b-fine"].force == pytest.approx(one.force[1:])
-
-
-def test_a_coarse_grid_of_the_layer_is_near_its_fine_one():
-    scene = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
-    coarse, fine = (outcome_of(simulate_layer(scene, Layer(grid=grid))) for grid in (48, 128))
-    worst = compare(coarse, fine, scene.body).worst()
-    assert 0 < worst["force_share"] < 0.01
-    assert 0 < worst["marker_rms"] < 0.05
-    assert worst["surface_rms"] < worst["surface"]
-    assert POINTS > 100

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sim
-from benchmarks.sim.accuracy.errors import worst_errors
+from benchmarks.accuracy.errors import worst_errors
 from sim import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, SceneError, Viscosity
 from sim import needed as module
 from sim.effect_bounds import bounds_of

@@ -1,0 +1,58 @@
+"""Cost of accuracy in time: `python -m benchmarks accuracy`, page docs/results/accuracy.md."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from benchmarks.accuracy import effects, frames, images, solvers, speed, tolerance
+from benchmarks.report import Benchmark, Part
+from recorder.command_line.options import whole
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--processes",
+        type=whole(),
+        metavar="N",
+        help="processes among which presses are divided, also beside a GPU (default: all cores)",
+    )
+    parser.add_argument(
+        "--scenes",
+        type=whole(),
+        metavar="N",
+        help="at most N random scenes a tolerance (default: 200 at 3 %%, 60 at 1 %%)",
+    )
+    parser.add_argument(
+        "--references",
+        action="store_true",
+        help="solve the forces again that the paper's presses are compared with: minutes on a GPU",
+    )
+
+
+def _summary(values: dict[str, Any]) -> str:
+    return solvers.summary(values["accuracy"]) if "accuracy" in values else ""
+
+
+BENCHMARK = Benchmark(
+    name="accuracy",
+    title="What accuracy costs in time",
+    question=(
+        "How exact is a force, a surface or a marker image of the simulator, in which time, on a "
+        "CPU and on a GPU?"
+    ),
+    parts=(
+        Part("accuracy", solvers.measure, solvers.section, weight=6),
+        Part("speed", speed.measure, speed.section, weight=3),
+        Part("frames", frames.measure, frames.section, weight=2),
+        Part("tolerance", tolerance.measure, tolerance.section, weight=8),
+        Part("effects", effects.measure, effects.section, weight=1),
+        Part("images", images.measure, images.section, weight=0.5),
+    ),
+    summary=_summary,
+    options=_options,
+    on_device=True,
+)
+
+add_arguments = BENCHMARK.add_arguments
+run = BENCHMARK.run

@@ -1,0 +1,114 @@
+"""Errors of an outcome relative to a reference: force, surface, markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.metrics import Kind, Outcome, displacement_at, force_errors, marker_errors
+from sim.scene import Body
+
+Array = NDArray[np.float64]
+
+# Points along each side of the grid on which surfaces are compared.
+POINTS = 121
+
+
+def frames(outcome: Outcome, chosen: list[int]) -> Outcome:
+    """Return the outcome with these frames only."""
+    return Outcome(
+        outcome.force[chosen],
+        outcome.surface_x,
+        outcome.surface_y,
+        outcome.surface[chosen],
+        outcome.touched[chosen],
+    )
+
+
+def check_same(one: Outcome, other: Outcome, body: Body) -> None:
+    """Reject outcomes that cannot be compared.
+
+    Raises:
+        ValueError: The numbers of frames differ, or points are beyond the body.
+    """
+    if len(one.force) != len(other.force):
+        raise ValueError(f"{len(one.force)} frames against {len(other.force)} of the reference")
+    for outcome in (one, other):
+        for places, size in ((outcome.surface_x, body.size_x), (outcome.surface_y, body.size_y)):
+            if np.abs(places).max() > 0.501 * size:
+                raise ValueError(f"points up to {np.abs(places).max()} m on a body of {size} m")
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Differences from the reference, frame by frame (F,); the last frame is the last number."""
+
+    force: Array
+    """|F_i - Fref_i| along x, y, z (F, 3) [N]."""
+    force_share: Array
+    """`force` over max(|Fref| of the frame, `WEAK` of the largest |Fref|) (F, 3)."""
+    surface: Array
+    """Largest distance between the two positions of a material point of the top (F,) [m]."""
+    surface_rms: Array
+    """Root of the mean square of that distance (F,) [m]."""
+    marker: Array
+    """Largest distance between the two images of a marker (F,) [px]."""
+    marker_rms: Array
+    """Root of the mean square of that distance (F,) [px]."""
+
+    def worst(self) -> dict[str, float]:
+        """Return the largest of each over frames and axes; `force_last` is for the last frame."""
+        largest = {name: float(getattr(self, name).max()) for name in self.__slots__}
+        return largest | {"force_last": float(self.force_share[-1].max())}
+
+
+def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
+    """Return the errors of `outcome` relative to `reference`, for one motion into `body`.
+
+    Surfaces are cubic splines through the points of each, as a rendered image would use. They are
+    compared up to the outermost points of the coarser one, where both have points around. The
+    spacing of the points may change along the surface.
+
+    Raises:
+        ValueError: The numbers of frames differ, or points are beyond the body.
+    """
+    check_same(outcome, reference, body)
+    force, fraction = force_errors(outcome, reference)
+    frames = range(len(force))
+    surface = np.array([_surface_errors(outcome, reference, frame) for frame in frames]).T
+    pixels = marker_errors(outcome, reference, body)
+    return Errors(
+        force=force,
+        force_share=fraction,
+        surface=surface[0],
+        surface_rms=surface[1],
+        marker=pixels.max(axis=1),
+        marker_rms=np.sqrt(np.mean(pixels**2, axis=1)),
+    )
+
+
+def _surface_errors(outcome: Outcome, reference: Outcome, frame: int) -> tuple[float, float]:
+    """Return the largest and the root mean square distance [m]."""
+    x = _shared(outcome.surface_x, reference.surface_x)
+    y = _shared(outcome.surface_y, reference.surface_y)
+    difference = displacement_at(outcome, frame, x, y) - displacement_at(reference, frame, x, y)
+    distance = np.linalg.norm(difference, axis=-1)
+    return float(distance.max()), float(np.sqrt(np.mean(distance**2)))
+
+
+def _shared(one: Array, other: Array) -> Array:
+    """Return points (POINTS,) across the range that both cover."""
+    return np.linspace(max(one[0], other[0]), min(one[-1], other[-1]), POINTS)
+
+
+def worst_errors(one: Outcome, other: Outcome, body: Body) -> dict[Kind, float]:
+    """Return the largest differences of two outcomes by kind, in its unit: 1, N, px."""
+    force, fraction = force_errors(one, other)
+    pixels = marker_errors(one, other, body)
+    return {
+        "fraction": float(fraction.max()),
+        "force": float(force.max()),
+        "marker": float(np.sqrt(np.mean(pixels**2, axis=1)).max()),
+    }

@@ -1,0 +1,259 @@
+"""Frames per second of presses in small steps, one or many at once.
+
+A frame is 0.05 mm of motion. Spheres of 3 to 5 mm go 1 mm into the paper's gel, each at a different
+place: 20 frames per press. Errors are those of the forces from 0.1 mm on, relative to the default
+mesh with elements half as long, for the first presses.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.accuracy.speed import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
+from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded, seconds
+from benchmarks.report import Page, Run, table
+from recorder.charts import BLUE, GREEN, ORANGE, RED, SKY, chart
+from recorder.processes import Workers, cores, several
+from sim.device import ready_device
+from sim.errors import SimulationDiverged
+from sim.fem import Fem
+from sim.indenters import sphere
+from sim.layer import Layer
+from sim.result import Outcome, force_scale
+from sim.scene import Body, Scene, press
+from sim.tiers import simulate_many
+
+Row = dict[str, Any]
+
+MM = 1e-3
+FRAME, FRAMES = 0.05 * MM, 20
+# Numbers of simultaneous presses.
+COUNTS, QUICK_COUNTS = (1, 64, 1024), (1,)
+# Number of presses whose errors are measured.
+COMPARED = 4
+# First frame whose error is measured, 0 being the touch: 0.1 mm.
+FROM = 2
+# Presses that fill a GPU: from there on their time grows with their number.
+FILLS = 64
+# Rows that are expected to take longer are left out [s].
+ROW_SECONDS = 40.0
+# Seed of the spheres and their places.
+SEED = 0
+# Frames per second that others state for tactile simulators with soft contact, as in their papers:
+# other scenes, other hardware, and no error of the force.
+PUBLISHED = (
+    ("TaCauchy (arXiv 2606.20426)", 1, 33.4),
+    ("TaCauchy (arXiv 2606.20426)", 60, 555.0),
+    ("ETac, a learned model", 4096, 869.0),
+)
+COLOURS = (GREEN, SKY, ORANGE, BLUE, RED)
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One way to solve the presses."""
+
+    name: str
+    tier: Layer | Fem
+
+    def tier_on(self, device: str) -> Layer | Fem:
+        """Return the tier; on a GPU all presses have one mesh topology."""
+        if isinstance(self.tier, Fem):
+            return replace(self.tier, one_topology=device != "cpu")
+        return self.tier
+
+
+def ways() -> list[Way]:
+    """Return `layer`, coarse meshes of `fem` with matching tolerances, and the default."""
+    coarse = Fem(tolerance=TOLERANCE, path_tolerance=PATH_TOLERANCE, augmentations=AUGMENTATIONS)
+    return [
+        *(Way(f"layer, {grid} pixels", Layer(grid=grid)) for grid in (48, 128)),
+        *(Way(f"fem, {size:g} mm", replace(coarse, spacing=size * MM)) for size in (1.0, 0.8)),
+        Way("fem, default", Fem()),
+    ]
+
+
+def scenes(count: int) -> list[Scene]:
+    """Return the first `count` presses, which are the same for every count."""
+    random = np.random.default_rng(SEED)
+    drawn = random.uniform([3 * MM, -4 * MM, -4 * MM], [5 * MM, 4 * MM, 4 * MM], (count, 3))
+    depths = [FRAME * frame for frame in range(1, FRAMES + 1)]
+    return [Scene(sphere(r), press(depths, at=(x, y)), Body()) for r, x, y in drawn]
+
+
+def errors(
+    outcomes: Sequence[Outcome], truths: Sequence[Outcome]
+) -> tuple[float | None, float | None]:
+    """Return mean and largest error of the presses that have a reference, as fractions."""
+    fractions = [
+        (np.linalg.norm(one.force - truth.force, axis=1) / force_scale(truth.force))[FROM:]
+        for one, truth in zip(outcomes, truths, strict=False)
+        if not isinstance(one, SimulationDiverged) and not isinstance(truth, SimulationDiverged)
+    ]
+    if not fractions:
+        return None, None
+    return rounded(float(np.mean(fractions))), rounded(float(np.max(fractions)))
+
+
+def measure(run: Run) -> list[Row]:
+    """Return a row for every way, device and number of presses, except those that take long."""
+    chosen = ways()[::2][:2] if run.quick else ways()
+    counts = QUICK_COUNTS if run.quick else COUNTS
+    fine = Fem(fineness=0.5 if run.quick else 1.5, elements_max=400_000)
+    devices = devices_of(run.device)
+    rows: list[Row] = []
+    run.seeds, run.spread = [SEED], "single run of each"
+    ready_device(run.device)
+    truths = simulate_many(scenes(1 if run.quick else COMPARED), fine, device=run.device)
+    shared = run.options.processes or cores()
+    for number, device in enumerate(devices):
+        ready_device(device)
+        with several(shared) as workers:
+            for step, way in enumerate(chosen):
+                rows += _counted(way, counts, device, workers, truths)
+                run.progress((number + (step + 1) / len(chosen)) / len(devices))
+    return rows
+
+
+def _counted(
+    way: Way,
+    counts: Sequence[int],
+    device: str,
+    workers: Workers | None,
+    truths: Sequence[Outcome],
+) -> list[Row]:
+    """Return the rows of one way: in one process, and several presses also by `workers`.
+
+    On a CPU one process solves only one press, as several would follow one another.
+    """
+    rows: list[Row] = []
+    tier = way.tier_on(device)
+    simulate_many(scenes(1), tier, device=device)
+    warm = False
+    alone: Row | None = None
+    for count in counts:
+        if (device != "cpu" or count == 1) and forecast(alone, count, 1) < ROW_SECONDS:
+            alone = measured(way, count, device, None, truths)
+            rows.append(alone)
+        if workers is None or count == 1 or alone is None:
+            continue
+        if device != "cpu" and isinstance(tier, Layer):  # solves all in one launch
+            continue
+        if forecast(alone, count, workers.processes) > ROW_SECONDS:
+            continue
+        if not warm:  # each process loads its kernels
+            simulate_many(scenes(workers.processes), tier, device=device, processes=workers)
+            warm = True
+        rows.append(measured(way, count, device, workers, truths))
+    return rows
+
+
+def forecast(last: Row | None, count: int, processes: int) -> float:
+    """Return the expected time of `count` presses [s], by a row with fewer; 0 if it is unknown."""
+    if last is None:
+        return 0.0
+    if last["device"] == "cpu":
+        return float(last["seconds"] * math.ceil(count / processes) / last["at_once"])
+    if last["at_once"] < FILLS:
+        return 0.0
+    return float(last["seconds"] * count / last["at_once"])
+
+
+def measured(
+    way: Way, count: int, device: str, workers: Workers | None, truths: Sequence[Outcome]
+) -> Row:
+    """Solve `count` presses, and return their row."""
+    began = time.perf_counter()
+    outcomes = simulate_many(
+        scenes(count), way.tier_on(device), device=device, processes=workers or 1
+    )
+    wall = time.perf_counter() - began
+    good = [one for one in outcomes if not isinstance(one, SimulationDiverged)]
+    mean, worst = errors(outcomes, truths)
+    elements = 0
+    if good:
+        mesh = good[0].record.get("mesh", {})
+        elements = int(mesh.get("elements", good[0].traction[0, ..., 0].size))
+    return {
+        "way": way.name,
+        "device": device,
+        "processes": 1 if workers is None else workers.processes,
+        "at_once": count,
+        "elements": elements,
+        "seconds": rounded(wall),
+        "frames_per_second": rounded(FRAMES * len(good) / wall),
+        "failed": len(outcomes) - len(good),
+        "mean": mean,
+        "worst": worst,
+    }
+
+
+# The page
+
+
+def section(rows: Sequence[Row], page: Page) -> str:
+    """Return the picture and the table."""
+    names = list(dict.fromkeys(row["way"] for row in rows))
+    with chart(page.picture("frames"), 7.2, 3.6) as figure:
+        axes = figure.add_subplot()
+        axes.set(
+            title="Frames per second and the error of their forces",
+            xlabel="mean error of the force [%]",
+            ylabel="frames per second",
+            xscale="log",
+            yscale="log",
+        )
+        for name, colour in zip(names, COLOURS, strict=False):
+            for kind, mark in (("CPU", "o"), ("GPU", "D")):
+                some = [
+                    row
+                    for row in rows
+                    if row["way"] == name and kind_of(row["device"]) == kind and row["mean"]
+                ]
+                if not some:
+                    continue
+                axes.plot(
+                    [100 * row["mean"] for row in some],
+                    [row["frames_per_second"] for row in some],
+                    color=colour,
+                    marker=mark,
+                    linestyle="",
+                    label=f"{name}, {kind}",
+                )
+        figure.legend(loc="outside right upper")
+    lines = [
+        [
+            row["way"],
+            kind_of(row["device"]),
+            row["processes"],
+            row["at_once"],
+            f"{row['elements']:,}",
+            seconds(row["seconds"]),
+            f"{row['frames_per_second']:,.4g}"
+            if row["frames_per_second"] < 1e4
+            else f"{row['frames_per_second']:,.0f}",
+            row["failed"],
+            percent(row["mean"]),
+            percent(row["worst"]),
+        ]
+        for row in rows
+    ]
+    head = ["way", "on", "processes", "at once", "elements", "seconds", "frames/s"]
+    cited = "; ".join(f"{name} {rate:g} frames/s of {count}" for name, count, rate in PUBLISHED)
+    return f"""## Frames per second
+
+{page.link("frames", "Frames per second against the error of the force")}
+
+{table([*head, "without a solution", "mean error", "worst"], lines)}
+
+Spheres of 3 to 5 mm are pressed 1 mm deep into the paper's gel, each at a place of its own, in
+{FRAMES} frames of {FRAME / MM:g} mm; one press or many at once. Errors are those of the first
+presses' forces from 0.1 mm on, relative to elements half as long as the default's. Pixels are
+elements of `layer`. Several presses on a CPU are divided among processes. Others state, with
+other scenes and hardware and without an error of the force: {cited} at once."""

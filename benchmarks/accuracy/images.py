@@ -1,0 +1,206 @@
+"""Marker images against rays cast through a fine mesh, and images per second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from benchmarks.accuracy.raycast import cast_rays, marked
+from benchmarks.accuracy.states import RenderState, dent, fold, solved
+from benchmarks.accuracy.wording import devices_of, kind_of
+from benchmarks.report import Page, Run, table
+from recorder.plot import INK, PANEL, PAPER, SOFT, font
+from sim.device import ready_device
+from sim.markers import SIMULATED, Camera, named
+from sim.markers.renderer import Renderer
+from sim.scene import Body
+
+Row = dict[str, Any]
+Mask = NDArray[np.bool_]
+
+PATTERNS = ("Array1", "Circle1", "Diamond1", "Array3")
+# Rays along each side of a pixel.
+RAYS, QUICK_RAYS = 5, 1
+# Fraction of the pixels that may differ from the rays.
+ALLOWED = 1e-3
+# Frames at once, and runs of which the fastest counts.
+FRAMES, REPEATS = 9, 5
+# The picture: patterns, size of an image [px], lines of text, and colours.
+DRAWN = ("Array3", "Circle1", "Diamond4")
+TILE, CAPTION, GAP, COLOURS = (360, 270), 30, 14, 64
+MARKER, BEFORE = np.array([40.0, 44.0, 54.0]), np.array([232.0, 150.0, 120.0])
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """Return the differences of every state, and the images per second on every device."""
+    ready_device(run.device)
+    states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3)), fold()]
+    if not run.quick:
+        states += solved(device=run.device)
+    compared = []
+    for state in states:
+        compared.append(difference(state, QUICK_RAYS if run.quick else RAYS, run.device))
+        run.progress(0.7 * len(compared) / len(states))
+        if compared[-1]["worst"] > ALLOWED and not run.quick:
+            run.failures.append(f"{state.name}: more than {100 * ALLOWED:g} % of the pixels differ")
+    rates = [row for device in devices_of(run.device) for row in speeds(device, run.quick)]
+    run.spread = f"times: fastest of {1 if run.quick else REPEATS} runs"
+    return {"compared": compared, "rates": rates}
+
+
+def iou(one: Mask, other: Mask) -> float:
+    """Return the intersection over union of the marker pixels; 1 if neither has any."""
+    either = int((one | other).sum())
+    return int((one & other).sum()) / either if either else 1.0
+
+
+def mismatch(one: Mask, other: Mask) -> float:
+    """Return the fraction of all pixels in which they differ."""
+    return float((one != other).mean())
+
+
+def difference(state: RenderState, samples: int, device: str) -> Row:
+    """Return the difference of a state's masks from those of rays, and that by the press."""
+    camera, patterns = Camera.paper(), [named(name) for name in PATTERNS]
+    surface = state.surface.astype(float)
+    rays = cast_rays(state.body, camera, state.x, state.y, surface, samples=samples)
+    renderer = Renderer(state.body, camera, device=device)
+    textures = renderer.textures(patterns)
+    drawn = renderer.see(state.x, state.y, state.surface[None]).masks(textures)[0]
+    before = renderer.undeformed().masks(textures)[0]
+    pairs = [
+        (mask, marked(pattern, rays, samples))
+        for mask, pattern in zip(drawn, patterns, strict=True)
+    ]
+    off = [mismatch(*pair) for pair in pairs]
+    return {
+        "state": state.name,
+        "overlap": min(iou(*pair) for pair in pairs),
+        "mean": float(np.mean(off)),
+        "worst": max(off),
+        "by_press": mismatch(before, drawn),
+    }
+
+
+def speeds(device: str, quick: bool) -> list[Row]:
+    """Return the time of an image for every kind of image: CPU time on a CPU, else wall time."""
+    ready_device(device)
+    frames = 2 if quick else FRAMES
+    states = [dent(depth=(k + 1) / frames * 1.5e-3) for k in range(frames)]
+    x, y = states[0].x, states[0].y
+    surface = np.stack([state.surface for state in states])
+    renderer = Renderer(Body(), device=device)
+    textures = renderer.textures([named(name) for name in SIMULATED])
+    view = renderer.see(x, y, surface)
+    clock = time.process_time if device == "cpu" else time.perf_counter
+
+    def least(work: Callable[[], object]) -> float:
+        work()  # it may compile a kernel
+        times = []
+        for _ in range(1 if quick else REPEATS):
+            wp.synchronize_device(device)
+            began = clock()
+            work()
+            wp.synchronize_device(device)
+            times.append(clock() - began)
+        return min(times)
+
+    images = frames * len(SIMULATED)
+    kinds: list[tuple[str, Callable[[], object], int]] = [
+        ("mask from surface", lambda: renderer.see(x, y, surface).packed(textures), images),
+        ("grey image", lambda: view.coverage(textures), images),
+        ("displacement field", lambda: renderer.displacement(x, y, surface), frames),
+    ]
+    return [
+        {"what": what, "device": device, "seconds": least(work) / count}
+        for what, work, count in kinds
+    ]
+
+
+# The page
+
+
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return the picture and both tables."""
+    draw(page, [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))])
+    rows = [
+        [
+            row["state"],
+            f"{row['overlap']:.4f}",
+            *(f"{100 * row[name]:.3f} %" for name in ("mean", "worst")),
+            f"{100 * row['by_press']:.1f} %",
+        ]
+        for row in values["compared"]
+    ]
+    rates = values["rates"]
+    names = list(dict.fromkeys(row["what"] for row in rates))
+    kinds = list(dict.fromkeys(row["device"] for row in rates))
+    times = [
+        [name]
+        + [
+            f"{1e3 * row['seconds']:.3g} ms ({1 / max(row['seconds'], 1e-9):,.0f}/s)"
+            for kind in kinds
+            for row in rates
+            if (row["what"], row["device"]) == (name, kind)
+        ]
+        for name in names
+    ]
+    head = [
+        "state",
+        "smallest overlap",
+        "pixels that differ",
+        "worst pattern",
+        "changed by the press",
+    ]
+    return f"""## Marker images
+
+{page.link("images", "Markers of a smooth dent, and in red where they were before")}
+
+{table(head, rows)}
+
+Masks are compared with rays through a mesh of 0.05 mm, whose interpolation, intersections and
+markers share no code with the renderer: {", ".join(PATTERNS)}; overlap is intersection over
+union.
+
+{table(["image", *("one CPU core" if kind_of(kind) == "CPU" else "GPU" for kind in kinds)], times)}
+
+{FRAMES} frames at once with {len(SIMULATED)} patterns each; a displacement field is one a frame.
+CPU time on a CPU."""
+
+
+def draw(page: Page, states: Sequence[RenderState]) -> None:
+    """Draw a row for each state and a column for each pattern.
+
+    Markers are dark; places with markers only on the undeformed gel are red.
+    """
+    width = GAP + len(DRAWN) * (TILE[0] + GAP)
+    sheet = Image.new("RGB", (width, GAP + len(states) * (TILE[1] + CAPTION + GAP)), PAPER)
+    pen = ImageDraw.Draw(sheet)
+    for row, state in enumerate(states):
+        renderer = Renderer(state.body, Camera.paper())
+        textures = renderer.textures([named(name) for name in DRAWN])
+        before = renderer.undeformed().coverage(textures)[0]
+        after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]
+        top = GAP + row * (TILE[1] + CAPTION + GAP)
+        for column, name in enumerate(DRAWN):
+            left = GAP + column * (TILE[0] + GAP)
+            drawn = Image.fromarray(_blended(before[column], after[column]))
+            sheet.paste(drawn.resize(TILE, Image.Resampling.LANCZOS), (left, top))
+            pen.text((left, top + TILE[1] + 6), name, INK, font(15))
+            pen.text((left + TILE[0], top + TILE[1] + 8), state.name, SOFT, font(13), anchor="ra")
+    sheet.quantize(COLOURS).save(page.picture("images"), optimize=True)
+
+
+def _blended(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    colours = np.broadcast_to(np.array(PANEL, float), (*before.shape, 3))
+    for fraction, colour in ((before, BEFORE), (after, MARKER)):
+        part = fraction[..., None] / 255.0
+        colours = colours * (1 - part) + colour * part
+    blended: NDArray[np.uint8] = np.round(colours).astype(np.uint8)
+    return blended

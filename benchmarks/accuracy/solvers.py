@@ -1,0 +1,391 @@
+"""Error, time and memory of every solver on seven presses, on a GPU and on one CPU core."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.accuracy.cases import CASES, QUICK_CASE, Case
+from benchmarks.accuracy.chart import Mark, Panel, Series, save_chart
+from benchmarks.accuracy.closed_form import closed_form
+from benchmarks.accuracy.competitors import Competitor, in_launches, ladders
+from benchmarks.accuracy.errors import compare
+from benchmarks.accuracy.reference import COARSER, Reference, references
+from benchmarks.accuracy.spent import spent_by
+from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded, seconds
+from benchmarks.report import Page, Run, table
+from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT
+from recorder.processes import cores, environment, several
+from sim.device import ready_device
+from sim.errors import SceneError, SimulationDiverged
+from sim.metrics import outcome_of
+from sim.result import WEAK, Result
+from sim.scene import press
+
+Row = dict[str, Any]
+
+# Depth of the press that loads the kernels before a measurement [m].
+WARM = 0.02e-3
+# Assumed power law of the time of a press with fineness, used to skip slow measurements.
+GROWTH = 4.0
+# Measurements of a case that are expected to take longer are skipped [s].
+SECONDS_MAX = 20.0
+# Errors of the force for which the page has the shortest time, and time for which it has the error.
+GOALS, WITHIN = (0.1, 0.03, 0.01, 0.003), 1.0
+# Ladder of the closed-form solutions, which take no time.
+CLOSED_FORM = "closed form"
+# Errors of a row: of the force as a fraction, the worst frame and axis, and in the last frame; of
+# the surface [m]; of the markers [px].
+MEASURES = ("force_share", "force_last", "surface_rms", "surface", "marker_rms", "marker")
+# Colour of each ladder; the shape of the mark gives the device.
+COLOURS = {
+    CLOSED_FORM: SOFT,
+    "layer": GREEN,
+    "fem": BLUE,
+    "fem float64": INK,
+    "tolerance": PURPLE,
+    "fem even": SKY,
+    "mpm": ORANGE,
+    "mpm as published": RED,
+}
+# Ladders of a quick run, and of a case that takes long, on a CPU.
+QUICK, SLOW = ("layer", "fem"), ("layer",)
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """Return the rows of all cases and devices, and the uncertainty of each reference.
+
+    On a CPU each ladder has a process of its own, so that its memory is that of the press; on a
+    machine with many cores several ladders are measured side by side, after those of the GPU.
+    """
+    cases = (QUICK_CASE,) if run.quick else CASES
+    processes = run.options.processes or cores()
+    rows: list[Row] = []
+    floors: dict[str, dict[str, float | None]] = {}
+    waiting: list[tuple[Case, str, Sequence[Reference | None]]] = []
+    with several(1 if run.device == "cpu" else processes) as workers:
+        for number, case in enumerate(cases):
+            truth = references(case, run.device, workers or 1)
+            floors[case.name] = _floor(truth)
+            rows += _closed_form_rows(case, truth)
+            for device in devices_of(run.device):
+                for ladder in _ladders(case, device, run.quick):
+                    if device == "cpu":
+                        waiting.append((case, ladder, truth))
+                    else:
+                        rows += climb(case, ladder, device, truth)
+            run.progress((number + 1) / (2 * len(cases)))
+    # The longest first, so that none is left at the end.
+    waiting.sort(key=lambda one: one[1] != "mpm as published")
+    for number, climbed in enumerate(_on_cores(waiting)):
+        rows += climbed
+        run.progress(0.5 + (number + 1) / (2 * len(waiting)))
+    run.spread = "single run of each"
+    return {"rows": rows, "floors": floors}
+
+
+def _ladders(case: Case, device: str, quick: bool) -> list[str]:
+    chosen = []
+    for name, steps in ladders().items():
+        on_cpu = device == "cpu"
+        if (steps[0].cpu_only and not on_cpu) or (quick and name not in QUICK):
+            continue
+        only = steps[0].cpu_cases
+        if on_cpu and ((only and case.name not in only) or (case.slow and name not in SLOW)):
+            continue
+        chosen.append(name)
+    return chosen
+
+
+def _on_cores(
+    waiting: Sequence[tuple[Case, str, Sequence[Reference | None]]],
+) -> Iterator[list[Row]]:
+    """Yield the rows of ladders on one core each; a quarter of the cores is used at once."""
+    # Spawned: Warp's state does not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with (
+        environment(OMP_NUM_THREADS="1"),
+        ProcessPoolExecutor(
+            max(1, cores() // 4), mp_context=context, max_tasks_per_child=1
+        ) as pool,
+    ):
+        tasks: list[Future[list[Row]]] = [
+            pool.submit(climb, case, ladder, "cpu", truth) for case, ladder, truth in waiting
+        ]
+        for task in as_completed(tasks):
+            yield task.result()
+
+
+def climb(case: Case, ladder: str, device: str, truth: Sequence[Reference | None]) -> list[Row]:
+    """Return the rows of one ladder, up to the step that is expected to take too long."""
+    ready_device(device)
+    rows: list[Row] = []
+    for one in ladders()[ladder]:
+        if rows and _too_long(rows[-1], one.fineness, len(case.scenes)):
+            break
+        rows.append(measured(case, one, device, truth))
+    return rows
+
+
+def _too_long(last: Row, fineness: float, scenes: int) -> bool:
+    if not last.get("seconds"):
+        return False
+    return bool(last["seconds"] * scenes * (fineness / last["fineness"]) ** GROWTH > SECONDS_MAX)
+
+
+def measured(case: Case, one: Competitor, device: str, truth: Sequence[Reference | None]) -> Row:
+    """Measure `one` on a case in this process and return the row.
+
+    `seconds` is the wall time of a press, kernels compiled before; for several scenes the mean.
+    Errors are the mean over the scenes of a case; `force_worst` is that of the worst scene.
+    """
+    row: Row = {
+        "case": case.name,
+        "ladder": one.ladder,
+        "label": one.label,
+        "fineness": one.fineness,
+        "device": device,
+    }
+    try:
+        one.solve([replace(case.scenes[0], motion=press([WARM]))], device)
+        outcomes, spent = spent_by(lambda: in_launches(one.solve, case.scenes, device), device)
+    except SceneError as error:
+        return row | {"note": f"rejected: {error}"}
+    errors = [
+        compare(outcome_of(outcome), true.outcome, scene.body)
+        for scene, outcome, true in zip(case.scenes, outcomes, truth, strict=True)
+        if isinstance(outcome, Result) and true is not None
+    ]
+    diverged = [str(each) for each in outcomes if isinstance(each, SimulationDiverged)]
+    row |= {
+        "seconds": rounded(spent.wall / len(case.scenes)),
+        "cpu_seconds": rounded(spent.cpu / len(case.scenes)),
+        "memory": spent.memory,
+        "elements": next((_elements(each) for each in outcomes if isinstance(each, Result)), 0),
+        "failed": len(diverged),
+        "note": diverged[0] if diverged else "",
+    }
+    if errors:
+        worst = [each.worst() for each in errors]
+        row |= {name: rounded(float(np.mean([one[name] for one in worst]))) for name in MEASURES}
+        row["force_worst"] = rounded(max(one["force_share"] for one in worst))
+        row["newtons"] = [rounded(float(n)) for n in np.max([e.force for e in errors], (0, 1))]
+    return row
+
+
+def _closed_form_rows(case: Case, truth: Sequence[Reference | None]) -> list[Row]:
+    """Return the row of the formula, or none without a common formula or a reference."""
+    force, true = closed_form(case.name, case.scenes[0]), truth[0]
+    if force is None or true is None:
+        return []
+    size = np.linalg.norm(true.outcome.force, axis=1)
+    fraction = np.abs(force - true.outcome.force) / np.maximum(size, WEAK * size.max())[:, None]
+    row = {"case": case.name, "ladder": CLOSED_FORM, "label": "", "fineness": 0.0, "device": "none"}
+    errors = {"force_share": float(fraction.max()), "force_last": float(fraction[-1].max())}
+    return [row | {"seconds": 0.0, "failed": 0} | errors]
+
+
+def _floor(truth: Sequence[Reference | None]) -> dict[str, float | None]:
+    known = [one.uncertainty for one in truth if one is not None and one.uncertainty]
+    if not known:
+        return {}
+    return {name: rounded(float(np.mean([one[name] for one in known]))) for name in MEASURES}
+
+
+def _elements(result: Result) -> int:
+    """Return the number of elements, particles, or pixels."""
+    record = result.record
+    if "particles" in record:
+        return int(record["particles"])
+    mesh = record["mesh"]
+    return int(mesh["elements"] if "elements" in mesh else np.prod(mesh["grid"]))
+
+
+# The page
+
+
+def name_of(row: Row) -> str:
+    """Return the solver of a row, with its settings."""
+    return f"{row['ladder']} {row['label']}".strip()
+
+
+def solved(rows: Sequence[Row], case: str, kind: str) -> list[Row]:
+    """Return the rows of a case that have all solutions, on a CPU or a GPU."""
+    return [
+        row
+        for row in rows
+        if row["case"] == case
+        and row["device"] != "none"
+        and kind_of(row["device"]) == kind
+        and row.get("force_share") is not None
+        and not row["failed"]
+    ]
+
+
+def shortest(rows: Sequence[Row], goal: float) -> Row | None:
+    """Return the fastest row whose error of the force is at most `goal`."""
+    return min(
+        (row for row in rows if row["force_share"] <= goal),
+        key=lambda row: float(row["seconds"]),
+        default=None,
+    )
+
+
+def most_exact(rows: Sequence[Row], within: float) -> Row | None:
+    """Return the row with the smallest error of the force within a time [s]."""
+    return min(
+        (row for row in rows if row["seconds"] <= within),
+        key=lambda row: float(row["force_share"]),
+        default=None,
+    )
+
+
+def summary(values: dict[str, Any]) -> str:
+    """Return the table of the shortest times, and the sentence about one second."""
+    rows = values["rows"]
+    lines = []
+    for case in CASES:
+        for kind in ("CPU", "GPU"):
+            some = solved(rows, case.name, kind)
+            if some:
+                cells = [_cheapest(shortest(some, goal)) for goal in GOALS]
+                lines.append([case.title, kind, *cells, _exact(most_exact(some, WITHIN))])
+    head = ["press", "on", *(f"{100 * goal:g} %" for goal in GOALS), f"error in {WITHIN:g} s"]
+    return (
+        "**Shortest time to an error of the force, and the solver; and the smallest error in "
+        f"{WITHIN:g} s.** CPU is one core. Errors are those of the worst frame and axis; of the 18 "
+        "indenters error and time are means.\n\n"
+        f"{table(head, lines)}\n\n{_in_one_second(rows)}"
+    )
+
+
+def _in_one_second(rows: Sequence[Row]) -> str:
+    """Return what one second gives, on the sphere and over all presses."""
+    sentences = []
+    for kind, where in (("CPU", "one CPU core"), ("GPU", "a GPU")):
+        best = {case: most_exact(solved(rows, case.name, kind), WITHIN) for case in CASES}
+        errors = {case: row["force_share"] for case, row in best.items() if row is not None}
+        sphere = next((error for case, error in errors.items() if case.name == "sphere"), None)
+        if sphere is not None:
+            hardest = max(errors, key=lambda case: float(errors[case]))
+            sentences.append(
+                f"In {WITHIN:g} s on {where} a force is exact to {percent(sphere)} under the "
+                f"sphere; of {len(errors)} presses the hardest is `{hardest.title}`, "
+                f"{percent(errors[hardest])}."
+            )
+    return " ".join(sentences)
+
+
+def _cheapest(row: Row | None) -> str:
+    return "-" if row is None else f"{seconds(row['seconds'])}, {name_of(row)}"
+
+
+def _exact(row: Row | None) -> str:
+    return "-" if row is None else f"{percent(row['force_share'])}, {name_of(row)}"
+
+
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return the picture, the table of one press, and what the columns mean."""
+    rows, floors = values["rows"], values["floors"]
+    cases = [case for case in CASES if any(row["case"] == case.name for row in rows)]
+    save_chart(
+        page.picture("solvers"),
+        "Error of the force against time",
+        [_panel(case, rows, floors) for case in cases],
+        "error of the force [%]",
+        note="lines: meshes of a solver, coarse to fine; discs: one CPU core, diamonds: GPU",
+    )
+    return f"""## Every solver
+
+{page.link("solvers", "Error of the force against time, for every solver and press")}
+
+Every solver on the {cases[0].title}; the other presses are in the JSON file.
+
+{_table(rows, cases[0].name)}
+
+- **Presses**: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45, pressed 0.5, 1.0 and 1.5 mm
+  deep (the 18 indenters 0.5 and 1.0); the loop goes 1 mm down and 1 mm aside; the viscous press
+  goes 1 mm down in 0.1 s and is held for 1 s. Friction is 0.5: without it skin creases under an
+  edge, in one of many ways, and there is no unique solution.
+- **Force**: the difference along an axis over the force of the frame, or over a tenth of the
+  largest force where that is more. **Surface**: root of the mean square distance between
+  positions of the top's points, worst frame. **Markers**: the same of 14 x 14 points of the top
+  as the paper's camera sees them; a pixel is 33.9 um.
+- **Seconds**: from scene to result, kernels compiled; the 18 indenters one by one on a CPU and
+  in one launch on a GPU. **Memory**: on a CPU the peak of the process with Python and libraries
+  (about 220 MiB), on a GPU that of its arrays.
+- **fem** adapts its mesh to the contact; **fem even** has elements of one size. **tolerance**
+  refines until its own estimate of the error is met, and its seconds include every attempt.
+  **mpm** has two particles a cell and dimension; **mpm as published** is the lattice, contact,
+  time step and mass of Tacchi and GenForce. **Closed forms** are Hertz, Sneddon, Lee and Radok,
+  and Cattaneo and Mindlin on a half-space; they are at the left edge.
+- **Reference**: `fem` in float64 with fineness 2 (the 18 indenters: 1.5), 5 augmentations,
+  tolerance 1e-5, viscous motions in steps a third as long. The grey band is its difference from
+  a mesh with elements {COARSER:g} times as large: smaller errors are not known."""
+
+
+def _table(rows: Sequence[Row], case: str) -> str:
+    lines = []
+    order = list(COLOURS)
+    names = {name_of(row): row for row in rows if row["case"] == case}
+    by_fineness = sorted(
+        names.values(), key=lambda row: (order.index(row["ladder"]), row["fineness"])
+    )
+    for name in map(name_of, by_fineness):
+        same = [row for row in rows if row["case"] == case and name_of(row) == name]
+        first = same[0]
+        cpu, gpu = (
+            next((row for row in same if kind_of(row["device"]) == kind), {})
+            for kind in ("CPU", "GPU")
+        )
+        cells = [_time(cpu), _memory(cpu), _time(gpu), _memory(gpu)]
+        if first["device"] == "none":
+            cells = ["0", "-", "-", "-"]
+        surface, marker = first.get("surface_rms"), first.get("marker_rms")
+        lines.append(
+            [
+                name,
+                first.get("elements") or "-",
+                percent(first.get("force_share")),
+                "-" if surface is None else f"{1e6 * surface:.1f}",
+                "-" if marker is None else f"{marker:.3f}",
+                *cells,
+            ]
+        )
+    head = ["solver", "elements", "force", "surface [um]", "markers [px]"]
+    return table([*head, "CPU core", "[MiB]", "GPU", "[MiB]"], lines)
+
+
+def _time(row: Row) -> str:
+    return seconds(row["seconds"]) if row.get("seconds") is not None else "-"
+
+
+def _memory(row: Row) -> str:
+    return f"{row['memory'] / 2**20:.0f}" if row.get("memory") else "-"
+
+
+def _panel(case: Case, rows: Sequence[Row], floors: dict[str, Any]) -> Panel:
+    series = []
+    for ladder, colour in COLOURS.items():
+        for gpu in (False, True):
+            chosen = [
+                row
+                for row in rows
+                if (row["case"], row["ladder"]) == (case.name, ladder)
+                and (row["device"] not in ("cpu", "none")) == gpu
+                and row.get("force_share") is not None
+            ]
+            chosen.sort(key=lambda row: float(row["fineness"]))
+            points = [(row["seconds"], 100 * row["force_share"]) for row in chosen]
+            if points:
+                mark: Mark = "<" if ladder == CLOSED_FORM else "D" if gpu else "o"
+                name = f"{ladder}, GPU" if gpu else ladder
+                series.append(Series(name, colour, mark, tuple(points)))
+    floor = floors.get(case.name, {}).get("force_share")
+    return Panel(case.title, tuple(series), math.nan if floor is None else 100 * floor)

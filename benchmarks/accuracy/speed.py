@@ -1,0 +1,282 @@
+"""Time of the paper's 162 presses with coarser and finer meshes, and the errors of their forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+from benchmarks.accuracy.chart import Mark, Panel, Series, save_chart
+from benchmarks.accuracy.paper_presses import (
+    SHALLOW_MM,
+    Forces,
+    TimedPress,
+    errors,
+    extrapolated,
+    forces_of,
+    paper_presses,
+    quick_presses,
+    read_forces,
+    reference_presses,
+    write_forces,
+)
+from benchmarks.accuracy.spent import Spent, spent_by
+from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded, seconds
+from benchmarks.report import Page, Run, table
+from recorder.charts import BLUE, RED
+from recorder.processes import Workers, cores, several
+from sim.device import ready_device
+from sim.errors import SimulationDiverged
+from sim.fem import FOR_EDGES, Fem
+from sim.result import Outcome
+from sim.scene import press
+from sim.tiers import gathered, simulate_many, submitted
+
+Row = dict[str, Any]
+
+MM = 1e-3
+# Element heights [mm], coarse to fine; the finest takes long on a CPU.
+SPACINGS = {"cpu": (4 / 3, 1.0, 0.8), "gpu": (1.5, 4 / 3, 1.0, 0.8, 2 / 3)}
+QUICK_SPACINGS = (4 / 3, 1.0)
+# Two meshes that are solved at once, the finer first, and their tolerance, by kind of device.
+AT_ONCE = {"cpu": (0.8, 4 / 3), "gpu": (1.0, 1.5)}
+AT_ONCE_TOLERANCE = 0.03
+# Range of the ratio of the element sizes of two meshes: closer ones amplify random errors.
+APART, APART_MOST = 1.3, 5 / 3 + 1e-3
+# Settings of the timed presses: residual over force at the depths that are stored and between
+# them, and number of multiplier updates. Tighter settings change no mesh's error by 0.1 %.
+TOLERANCE, PATH_TOLERANCE, AUGMENTATIONS = 1.5e-2, 0.1, 1
+# The same of the reference, and its element height [mm]. With tighter ones the skin creases under
+# sharp edges, where there are many solutions, and the solver fails.
+REFERENCE_TOLERANCE, REFERENCE_AUGMENTATIONS, REFERENCE_SPACING = 3e-4, 5, 0.4
+# Depth of the press that loads the kernels [m].
+WARM = 0.02e-3
+
+
+def numerics(spacing: float, device: str, tolerance: float = TOLERANCE) -> Fem:
+    """Return the settings of a mesh with elements of `spacing` [mm] over the depth."""
+    return Fem(
+        spacing=spacing * MM,
+        grading=FOR_EDGES,
+        tolerance=tolerance,
+        path_tolerance=PATH_TOLERANCE,
+        augmentations=AUGMENTATIONS,
+        one_topology=device != "cpu",
+    )
+
+
+def measure(run: Run) -> list[Row]:
+    """Return the rows of every mesh, of pairs of meshes, and of pairs that are solved at once."""
+    presses = quick_presses() if run.quick else paper_presses()
+    if run.options.references:
+        write_reference(run.device)
+    reference = read_forces()
+    rows: list[Row] = []
+    devices = devices_of(run.device)
+    for number, device in enumerate(devices):
+        kind = kind_of(device).lower()
+        spacings = QUICK_SPACINGS if run.quick else SPACINGS[kind]
+        shared = run.options.processes or cores()
+        alone = 1 if device != "cpu" else shared
+        warm_up(presses[0], device)
+        with several(shared) as workers:
+            solved = {}
+            for step, spacing in enumerate(spacings):
+                tier = numerics(spacing, device)
+                solved[round(spacing, 4)] = _timed(
+                    presses, [tier], device, workers if alone > 1 else None
+                )
+                run.progress((number + (step + 1) / (len(spacings) + 2)) / len(devices))
+            rows += _rows(solved, presses, reference, device, alone)
+            if workers is not None and (device != "cpu" or not run.quick):
+                rows.append(_at_once(presses, reference, device, workers))
+        run.progress((number + 1) / len(devices))
+    run.spread = "single run of each; of two meshes at once the faster of two runs"
+    return rows
+
+
+def write_reference(device: str) -> None:
+    """Solve and store the forces that all others are compared with: minutes on a GPU."""
+    tier = replace(
+        numerics(REFERENCE_SPACING, device, REFERENCE_TOLERANCE),
+        path_tolerance=None,
+        augmentations=REFERENCE_AUGMENTATIONS,
+    )
+    presses = reference_presses()
+    outcomes = simulate_many([one.scene() for one in presses], tier, device=device)
+    write_forces(forces_of(presses, outcomes))
+
+
+def warm_up(one: TimedPress, device: str) -> None:
+    """Load the kernels of both precisions: presses that fail in float32 are solved in float64."""
+    ready_device(device)
+    shallow = replace(one.scene(), motion=press([WARM]))
+    for precision in ("float32", "float64"):
+        simulate_many(
+            [shallow], replace(numerics(4 / 3, device), precision=precision), device=device
+        )
+
+
+def _timed(
+    presses: Sequence[TimedPress], tiers: Sequence[Fem], device: str, workers: Workers | None
+) -> tuple[list[list[Outcome]], Spent]:
+    """Return the outcomes by mesh, all solved at once by `workers`, and their cost."""
+    scenes = [one.scene() for one in presses]
+
+    def work() -> list[list[Outcome]]:
+        if workers is None:
+            return [simulate_many(scenes, tier, device=device) for tier in tiers]
+        calls = [submitted(workers, scenes, tier, device) for tier in tiers]
+        return [gathered(workers, call) for call in calls]
+
+    return spent_by(work, device)
+
+
+def _rows(
+    solved: dict[float, tuple[list[list[Outcome]], Spent]],
+    presses: Sequence[TimedPress],
+    reference: Forces,
+    device: str,
+    processes: int,
+) -> list[Row]:
+    """Return the rows of meshes, and of pairs of meshes, which take the time of both."""
+    rows, forces = [], {}
+    for spacing, ((outcomes,), spent) in solved.items():
+        forces[spacing] = forces_of(presses, outcomes)
+        row = _row([spacing], [outcomes], spent.wall, device, processes)
+        memory = spent.memory if processes == 1 else 0
+        rows.append(row | {"memory": memory} | errors(forces[spacing], reference).values())
+    by_spacing = {row["meshes_mm"][0]: row for row in rows}
+    for coarse, fine in combinations(by_spacing, 2):
+        if APART <= coarse / fine <= APART_MOST:
+            both = extrapolated(forces[fine], forces[coarse], coarse / fine)
+            pair = pair_of(by_spacing[coarse], by_spacing[fine])
+            rows.append(pair | errors(both, reference).values())
+    return rows
+
+
+def pair_of(coarse: Row, fine: Row) -> Row:
+    """Return the row of two meshes whose forces are extrapolated, without its errors."""
+    return fine | {
+        "meshes_mm": [*fine["meshes_mm"], *coarse["meshes_mm"]],
+        "seconds": rounded(coarse["seconds"] + fine["seconds"]),
+        "failed": max(coarse["failed"], fine["failed"]),
+        "memory": max(coarse["memory"], fine["memory"]),
+    }
+
+
+def _at_once(
+    presses: Sequence[TimedPress], reference: Forces, device: str, workers: Workers
+) -> Row:
+    """Return the row of two meshes that several processes solve at once.
+
+    A press without a solution on the coarser mesh, in which the indenter may stand, has the force
+    of the finer one.
+    """
+    sizes = AT_ONCE[kind_of(device).lower()]
+    tiers = [numerics(size, device, AT_ONCE_TOLERANCE) for size in sizes]
+    # The first run starts the processes and loads their kernels.
+    runs = [_timed(presses, tiers, device, workers) for _ in range(3)]
+    outcomes, spent = min(runs[1:], key=lambda one: one[1].wall)
+    fine, coarse = (forces_of(presses, some) for some in outcomes)
+    forces = fine | extrapolated(fine, coarse, sizes[1] / sizes[0])
+    row = _row(sizes, outcomes[:1], spent.wall, device, workers.processes)
+    return row | {"at_once": True} | errors(forces, reference).values()
+
+
+def _row(
+    sizes: Sequence[float],
+    outcomes: Sequence[Sequence[Outcome]],
+    wall: float,
+    device: str,
+    processes: int,
+) -> Row:
+    failed = max(sum(isinstance(one, SimulationDiverged) for one in some) for some in outcomes)
+    return {
+        "device": device,
+        "processes": processes,
+        "meshes_mm": [round(size, 4) for size in sizes],
+        "presses": len(outcomes[0]),
+        "seconds": rounded(wall),
+        "failed": failed,
+        "memory": 0,
+        "at_once": False,
+    }
+
+
+# The page
+
+
+def meshes(row: Row) -> str:
+    """Return the meshes of a row in words."""
+    sizes = " and ".join(f"{size:.3g}" for size in row["meshes_mm"])
+    if row["at_once"]:
+        return f"{sizes} mm at once, extrapolated"
+    return f"{sizes} mm, extrapolated" if len(row["meshes_mm"]) > 1 else f"{sizes} mm"
+
+
+def section(rows: Sequence[Row], page: Page) -> str:
+    """Return the picture and the table of all meshes."""
+    save_chart(
+        page.picture("speed"),
+        f"The paper's {rows[0]['presses']} presses",
+        [
+            _panel(rows, "mean", "mean error"),
+            _panel(rows, "most", "95 % of the errors below"),
+            _panel(rows, "worst", "worst error"),
+        ],
+        "error of the force [%]",
+        note="discs: one mesh; diamonds: two meshes, extrapolated to zero element size",
+    )
+    lines = [
+        [
+            kind_of(row["device"]),
+            meshes(row),
+            row["processes"],
+            seconds(row["seconds"]),
+            seconds(row["seconds"] / row["presses"]),
+            row["failed"],
+            *(percent(row[name]) for name in ("mean", "most", "worst")),
+            row["worst_at"] or "-",
+        ]
+        for row in rows
+    ]
+    head = ["on", "elements", "processes", "all presses", "a press", "without a solution"]
+    return f"""## The paper's presses
+
+{page.link("speed", "Error of the force against the time of all presses")}
+
+18 indenters at 9 places, each to 5 depths of at most 1.5 mm, with friction 0.8, into the paper's
+gel: {rows[0]["presses"]} presses.
+
+{table([*head, "mean error", "95 % below", "worst", "where"], lines)}
+
+Elements are that high, and 0.4 times as wide under the indenter. Errors are |F - Fref| / |Fref|
+from {SHALLOW_MM:g} mm of depth on, over the {max(row["compared"] for row in rows)} presses that
+a mesh of {REFERENCE_SPACING:g} mm has solved (`--references` solves them again). Forces fall
+towards the exact ones as elements shrink, so that the reference itself is too large by about
+half a per cent. Seconds are from scenes to results, with kernels compiled and processes started;
+on a GPU several processes share it through NVIDIA's Multi-Process Service
+(`nvidia-cuda-mps-control -d` before). Two meshes at once have a tolerance of
+{AT_ONCE_TOLERANCE:g}, all others of {TOLERANCE:g}."""
+
+
+def _panel(rows: Sequence[Row], measure: str, title: str) -> Panel:
+    series = []
+    for kind, colour in (("CPU", BLUE), ("GPU", RED)):
+        for count, mark, words in _KINDS:
+            points = sorted(
+                (row["seconds"], 100 * row[measure])
+                for row in rows
+                if kind_of(row["device"]) == kind
+                and len(row["meshes_mm"]) == count
+                and row[measure] is not None
+            )
+            if points:
+                series.append(Series(f"{kind}, {words}", colour, mark, tuple(points)))
+    return Panel(title, tuple(series))
+
+
+# Number of meshes, their mark and name in the picture.
+_KINDS: tuple[tuple[int, Mark, str], ...] = ((1, "o", "one mesh"), (2, "D", "two meshes"))

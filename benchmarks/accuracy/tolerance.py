@@ -1,0 +1,228 @@
+"""Are tolerances met on random scenes, and is the error of leaving effects out what is stated?
+
+The reference of a tolerance is extrapolated (Richardson 1911, order 2) from the answer's mesh, or
+one as fine, and one `FINER` times finer. It uses the same solver, so it measures discretisation
+error only; other errors are covered by `hard-cases` and `independent`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.accuracy import needed
+from benchmarks.accuracy.wording import percent, rounded, seconds
+from benchmarks.hard_cases.random_scenes.judgement import OutOfTime, time_limit
+from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
+from benchmarks.processes import side_by_side
+from benchmarks.report import Page, Run, table
+from recorder.charts import BLUE, RED, chart
+from recorder.processes import cores
+from sim.device import ready_device
+from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
+from sim.metrics import tolerance_of
+from sim.planning import plan
+from sim.result import Result, force_scale
+from sim.scene import Scene
+from sim.tiers import simulate
+from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
+
+Row = dict[str, Any]
+Outcome = Literal["kept", "missed", "refused", "diverged", "timeout", "no truth"]
+
+# Number of scenes of each tolerance, and of those from which effects are left out; `--scenes` may
+# be lower.
+SCENES, NEEDED = {"3 %": 200, "1 %": 60}, 60
+# In a quick run one small scene of each seed, and a tolerance that takes seconds.
+QUICK_SCENES, QUICK_SCENE, QUICK_NEEDED = {"20 %": 1}, 9, 140
+SEED, NEEDED_SEED = 0, 1
+# Limit of a solve [s]; that of a reference is four times as long.
+SECONDS = {"cpu": 300.0, "cuda": 120.0}
+# Fraction of the answers that must keep their tolerance.
+LEAST = 0.95
+# Element size of the answer over that of the reference.
+FINER = 1.6
+# Minimum fineness of the coarser mesh of a reference.
+COARSEST, QUICK_COARSEST = 0.75, 0.4
+# Maximum number of elements of a reference.
+TRUTH_ELEMENTS_MAX = {"cpu": 600_000, "cuda": 4_000_000}
+# Family of the drawn scenes to use: typical uses.
+FAMILY = "sensible"
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """Return a row for every scene of every tolerance, and for every scene without effects."""
+    counts = QUICK_SCENES if run.quick else SCENES
+    processes = run.options.processes or cores()
+    values: dict[str, Any] = {"tolerances": {}}
+    ready_device(run.device)
+    before = 0.0
+    for tolerance, default in counts.items():
+        chosen = [drawn(SEED, QUICK_SCENE)] if run.quick else scenes(default, SEED)
+        chosen = chosen[: run.options.scenes or default]
+        coarsest = QUICK_COARSEST if run.quick else COARSEST
+        compare = partial(compared, tolerance=tolerance, coarsest=coarsest, device=run.device)
+        rows: list[Row] = []
+        for row in side_by_side(compare, chosen, run.device, min(processes, len(chosen))):
+            rows.append(row)
+            run.progress(before + 0.4 * len(rows) / len(chosen))
+        before += 0.4
+        values["tolerances"][tolerance] = rows
+        kept, answers = _count(rows, "kept"), _count(rows, "kept") + _count(rows, "missed")
+        if kept < LEAST * answers:
+            run.failures.append(f"{tolerance} kept in {kept} of {answers} answers")
+    count = 1 if run.quick else min(run.options.scenes or NEEDED, NEEDED)
+    first = QUICK_NEEDED if run.quick else 0
+    values["needed"] = []
+    for row in needed.rows(NEEDED_SEED, first, count, run.folder, processes):
+        values["needed"].append(row)
+        run.progress(before + (1 - before) * len(values["needed"]) / count)
+    run.seeds, run.spread = [SEED, NEEDED_SEED], "single run of each scene"
+    return values
+
+
+def scenes(count: int, seed: int) -> list[Drawn]:
+    """Return the first `count` sensible scenes of a seed with contact."""
+    chosen: list[Drawn] = []
+    index = 0
+    while len(chosen) < count:
+        one = drawn(seed, index)
+        index += 1
+        if one.what.split(",")[0] != FAMILY or one.scene is None:
+            continue
+        if one.scene.motion.depth_max > 0:
+            chosen.append(one)
+    return chosen
+
+
+def compared(one: Drawn, tolerance: str, coarsest: float, device: str) -> Row:
+    """Solve a scene within a tolerance and again on finer meshes, and compare."""
+    assert one.scene is not None
+    limit = SECONDS["cpu" if device == "cpu" else "cuda"]
+    row: Row = {"scene": one.name, "what": one.what}
+    began = time.perf_counter()
+    try:
+        with time_limit(limit):
+            result = plan(one.scene, tolerance, device=device).run()
+    except (SceneError, SimulationDiverged, OutOfTime) as error:
+        spent = rounded(time.perf_counter() - began)
+        return row | {"outcome": _outcome_of(error), "seconds": spent, "reported": str(error)}
+    row |= {"seconds": rounded(time.perf_counter() - began), "tier": result.tier}
+    row["stated_percent"] = rounded(float(result.record["error"]["percent"]))
+    try:
+        with time_limit(4 * limit):
+            force, unsure = _truth(one.scene, result, coarsest, device)
+    except (SceneError, SimulationDiverged, OutOfTime) as error:
+        return row | {"outcome": "no truth", "reported": str(error)}
+    scale = np.maximum(force_scale(force), 1e-12)
+    error_ = float((np.abs(result.force - force).max(axis=1) / scale).max())
+    return row | {
+        "outcome": "kept" if error_ <= tolerance_of(tolerance).value else "missed",
+        "error_percent": rounded(100 * error_),
+        "reference_percent": rounded(100 * float((unsure / scale).max())),
+    }
+
+
+def _outcome_of(error: Exception) -> Outcome:
+    if isinstance(error, SceneError):
+        return "refused"
+    return "diverged" if isinstance(error, SimulationDiverged) else "timeout"
+
+
+def _truth(
+    scene: Scene, result: Result, coarsest: float, device: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the extrapolated force (F, 3) [N], and its uncertainty (F,) [N].
+
+    Raises:
+        SceneError: The limit on elements makes both meshes too similar.
+        SimulationDiverged: A mesh found no solution.
+    """
+    most = TRUTH_ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
+    fineness = max(coarsest, result.record["mesh"].get("fineness", coarsest))
+    finest, middle = (
+        simulate(scene, Fem(fineness=one, elements_max=most), device=device)
+        for one in (fineness * FINER, fineness)
+    )
+    ratio = elements_ratio(middle, finest)
+    if ratio < RATIO_LEAST:
+        raise SceneError(f"reference: a mesh of more than {most} elements; allowed: fewer")
+    step = (finest.force - middle.force) * left_of_difference(ratio)
+    return finest.force + step, np.abs(step).max(axis=1) / 2
+
+
+# The page
+
+
+def _count(rows: Sequence[Row], *outcomes: str) -> int:
+    return sum(row["outcome"] in outcomes for row in rows)
+
+
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return the table of tolerances, with the picture, and what leaving effects out costs."""
+    _draw(page, values["tolerances"])
+    lines = []
+    for tolerance, rows in values["tolerances"].items():
+        kept, answers = _count(rows, "kept"), _count(rows, "kept", "missed")
+        times = [row["seconds"] for row in rows if row["outcome"] == "kept"]
+        lines.append(
+            [
+                tolerance,
+                len(rows),
+                f"{kept} of {answers} ({percent(kept / max(answers, 1))})",
+                _count(rows, "no truth"),
+                *(_count(rows, outcome) for outcome in ("diverged", "timeout", "refused")),
+                seconds(float(np.median(times))) if times else "-",
+            ]
+        )
+    head = ["tolerance", "scenes", "kept", "no reference", "no converged state", "out of time"]
+    return f"""## Tolerances on random scenes
+
+{page.link("tolerance", "Error of each answer against the error that it states")}
+
+{table([*head, "refused", "median time"], lines)}
+
+Scenes are drawn: shapes, tilts, places, gels, friction, effects, motions. Each is solved by
+`plan(scene, tolerance).run()`, and again on two finer meshes, extrapolated, by the same solver.
+*Kept* are those of the answers whose error is known. {_exceeded(values["tolerances"])} Scenes
+without a converged state nearly all slide over, or press with, edges that are sharp for their
+depth, with little friction or none: there the equations have no smooth solution
+([independent](independent.md)).
+
+{needed.section(values.get("needed", []))}"""
+
+
+def _exceeded(tolerances: dict[str, list[Row]]) -> str:
+    """Return how many answers are off by more than they and the reference state."""
+    rows = [row for some in tolerances.values() for row in some if row.get("error_percent")]
+    over = [row["error_percent"] - row["stated_percent"] - row["reference_percent"] for row in rows]
+    count = sum(one > 0 for one in over)
+    text = f"{count} of {len(rows)} answers are off by more than they and their reference state"
+    return f"{text}, the worst by {max(over):.2f} % of the force." if count else f"{text}."
+
+
+def _draw(page: Page, tolerances: dict[str, list[Row]]) -> None:
+    with chart(page.picture("tolerance"), 4.8, 4.0) as figure:
+        axes = figure.add_subplot()
+        axes.set(
+            title="Errors on random scenes",
+            xlabel="error that the answer states [%]",
+            ylabel="error [%]",
+            xscale="log",
+            yscale="log",
+        )
+        for (tolerance, rows), colour in zip(tolerances.items(), (BLUE, RED), strict=False):
+            some = [row for row in rows if row.get("error_percent")]
+            stated = [row["stated_percent"] for row in some]
+            errors = [row["error_percent"] for row in some]
+            axes.plot(
+                stated, errors, color=colour, marker="o", linestyle="", label=f"within {tolerance}"
+            )
+        low, high = axes.get_xlim()
+        axes.plot((low, high), (low, high), color="black", linewidth=0.8, label="as stated")
+        axes.legend()

@@ -1,0 +1,39 @@
+"""Numbers in words of the page, and the devices of a run."""
+
+from __future__ import annotations
+
+import math
+
+
+def devices_of(device: str) -> list[str]:
+    """Return the devices of a run: one CPU core or more, and the GPU if `device` is one."""
+    return ["cpu"] if device == "cpu" else [device, "cpu"]
+
+
+def kind_of(device: str) -> str:
+    """Return `CPU` or `GPU`."""
+    return "CPU" if device == "cpu" else "GPU"
+
+
+def seconds(value: float) -> str:
+    """Return seconds with two or three digits, in minutes or hours where they are many."""
+    if not math.isfinite(value):
+        return "-"
+    if value < 0.1:
+        return f"{value:.3f} s"
+    if value < 120:
+        return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
+    return f"{value / 60:.1f} min" if value < 7200 else f"{value / 3600:.1f} h"
+
+
+def percent(fraction: float | None) -> str:
+    """Return a fraction in per cent with two digits, or `-`."""
+    if fraction is None or not math.isfinite(fraction):
+        return "-"
+    value = 100 * fraction
+    return f"{value:.2f} %" if value < 1 else f"{value:.1f} %" if value < 10 else f"{value:.0f} %"
+
+
+def rounded(value: float) -> float | None:
+    """Return a number as JSON keeps it: six digits, null without a value."""
+    return float(f"{value:.6g}") if math.isfinite(value) else None

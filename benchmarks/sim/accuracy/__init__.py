@@ -1,1 +1,0 @@
-"""Error, time and memory of every tier and mesh; writes docs/results/accuracy.md."""

@@ -1,1 +1,0 @@
-"""Cost of physical effects, switched off and on: `docs/results/effects.md`."""

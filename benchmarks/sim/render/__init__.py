@@ -1,1 +1,0 @@
-"""Rendered markers against ray casting and Blender, and images per second."""

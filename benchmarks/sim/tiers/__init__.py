@@ -1,1 +1,0 @@
-"""The `mpm` tier compared with finite elements."""

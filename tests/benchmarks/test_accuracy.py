@@ -1,0 +1,242 @@
+"""Accuracy benchmark: what is compared, how times and errors are chosen, and what fails a run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.commands import run_module
+
+from benchmarks.accuracy import (
+    command,
+    effect_scenes,
+    effects,
+    frames,
+    needed,
+    solvers,
+    speed,
+    tolerance,
+)
+from benchmarks.accuracy import paper_presses as presses
+from benchmarks.accuracy.cases import CASES
+from benchmarks.accuracy.closed_form import closed_form
+from benchmarks.accuracy.competitors import ladders
+from benchmarks.accuracy.paper_presses import TimedPress, extrapolated, forces_of
+from benchmarks.accuracy.reference import Reference, finer, solve_references
+from benchmarks.accuracy.spent import spent_by
+from benchmarks.independent.formulas import hertz
+from sim import Layer, simulate, simulate_many
+from sim.scene import press
+
+BY_NAME = {case.name: case for case in CASES}
+
+
+def row(label: str, error: float, seconds: float, device: str = "cpu") -> dict[str, Any]:
+    return {
+        "case": "sphere",
+        "ladder": "fem",
+        "label": label,
+        "fineness": 1 / error,
+        "device": device,
+        "seconds": seconds,
+        "force_share": error,
+        "failed": 0,
+        "memory": 2**28,
+    }
+
+
+ROWS = [
+    row("coarse", 0.05, 0.01),
+    row("even", 0.02, 0.8),
+    row("fine", 0.002, 9.0),
+    row("fine", 0.002, 0.5, "cuda:0"),
+    row("through", 0.001, 0.01) | {"failed": 1},
+    row("refused", 0.001, 0.01) | {"force_share": None},
+]
+
+
+def test_solvers_meet_on_seven_presses_with_one_body_and_one_set_of_effects_each() -> None:
+    assert list(BY_NAME) == ["sphere", "punch", "cone", "tube", "indenters", "loop", "hold"]
+    assert len(BY_NAME["indenters"].scenes) == 18
+    for case in CASES:
+        assert len({(scene.body, scene.effects.key) for scene in case.scenes}) == 1
+
+
+def test_steps_of_a_ladder_go_from_coarse_to_fine_and_each_ladder_has_a_colour() -> None:
+    assert set(ladders()) < set(solvers.COLOURS)
+    for steps in ladders().values():
+        fineness = [one.fineness for one in steps]
+        assert fineness == sorted(fineness)
+
+
+def test_closed_forms_press_and_friction_stays_within_coulomb() -> None:
+    sphere, loop, hold, tube = (
+        closed_form(name, BY_NAME[name].scenes[0]) for name in ("sphere", "loop", "hold", "tube")
+    )
+    assert sphere is not None
+    assert loop is not None
+    assert hold is not None
+    assert tube is None
+    assert sphere[-1, 2] == pytest.approx(-hertz(1.5e-3, 4e-3, 0.145e6, 0.45))
+    assert (np.abs(loop[:, 0]) <= 0.5 * -loop[:, 2] + 1e-12).all()
+    assert loop[:, 0].max() > 0 > loop[:, 0].min()
+    assert hold[4, 2] < hold[-1, 2] < 0
+
+
+def test_a_finer_motion_keeps_its_waypoints() -> None:
+    motion = press([1e-3], hold=1.0, steps=3, speed=1e-3 / 0.1)
+    cut = finer(motion, 4)
+    assert len(cut) == 4 * (len(motion) - 1) + 1
+    assert cut.tip[::4] == motion.tip
+    assert cut.time[::4] == motion.time
+
+
+def test_memory_and_time_of_a_computation_are_measured() -> None:
+    small = spent_by(lambda: 0, "cpu")[1]
+    value, spent = spent_by(lambda: float(np.ones(2**25).sum()), "cpu")
+    assert value == 2**25
+    assert spent.memory > small.memory + 2**27
+    assert spent.wall > 0
+    assert spent.cpu > 0
+
+
+def test_the_shortest_time_and_the_error_in_a_second_are_those_of_complete_rows() -> None:
+    cpu = solvers.solved(ROWS, "sphere", "CPU")
+    assert [each["label"] for each in cpu] == ["coarse", "even", "fine"]
+    assert [solvers.shortest(cpu, goal) for goal in (0.1, 0.03, 0.003, 1e-3)] == [*cpu, None]
+    assert solvers.most_exact(cpu, 1.0) == cpu[1]
+    text = solvers.summary({"rows": ROWS})
+    assert "| sphere R 4 mm | CPU | 0.010 s, fem coarse | 0.80 s, fem even | 9.00 s, fem" in text
+    assert "| sphere R 4 mm | GPU | 0.50 s, fem fine |" in text
+    assert "In 1 s on one CPU core a force is exact to 2.0 % under the sphere" in text
+    assert "In 1 s on a GPU a force is exact to 0.20 %" in text
+
+
+@pytest.mark.slow
+def test_a_row_has_the_error_and_cost_of_its_press_and_slow_steps_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = replace(BY_NAME["sphere"].scenes[0], motion=press([0.4e-3]))
+    case = replace(BY_NAME["sphere"], scenes=(scene,))
+    (true,) = solve_references(case.scenes, 0.5, "cpu", 1)
+    monkeypatch.setattr(solvers, "SECONDS_MAX", 1e-6)
+    (only,) = solvers.climb(case, "fem even", "cpu", [Reference(true, {})])  # type: ignore[arg-type]
+    assert 0 < only["force_share"] < 0.5
+    assert only["seconds"] > 0
+    assert only["elements"] == 16 * 16 * 3
+
+
+def test_the_papers_presses_are_162_of_which_54_have_a_reference() -> None:
+    everything, reference = presses.paper_presses(), presses.reference_presses()
+    assert len(everything) == len(set(everything)) == 18 * 9
+    assert len(set(reference) & set(everything)) == len(reference) == 54
+    assert {key[:3] for key in presses.read_forces()} <= {
+        (one.indenter, one.x, one.y) for one in reference
+    }
+
+
+def test_errors_are_fractions_of_the_reference_where_both_have_a_force() -> None:
+    reference = {("cone", 0.0, 0.0, depth): np.array([3.0, 0.0, -4.0]) for depth in (0.3, 0.6, 0.9)}
+    forces = {
+        ("cone", 0.0, 0.0, 0.3): np.array([3.0, 0.0, -6.5]),
+        ("cone", 0.0, 0.0, 0.6): np.array([3.0, 0.5, -4.0]),
+        ("wave", 0.0, 0.0, 0.6): np.array([9.0, 9.0, 9.0]),
+    }
+    everywhere = presses.errors(forces, reference, from_mm=0.0)
+    assert everywhere.compared == 1
+    assert (everywhere.mean, everywhere.worst) == pytest.approx((0.3, 0.5))
+    assert everywhere.most == pytest.approx(0.1 + 0.95 * 0.4)
+    assert everywhere.worst_at == "cone at (0, 0) mm, 0.3 mm deep"
+    assert presses.errors(forces, reference).mean == pytest.approx(0.1)
+    assert presses.errors({}, reference).values()["mean"] is None
+
+
+def test_two_meshes_are_extrapolated_and_take_the_time_of_both() -> None:
+    sphere, cone = ("sphere", 0.0, 0.0, 0.3), ("cone", 0.0, 0.0, 0.3)
+    # An error that falls with the square of the spacing: 1 N without it.
+    fine = {sphere: np.array([1.0 + 1.0**2]), cone: np.array([1.0])}
+    both = extrapolated(fine, {sphere: np.array([1.0 + 1.5**2])}, 1.5)
+    assert both == {sphere: pytest.approx(np.array([1.0]))}
+    coarse, finer_ = (
+        {"meshes_mm": [size], "seconds": time, "failed": failed, "memory": 1}
+        for size, time, failed in ((1.5, 2.0, 3), (1.0, 4.0, 1))
+    )
+    pair = speed.pair_of(coarse, finer_)
+    assert (pair["meshes_mm"], pair["seconds"], pair["failed"]) == ([1.0, 1.5], 6.0, 3)
+
+
+def test_forces_are_kept_to_seven_digits(tmp_path: Path) -> None:
+    some = [TimedPress("sphere", -4.0, 0.0, (0.3, 0.6)), TimedPress("sphere", 0.0, 4.0, (0.3,))]
+    forces = forces_of(some, simulate_many([one.scene() for one in some], Layer(grid=32)))
+    assert [key[1:] for key in forces] == [(-4, 0, 0.3), (-4, 0, 0.6), (0, 4, 0.3)]
+    presses.write_forces(forces, tmp_path / "a.csv")
+    for key, force in presses.read_forces(tmp_path / "a.csv").items():
+        np.testing.assert_allclose(force, forces[key], rtol=1e-6)
+    (tmp_path / "a.csv").write_text("run,indenter\n")
+    with pytest.raises(ValueError, match="columns"):
+        presses.read_forces(tmp_path / "a.csv")
+
+
+def test_a_cpu_is_forecast_by_its_processes_and_a_gpu_from_as_many_presses_as_fill_it() -> None:
+    cpu, one, many = (
+        {"device": device, "at_once": count, "seconds": time}
+        for device, count, time in (("cpu", 1, 2.0), ("cuda:0", 1, 2.0), ("cuda:0", 64, 4.0))
+    )
+    assert frames.forecast(cpu, 64, processes=16) == 8.0
+    assert frames.forecast(one, 64, processes=1) == 0.0
+    assert frames.forecast(many, 256, processes=1) == 16.0
+    assert frames.forecast(None, 256, processes=1) == 0.0
+
+
+def test_effects_left_out_are_told_with_the_largest_error_and_what_it_saved() -> None:
+    some = [
+        {"probe_seconds": 3.0},
+        {
+            "probe_seconds": 4.0,
+            "error": 0.03,
+            "stated": 0.01,
+            "seconds": 9.0,
+            "seconds_without": 8.0,
+        },
+    ]
+    text = needed.section(some)
+    assert "of 2 scenes with two or more effects 1 lose some" in text
+    assert "within 2 % in 0, and within what the plan states in 0" in text
+    assert "the largest is 3.0 %, where 1.0 % is stated" in text
+    assert "saved 1.00 s, the probes took 7.00 s" in text
+
+
+def test_random_scenes_press_and_are_the_same_for_every_count() -> None:
+    some = tolerance.scenes(3, 0)
+    assert [one.name for one in tolerance.scenes(2, 0)] == [one.name for one in some[:2]]
+    assert all(one.scene is not None and one.scene.motion.depth_max > 0 for one in some)
+
+
+@pytest.mark.slow
+def test_kernels_with_an_effects_lines_are_a_trace_in_a_press_that_should_not_have_it() -> None:
+    with effects.launched() as plain:
+        simulate(effect_scenes.scene(), effect_scenes.NUMERICS)
+    with effects.launched() as heavy:
+        simulate(effect_scenes.scene("gravity"), effect_scenes.NUMERICS)
+    off, on = (effects.cost("gravity", base, repeats=1) for base in (plain, heavy))
+    assert (off["numbers_off"], off["shared_kernels"], off["numbers_on"]) == (0, 0, 3)
+    assert off["kernels_on"] == on["shared_kernels"] == len(effects.KERNELS["gravity"])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_quick_run_measures_every_part_and_draws_the_page_again(tmp_path: Path) -> None:
+    page = tmp_path / "accuracy.md"
+    assert run_module(command, "--quick", "--processes", "1", "--out", str(page)) == 0
+    stored = json.loads(page.with_suffix(".json").read_text())
+    assert list(stored) == [part.name for part in command.BENCHMARK.parts]
+    text = page.read_text()
+    assert "nan" not in text
+    for name in ("solvers", "speed", "frames", "tolerance", "effects", "images"):
+        assert (tmp_path / "images" / f"accuracy-{name}.png").stat().st_size > 1000
+    assert run_module(command, "--draw", "--out", str(page)) == 0
+    assert page.read_text() == text
