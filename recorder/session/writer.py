@@ -30,7 +30,7 @@ from recorder.store.documents import (
     read_session_attrs,
     write_group,
 )
-from recorder.store.files import sync_directory
+from recorder.store.files import sync_directory, sync_tree
 from recorder.store.layout import StreamLayout, create_stream, write_table
 from recorder.store.manifest import hold, remove_unfinished, seal
 
@@ -206,11 +206,12 @@ def _build(
     _check_written(attrs, path)
     path.mkdir(parents=True)
     fixed = {"format": FORMAT, "format_version": FORMAT_VERSION, "status": "recording", "runs": []}
-    write_group(path, {**attrs, **fixed})
+    write_group(path, {**attrs, **fixed}, durable=False)
     (path / "streams").mkdir()
-    write_group(path / "streams", {"order": [spec.name for spec in streams]})
+    write_group(path / "streams", {"order": [spec.name for spec in streams]}, durable=False)
     for spec in streams:
         create_stream(path / "streams" / spec.name, spec)
     create_stream(path / "segments", SEGMENTS)
     create_stream(path / "reference", reference_spec(streams))
     write_table(path / "targets", targets, TARGET_UNITS)
+    sync_tree(path)

@@ -55,12 +55,12 @@ def check_document_size(files: Files, path: Path) -> None:
         raise SessionError(f"{path}: found {size} bytes; allowed for metadata: {DOCUMENT_MAX}")
 
 
-def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Replace a JSON file atomically.
+def write_json(path: Path, document: dict[str, Any], *, durable: bool = True) -> None:
+    """Replace a JSON file atomically; if not `durable`, only write it, to be flushed by the caller.
 
     Numpy scalars and arrays become numbers and lists.
     """
-    replace_file(path, json_bytes(path, document))
+    (replace_file if durable else Path.write_bytes)(path, json_bytes(path, document))
 
 
 def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
@@ -71,9 +71,10 @@ def json_bytes(path: Path, document: dict[str, Any]) -> bytes:
         raise SessionError(f"{path}: not storable as JSON: {error}") from error
 
 
-def write_group(path: Path, attrs: dict[str, Any]) -> None:
+def write_group(path: Path, attrs: dict[str, Any], *, durable: bool = True) -> None:
     """Write the metadata of a Zarr group."""
-    write_json(path / "zarr.json", {"zarr_format": 3, "node_type": "group", "attributes": attrs})
+    document = {"zarr_format": 3, "node_type": "group", "attributes": attrs}
+    write_json(path / "zarr.json", document, durable=durable)
 
 
 def merge_attrs(path: Path, attrs: dict[str, Any]) -> None:

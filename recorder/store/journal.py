@@ -19,15 +19,10 @@ from recorder.store.files import TEMPORARY, replace_file, sync_directory
 from recorder.store.layout import StreamLayout
 from recorder.store.records import CHUNK_MAGIC, CRC_BYTES, HEADER, header, record_matches
 
-_JOIN_BELOW = 1 << 14  # bytes; below this size one copy is cheaper than a vectored write
-# A log of images grows ahead of them in steps of this size [bytes], filled with zeros: a write into
-# pages that exist costs the kernel a third of one that makes the file longer, and an aligned step
-# lets it take large pages. The zeros are one page many times, which stays in the processor's first
-# cache. Records below a page gain nothing.
-STEP = 1 << 19
+# A log of images grows ahead of them in steps of this size [bytes], which read as zeros: the blocks
+# of many images are allocated at once. Records below a page gain nothing.
+STEP = 1 << 21
 _AHEAD_FROM = 1 << 12
-_PAGE = bytes(1 << 12)
-_PAGES = [_PAGE] * (STEP // len(_PAGE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,19 +152,15 @@ class RecordLog:
 
         Returns the byte offset of the payload.
         """
-        nbytes = sum(map(len, parts))
         start = self.end
-        end = start + nbytes
         try:
-            if end > self._room and _AHEAD_FROM <= nbytes < self._step // 2:
-                pages, rest = divmod(self._step - self._room % self._step, len(_PAGE))
-                ahead = [_PAGE[:rest], *_PAGES[:pages]]
-                self._room += os.pwritev(self._fd, ahead, self._room)
             if len(parts) == 1:
+                nbytes = len(parts[0])
                 written = os.pwrite(self._fd, parts[0], start)
-            elif nbytes < _JOIN_BELOW:
-                written = os.pwrite(self._fd, b"".join(parts), start)
             else:
+                nbytes = sum(map(len, parts))
+                if start + nbytes > self._room:
+                    self._grow(nbytes)
                 written = os.pwritev(self._fd, parts, start)
             # A full disk shortens a write without an error; only the next write would fail.
             if written < nbytes:
@@ -179,8 +170,18 @@ class RecordLog:
             raise
         if start + written > self._room:
             self._room = start + written
-        self.end = end
+        self.end = start + nbytes
         return start + HEADER.size
+
+    def _grow(self, nbytes: int) -> None:
+        """Allocate blocks ahead of a record, if there is room for them and it gains by them."""
+        if not _AHEAD_FROM <= nbytes < self._step // 8:
+            return
+        try:
+            os.posix_fallocate(self._fd, self._room, self._step)
+            self._room += self._step
+        except OSError:  # the disk may still have room for the record
+            os.ftruncate(self._fd, self._room)
 
     def finish(self, trailer: bytes) -> None:
         """Append bytes that are not a record as the end of the file, and make the file durable."""

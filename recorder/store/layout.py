@@ -160,10 +160,10 @@ class ArrayLayout:
         parts = ["c", str(number), *("0" for _ in self.shape[1:])]
         return self.path / self.separator.join(parts)
 
-    def create(self) -> None:
+    def create(self, *, durable: bool = True) -> None:
         """Write the metadata, replacing any existing."""
         self.path.mkdir(exist_ok=True)
-        write_json(self.path / "zarr.json", self.document())
+        write_json(self.path / "zarr.json", self.document(), durable=durable)
 
     def document(self) -> dict[str, Any]:
         """Return the array's Zarr v3 metadata."""
@@ -496,16 +496,16 @@ class StreamLayout:
 
 
 def create_stream(path: Path, spec: StreamSpec) -> StreamLayout:
-    """Create the group and the empty arrays of a stream."""
+    """Create the group and the empty arrays of a stream; the caller flushes them to the disk."""
     path.mkdir()
     attrs = {"rate_hz": spec.rate_hz, "columns": [column.name for column in spec.columns]}
-    write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs})
+    write_group(path, {**spec.attrs, **spec.traits.to_json(), **attrs}, durable=False)
     jpegs = spec.has_jpegs
     for column in spec.columns:
         rows, chunks = spec.block, BLOCKS_PER_JPEG_SHARD if jpegs else CHUNKS_PER_SHARD
         if column.is_image:
             rows, chunks = 1, JPEGS_PER_SHARD if jpegs else CHUNKS_PER_SHARD
-        ColumnLayout.of(path / column.name, column, rows, chunks).create()
+        ColumnLayout.of(path / column.name, column, rows, chunks).create(durable=False)
     return StreamLayout.load(path)
 
 

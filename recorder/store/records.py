@@ -45,14 +45,14 @@ def ends_with_its_crc(data: bytes) -> bool:
 def checksum(payload: bytes, t_ns: int, index: int) -> int:
     """Return the CRC-32C of a payload together with its index and time."""
     stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
-    crc: int = google_crc32c.extend(google_crc32c.value(stamp), payload)
+    crc: int = google_crc32c.value(stamp + payload)
     return crc
 
 
 def header(payload: bytes, t_ns: int, index: int) -> bytes:
     """Return the 24-byte header of a payload."""
-    frame = _FRAME.pack(MAGIC, len(payload), checksum(payload, t_ns, index))
-    return frame + _STAMP.pack(t_ns, index & 0xFFFFFFFF)
+    stamp = _STAMP.pack(t_ns, index & 0xFFFFFFFF)
+    return _FRAME.pack(MAGIC, len(payload), google_crc32c.value(stamp + payload)) + stamp
 
 
 def chunk_header(nbytes: int, crc: bytes, t_ns: int, index: int) -> bytes:
