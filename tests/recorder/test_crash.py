@@ -322,6 +322,7 @@ def test_a_disk_that_fills_while_the_file_grows_ahead_loses_no_row(
     room: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(journal, "_AHEAD_FROM", 1)
+    monkeypatch.setattr(shard, "STEP", 1000)
     path = tmp_path / "camera"
     create_stream(path, lossless_camera(60))
     stream = StreamWriter.open(path)
@@ -338,7 +339,15 @@ def test_a_disk_that_fills_while_the_file_grows_ahead_loses_no_row(
         left -= max(written - held, 0)
         return written
 
+    def posix_fallocate(fd: int, offset: int, nbytes: int) -> None:
+        nonlocal left
+        os.ftruncate(fd, offset + min(nbytes, left))
+        if nbytes > left:  # the file has grown by what there was
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        left -= nbytes
+
     with monkeypatch.context() as patch:
+        patch.setattr(os, "posix_fallocate", posix_fallocate)
         patch.setattr(os, "pwrite", pwrite)
         patch.setattr(os, "pwritev", lambda fd, parts, at: pwrite(fd, b"".join(parts), at))
         with pytest.raises(OSError, match="No space left"):  # noqa: PT012
@@ -347,3 +356,18 @@ def test_a_disk_that_fills_while_the_file_grows_ahead_loses_no_row(
     accepted = stream.rows
     stream.close()
     assert assert_every_row_is_itself(path) == accepted
+
+
+def test_a_file_that_cannot_grow_ahead_still_ends_with_its_index(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def posix_fallocate(fd: int, offset: int, nbytes: int) -> None:
+        os.ftruncate(fd, offset + nbytes // 2)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", posix_fallocate)
+    monkeypatch.setattr(journal, "_AHEAD_FROM", 1)
+    create_stream(tmp_path / "camera", lossless_camera(60))
+    assert list(append_rows(tmp_path / "camera", image_row, 3)) == [0, 1, 2, 3]
+    assert assert_every_row_is_itself(tmp_path / "camera") == 3
+    assert_zarr_agrees(tmp_path / "camera")

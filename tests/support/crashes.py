@@ -19,7 +19,7 @@ class FailingCalls:
     A kill before `fsync` leaves the same files as one before the next change, so it is not counted.
     """
 
-    NAMES = ("pwrite", "pwritev", "write", "truncate", "ftruncate", "unlink")
+    NAMES = ("pwrite", "pwritev", "posix_fallocate", "write", "truncate", "ftruncate", "unlink")
     PATH_NAMES = ("replace", "unlink", "mkdir", "write_bytes")
 
     def __init__(self, patch: pytest.MonkeyPatch, fatal: int | None) -> None:
