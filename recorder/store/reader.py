@@ -7,10 +7,12 @@ plain Zarr reader returns fill values. `GrowingReader` reads an array while it i
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import threading
 from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -118,6 +120,8 @@ class Kept(Generic[T]):
 
 # Chunks fetched concurrently from a remote store: hides latency and limits memory.
 _BATCH = 16
+# Least number of JPEGs for which a thread is worth its start.
+_JPEGS_PER_THREAD = 4
 
 
 class ColumnReader:
@@ -152,6 +156,9 @@ class ColumnReader:
     def read_images(self, rows: Sequence[int], out: Array) -> None:
         """Decode images into `out` (n, h, w, channels), each of them once.
 
+        JPEGs are decoded on several cores, except in a worker process of `multiprocessing`, which
+        shares them with others.
+
         Args:
             rows: Rows of the images (n,); nothing is written for a row below 0.
             out: Destination, contiguous; of the column's shape and little-endian type.
@@ -159,14 +166,31 @@ class ColumnReader:
         decode = images.decoder_into(self.layout.codec, self.layout.chunk_bytes)
         first = {row: index for index, row in reversed(list(enumerate(rows))) if row >= 0}
         wanted = sorted(first)
-        for row, data in zip(wanted, self._verified_chunks(wanted), strict=True):
-            try:
-                decode(data, out[first[row]])
-            except SessionError as error:
-                raise SessionError(f"{self._chunk_name(row)}: {error}") from error
+
+        def read(some: list[int]) -> None:
+            for row, data in zip(some, self._verified_chunks(some), strict=True):
+                try:
+                    decode(data, out[first[row]])
+                except SessionError as error:
+                    raise SessionError(f"{self._chunk_name(row)}: {error}") from error
+
+        threads = self._threads(len(wanted))
+        if threads < 2:
+            read(wanted)
+        else:
+            each = -(-len(wanted) // threads)
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(read, (wanted[i : i + each] for i in range(0, len(wanted), each))))
         for index, row in enumerate(rows):
             if row >= 0 and first[row] != index:
                 out[index] = out[first[row]]
+
+    def _threads(self, count: int) -> int:
+        """Return the number of threads for `count` images."""
+        worker = multiprocessing.parent_process() is not None
+        if worker or not self._local or self.layout.codec != "jpeg":
+            return 1
+        return min(os.cpu_count() or 1, count // _JPEGS_PER_THREAD)
 
     def rows_between(self, start: int, stop: int) -> Array:
         """Return rows [start, stop) (n, ...) of numbers, reading only their chunks."""
