@@ -1,4 +1,1 @@
-"""Cost of recording on this machine, compared with other stores.
-
-Written to `docs/results/recording.md`.
-"""
+"""What recording costs, what it loses, and how fast recordings are read, beside other stores."""

@@ -10,7 +10,7 @@ a late receiver, so they count as late.
 
 from __future__ import annotations
 
-import multiprocessing
+import contextlib
 import shutil
 import signal
 import threading
@@ -23,7 +23,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
-from benchmarks.recording.measure import Spread, cpu_seconds, resident_bytes, tree_bytes
+from benchmarks.recording.measure import (
+    answer_of,
+    cpu_seconds,
+    resident_bytes,
+    spawned,
+    spread_ms,
+    tree_bytes,
+)
 from recorder import (
     SessionError,
     SessionWriter,
@@ -36,7 +43,6 @@ from recorder import (
 )
 from rig.core.clock import SECOND_NS, Pacer, SystemClock
 from rig.core.driver import Inbox
-from rig.core.errors import ConfigError
 from rig.core.realtime import enable_realtime
 
 _READ_TIMEOUT = 0.05
@@ -74,86 +80,42 @@ class Feed:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Fed:
-    """Measurements of recording one stream."""
-
-    feed: Feed
-    rows: int
-    """Number of rows stored."""
-    dropped: int
-    """Number of frames that the receiver missed and of samples that met a full inbox."""
-    late: int
-    """Number of rows whose append began after the next sample was due: queued, not lost."""
-    cpu_share: float
-    """CPU time over wall time: 1 is a whole core."""
-    append: Spread
-    """Duration of one append [s]."""
-    nbytes: int
-    """Size on disk."""
-    rss_start: int
-    """Memory after a fifth of the run [bytes]."""
-    rss_end: int
-    """Memory at the end of the run [bytes]."""
-    punctual: bool
-    """True if SCHED_FIFO was granted."""
-    failure: str = ""
-    """Reason for an early end, if any."""
-
-
-def record(feeds: Sequence[Feed], seconds: float, place: Path) -> tuple[Fed, ...]:
+def record(feeds: Sequence[Feed], seconds: float, place: Path) -> list[dict[str, Any]]:
     """Record all feeds at the same time for `seconds`, in sessions below `place`.
 
     The recordings are removed afterwards.
 
+    Returns:
+        For each stream its `title`, the `rows` stored, those `dropped` (frames that the receiver
+        missed, samples that met a full inbox), those `late` (their append began after the next
+        sample was due: queued, not lost), the share of a core, `cpu`, the time of an append, the
+        size on the disk, and the memory after a fifth of the run and at its end [bytes].
+
     Raises:
         ConfigError: A process did not start.
     """
-    context = multiprocessing.get_context("spawn")
-    children: list[tuple[Any, Connection]] = []
     place.mkdir(parents=True)
-    try:
-        for number, feed in enumerate(feeds):
-            ours, theirs = context.Pipe()
-            path = place / f"{number}.zarr"
-            process = context.Process(target=_run, args=(feed, path, theirs), daemon=True)
-            process.start()
-            theirs.close()
-            children.append((process, ours))
-        for feed, (_, pipe) in zip(feeds, children, strict=True):
-            _answer(feed, pipe, _READY_TIMEOUT)
-        start_ns = SystemClock().now_ns() + round(_LEAD * SECOND_NS)
-        for _, pipe in children:
-            pipe.send((start_ns, seconds))
-        found = [
-            _answer(feed, pipe, seconds + _READY_TIMEOUT)
-            for feed, (_, pipe) in zip(feeds, children, strict=True)
+    with contextlib.ExitStack() as stack:
+        stack.callback(shutil.rmtree, place, ignore_errors=True)
+        pipes = [
+            stack.enter_context(spawned(_run, feed, place / f"{number}.zarr"))
+            for number, feed in enumerate(feeds)
         ]
-    finally:
-        for process, pipe in children:
-            pipe.close()
-            process.join(5.0)
-            if process.is_alive():
-                process.kill()
-                process.join()
-            process.close()
-        shutil.rmtree(place, ignore_errors=True)
-    return tuple(found)
-
-
-def _answer(feed: Feed, pipe: Connection, timeout: float) -> Any:
-    try:
-        if pipe.poll(timeout):
-            return pipe.recv()
-    except EOFError:
-        pass
-    raise ConfigError(f"{feed.title}: its process ended or did not answer")
+        for feed, pipe in zip(feeds, pipes, strict=True):
+            answer_of(pipe, _READY_TIMEOUT, feed.title)
+        start_ns = SystemClock().now_ns() + round(_LEAD * SECOND_NS)
+        for pipe in pipes:
+            pipe.send((start_ns, seconds))
+        return [
+            answer_of(pipe, seconds + _READY_TIMEOUT, feed.title)
+            for feed, pipe in zip(feeds, pipes, strict=True)
+        ]
 
 
 def _run(feed: Feed, path: Path, pipe: Connection) -> None:
     """Run the process of one stream."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    granted = enable_realtime()
+    granted = enable_realtime()["sched_fifo"]
     sample = samples(feed)
     targets = {"point": np.zeros(0, np.int16)}
     with SessionWriter.create(path, attrs={}, streams=[feed.spec()], targets=targets) as session:
@@ -161,7 +123,8 @@ def _run(feed: Feed, path: Path, pipe: Connection) -> None:
         try:
             pipe.send("ready")
             start_ns, seconds = pipe.recv()
-            pipe.send(_feed(feed, sample, writer, start_ns, seconds, path, granted["sched_fifo"]))
+            fed = _feed(feed, sample, writer, start_ns, seconds)
+            pipe.send(fed | {"punctual": granted, "bytes": tree_bytes(path)})
         except (EOFError, BrokenPipeError):
             return  # the measuring process is gone
         finally:
@@ -174,9 +137,7 @@ def _feed(
     writer: StreamWriter,
     start_ns: int,
     seconds: float,
-    path: Path,
-    punctual: bool,
-) -> Fed:
+) -> dict[str, Any]:
     clock = SystemClock()
     inbox = Inbox(clock, CAPACITY[feed.kind])
     clock.sleep_until(start_ns)
@@ -210,19 +171,17 @@ def _feed(
     wall = (clock.now_ns() - began) / SECOND_NS
     rss_end = resident_bytes()
     writer.close()
-    return Fed(
-        feed=feed,
-        rows=writer.rows,
-        dropped=inbox.overflowed + (0 if buffered else pacer.missed),
-        late=late,
-        cpu_share=(cpu_seconds() - cpu) / wall,
-        append=Spread.of(took),
-        nbytes=tree_bytes(path),
-        rss_start=rss_start,
-        rss_end=rss_end,
-        punctual=punctual,
-        failure=failure,
-    )
+    return {
+        "title": feed.title,
+        "rows": writer.rows,
+        "dropped": inbox.overflowed + (0 if buffered else pacer.missed),
+        "late": late,
+        "cpu": (cpu_seconds() - cpu) / wall,
+        "append_ms": spread_ms(took),
+        "rss_start": rss_start,
+        "rss_end": rss_end,
+        "failure": failure,
+    }
 
 
 def _receive(

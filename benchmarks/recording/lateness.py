@@ -1,62 +1,39 @@
-"""Part 3: wake-up latency of a loop of the rig, idle and loaded, with and without real time."""
+"""Part `lateness`: how late a loop of the rig wakes up, idle and loaded."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import signal
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from typing import Any
 
-from benchmarks.recording.measure import Scale, Spread
-from benchmarks.recording.steps import Steps
+from benchmarks.recording.frames import GelFrames
+from benchmarks.recording.measure import answer_of, spawned, spread_ms
+from benchmarks.report import Page, Run, table
+from recorder.store import images
 from rig.core.clock import SECOND_NS, Pacer, SystemClock
-from rig.core.errors import ConfigError
 from rig.core.realtime import enable_realtime
 
 RATES_HZ = (40.0, 60.0, 500.0)
-LOADS = ("idle", "two busy processes", "encoding thread")
-_START = 0.8
+BUSY, ENCODING = "two busy processes", "encoding thread"
+LOADS = ("idle", BUSY, ENCODING)
 _TIMEOUT = 60.0
 _ENCODE_HZ = 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Lateness:
-    """Wake-ups of one loop."""
-
-    rate_hz: float
-    load: str
-    """One of `LOADS`."""
-    asked: bool
-    """True if real-time scheduling was requested."""
-    granted: tuple[str, ...]
-    """Privileges that the system granted."""
-    ticks: int
-    missed: int
-    """Number of ticks that had passed before the loop waited for them."""
-    late: Spread
-    """Wake-up minus deadline [s]."""
-
-
-def estimate(scale: Scale) -> float:
-    """Return the expected duration of `lateness` [s]."""
-    return len(LOADS) * 2 * len(RATES_HZ) * (scale.lateness + _START)
-
-
-def lateness(scale: Scale, steps: Steps) -> tuple[Lateness, ...]:
+def measure(run: Run) -> list[dict[str, Any]]:
     """Measure every rate under every load, with and without real-time scheduling."""
-    found = []
+    seconds, found = 0.15 if run.quick else 3.0, []
     for load in LOADS:
-        with busy_processes(2 if load == LOADS[1] else 0):
-            for asked in (False, True):
-                for rate_hz in RATES_HZ:
-                    title = f"lateness: {rate_hz:g} Hz, {load}{', punctual' if asked else ''}"
-                    steps.step(title, scale.lateness + _START)
-                    found.append(_measure(rate_hz, load, asked, scale.lateness))
-    return tuple(found)
+        with busy_processes(2 if load == BUSY else 0):
+            for realtime, rate_hz in itertools.product((False, True), RATES_HZ):
+                run.progress(len(found) / (2 * len(LOADS) * len(RATES_HZ)))
+                found.append(_measured(rate_hz, load, realtime, seconds))
+    return found
 
 
 @contextlib.contextmanager
@@ -87,31 +64,16 @@ def loop(rate_hz: float, seconds: float) -> tuple[int, list[int]]:
     return pacer.missed, late
 
 
-def _measure(rate_hz: float, load: str, asked: bool, seconds: float) -> Lateness:
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(
-        target=_run, args=(rate_hz, load == LOADS[2], asked, seconds, theirs), daemon=True
-    )
-    process.start()
-    theirs.close()
-    try:
-        if not ours.poll(seconds + _TIMEOUT):
-            raise ConfigError(f"lateness at {rate_hz:g} Hz: no answer")
-        granted, missed, late = ours.recv()
-    finally:
-        ours.close()
-        process.join(5.0)
-        if process.is_alive():
-            process.kill()
-            process.join()
-        process.close()
-    return Lateness(rate_hz, load, asked, granted, len(late), missed, Spread.of(late))
+def _measured(rate_hz: float, load: str, realtime: bool, seconds: float) -> dict[str, Any]:
+    with spawned(_run, rate_hz, load == ENCODING, realtime, seconds) as pipe:
+        granted, missed, late = answer_of(pipe, seconds + _TIMEOUT, f"lateness at {rate_hz:g} Hz")
+    about = {"rate_hz": rate_hz, "load": load, "realtime": realtime, "granted": granted}
+    return about | {"missed": missed, "late_ms": spread_ms(late)}
 
 
-def _run(rate_hz: float, encoding: bool, asked: bool, seconds: float, pipe: Connection) -> None:
+def _run(rate_hz: float, encoding: bool, realtime: bool, seconds: float, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    given = enable_realtime() if asked else {}
+    given = enable_realtime() if realtime else {}
     ended = threading.Event()
     thread = threading.Thread(target=_encode, args=(ended,))
     if encoding:
@@ -122,14 +84,11 @@ def _run(rate_hz: float, encoding: bool, asked: bool, seconds: float, pipe: Conn
         ended.set()
         if encoding:
             thread.join()
-    pipe.send((tuple(name for name, yes in given.items() if yes), missed, late))
+    pipe.send(([name for name, yes in given.items() if yes], missed, late))
 
 
 def _encode(ended: threading.Event) -> None:
     """Compress sixty frames per second, as a recorder without separate processes would."""
-    from benchmarks.recording.frames import GelFrames
-    from recorder.store import images
-
     frames, pacer, number = GelFrames(), Pacer(SystemClock(), _ENCODE_HZ), 0
     while not ended.is_set():
         pacer.wait()
@@ -144,3 +103,32 @@ def _spin() -> None:
     while parent is None or parent.is_alive():
         for _ in range(SECOND_NS // 1000):
             count += 1
+
+
+_ABOUT = """\
+The rig's `Pacer` against absolute deadlines, in a process that does nothing else; by default, and
+after `enable_realtime`. A thread that compresses a frame 60 times a second is why each stream has a
+process of its own."""
+
+
+def section(values: list[dict[str, Any]], page: Page) -> str:
+    """Return the table of the loops."""
+    granted = sorted({name for one in values for name in one["granted"]})
+    cells = {(one["load"], one["rate_hz"], one["realtime"]): one for one in values}
+    lines = []
+    for load, rate_hz in itertools.product(LOADS, RATES_HZ):
+        line = [load, f"{rate_hz:g} Hz"]
+        for realtime in (False, True):
+            one = cells[load, rate_hz, realtime]
+            late = " / ".join(f"{one['late_ms'][name]:.2f}" for name in ("p50", "p99", "most"))
+            line += [late, one["missed"]]
+        lines.append(line)
+    head = ["load", "loop", "default: p50 / p99 / max [ms]", "missed"]
+    head += ["real-time: p50 / p99 / max [ms]", "missed"]
+    return "\n\n".join(
+        [
+            "## Wake-up of a loop",
+            f"{_ABOUT} Granted: {', '.join(granted) or 'nothing'}.",
+            table(head, lines),
+        ]
+    )

@@ -1,20 +1,16 @@
-"""Parts 2, 4 and 5: CPU share of each stream, maximum number of cameras, and all streams."""
+"""Part `load`: share of a core of each stream, number of cameras, and all streams at once."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from benchmarks.recording.feed import Fed, Feed, record
-from benchmarks.recording.measure import Scale
-from benchmarks.recording.steps import Steps
+from benchmarks.recording.feed import Feed, record
+from benchmarks.report import Page, Run, table
 from rig.core.errors import ConfigError
 
-# Time to start and close one process [s].
-_START = 1.5
-# Streams measured one at a time.
+# Streams measured one at a time, and all at once with a second camera.
 SINGLE = (
     Feed("camera", 60.0, "jpeg"),
     Feed("camera", 60.0, "zstd"),
@@ -22,149 +18,116 @@ SINGLE = (
     Feed("pose", 500.0),
     Feed("taxels", 60.0),
 )
-# Streams measured at the same time.
-TOGETHER = (
-    Feed("camera", 60.0, "zstd"),
-    Feed("camera", 60.0, "zstd"),
-    Feed("force", 1000.0),
-    Feed("pose", 500.0),
-    Feed("taxels", 60.0),
-)
-CODECS = ("zstd", "jpeg")
-# Approximate number of trials: doubling up to the first drop, then bisecting.
-_TRIALS = 7
-# Required free disk space, relative to the data to be written.
+TOGETHER = (SINGLE[1], *SINGLE[1:])
+# Bytes a second of a camera, and the free space required relative to the data to be written.
+_RATE = {"zstd": 60 * 1.0e6, "jpeg": 60 * 1.0e5}
 _FREE = 1.5
+# Numbers of cameras that are tried, until a frame is dropped.
+COUNTS = (1, 2, 4, 6, 8, 10, 12, 16, 24, 32)
 
 
-@dataclass(frozen=True, slots=True)
-class LoadTest:
-    """Result of recording a number of cameras at once."""
+def measure(run: Run) -> dict[str, Any]:
+    """Record each stream by itself, more and more cameras, and everything at once."""
+    single, cameras, full = (0.6, 0.6, 1.5) if run.quick else (10.0, 6.0, 60.0)
+    counts = COUNTS[:2] if run.quick else COUNTS
+    place, done = run.folder, 0
 
-    cameras: int
-    dropped: int
-    """Number of frames lost, over all cameras."""
-    late: int
-    """Number of appends that began after the next frame was due."""
-    cpu_share: float
-    """CPU share of all cameras: 1 is a whole core."""
-    append_p99: float
-    """The worst camera's p99 append time [s]."""
+    def step() -> None:
+        nonlocal done
+        run.progress(min(done / (len(SINGLE) + 2 * len(counts) + 4), 1.0))
+        done += 1
 
-
-@dataclass(frozen=True, slots=True)
-class Cameras:
-    """Maximum number of cameras."""
-
-    codec: str
-    held: int
-    """Largest number that lost no frame."""
-    most: int
-    """Largest number that may be tried."""
-    trials: tuple[LoadTest, ...]
-
-
-def estimate_cpu_share(scale: Scale) -> float:
-    """Return the expected duration of `cpu_share` [s]."""
-    return len(SINGLE) * (scale.cpu_share + _START)
-
-
-def cpu_share(scale: Scale, place: Path, steps: Steps) -> tuple[Fed, ...]:
-    """Record each stream separately at its real rate."""
-    found: list[Fed] = []
+    alone = []
     for number, feed in enumerate(SINGLE):
-        steps.step(f"CPU share: {feed.title}", scale.cpu_share + _START)
-        found += record([feed], scale.cpu_share, place / f"cpu-{number}")
-    return tuple(found)
+        step()
+        alone += record([feed], single, place / f"alone-{number}")
+    trials: dict[str, list[dict[str, Any]]] = {"zstd": [], "jpeg": []}
+    for codec, tried in trials.items():
+        for count in counts:
+            step()
+            require_room(place, count * cameras * _RATE[codec])
+            fed = record([Feed("camera", 60.0, codec)] * count, cameras, place / f"{codec}-{count}")
+            tried.append(trial_of(fed))
+            if tried[-1]["dropped"]:
+                break
+    require_room(place, full * 2 * _RATE["zstd"])
+    together = record(TOGETHER, full, place / "together")
+    return {
+        "alone": alone,
+        "trials": trials,
+        "together": together,
+        "seconds": full,
+    }
 
 
-def estimate_cameras(scale: Scale) -> float:
-    """Return the expected duration of `cameras` [s]."""
-    return len(CODECS) * _trials(scale) * (scale.cameras + 4 * _START)
+def trial_of(fed: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the combined result of cameras that were recorded together; a failure is a drop."""
+    return {
+        "cameras": len(fed),
+        "dropped": sum(one["dropped"] + bool(one["failure"]) for one in fed),
+        "late": sum(one["late"] for one in fed),
+        "cpu": sum(one["cpu"] for one in fed),
+        "append_p99_ms": max(one["append_ms"]["p99"] for one in fed),
+    }
 
 
-def cameras(scale: Scale, place: Path, steps: Steps) -> tuple[Cameras, ...]:
-    """Record more and more 640x480 cameras at 60 Hz until a frame is lost, lossless and as JPEG."""
-    found = []
-    for codec in CODECS:
-        trials: list[LoadTest] = []
-
-        def attempt(count: int, codec: str = codec, trials: list[LoadTest] = trials) -> bool:
-            steps.step(f"cameras: {count} at 60 Hz, {codec}", scale.cameras + 4 * _START)
-            need = count * scale.cameras * 60.0 * (1.0e6 if codec == "zstd" else 1.0e5)
-            _require_room(place, need)
-            fed = record(
-                [Feed("camera", 60.0, codec)] * count,
-                scale.cameras,
-                place / f"cameras-{codec}-{count}",
-            )
-            trials.append(load_test_of(fed))
-            return trials[-1].dropped == 0
-
-        held = largest(attempt, scale.cameras_most)
-        ordered = tuple(sorted(trials, key=lambda trial: trial.cameras))
-        found.append(Cameras(codec, held, scale.cameras_most, ordered))
-    return tuple(found)
-
-
-def load_test_of(fed: tuple[Fed, ...]) -> LoadTest:
-    """Return the combined result of cameras that were recorded together."""
-    return LoadTest(
-        cameras=len(fed),
-        dropped=sum(one.dropped for one in fed) + sum(bool(one.failure) for one in fed),
-        late=sum(one.late for one in fed),
-        cpu_share=sum(one.cpu_share for one in fed),
-        append_p99=max(one.append.p99 for one in fed),
-    )
-
-
-def largest(holds: Callable[[int], bool], most: int) -> int:
-    """Return the largest count from 1 to `most` that holds, by doubling and then bisecting.
-
-    Returns 0 if not even one holds. Assumes that if a count holds, all smaller counts hold.
-    """
-    good, bad, count = 0, most + 1, 1
-    while count <= most:
-        if not holds(count):
-            bad = count
-            break
-        good = count
-        if count == most:
-            break
-        count = min(2 * count, most)
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        if holds(middle):
-            good = middle
-        else:
-            bad = middle
-    return good
-
-
-def estimate_full(scale: Scale) -> float:
-    """Return the expected duration of `full_load` [s]."""
-    return scale.full_load + len(TOGETHER) * _START
-
-
-def full_load(scale: Scale, place: Path, steps: Steps) -> tuple[Fed, ...]:
-    """Record two lossless cameras and every other stream at the same time.
+def require_room(place: Path, nbytes: float) -> None:
+    """Refuse to begin on a disk without room.
 
     Raises:
         ConfigError: Too little disk space.
     """
-    steps.step("everything at once", estimate_full(scale))
-    _require_room(place, scale.full_load * 2 * 60 * 0.8e6)
-    return record(TOGETHER, scale.full_load, place / "full")
-
-
-def _trials(scale: Scale) -> int:
-    return min(_TRIALS, 2 * scale.cameras_most)
-
-
-def _require_room(place: Path, nbytes: float) -> None:
     free = shutil.disk_usage(place).free
     if free < _FREE * nbytes:
         raise ConfigError(
-            f"--scratch {place}: found {free / 1e9:.1f} GB free; "
+            f"TMPDIR {place}: found {free / 1e9:.1f} GB free; "
             f"allowed: {_FREE * nbytes / 1e9:.1f} GB or more"
         )
+
+
+_ABOUT = """\
+Streams from memory at their rates, each in a process with the rig's inbox and its real-time
+settings. A frame is dropped if the inbox was full or the next one had come before the receiver
+waited for it; it is late if its append began after the next one was due."""
+
+
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return the tables of the streams."""
+    fed = [*values["alone"], *values["together"]]
+    granted = "granted" if all(one["punctual"] for one in fed) else "**refused**"
+    names = {"zstd": "lossless", "jpeg": "as JPEG"}
+    held = []
+    for codec, tried in values["trials"].items():
+        whole = [trial["cameras"] for trial in tried if not trial["dropped"]]
+        more = " or more" if len(whole) == len(tried) else ""
+        held.append(f"{max(whole, default=0)}{more} {names[codec]}")
+    memory = [sum(one[key] for one in values["together"]) / 1e6 for key in ("rss_start", "rss_end")]
+    return "\n\n".join(
+        [
+            "## Load of the streams",
+            f"{_ABOUT} SCHED_FIFO was {granted}. Each stream by itself:",
+            _streams(values["alone"]),
+            f"Two lossless cameras and everything else at once, for {values['seconds']:g} s, "
+            f"{100 * sum(one['cpu'] for one in values['together']):.0f} % of a core in all; memory of all processes "
+            f"{memory[0]:.0f} MB after a fifth of the time and {memory[1]:.0f} MB at the end:",
+            _streams(values["together"]),
+            f"Cameras of 640x480 at 60 Hz without a dropped frame: {' and '.join(held)}.",
+        ]
+    )
+
+
+def _streams(fed: list[dict[str, Any]]) -> str:
+    lines = [
+        [
+            one["title"],
+            f"{one['rows']:,}",
+            one["dropped"] if not one["failure"] else one["failure"],
+            one["late"],
+            f"{100 * one['cpu']:.1f}",
+            " / ".join(f"{one['append_ms'][name]:.2f}" for name in ("p50", "p99", "most")),
+            f"{one['bytes'] / 1e6:.1f}",
+        ]
+        for one in fed
+    ]
+    head = ["stream", "rows", "dropped", "late", "% of a core", "append p50 / p99 / max [ms]", "MB"]
+    return table(head, lines)

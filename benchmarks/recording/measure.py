@@ -1,93 +1,59 @@
-"""Measures shared by all parts: spreads, sizes, CPU time, and the scale of a run."""
+"""What all parts measure with: durations, CPU time, memory, sizes."""
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing
 import os
 import resource
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """Durations and sizes of the measurements."""
-
-    write: float
-    """Maximum duration of writing one store once [s]."""
-    writes: int
-    """Number of times that each store is written; the one with the least CPU a frame counts."""
-    write_bytes: int
-    """Maximum number of pixel or JPEG bytes written to one store."""
-    read: float
-    """Duration of reading one store [s]."""
-    kills: int
-    """Number of kills per store."""
-    cpu_share: float
-    """Duration of recording one stream by itself [s]."""
-    lateness: float
-    """Duration of measuring wake-ups at one rate [s]."""
-    cameras: float
-    """Duration of one trial of a number of cameras [s]."""
-    cameras_most: int
-    """Largest number of cameras tried."""
-    full_load: float
-    """Duration of recording all streams together [s]."""
-    alignment: float
-    """Length of the simulated motion [s]."""
-    targets: int
-    """Number of targets to collect on the mock bench; 0 skips it."""
+from rig.core.errors import ConfigError
 
 
-FULL = Scale(
-    write=3.0,
-    writes=3,
-    write_bytes=400_000_000,
-    read=1.5,
-    kills=2,
-    cpu_share=12.0,
-    lateness=3.0,
-    cameras=6.0,
-    cameras_most=48,
-    full_load=120.0,
-    alignment=30.0,
-    targets=2,
-)
-# Shows that everything works; its numbers mean little.
-QUICK = Scale(
-    write=0.3,
-    writes=1,
-    write_bytes=20_000_000,
-    read=0.2,
-    kills=1,
-    cpu_share=0.6,
-    lateness=0.15,
-    cameras=0.6,
-    cameras_most=2,
-    full_load=1.5,
-    alignment=3.0,
-    targets=0,
-)
+def spread_ms(nanoseconds: Sequence[int]) -> dict[str, float]:
+    """Return median, 99th percentile and maximum of durations [ms]; NaN if there are none."""
+    values = np.asarray(nanoseconds, np.float64) * 1e-6
+    if not len(values):
+        return dict.fromkeys(("p50", "p99", "most"), float("nan"))
+    p50, p99 = np.percentile(values, [50, 99])
+    return {"p50": float(p50), "p99": float(p99), "most": float(values.max())}
 
 
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Distribution of a duration [s]."""
+@contextlib.contextmanager
+def spawned(target: Callable[..., None], *args: Any) -> Iterator[Connection]:
+    """Run `target(*args, pipe)` in a process that ends with the block; yield our end of the pipe."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=target, args=(*args, theirs), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        ours.close()
+        process.join(5.0)
+        if process.is_alive():
+            process.kill()
+            process.join()
+        process.close()
 
-    p50: float
-    p99: float
-    most: float
 
-    @classmethod
-    def of(cls, nanoseconds: Sequence[int]) -> Spread:
-        """Return the spread of durations (n,) [ns], or NaN if there are none."""
-        if not len(nanoseconds):
-            return cls(float("nan"), float("nan"), float("nan"))
-        values = np.asarray(nanoseconds, np.float64) * 1e-9
-        p50, p99 = np.percentile(values, [50, 99])
-        return cls(float(p50), float(p99), float(values.max()))
+def answer_of(pipe: Connection, timeout: float, title: str) -> Any:
+    """Return what a spawned process sends.
+
+    Raises:
+        ConfigError: It ended or did not answer.
+    """
+    with contextlib.suppress(EOFError):
+        if pipe.poll(timeout):
+            return pipe.recv()
+    raise ConfigError(f"{title}: its process ended or did not answer")
 
 
 def cpu_seconds() -> float:
@@ -102,17 +68,20 @@ def resident_bytes() -> int:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
+def files_of(path: Path) -> list[Path]:
+    """Return a file, or all files below a folder."""
+    return [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
+
+
 def tree_bytes(path: Path) -> int:
     """Return the size of a file, or of all files below a folder [bytes]."""
-    if path.is_file():
-        return path.stat().st_size
-    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    return sum(file.stat().st_size for file in files_of(path))
 
 
 def sync_tree(path: Path) -> None:
-    """Flush a file, or all files below a folder, to disk."""
-    for entry in (path, *path.rglob("*")) if path.is_dir() else (path,):
-        fd = os.open(entry, os.O_RDONLY)
+    """Flush a file, or all files below a folder, to the disk."""
+    for file in files_of(path):
+        fd = os.open(file, os.O_RDONLY)
         try:
             os.fsync(fd)
         finally:
@@ -121,8 +90,7 @@ def sync_tree(path: Path) -> None:
 
 def warm(path: Path) -> None:
     """Read a file, or all files below a folder, into the page cache."""
-    for file in path.rglob("*") if path.is_dir() else (path,):
-        if file.is_file():
-            with file.open("rb") as content:
-                while content.read(1 << 22):
-                    pass
+    for file in files_of(path):
+        with file.open("rb") as content:
+            while content.read(1 << 22):
+                pass

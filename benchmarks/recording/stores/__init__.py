@@ -7,36 +7,46 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.recording.frames import number_in_jpeg, number_in_pixels
+
 Image = NDArray[np.uint8]
-# Number of frames in a store, and a function that reads n images from a first one.
+# A frame as it is stored: pixels (480, 640, 3), or a JPEG.
+Frame = Image | bytes
+# Number of frames in a store, and a function that decodes n images from a first one.
 Opened = tuple[int, Callable[[int, int], Image]]
 # Numbers of the frames found, in order; None for a frame that differs from the one written.
 Numbers = list[int | None]
 
 
-class Appender(Protocol):
+class Appender:
     """A store being written."""
 
-    def append(self, frame: Image | bytes, t_ns: int) -> None:
-        """Append one frame, pixels (480, 640, 3) or JPEG bytes depending on the store."""
+    def append(self, frame: Frame, t_ns: int) -> None:
+        """Append one frame, pixels or JPEG bytes depending on the store."""
+        raise NotImplementedError
 
     def close(self) -> None:
-        """Finish the store."""
+        """Finish the store; here every append is complete."""
 
 
-class Store(Protocol):
-    """One way to store frames on disk."""
+class FrameStore:
+    """One way to store frames on disk; each module has a subclass `Store`."""
 
     def create(self, path: Path) -> Appender:
         """Create a new store at `path`."""
+        raise NotImplementedError
+
+    def finish(self, path: Path) -> None:
+        """Do what a store has still to do before it is read, which is not measured."""
 
     def reader(self, path: Path) -> AbstractContextManager[Opened]:
         """Open the store for reading."""
+        raise NotImplementedError
 
     def left(self, path: Path) -> Numbers:
         """Return the frames that the ordinary reader finds in a store whose writer was killed.
@@ -44,9 +54,17 @@ class Store(Protocol):
         Raises:
             Exception: Any exception of the reader if the store cannot be opened.
         """
+        with self.reader(path) as (count, images):
+            return [number_in_pixels(images(row, 1)[0]) for row in range(count)]
 
     def repaired(self, path: Path) -> Numbers | None:
         """Return the same after the store's own repair; None if it has no repair."""
+        return None
+
+
+def number_in(frame: Frame) -> int | None:
+    """Return the number of a stored frame, or None if it is not a complete frame."""
+    return number_in_jpeg(frame) if isinstance(frame, bytes) else number_in_pixels(frame)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,140 +76,46 @@ class Entry:
     title: str
     """Title on the page."""
     module: str
-    """Module of this package that defines the class."""
-    store: str
-    """Name of the class; called with `options`."""
+    """Module of this package that defines `Store`."""
+    profile: str
+    """Argument of `Store`: how the frames are stored."""
     takes: Literal["pixels", "decoded", "jpeg"]
     """Raw pixels, pixels of a decoded JPEG, or the JPEG itself."""
     checksum: str
     """Checksum over the frame that the store writes, and whether its reader verifies it."""
-    needs: tuple[str, ...] = ()
-    """Required libraries of the extra `bench`."""
-    options: tuple[str, ...] = ()
-    """Arguments of the class."""
-    foreign: bool = False
-    """True if it runs in the interpreter given by LEROBOT_PYTHON."""
-    lossy: bool = False
-    """True if pixels are lossy, so that frame numbers cannot be read back."""
 
-    def make(self) -> Store:
+    @property
+    def ours(self) -> bool:
+        """Whether it is this recorder, whose closed stores are on the disk; others are flushed."""
+        return self.module == "ours"
+
+    def make(self) -> FrameStore:
         """Create the store; its library is imported here.
 
         Raises:
             ImportError: The library is not installed.
         """
         module = importlib.import_module(f"{__name__}.{self.module}")
-        store: Store = getattr(module, self.store)(*self.options)
+        store: FrameStore = module.Store(self.profile)
         return store
 
 
-_OURS = "CRC-32C, verified"
+_CRC = "CRC-32C, verified"
 _MCAP = "CRC-32 of a chunk, verified on request"
+_ZLIB = "Adler-32 of gzip, verified"
+OURS, MCAP = "ours-jpeg", "mcap-jpeg"
 STORES = (
-    Entry("ours-jpeg", "**ours**, camera's JPEG", "ours", "Ours", "jpeg", _OURS, options=("jpeg",)),
-    Entry(
-        "ours-zstd", "**ours**, lossless (zstd)", "ours", "Ours", "pixels", _OURS, options=("zstd",)
-    ),
-    Entry(
-        "ours-decoded",
-        "**ours**, lossless, of a decoded JPEG",
-        "ours",
-        "Ours",
-        "decoded",
-        _OURS,
-        options=("zstd",),
-    ),
-    Entry(
-        "h5py-blosc",
-        "h5py, chunk a frame, blosc lz4 bitshuffle",
-        "hdf5",
-        "Hdf5",
-        "pixels",
-        "none",
-        ("h5py", "hdf5plugin"),
-        ("blosc",),
-    ),
-    Entry(
-        "h5py-gzip",
-        "h5py, chunk a frame, gzip 1",
-        "hdf5",
-        "Hdf5",
-        "pixels",
-        "Adler-32 of gzip, verified",
-        ("h5py", "hdf5plugin"),
-        ("gzip",),
-    ),
-    Entry(
-        "h5py-jpeg",
-        "h5py, camera's JPEG (vlen bytes)",
-        "hdf5",
-        "Hdf5",
-        "jpeg",
-        "none",
-        ("h5py", "hdf5plugin"),
-        ("jpeg",),
-    ),
-    Entry(
-        "png",
-        "PNG files (OpenCV, level 1)",
-        "png",
-        "PngFiles",
-        "pixels",
-        "CRC-32, verified",
-        ("cv2",),
-    ),
-    Entry(
-        "mcap-zstd",
-        "MCAP, raw images, zstd",
-        "mcap",
-        "Mcap",
-        "pixels",
-        _MCAP,
-        ("mcap",),
-        ("pixels",),
-    ),
-    Entry("mcap-jpeg", "MCAP, camera's JPEG", "mcap", "Mcap", "jpeg", _MCAP, ("mcap",), ("jpeg",)),
-    Entry(
-        "mcap-each-jpeg",
-        "MCAP, camera's JPEG, each written at once",
-        "mcap",
-        "Mcap",
-        "jpeg",
-        _MCAP,
-        ("mcap",),
-        ("jpeg", "at-once"),
-    ),
-    Entry(
-        "zarr-append",
-        "zarr, `append` a frame, zstd 1",
-        "zarr_append",
-        "ZarrAppend",
-        "pixels",
-        "none",
-    ),
-    Entry(
-        "lerobot-image",
-        "LeRobot, PNG in parquet",
-        "lerobot",
-        "LeRobot",
-        "pixels",
-        "CRC-32 of PNG, verified",
-        ("lerobot",),
-        ("image",),
-        foreign=True,
-    ),
-    Entry(
-        "lerobot-video",
-        "LeRobot, AV1 video (lossy)",
-        "lerobot",
-        "LeRobot",
-        "pixels",
-        "none",
-        ("lerobot",),
-        ("video",),
-        foreign=True,
-        lossy=True,
-    ),
+    Entry(OURS, "**ours**, JPEG", "ours", "jpeg", "jpeg", _CRC),
+    Entry("ours-zstd", "**ours**, lossless", "ours", "zstd", "pixels", _CRC),
+    Entry("ours-decoded", "**ours**, lossless, of a decoded JPEG", "ours", "zstd", "decoded", _CRC),
+    Entry(MCAP, "MCAP, JPEG", "mcap", "jpeg", "jpeg", _MCAP),
+    Entry("mcap-each-jpeg", "MCAP, JPEG, each written at once", "mcap", "each", "jpeg", _MCAP),
+    Entry("mcap-zstd", "MCAP, raw images, zstd", "mcap", "pixels", "pixels", _MCAP),
+    Entry("h5py-jpeg", "h5py, JPEG", "hdf5", "jpeg", "jpeg", "none"),
+    Entry("h5py-blosc", "h5py, blosc lz4 bitshuffle", "hdf5", "blosc", "pixels", "none"),
+    Entry("h5py-gzip", "h5py, gzip 1", "hdf5", "gzip", "pixels", _ZLIB),
+    Entry("png", "PNG files (OpenCV)", "png", "level 1", "pixels", "CRC-32, verified"),
+    Entry("zarr-append", "zarr, `append`", "zarr_append", "zstd 1", "pixels", "none"),
 )
 
 

@@ -12,13 +12,21 @@ import hdf5plugin
 import numpy as np
 import simplejpeg
 
-from benchmarks.recording.frames import HEIGHT, WIDTH, number_in_jpeg, number_in_pixels
-from benchmarks.recording.stores import Image, Numbers, Opened
+from benchmarks.recording.frames import HEIGHT, WIDTH
+from benchmarks.recording.stores import (
+    Appender,
+    Frame,
+    FrameStore,
+    Image,
+    Numbers,
+    Opened,
+    number_in,
+)
 
 _NAME = "frames"
 
 
-class _Appender:
+class _Appender(Appender):
     def __init__(self, path: Path, profile: str) -> None:
         self._file = h5py.File(path, "w")
         self._count = 0
@@ -34,7 +42,7 @@ class _Appender:
             _NAME, (0, *shape), np.uint8, maxshape=(None, *shape), chunks=(1, *shape), **filters
         )
 
-    def append(self, frame: Image | bytes, t_ns: int) -> None:
+    def append(self, frame: Frame, t_ns: int) -> None:
         self._count += 1
         self._data.resize(self._count, axis=0)
         value = np.frombuffer(frame, np.uint8) if isinstance(frame, bytes) else frame
@@ -44,7 +52,7 @@ class _Appender:
         self._file.close()
 
 
-class Hdf5:
+class Store(FrameStore):
     """One file.
 
     Args:
@@ -68,19 +76,16 @@ class Hdf5:
                 return np.asarray(data[first : first + count])
 
             def read_jpeg(first: int, count: int) -> Image:
-                rows = data[first : first + count]
-                return np.stack([simplejpeg.decode_jpeg(row.tobytes()) for row in rows])
+                out = np.empty((count, HEIGHT, WIDTH, 3), np.uint8)
+                for image, row in zip(out, data[first : first + count], strict=True):
+                    simplejpeg.decode_jpeg(row, buffer=image)
+                return out
 
             yield len(data), read_jpeg if self._profile == "jpeg" else read
 
     def left(self, path: Path) -> Numbers:
         """Return the frames that h5py finds; it rejects a file that was not closed and flushed."""
+        if self._profile != "jpeg":
+            return super().left(path)
         with h5py.File(path, "r") as file:
-            data = file[_NAME]
-            if self._profile == "jpeg":
-                return [number_in_jpeg(row.tobytes()) for row in data]
-            return [number_in_pixels(row) for row in data]
-
-    def repaired(self, path: Path) -> None:
-        """Return None: `h5clear` only clears the flag and repairs nothing."""
-        return
+            return [number_in(row.tobytes()) for row in file[_NAME]]

@@ -14,26 +14,34 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from benchmarks.recording.frames import HEIGHT, WIDTH, number_in_jpeg, number_in_pixels
-from benchmarks.recording.stores import Image, Numbers, Opened
+from benchmarks.recording.frames import HEIGHT, WIDTH
+from benchmarks.recording.stores import (
+    Appender,
+    Frame,
+    FrameStore,
+    Image,
+    Numbers,
+    Opened,
+    number_in,
+)
 
 _PERIOD_NS = 16_666_667
 
 
-class _Appender:
-    def __init__(self, path: Path, profile: str, at_once: bool) -> None:
+class _Appender(Appender):
+    def __init__(self, path: Path, jpeg: bool, at_once: bool) -> None:
         self._at_once = at_once
         self._file = path.open("wb")
-        packed = CompressionType.NONE if profile == "jpeg" else CompressionType.ZSTD
+        packed = CompressionType.NONE if jpeg else CompressionType.ZSTD
         if at_once:
             self._writer = Writer(self._file, compression=packed, chunk_size=1)
         else:
             self._writer = Writer(self._file, compression=packed)
         self._writer.start()
-        self._channel = self._writer.register_channel("/camera", profile, 0)
+        self._channel = self._writer.register_channel("/camera", "frame", 0)
         self._count = 0
 
-    def append(self, frame: Image | bytes, t_ns: int) -> None:
+    def append(self, frame: Frame, t_ns: int) -> None:
         data = frame if isinstance(frame, bytes) else frame.tobytes()
         # Evenly spaced times, from which the reader finds a window.
         at_ns = self._count * _PERIOD_NS
@@ -47,24 +55,21 @@ class _Appender:
         self._file.close()
 
 
-class Mcap:
+class Store(FrameStore):
     """One file.
 
     Args:
-        profile: `pixels` or `jpeg`.
-        chunks: `at-once` to write every message as it comes, in a chunk of its own, so that a kill
-            costs none; by default, chunks of a megabyte.
+        profile: `pixels`, `jpeg`, or `each` for JPEGs of which each is written as it comes, in a
+            chunk of its own, so that a kill costs none; by default, chunks are of a megabyte.
     """
 
-    def __init__(self, profile: str, chunks: str = "") -> None:
-        self._at_once = chunks == "at-once"
-        self._number = _jpeg_number if profile == "jpeg" else _pixels_number
-        self._decode = simplejpeg.decode_jpeg if profile == "jpeg" else _image
-        self._profile = profile
+    def __init__(self, profile: str) -> None:
+        self._at_once = profile == "each"
+        self._jpeg = profile != "pixels"
 
     def create(self, path: Path) -> _Appender:
         """Create a new file."""
-        return _Appender(path, self._profile, self._at_once)
+        return _Appender(path, self._jpeg, self._at_once)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
@@ -78,8 +83,14 @@ class Mcap:
 
             def read(first: int, n: int) -> Image:
                 start, end = first * _PERIOD_NS, (first + n) * _PERIOD_NS
-                found = reader.iter_messages(starting_at=start, ending_before=end)
-                return np.stack([self._decode(message.data) for _, _, message in found])
+                out = np.empty((n, HEIGHT, WIDTH, 3), np.uint8)
+                messages = reader.iter_messages(starting_at=start, ending_before=end)
+                for image, (_, _, message) in zip(out, messages, strict=True):
+                    if self._jpeg:
+                        simplejpeg.decode_jpeg(message.data, buffer=image)
+                    else:
+                        image[...] = _image(message.data)
+                return out
 
             yield count, read
 
@@ -87,7 +98,7 @@ class Mcap:
         """Return the frames that the seeking reader finds; it needs the summary at the end."""
         with path.open("rb") as file:
             messages = make_reader(file).iter_messages()
-            return [self._number(message.data) for _, _, message in messages]
+            return [self._number(message) for _, _, message in messages]
 
     def repaired(self, path: Path) -> Numbers:
         """Return the frames found record by record, which is how `mcap recover` works."""
@@ -96,19 +107,14 @@ class Mcap:
             try:
                 for record in StreamReader(file).records:
                     if isinstance(record, Message):
-                        found.append(self._number(record.data))
+                        found.append(self._number(record))
             except (McapError, EOFError, ValueError):
                 return found  # truncated end of the file
         return found
 
+    def _number(self, message: Message) -> int | None:
+        return number_in(message.data if self._jpeg else _image(message.data))
+
 
 def _image(data: bytes) -> Image:
     return np.frombuffer(data, np.uint8).reshape(HEIGHT, WIDTH, 3)
-
-
-def _pixels_number(data: bytes) -> int | None:
-    return number_in_pixels(_image(data))
-
-
-def _jpeg_number(data: bytes) -> int | None:
-    return number_in_jpeg(data)

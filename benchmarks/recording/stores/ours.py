@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.recording.frames import HEIGHT, WIDTH, number_in_jpeg, number_in_pixels
-from benchmarks.recording.stores import Image, Numbers, Opened
+from benchmarks.recording.frames import HEIGHT, WIDTH
+from benchmarks.recording.stores import Appender, Frame, FrameStore, Numbers, Opened, number_in
 from recorder import Session, SessionWriter, StreamWriter, camera_spec, recover
 
 
-class _Appender:
+class _Appender(Appender):
     def __init__(self, path: Path, codec: str) -> None:
         spec = camera_spec(60.0, height=HEIGHT, width=WIDTH, codec=codec)
         targets = {"point": np.zeros(0, np.int16)}
         self._session = SessionWriter.create(path, attrs={}, streams=[spec], targets=targets)
         self._writer = StreamWriter.open(self._session.stream_path("camera"))
 
-    def append(self, frame: Image | bytes, t_ns: int) -> None:
+    def append(self, frame: Frame, t_ns: int) -> None:
         self._writer.append(value=frame, device_t=float("nan"), t_ns=t_ns)
 
     def close(self) -> None:
@@ -28,7 +28,7 @@ class _Appender:
         self._session.close()
 
 
-class Ours:
+class Store(FrameStore):
     """The recorder.
 
     Args:
@@ -42,6 +42,12 @@ class Ours:
         """Create a new session."""
         return _Appender(path, self._codec)
 
+    def finish(self, path: Path) -> None:
+        """Write the view of synchronised rows and the manifest, as at the end of a collection."""
+        with SessionWriter.resume(path) as session:
+            session.begin_run({"t0_ns": 0, "utc": "", "boot_id": "benchmark"})
+            session.finish("complete", rate_hz=60.0)
+
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
         """Yield the number of frames and a function that reads them."""
@@ -49,13 +55,10 @@ class Ours:
         yield len(camera), lambda first, count: camera.images(slice(first, first + count))
 
     def left(self, path: Path) -> Numbers:
-        """Return the sealed frames."""
+        """Return the complete frames."""
         camera = Session(path).streams["camera"]
-        if self._codec == "jpeg":
-            return [number_in_jpeg(camera.jpeg(row) or b"") for row in range(len(camera))]
-        return [
-            number_in_pixels(camera.images(slice(row, row + 1))[0]) for row in range(len(camera))
-        ]
+        rows = range(len(camera))
+        return [number_in(camera.jpeg(row) or camera.images([row])[0]) for row in rows]
 
     def repaired(self, path: Path) -> Numbers:
         """Return the frames after `tactile session recover`."""

@@ -1,1 +1,0 @@
-"""Error against latency and size of force models."""

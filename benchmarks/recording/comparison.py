@@ -1,0 +1,224 @@
+"""Part `stores`: frames written, read in random windows and left by a kill, by ours and others."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.recording.child import ChildFailed, answer, start
+from benchmarks.recording.stores import MCAP, OURS, STORES, Entry
+from benchmarks.report import Page, Run, table
+from recorder.charts import BLUE, SKY, chart
+
+# A writer is killed after a random number of frames in this range.
+_KILL_AFTER = (70, 300)
+_KILL_TIMEOUT = 120.0
+# Seconds and bytes of writing, and seconds of reading, of a full run and of a quick one.
+_FULL, _QUICK = (3.0, 400_000_000, 1.5), (0.3, 20_000_000, 0.2)
+
+
+def measure(run: Run) -> list[dict[str, Any]]:
+    """Write and read each store once in every repeat, in alternating order; then kill writers."""
+    repeats, kills = (1, 1) if run.quick else (run.options.repeats, 2)
+    place, scale = run.folder, _QUICK if run.quick else _FULL
+    rows: dict[str, dict[str, Any]] = {
+        one.key: {
+            "key": one.key,
+            "missing": "",
+            "written": [],
+            "read": [],
+            "decoded": [],
+            "kills": [],
+        }
+        for one in STORES
+    }
+    for repeat in range(repeats):
+        entries = STORES if repeat % 2 == 0 else STORES[::-1]
+        for number, one in enumerate(entries):
+            run.progress((repeat + number / len(entries)) / (repeats + 1))
+            if not rows[one.key]["missing"]:
+                _measure_once(one, place / f"{one.key}-{repeat}", scale, repeat, rows[one.key])
+    for number, one in enumerate(STORES):
+        run.progress((repeats + number / len(STORES)) / (repeats + 1))
+        row = rows[one.key]
+        if row["missing"]:
+            continue
+        try:
+            row["kills"] = [kill(one, place, seed) for seed in range(kills)]
+        except ChildFailed as error:
+            row["missing"] = str(error)
+    run.seeds = range(repeats)
+    run.spread = f"median of {repeats} runs, interleaved" if repeats > 1 else ""
+    for row in rows.values():
+        for each in row["kills"] if row["key"].startswith("ours") else ():
+            if each["lost"] > 1 or each["wrong"]:
+                run.failures.append(f"{row['key']} after a kill: {each}")
+    return list(rows.values())
+
+
+def _measure_once(
+    one: Entry, path: Path, scale: tuple[float, int, float], seed: int, row: dict[str, Any]
+) -> None:
+    seconds, most_bytes, reading = scale
+    try:
+        written = answer(start(one, "write", path, seconds=seconds, most_bytes=most_bytes))
+        if "missing" in written:
+            row["missing"] = written["missing"]
+            return
+        row["written"].append(written)
+        row["read"].append(answer(start(one, "read", path, seconds=reading, seed=seed)))
+        if one.key == OURS:
+            row["decoded"].append(answer(start(one, "decode", path, seconds=reading)))
+    except ChildFailed as error:
+        row["missing"] = str(error)
+    finally:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def kill(one: Entry, folder: Path, seed: int) -> dict[str, Any]:
+    """Kill a writer with SIGKILL at a random time and count the remaining frames.
+
+    Raises:
+        ChildFailed: It ended by itself, or the result could not be inspected.
+    """
+    rng = np.random.default_rng(seed)
+    path, count = folder / f"killed-{one.key}-{seed}", folder / f"accepted-{one.key}-{seed}"
+    count.write_bytes(bytes(8))
+    wanted = int(rng.integers(*_KILL_AFTER))
+    child = start(one, "kill", path, accepted=str(count))
+    deadline = time.monotonic() + _KILL_TIMEOUT
+    try:
+        while int.from_bytes(count.read_bytes(), "little") < wanted:
+            if child.poll() is not None or time.monotonic() > deadline:
+                answer(child)
+            time.sleep(0.001)
+        time.sleep(rng.uniform(0.0, 0.005))
+    finally:
+        child.kill()
+        child.communicate()
+    accepted = int.from_bytes(count.read_bytes(), "little")
+    return left_after_kill(accepted, answer(start(one, "inspect", path)))
+
+
+def left_after_kill(accepted: int, found: dict[str, Any]) -> dict[str, Any]:
+    """Return how many accepted frames a store still has, and how many frames it shows wrongly.
+
+    A frame is there if it is in its place; its own repair counts if it finds more.
+    """
+    ways = {name: found[name] for name in ("left", "repaired")}
+    whole = {
+        name: None
+        if numbers is None
+        else sum(number == place for place, number in enumerate(numbers[:accepted]))
+        for name, numbers in ways.items()
+    }
+    wrong = sum(number != place for place, number in enumerate(found["left"] or ()))
+    lost = accepted - max(each or 0 for each in whole.values())
+    return {"accepted": accepted, **whole, "wrong": wrong, "lost": lost}
+
+
+def rates(row: dict[str, Any], what: str, by: str) -> list[float]:
+    """Return frames a second of each repeat that was `written`, `read` or `decoded`, `by` cpu."""
+    return [each["frames"] / each[by] for each in row[what]]
+
+
+def rate(row: dict[str, Any], what: str, by: str) -> float:
+    """Return the median frames a second; 0 if it was not measured."""
+    return statistics.median(rates(row, what, by) or [0.0])
+
+
+def ratios(rows: list[dict[str, Any]], what: str, by: str, other: str = MCAP) -> list[float]:
+    """Return our rate of JPEGs divided by that of another store, for each repeat."""
+    of = {row["key"]: rates(row, what, by) for row in rows}
+    return [ours / theirs for ours, theirs in zip(of[OURS], of[other], strict=False)]
+
+
+def survives(row: dict[str, Any]) -> bool:
+    """Return True if frames were left after every kill."""
+    return bool(row["kills"]) and all(each["lost"] < each["accepted"] for each in row["kills"])
+
+
+def section(rows: list[dict[str, Any]], page: Page) -> str:
+    """Return the tables of the stores, and draw their rates."""
+    entries = {one.key: one for one in STORES}
+    measured = [row for row in rows if row["written"]]
+    lines = []
+    for row in measured:
+        one, last = entries[row["key"]], row["written"][-1]
+        speeds = [
+            f"{rate(row, what, by):,.0f}"
+            for what in ("written", "read")
+            for by in ("cpu", "seconds")
+        ]
+        sizes = [f"{last['append_ms']['p99']:.2f}", f"{last['bytes'] / last['frames'] / 1e3:.0f}"]
+        lost = max((each["lost"] for each in row["kills"]), default=0)
+        left = "all" if lost <= 1 else f"all but {lost}"
+        lines.append([one.title, *speeds, *sizes, left if survives(row) else "none", one.checksum])
+    head = ["store", "written per CPU-s", "per s", "read per CPU-s", "per s"]
+    head += ["append p99 [ms]", "KB a frame", "left by kill -9", "checksum"]
+    texts = [_ABOUT, _draw(measured, page), table(head, lines)]
+    if {OURS, MCAP} <= {row["key"] for row in measured}:
+        texts += [_OF_PAIRS, table(["JPEG: ours / MCAP", "median", "range"], _pairs(measured))]
+    decoder = next((rate(row, "decoded", "cpu") for row in measured if row["decoded"]), 0.0)
+    if decoder:
+        texts.append(
+            f"The JPEG decoder alone gives {decoder:,.0f} images per CPU-second, from memory: no "
+            "store that keeps the camera's JPEG can give more."
+        )
+    missing = [row for row in rows if not row["written"]]
+    for reason, some in itertools.groupby(missing, lambda row: str(row["missing"])):
+        names = ", ".join(entries[row["key"]].title for row in some)
+        texts.append(f"Not measured: {names} ({reason}).")
+    return "\n\n".join(["## Stores", *texts])
+
+
+_ABOUT = """\
+Each in a process of its own: 640x480x3 frames (a gel with noise of sigma 2 grey levels, or the
+camera's JPEG of it, quality 90) appended as fast as the store takes them, closed and on the disk;
+creating and closing counts, making the frames does not. Then windows of 16 images at random places,
+decoded into one array of pixels, from the page cache. Then the writer is killed while it appends:
+`all` means that every frame whose append had returned is in its place, after the store's own repair
+if it has one (ours needs none). A CPU-second is one second of user and system time."""
+_OF_PAIRS = "Ours beside MCAP with its defaults, by pairs of runs that followed each other:"
+
+
+def _pairs(rows: list[dict[str, Any]]) -> list[list[str]]:
+    lines = []
+    for what, by in itertools.product(("written", "read"), ("cpu", "seconds")):
+        values = ratios(rows, what, by)
+        name = f"{what}, {'per CPU-second' if by == 'cpu' else 'by the clock'}"
+        spread = f"{min(values):.2f} to {max(values):.2f}"
+        lines.append([name, f"{statistics.median(values):.2f}", spread])
+    return lines
+
+
+def _draw(rows: list[dict[str, Any]], page: Page) -> str:
+    titles = {one.key: one.title.replace("*", "").replace("`", "") for one in STORES}
+    panels = (
+        ("written and closed [frames per CPU-second]", "written"),
+        ("random windows of 16 [images per CPU-second]", "read"),
+    )
+    with chart(page.picture("stores"), 9, 0.8 + 0.25 * len(rows)) as figure:
+        every = figure.subplots(1, 2, sharey=True)
+        for axes, (label, what) in zip(every, panels, strict=True):
+            values = [rate(row, what, "cpu") for row in rows]
+            bars = axes.barh(
+                [titles[row["key"]] for row in rows],
+                [max(value, 1) for value in values],
+                color=[BLUE if row["key"].startswith("ours") else SKY for row in rows],
+            )
+            axes.bar_label(bars, [f"{value:,.0f}" for value in values], padding=3, fontsize="small")
+            axes.set(xlabel=label, xscale="log", xlim=(1, 8 * max(*values, 10)))
+            axes.grid(visible=False, axis="y")
+            axes.margins(y=0.01)
+        every[0].invert_yaxis()
+    return page.link("stores", "Frames per CPU-second, written and read")
