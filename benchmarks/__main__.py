@@ -11,7 +11,7 @@ from tactile.run import HELP, ended, run_module
 # The module of each benchmark, and its line of help.
 BENCHMARKS = {
     # Recording
-    "recording": ("benchmarks.recording.command", "cost of recording, compared with other stores"),
+    "recording": ("benchmarks.recording.command", "what recording costs, loses and gives back"),
     "faults": ("benchmarks.faults.command", "faults, kills, wrong benches, endurance"),
     "first-hour": ("benchmarks.first_hour", "every command from the wheel to live forces"),
     "bench-drawings": ("benchmarks.bench_drawings", "draw wiring, mounting and frames of a bench"),
@@ -44,8 +44,6 @@ BENCHMARKS = {
     "indenters": ("benchmarks.sim.pictures.indenters", "draw all indenters"),
     "indenter-drawings": ("benchmarks.sim.pictures.drawings", "draw each indenter in mm"),
     # Learning
-    "latency": ("benchmarks.learning.latency.command", "error against time and size"),
-    "loading": ("benchmarks.learning.loading", "windows per second that reach a training"),
     "diffusion-full-size": (
         "benchmarks.learning.diffusion_full_size",
         "diffusion at the paper's size, on a GPU",

@@ -23,8 +23,12 @@ _TIMEOUT = 1200.0
 
 def measure(run: Run) -> dict[str, Any]:
     """Collect targets on the mock bench in real time, check the session and compare it."""
-    targets, began = 1 if run.quick else run.options.targets, time.monotonic()
-    session, truth = collect(find_bench("tacpalm", BENCHES), targets, run.folder)
+    targets, began = 2 if run.quick else run.options.targets, time.monotonic()
+    try:
+        session, truth = collect(find_bench("tacpalm", BENCHES), targets, run.folder)
+    except ConfigError as error:  # what was measured before stays
+        run.failures.append(str(error))
+        return {"targets": targets, "failure": str(error)}
     took = time.monotonic() - began
     run.progress(0.9)
     recorded = Session(session)
@@ -58,6 +62,8 @@ def collect(bench: Path, targets: int, folder: Path) -> tuple[Path, Path]:
 
 def section(values: dict[str, Any], page: Page) -> str:
     """Return the deviations of the session."""
+    if "failure" in values:
+        return f"## A session of the mock bench\n\nFailed: {values['failure']}"
     streams = ", ".join(f"{name} {count:,}" for name, count in values["streams"].items())
     return "\n\n".join(
         [

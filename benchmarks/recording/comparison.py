@@ -19,6 +19,7 @@ from recorder.charts import BLUE, SKY, chart
 # A writer is killed after a random number of frames in this range.
 _KILL_AFTER = (70, 300)
 _KILL_TIMEOUT = 120.0
+_RATES = tuple(itertools.product(("written", "read"), ("cpu", "seconds")))
 # Seconds and bytes of writing, and seconds of reading, of a full run and of a quick one.
 _FULL, _QUICK = (3.0, 400_000_000, 1.5), (0.3, 20_000_000, 0.2)
 
@@ -154,11 +155,7 @@ def section(rows: list[dict[str, Any]], page: Page) -> str:
     lines = []
     for row in measured:
         one, last = entries[row["key"]], row["written"][-1]
-        speeds = [
-            f"{rate(row, what, by):,.0f}"
-            for what in ("written", "read")
-            for by in ("cpu", "seconds")
-        ]
+        speeds = [f"{rate(row, what, by):,.0f}" for what, by in _RATES]
         sizes = [f"{last['append_ms']['p99']:.2f}", f"{last['bytes'] / last['frames'] / 1e3:.0f}"]
         lost = max((each["lost"] for each in row["kills"]), default=0)
         left = "all" if lost <= 1 else f"all but {lost}"
@@ -193,7 +190,7 @@ _OF_PAIRS = "Ours beside MCAP with its defaults, by pairs of runs that followed 
 
 def _pairs(rows: list[dict[str, Any]]) -> list[list[str]]:
     lines = []
-    for what, by in itertools.product(("written", "read"), ("cpu", "seconds")):
+    for what, by in _RATES:
         values = ratios(rows, what, by)
         name = f"{what}, {'per CPU-second' if by == 'cpu' else 'by the clock'}"
         spread = f"{min(values):.2f} to {max(values):.2f}"

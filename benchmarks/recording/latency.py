@@ -85,7 +85,11 @@ class Sample:
 
 def measure(run: Run) -> list[dict[str, Any]]:
     """Time each preset in each variant."""
-    presets, frames = (("tiny",), 3) if run.quick else (PRESETS, 100)
+    presets: Sequence[str] = PRESETS
+    frames = 100
+    variants: Sequence[Variant] = VARIANTS
+    if run.quick:  # without compiling
+        presets, frames, variants = ("tiny",), 3, (VARIANTS[0], VARIANTS[4])
     rows: list[Cost] = []
     for number, name in enumerate(presets):
 
@@ -94,7 +98,15 @@ def measure(run: Run) -> list[dict[str, Any]]:
 
         model = _untrained(name)
         sample = sample_of_noise(model, 10)
-        rows += costs(name, model, sample, run.folder, least_frames=frames, progress=progress)
+        rows += costs(
+            name,
+            model,
+            sample,
+            run.folder,
+            least_frames=frames,
+            variants=variants,
+            progress=progress,
+        )
     return [asdict(row) for row in rows]
 
 
@@ -233,7 +245,7 @@ def _draw(rows: list[dict[str, Any]], page: Page) -> str:
         for axes, runtime in zip(every, runtimes, strict=True):
             for row in rows:
                 if row["runtime"] == runtime:
-                    colour, mark = f"C{models.index(row['model'])}", _MARKS[row["precision"]]
+                    colour, mark = f"C{models.index(row['model'])}", _MARKS.get(row["precision"], "D")
                     axes.plot(row["p50_ms"], row["difference_n"], mark, color=colour)
             live = axes.axvline(1e3 / LIVE_HZ, color=SOFT, linestyle=":")
             axes.set(title=runtime, xscale="log", xlabel="time of a frame [ms]")

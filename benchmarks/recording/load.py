@@ -101,15 +101,16 @@ def section(values: dict[str, Any], page: Page) -> str:
         whole = [trial["cameras"] for trial in tried if not trial["dropped"]]
         more = " or more" if len(whole) == len(tried) else ""
         held.append(f"{max(whole, default=0)}{more} {names[codec]}")
+    share = sum(one["cpu"] for one in values["together"])
     memory = [sum(one[key] for one in values["together"]) / 1e6 for key in ("rss_start", "rss_end")]
     return "\n\n".join(
         [
             "## Load of the streams",
             f"{_ABOUT} SCHED_FIFO was {granted}. Each stream by itself:",
             _streams(values["alone"]),
-            f"Two lossless cameras and everything else at once, for {values['seconds']:g} s, "
-            f"{100 * sum(one['cpu'] for one in values['together']):.0f} % of a core in all; memory of all processes "
-            f"{memory[0]:.0f} MB after a fifth of the time and {memory[1]:.0f} MB at the end:",
+            f"Two lossless cameras and everything else at once, for {values['seconds']:g} s: "
+            f"{100 * share:.0f} % of a core; memory of all processes {memory[0]:.0f} MB after a "
+            f"fifth of the time and {memory[1]:.0f} MB at the end.",
             _streams(values["together"]),
             f"Cameras of 640x480 at 60 Hz without a dropped frame: {' and '.join(held)}.",
         ]

@@ -46,15 +46,18 @@ LOADERS = {
 
 def measure(run: Run) -> list[dict[str, Any]]:
     """Read by each loader, without workers and with two."""
-    sessions, length, seconds = (1, 1.0, 0.3) if run.quick else (8, 10.0, 8.0)
-    folder, rows = run.folder / "loading", []
+    sessions, length, seconds, numbers = 8, 10.0, 8.0, [0, 2]
+    if run.quick:
+        sessions, length, seconds, numbers = 1, 1.0, 0.3, [0]
+    folder = run.folder / "loading"
+    rows: list[dict[str, Any]] = []
     for number in range(sessions):
         make(folder, number, length)
         run.progress(0.2 * number / sessions)
     for loader in LOADERS:
         python = os.environ.get(INTERPRETER, "") if loader == "lerobot" else sys.executable
-        for workers in (0, 2):
-            run.progress(0.2 + 0.8 * len(rows) / 6)
+        for workers in numbers:
+            run.progress(0.2 + 0.8 * len(rows) / (3 * len(numbers)))
             row: dict[str, Any] = {"loader": loader, "workers": workers, "missing": ""}
             words = [loader, str(folder), str(workers), str(seconds)]
             try:

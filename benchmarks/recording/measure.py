@@ -27,7 +27,7 @@ def spread_ms(nanoseconds: Sequence[int]) -> dict[str, float]:
 
 @contextlib.contextmanager
 def spawned(target: Callable[..., None], *args: Any) -> Iterator[Connection]:
-    """Run `target(*args, pipe)` in a process that ends with the block; yield our end of the pipe."""
+    """Run `target(*args, pipe)` in a process that ends with the block; yield our end of it."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=target, args=(*args, theirs), daemon=True)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ import torch
 from onnx import TensorProto, helper
 from support.force_models import TOY, noise_presses
 
-from benchmarks.learning.latency.cost_table import draw, markdown, write_csv
-from benchmarks.learning.latency.costs import Variant, costs, sample_of, sample_of_noise
+from benchmarks.recording.latency import Variant, costs, sample_of_noise, section
+from benchmarks.report import Page
 from learning.data.presses import ForceRange
 from learning.errors import LearningError
 from learning.force.export import export_onnx, torch_stream
@@ -108,7 +109,7 @@ def test_costs_are_of_every_way_to_run_a_model(
 ) -> None:
     # The calibration's progress bar would keep a thread for the life of the process.
     monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
-    sample = sample_of(noise_presses(2), model)
+    sample = sample_of_noise(model, 3)
     rows = costs("toy", model, sample, tmp_path, threads=1, least_frames=3, variants=FEW)
     assert [(row.runtime, row.precision) for row in rows] == [
         ("torch", "fp32"),
@@ -116,14 +117,10 @@ def test_costs_are_of_every_way_to_run_a_model(
         ("onnxruntime", "int8"),
     ]
     assert rows[0].difference_n == 0.0
-    assert all(row.mae_n is not None and 0 < row.difference_n < 1 for row in rows[1:])
-    noise = costs("noise", model, sample_of_noise(model, 3), tmp_path, threads=1, variants=FEW[:1])
-    assert noise[0].mae_n is None
-    write_csv(rows, tmp_path / "bench.csv")
-    assert len((tmp_path / "bench.csv").read_text().splitlines()) == 4
-    assert markdown(rows).count("| toy |") == 3
-    draw(rows, tmp_path / "bench.png")
-    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+    assert all(row.difference_n is not None and 0 < row.difference_n < 1 for row in rows[1:])
+    text = section([asdict(row) for row in rows], Page(tmp_path / "page.md"))
+    assert text.count("| toy |") == 3
+    assert (tmp_path / "images" / "page-latency.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_runtime_that_is_missing_is_a_line_with_its_reason(

@@ -740,7 +740,7 @@ def latency(chain: Chain) -> None:
     """Time the force nets frame by frame, on this device and on two threads of the CPU."""
     from tempfile import TemporaryDirectory
 
-    from benchmarks.learning.latency.costs import Variant, costs, sample_of_noise
+    from benchmarks.recording.latency import Variant, costs, sample_of_noise
 
     sensor = next(iter(chain.archive))
     for preset in chain.size.nets:

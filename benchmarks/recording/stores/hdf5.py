@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import hdf5plugin
 import numpy as np
 import simplejpeg
 
@@ -36,6 +35,8 @@ class _Appender(Appender):
             return
         filters: dict[str, Any] = {"compression": "gzip", "compression_opts": 1}
         if profile == "blosc":
+            import hdf5plugin
+
             filters = dict(hdf5plugin.Blosc("lz4", clevel=5, shuffle=hdf5plugin.Blosc.BITSHUFFLE))
         shape = (HEIGHT, WIDTH, 3)
         self._data = self._file.create_dataset(
