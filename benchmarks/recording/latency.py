@@ -245,7 +245,8 @@ def _draw(rows: list[dict[str, Any]], page: Page) -> str:
         for axes, runtime in zip(every, runtimes, strict=True):
             for row in rows:
                 if row["runtime"] == runtime:
-                    colour, mark = f"C{models.index(row['model'])}", _MARKS.get(row["precision"], "D")
+                    colour = f"C{models.index(row['model'])}"
+                    mark = _MARKS.get(row["precision"], "D")
                     axes.plot(row["p50_ms"], row["difference_n"], mark, color=colour)
             live = axes.axvline(1e3 / LIVE_HZ, color=SOFT, linestyle=":")
             axes.set(title=runtime, xscale="log", xlabel="time of a frame [ms]")

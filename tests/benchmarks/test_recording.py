@@ -371,7 +371,6 @@ def test_ctrl_c_leaves_nothing_on_the_disk_and_no_process(tmp_path: Path) -> Non
 
 @pytest.mark.serial
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_the_whole_quick_run_writes_every_part(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
