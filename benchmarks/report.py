@@ -298,7 +298,8 @@ def _made(names: Sequence[str], stored: dict[str, Any], path: Path) -> str:
         for key in ("command", "machine", "python", "commit")
     }
     measured = f"[measurements]({path.with_suffix('.json').name})"
-    quick = "**A quick run, whose numbers mean little.** " if any(h["quick"] for h in heads) else ""
+    hasty = [name for name, head in zip(names, heads, strict=True) if head["quick"]]
+    quick = f"**Quick runs, whose numbers mean little: {', '.join(hasty)}.** " if hasty else ""
     rows = [
         [name, _seeds(head), head["spread"] or "single run", _minutes(head["seconds"])]
         for name, head in zip(names, heads, strict=True)

@@ -36,6 +36,8 @@ _CODE = re.compile(r"^ *```(\w*)\n(.*?)^ *```|`([^`\n]+(?:\n[^`\n]+)?)`", re.M |
 _COMMAND = re.compile(
     r"\s*(?:[A-Z]+=\S+ )*(tactile|make|python -m (?:tactile|benchmarks))((?: .*)?)$"
 )
+# Heads of pages of results: their commands are those of the commit that they name.
+_HEAD = re.compile(r"(?:^\|.*\| made by \|.*\n(?:^\|.*\n)*)|(?:^Made by `[^`]*`)", re.M)
 # Places of values, and marks of a usage.
 _USAGE = re.compile(r"\.\.\.|\[--|\[[A-Z]+=|<\w+>|COMMAND|DIR\b")
 _EITHER = re.compile(r"\\?\|[\w|\\-]+")
@@ -58,7 +60,7 @@ def _slugs(page: Path) -> set[str]:
 def _commands(page: Path) -> list[tuple[str, bool]]:
     """Return the command lines of a page, and whether each stands in a block of shell code."""
     found = []
-    for kind, block, inline in _CODE.findall(page.read_text()):
+    for kind, block, inline in _CODE.findall(_HEAD.sub("", page.read_text())):
         if block and kind not in ("", "sh", "bash", "console"):
             continue
         lines = re.sub(r"\\\n\s*", " ", block).splitlines() or [" ".join(inline.split())]

@@ -128,7 +128,7 @@ def test_a_quick_run_says_so_and_leaves_the_page_of_the_complete_one(page: Path)
     run(benchmark(lambda run: [9 if run.quick else 2]), "--quick")
     assert page.read_text() == text
     quick = (page.parent / "quick" / "stores.md").read_text()
-    assert "**A quick run, whose numbers mean little.** Made by" in quick
+    assert "**Quick runs, whose numbers mean little: speed, size.** Made by" in quick
     assert "The largest: 9." in quick
 
 
