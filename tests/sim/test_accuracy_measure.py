@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.accuracy.errors import compare, frames
 from sim.markers.camera import DISTANCE, FOCAL
-from sim.metrics import Outcome, marker_pixels, marker_places, pixels_of
+from sim.metrics import Outcome, marker_pixels, marker_places
 from sim.result import WEAK
 from sim.scene import Body
 
@@ -69,13 +69,6 @@ def test_a_shift_of_the_surface_is_found_in_metres_and_in_pixels():
     assert errors.surface == pytest.approx([5e-6, 5e-6], rel=1e-5)
     assert errors.surface_rms == pytest.approx([5e-6, 5e-6], rel=1e-5)
     assert errors.marker == pytest.approx(2 * [5e-6 * FOCAL / DISTANCE], rel=1e-4)
-
-
-def test_a_pixel_sees_33_9_micrometres_and_what_is_nearer_looks_larger():
-    places = np.array([[33.93e-6, 0, 0], [1e-3, 0, 0], [1e-3, 0, -1e-3]])
-    pixels = pixels_of(places)
-    assert pixels[0, 0] == pytest.approx(1, rel=1e-3)
-    assert pixels[2, 0] / pixels[1, 0] == pytest.approx(DISTANCE / (DISTANCE - 1e-3))
 
 
 def test_markers_are_a_regular_grid_over_the_body():

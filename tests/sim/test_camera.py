@@ -32,17 +32,6 @@ def test_an_image_is_as_large_as_a_mask() -> None:
     assert (WIDTH, HEIGHT) == (recorder.markers.WIDTH, recorder.markers.HEIGHT)
 
 
-def test_x_is_to_the_right_and_y_is_up() -> None:
-    column, row = Camera.paper().project(np.array([1e-3, 2e-3, 0.0]))
-    assert column == pytest.approx(319.5 + FOCAL * 1e-3 / DISTANCE)
-    assert row == pytest.approx(239.5 - FOCAL * 2e-3 / DISTANCE)
-
-
-def test_what_is_pressed_comes_nearer_and_looks_larger() -> None:
-    column = Camera.paper().project(np.array([1e-3, 0.0, -2e-3]))[0]
-    assert column == pytest.approx(319.5 + FOCAL * 1e-3 / (DISTANCE - 2e-3))
-
-
 def test_a_camera_of_a_scale_has_that_scale() -> None:
     camera = Camera.of_scale(0.0249)
     assert camera.mm_per_px == pytest.approx(0.0249)
@@ -96,7 +85,8 @@ def test_a_ray_beside_a_domes_sphere_sees_nothing() -> None:
     assert np.isnan(places[1]).all()
 
 
-def test_markers_of_the_accuracy_page_are_seen_by_the_same_camera() -> None:
+def test_x_is_to_the_right_y_is_up_and_what_is_nearer_looks_larger() -> None:
+    """In images, and in the pixels of the measure of errors."""
     points = np.concatenate([FLAT[:, :2], -np.abs(FLAT[:, :1])], axis=1)
     by_hand = FOCAL * points[:, :2] / (DISTANCE + points[:, 2:])
     assert np.array_equal(pixels_of(points), by_hand)

@@ -140,22 +140,16 @@ def test_heights_are_where_the_distance_first_becomes_zero(name: str) -> None:
         assert np.all(indenter.distance(below)[0] > -1e-9)
 
 
-@pytest.mark.parametrize("name", MIRRORED_IN_X)
-def test_shapes_alike_left_and_right_are_so_exactly(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "mirror"),
+    [(name, (-1, 1, 1)) for name in MIRRORED_IN_X] + [(name, (1, -1, 1)) for name in MIRRORED_IN_Y],
+)
+def test_mirrored_shapes_are_so_exactly(name: str, mirror: tuple[int, int, int]) -> None:
     points = _cloud(2000)
     gap, normal = named(name).distance(points)
-    mirrored, mirrored_normal = named(name).distance(points * [-1, 1, 1])
+    mirrored, mirrored_normal = named(name).distance(points * mirror)
     np.testing.assert_allclose(mirrored, gap, atol=1e-15)
-    np.testing.assert_allclose(mirrored_normal * [-1, 1, 1], normal, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", MIRRORED_IN_Y)
-def test_shapes_alike_in_front_and_behind_are_so_exactly(name: str) -> None:
-    points = _cloud(2000)
-    gap, normal = named(name).distance(points)
-    mirrored, mirrored_normal = named(name).distance(points * [1, -1, 1])
-    np.testing.assert_allclose(mirrored, gap, atol=1e-15)
-    np.testing.assert_allclose(mirrored_normal * [1, -1, 1], normal, atol=1e-9)
+    np.testing.assert_allclose(mirrored_normal * mirror, normal, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
