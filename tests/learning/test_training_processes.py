@@ -60,7 +60,7 @@ def _run(path: Path, folder: Path, processes: int, stop_at: int) -> str:
         [sys.executable, *arguments],
         capture_output=True,
         text=True,
-        timeout=55,
+        timeout=240,
         cwd=Path(__file__).parents[2],
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])},
     )

@@ -1,8 +1,6 @@
 """The command line: its output, its exit codes, and the contact sheet."""
 
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -83,19 +81,6 @@ def test_export_writes_a_copy_or_says_why_not(
     captured = capsys.readouterr()
     assert captured.out == f"{copy}: written, zarr\n"
     assert captured.err == f"wrong input: {copy}: exists already\n"
-
-
-@pytest.mark.parametrize("command", ["info", "check", "recover"])
-def test_wrong_input_is_one_line_and_no_traceback(command: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "tactile", "session", command, str(tmp_path / "nowhere")],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parents[2],
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == f"wrong input: {tmp_path / 'nowhere'}: no such session\n"
 
 
 @pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force"), ("camera",)])

@@ -207,7 +207,7 @@ def test_lerobot_itself_reads_it(names: tuple[str, ...], tmp_path: Path) -> None
         capture_output=True,
         text=True,
         check=False,
-        timeout=55,
+        timeout=240,
     )
     assert done.returncode == 0, done.stderr
     reported = json.loads(done.stdout.splitlines()[-1])

@@ -465,7 +465,7 @@ sessions:
     run.process.communicate()
 
     again = Collection(first, _start(arguments))
-    assert again.wait(200) == 0, again.text
+    assert again.wait(240) == 0, again.text
     assert "2 of 2 sessions done" in again.text
     session = Session(first)
     assert session.status == "complete"

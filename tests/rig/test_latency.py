@@ -185,7 +185,7 @@ world: {{markers: {{delay_ms: {delay_ms}}}}}
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=240,
         check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr

@@ -245,7 +245,7 @@ def test_collected_killed_recovered_resumed_replayed_checked_and_exported(
     assert set(Session(path).streams) == wanted
     assert faults_of(path, stopped=True) == []
     run = Collection.start(path, "--resume", str(path))  # with the packaged bench of the sensor
-    assert run.wait(60) == 2
+    assert run.wait(240) == 2
     assert "was recorded with the streams" in run.text
     run = Collection.start(path, "--resume", str(path), "--bench", str(bench))
     assert run.wait(400) == 0, run.text

@@ -77,7 +77,7 @@ def test_a_page_for_all_networks_prints_addresses_that_answer(
             host = urllib.parse.urlsplit(url).hostname
             assert host is not None
             assert not ipaddress.ip_address(host).is_unspecified
-            with urllib.request.urlopen(url, timeout=10) as answer:
+            with urllib.request.urlopen(url, timeout=240) as answer:
                 assert answer.status == 200
 
 

@@ -249,7 +249,7 @@ def test_killed_at_random_moments_and_started_again_it_is_the_same(tmp_path: Pat
     whole, torn = tmp_path / "whole.markers.zarr", tmp_path / "torn.markers.zarr"
     alone = _verb(whole)
     began = time.monotonic()
-    alone.communicate(timeout=200)
+    alone.communicate(timeout=240)
     assert alone.returncode == 0
     lasts = time.monotonic() - began
     chance = random.Random(6)
@@ -261,11 +261,11 @@ def test_killed_at_random_moments_and_started_again_it_is_the_same(tmp_path: Pat
         if not ended:
             os.killpg(process.pid, signal.SIGKILL)
             kills += 1
-        process.communicate(timeout=60)
+        process.communicate(timeout=240)
         if ended:
             shutil.rmtree(torn)
     last = _verb(torn)
-    last.communicate(timeout=200)
+    last.communicate(timeout=240)
     assert last.returncode == 0
     assert digests(torn) == digests(whole)
 
@@ -279,7 +279,7 @@ def test_ctrl_c_between_processes_ends_with_130(tmp_path: Path) -> None:
         time.sleep(0.02)
         assert process.poll() is None
     os.killpg(process.pid, signal.SIGINT)
-    reported = process.communicate(timeout=100)
+    reported = process.communicate(timeout=240)
     assert process.returncode == 130, reported
     assert "Traceback" not in reported[1]
     assert "to continue: tactile sim archive" in reported[1]

@@ -131,19 +131,6 @@ def at_nodes(cells: NDArray[np.int32], values: Array, count: int) -> Array:
     return total
 
 
-def stiffness(mesh: Mesh, u: Array, material: Material) -> Array:
-    """Return the dense tangent of the elements at `u` (N, 3, N, 3), without constraints."""
-    count = len(mesh.nodes)
-    dense = np.empty((count, 3, count, 3))
-    for node in range(count):
-        for axis in range(3):
-            v = np.zeros((count, 3))
-            v[node, axis] = 1.0
-            force = element_tangent(mesh, u, v, material)
-            dense[:, :, node, axis] = at_nodes(mesh.elements, force, count)
-    return dense
-
-
 @dataclass(frozen=True, slots=True)
 class Rubbing:
     """State of friction at the previous step, and its limit."""

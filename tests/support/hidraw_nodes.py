@@ -35,7 +35,7 @@ def run(shim: Path, code: str, *arguments: str, nodes: Path | None = None) -> st
         capture_output=True,
         text=True,
         check=False,
-        timeout=40,
+        timeout=240,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -79,7 +79,7 @@ class LabPage:
             compression=None,
         ) as client:
             client.send(message)
-            while (answer := json.loads(client.recv(timeout=20))).pop("kind") != "marks":
+            while (answer := json.loads(client.recv(timeout=240))).pop("kind") != "marks":
                 pass
             return answer
 
@@ -103,6 +103,6 @@ def running(folder: Path, *options: str) -> Iterator[LabPage]:
         yield LabPage(folder, int(found[1]), found[2])
     finally:
         process.terminate()
-        output, _ = process.communicate(timeout=20)
+        output, _ = process.communicate(timeout=240)
     assert process.returncode == 0, output
     assert "Traceback" not in output

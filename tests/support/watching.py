@@ -116,14 +116,14 @@ def watch(
         origin=origin if origin is not None else f"http://{where}",  # type: ignore[arg-type]
         additional_headers={"Cookie": f"rig_watch_{port}={token or access.token}"},
         compression=None,
-        open_timeout=10,
+        open_timeout=240,
     )
 
 
 def next_state(client: ClientConnection) -> dict[str, Any]:
     """Return the next state, ignoring other messages."""
     while True:
-        message = client.recv(timeout=10)
+        message = client.recv(timeout=240)
         if isinstance(message, str) and (content := json.loads(message))["kind"] == "state":
             state: dict[str, Any] = content
             return state
@@ -132,6 +132,6 @@ def next_state(client: ClientConnection) -> dict[str, Any]:
 def next_image(client: ClientConnection) -> bytes:
     """Return the next image of the first camera."""
     while True:
-        message = client.recv(timeout=10)
+        message = client.recv(timeout=240)
         if isinstance(message, bytes) and message[0] == 0:
             return message[1:]

@@ -125,27 +125,6 @@ def test_an_unknown_command_is_refused_and_the_nearest_are_named(
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "message"),
-    [
-        ("session info nosuch.zarr", 2, "no such session"),
-        ("collect --sensor nosuch", 2, "known in benches/ or packaged"),
-        (
-            "replay --session nosuch.zarr",
-            2,
-            "wrong input: nosuch.zarr: no such",
-        ),
-        ("sim press --depths 1,1", 2, "wrong input: --depths[1]"),
-        ("train force nosuch.markers.zarr --sensor a --out x", 2, "nosuch.markers.zarr"),
-    ],
-)
-def test_messages_and_exit_codes_are_those_of_the_command(
-    words: str, code: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(words.split()) == code
-    assert message in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
     ("words", "message"),
     [
         ("session check", "the following arguments are required: session"),

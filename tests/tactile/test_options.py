@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
-import itertools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +17,6 @@ from tactile.commands import COMMANDS
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("trajectories", "recorder", "rig", "sim", "learning", "tactile")
-PROGRAMS = {"tactile", "rig", "sim", "learning", "recorder", "tactile.run", "tactile.__main__"}
 COMMANDS_MOST, OPTIONS_MOST = 38, 400
 
 
@@ -93,24 +91,3 @@ def test_the_commands_to_continue_with_exist_and_have_their_options() -> None:
                 wrong.append(f"{path}:{node.lineno}: {words}: {sorted(stated - known)}")
     assert wrong == []
     assert calls > 10
-
-
-def test_no_module_builds_a_command_line_of_ours() -> None:
-    """Another command's work is a function, which modules call."""
-    found = []
-    for path in [each for package in PACKAGES for each in (ROOT / package).rglob("*.py")]:
-        relative = path.relative_to(ROOT)
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.List | ast.Tuple):
-                texts = [each.value for each in node.elts if isinstance(each, ast.Constant)]
-                after = dict(itertools.pairwise(texts))
-                if after.get("-m") in PROGRAMS or texts[:1] == ["tactile"]:
-                    found.append(f"{relative}:{node.lineno}")
-            if isinstance(node, ast.ImportFrom) and node.module == "tactile.run":
-                found.append(f"{relative}:{node.lineno}")
-    # The one list of words that begins with the program is printed, for a person to copy.
-    assert [each for each in found if not each.startswith(EXEMPT)] == []
-
-
-# Where the program itself begins, and where the next command is put into words.
-EXEMPT = ("tactile/__main__.py:", "recorder/command_line/options.py:")

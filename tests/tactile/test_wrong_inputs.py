@@ -40,6 +40,9 @@ OPTIONS = {
     "live --model model --session s.zarr --runtime onnx": "--runtime torch needs none",
     "live --model model --session s.zarr --seconds 0": "--seconds: found '0'; allowed: a number",
     "live --model model --session s.zarr --sensor a": "--sensor: not allowed with argument",
+    "session info x.zarr": "x.zarr: no such session",
+    "session check x.zarr": "x.zarr: no such session",
+    "session recover x.zarr": "x.zarr: no such session",
     "session info split.json": "found a file; allowed: the folder of a session or an archive",
     "session check split.json": "found a file; allowed: the folder of a session or an archive",
     "session info a.markers.zarr --picture x.png": "expected 'tactile-rig session'",
@@ -59,6 +62,7 @@ OPTIONS = {
     "import y.zarr --video f.csv --fps 9 --sensor a --indenter b": "OpenCV finds no video in it",
     "import y.zarr --video none --fps 9 --sensor a --indenter b": "none: no such video file or",
     "import x.pkl --base . --out y": "x.pkl: no such file",
+    "sim press --depths 1,1": "--depths[1]",
     "sim archive digit": "sensor: 'digit'; allowed: array-i, array-ii, circle-i",
     "sim archive none.yaml": "none.yaml: no such file",
     "sim archive r6 --scale 2": "--scale: '2'; allowed: smoke, full, or above 0 to 1",
@@ -85,6 +89,7 @@ OPTIONS = {
     ),
     "predict model a.markers.zarr --sensor a --split split.json --out a.npz": "--sensor: found 'a'",
     "evaluate none": "none: found no folder; allowed: results of `predict`, X.markers.zarr, a",
+    "train force x.markers.zarr --sensor a --out x": "x.markers.zarr: no such archive",
     "train force a.markers.zarr --sensor a --split split.json --preset tiny --out x": (
         "--sensor: found a; known: dots, grid"
     ),
