@@ -8,8 +8,8 @@ PYTHON  ?= $(shell for p in python3.12 python3.11 python3 ~/.pyenv/versions/3.1[
             $$(uv python find '>=3.11,<3.13' 2>/dev/null); do \
             $$p -c '$(FITS)' 2>/dev/null && echo $$p && break; done)
 # Bytecode is left to the first import: most of the modules are never imported.
-PIP     := $(if $(shell command -v uv 2>/dev/null),uv pip install --python $(PY),$(PY) -m pip install \
-            --no-compile --disable-pip-version-check) --quiet -c constraints.txt -e
+PIP     := $(if $(shell command -v uv 2>/dev/null),uv pip install --python $(PY),PYTHONWARNINGS=ignore \
+            $(PY) -m pip install --no-compile --disable-pip-version-check) --quiet -c constraints.txt
 MKDOCS  := NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs
 BARE    := examples/demo-transfer
 DEMO    := examples/demo-learning
@@ -21,9 +21,8 @@ comma   := ,
 # A variable counts if it is typed after `make`; one of that name in the environment (HOST) does not.
 given   = $(if $(filter command,$(origin $(1))),$(value $(1)))
 quoted  = '$(subst ','\'',$(1))'
-lower   = $(shell echo $(1) | tr A-Z a-z)
 # SENSOR=tacpalm becomes --sensor 'tacpalm', for each of these variables that is given.
-option  = $(if $(call given,$(1)),--$(call lower,$(1)) $(call quoted,$(call given,$(1))))
+option  = $(if $(call given,$(1)),--$(shell echo $(1) | tr A-Z a-z) $(call quoted,$(call given,$(1))))
 options = $(foreach name,$(1),$(call option,$(name))) $(call given,ARGS)
 folder  = $(call quoted,$(or $(call given,OUT),$(1)))
 
@@ -113,8 +112,9 @@ $(PY):
 	  "and, to build ur-rtde, a C++ compiler, cmake and Boost: make PYTHON=python3.13"; exit 2; })
 	@echo "setting up $(VENV) with $(or $(PYTHON),uv), once ..."
 	@$(or $(if $(PYTHON),$(PYTHON) -m venv),uv venv --quiet --seed --python 3.12) $(VENV)
+	@$(PIP) --upgrade pip
 
 # The file .rig-sim says that the extras rig and sim are installed; those of development include all others.
 $(VENV)/.%: pyproject.toml constraints.txt | $(PY)
-	@$(PIP) '.[$(subst -,$(comma),$*)]'
+	@$(PIP) -e '.[$(subst -,$(comma),$*)]'
 	@touch $@ $(addprefix $(VENV)/.,$(subst -, ,$*) $(if $(findstring dev,$*),$(ALL)))

@@ -17,27 +17,21 @@ from rig.devices.force.calibration import (
 def emit_calibration(
     calibration: TransducerCalibration,
     *,
-    body: str = "Nano17",
     force_unit: str = "N",
     torque_unit: str = "N-mm",
-    comment: str = "",
 ) -> bytes:
     """Return a `.cal` file of `calibration`, as `parse_calibration` reads it.
 
     Args:
         calibration: Calibration with a bipolar output.
-        body: Model of the transducer.
         force_unit: A key of `FORCE_UNITS`.
         torque_unit: A key of `TORQUE_UNITS`.
-        comment: Comment at the top of the file.
     """
     scale = np.repeat([FORCE_UNITS[force_unit], TORQUE_UNITS[torque_unit]], 3)
     matrix = calibration.matrix / scale[:, np.newaxis]
     rated = np.array(calibration.rated) / scale
-    root = ET.Element("FTSensor", Serial=calibration.serial, BodyStyle=body, Family="DAQ")
+    root = ET.Element("FTSensor", Serial=calibration.serial, BodyStyle="Nano17", Family="DAQ")
     root.set("NumGages", "6")
-    if comment:
-        root.append(ET.Comment(f" {comment} "))
     low, high = calibration.volts_range
     element = ET.SubElement(
         root,
