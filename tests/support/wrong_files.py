@@ -41,6 +41,8 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
             "unit left out": f"{BENCH}\nlimits: {{depth_max: 1.3}}",
             "metres for millimetres": f"{BENCH}\ntrajectory: {{depth_max_mm: 0.0012}}",
             "ten times as deep": f"{BENCH}\ntrajectory: {{depth_max_mm: 12.0}}",
+            "outside the box": f"{BENCH}\ntrajectory: {{step_x_mm: 9.0}}",
+            "kind misspelt": f"{BENCH}\ncamera: {{kind: eye, address: x, rate_hz: 30.0}}",
             "not a number": f"{BENCH}\nrate_hz: .nan",
             "unit in the value": f"{BENCH}\nrate_hz: 40 Hz",
             "no for false": f"{BENCH}\nmock: no",
