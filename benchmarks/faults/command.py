@@ -47,26 +47,14 @@ def _summary(values: dict[str, Any]) -> str:
             "accepted samples were lost."
         )
         lines += [
-            f"- **{row['device']} {row['fault']}**: {what}" for row in rows for what in row["wrong"]
+            f"- {row['device']} {row['fault']}: {what}" for row in rows for what in row["wrong"]
         ]
     if killed := values.get("kills"):
         collections, programs = killed["collections"], killed["programs"]
         count = sum(collections["victims"].values()) + sum(programs["kills"].values())
         wrong = [*collections["wrong"], *programs["wrong"]]
         lines.append(f"{count} kills and {killed['disks']} full disks: {len(wrong)} failures.")
-        lines += [f"- **{what}**" for what in wrong]
-    if benches := values.get("no-gauge"):
-        most = max(each["largest"] / each["rating"] for each in benches)
-        lines.append(
-            f"On {len(benches)} wrong benches without a gauge the true force reached at most "
-            f"{most:.0%} of the sensor's rating."
-        )
-    if streams := values.get("endurance", {}).get("streams"):
-        dropped = sum(stream["dropped"] for stream in streams.values())
-        lines.append(
-            f"{values['endurance']['seconds'] / 60:.0f} minutes without a pause: {dropped} samples "
-            "dropped."
-        )
+        lines += [f"- {what}" for what in wrong]
     return "\n\n".join(lines)
 
 

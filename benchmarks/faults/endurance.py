@@ -67,11 +67,7 @@ class Track:
 def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, int]:
     """Write a bench like `bench_file` with more shear directions, to take at least `seconds`.
 
-    Returns:
-        The file, in `folder`, and the number of targets in its plan.
-
-    Raises:
-        CommandError: No press-shear plan, or `seconds` exceeds the longest plan.
+    Returns its file, in `folder`, and the targets of its plan; CommandError if no plan is as long.
     """
     bench = BenchFile.read(bench_file).bench
     plan = bench.trajectory
@@ -109,11 +105,7 @@ def role_of(pid: int, command: str, session: Path) -> str:
 def watched(
     bench_file: Path, session: Path, every: float, progress: Callable[[float], None]
 ) -> tuple[int, str, float, list[Track]]:
-    """Collect the plan of `bench_file` while observing its processes.
-
-    Returns:
-        Exit code, last line of output, wall time [s], and the processes.
-    """
+    """Collect the plan of `bench_file`; return exit code, last line, wall time [s], processes."""
     clock = SystemClock()
     start_ns = clock.now_ns()
     command = [sys.executable, "-u", "-m", "tactile", "collect", "--bench", str(bench_file)]
@@ -142,16 +134,10 @@ def watched(
 def growth_of(
     track: Track, seconds: float, warm_up: float = _WARM_UP, until: float = np.inf
 ) -> dict[str, Any] | None:
-    """Return the growth of one process, or None if it was observed too briefly.
+    """Return the growth of one process in a run of `seconds`, None if it was observed too briefly.
 
-    It has the medians of the first and last minute [bytes], the slope of a line [bytes per hour],
-    the standard deviation around it, the open files at both ends, and CPU time over wall time.
-
-    Args:
-        track: The process.
-        seconds: Length of the whole run [s].
-        warm_up: Start of the range that is evaluated [s].
-        until: End of that range, for example when the session begins to close [s].
+    From `warm_up` to `until` [s]: medians of the first and last minute [bytes], slope of a line
+    [bytes per hour], deviation around it, open files at both ends, and CPU time over wall time.
     """
     times = np.array(track.seconds)
     late = (times >= warm_up) & (times <= until)

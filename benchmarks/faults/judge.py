@@ -29,11 +29,9 @@ class Stored:
 
     status: str
     rows: Mapping[str, int]
-    """Number of readable rows by stream."""
     missing: Mapping[str, int]
-    """Number of gaps in the device's numbering, by stream."""
     disorder: Mapping[str, int]
-    """Number of rows whose number does not exceed the one before, by stream."""
+    """Readable rows by stream, gaps in the device's numbering, and rows that do not exceed it."""
     findings: tuple[str, ...]
     """Codes that `tactile session check` reports."""
     rejected: Mapping[str, Mapping[str, int]]

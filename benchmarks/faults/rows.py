@@ -42,19 +42,15 @@ class Row:
     """One fault."""
 
     device: str
-    """Device with the fault."""
     fault: str
-    """The fault."""
     codes: tuple[int, ...]
     """Expected exit codes."""
     act: Act | None
     """Injects the fault into a pressing collection; None: it is present from the start."""
     sensor: str = "tacpalm"
-    """Bench of the trial."""
     limits: str = "{}"
-    """Limits that differ from the bench's, as YAML."""
     more: str = ""
-    """YAML to add to the bench, in which BENCHES is replaced by the folder of the bench files."""
+    """YAML merged over the limits of the sensor's bench, and YAML to add to it; see quick_bench."""
     before: Act | None = None
     """Operator's action after recording starts, without which nothing is pressed."""
     pedal: bool = False

@@ -78,10 +78,7 @@ class Truth:
 class SimulatedBench(FakeClock):
     """Arm, World and streams, driven by the clock: every wait advances all of them.
 
-    Args:
-        bench: The bench as its file describes it.
-        truth: How it really is.
-        folder: Empty folder for shared records.
+    `bench` is as its file describes it, `truth` as it is; `folder`, empty, is for shared records.
     """
 
     def __init__(self, bench: Bench, truth: Truth, folder: Path) -> None:
@@ -148,15 +145,11 @@ class SimulatedBench(FakeClock):
         poses, self._fresh = self._fresh, []
         return poses
 
-    def kick(self) -> bool:
-        """Return True: the watchdog is never late."""
+    def kick(self, *_: Any) -> bool:
+        """Return True: the watchdog is never late, no pose out of reach, no line broken."""
         return True
 
-    connected = kick
-
-    def reaches(self, pose: list[float]) -> bool:
-        """Return True: no pose is out of reach."""
-        return True
+    connected = reaches = kick
 
     def start_move(self, pose: list[float], speed: float, acceleration: float) -> bool:
         """Begin a linear move."""
@@ -249,20 +242,18 @@ class _Picture:
     def taken(self, state: np.void) -> np.ndarray:
         """Return the reading of a WORLD_STATE."""
         if self._camera is None:
-            counts = 0.0 if self._noise is None else self._noise.counts
-            noise = self._rng.normal(0.0, counts, (16, 3))
             taxels = self._world.taxels
             if taxels is None:
                 raise ValueError("found a World without camera and taxels")
+            counts = 0.0 if self._noise is None else self._noise.counts
+            noise = self._rng.normal(0.0, counts, (16, 3))
             moved = surface_of(self._world, state).displacement(taxels.positions())
-            shown = taxels.counts(moved)
-            return np.asarray(np.rint(shown + noise), np.float32)
-        if state["depth"] <= 0:
-            if self._rest is None:
-                self._rest = grey(self._camera.image(surface_of(self._world, state)))
-            image = self._rest
-        else:
+            return np.asarray(np.rint(taxels.counts(moved) + noise), np.float32)
+        image = self._rest if state["depth"] <= 0 else None
+        if image is None:
             image = grey(self._camera.image(surface_of(self._world, state)))
+        if state["depth"] <= 0:
+            self._rest = image
         top, left = self._rng.integers(0, 64, 2)
         noise = self._noises[top : top + image.shape[0], left : left + image.shape[1]]
         return np.asarray(np.rint(image + noise), np.float32)
@@ -272,13 +263,8 @@ class _Arm:
     """The calls of `Arm` that the plan runner makes, on a real `Mover`."""
 
     def __init__(self, clock: SimulatedBench, bench: Bench, folder: Path, contact: float) -> None:
-        setup = Setup(
-            bench.arm,
-            tuple(bench.contact_frame),
-            guard_limits(bench),
-            None,
-            tuple(guards_of(bench, folder, contact=contact).items()),
-        )
+        frame, guards = tuple(bench.contact_frame), guards_of(bench, folder, contact=contact)
+        setup = Setup(bench.arm, frame, guard_limits(bench), None, tuple(guards.items()))
         world: Any = clock
         self._on_wait: Callable[[], None] | None = None
         self._clock, self._looked_ns = clock, 0
@@ -368,36 +354,27 @@ class _Streams:
         return found
 
 
-class Recorded:
-    """One stage, with the parts of a `Session` that the procedure reads.
+def _recorded(
+    clock: SimulatedBench, bench: Bench, rows: list[dict[str, Any]], since: tuple[int, int]
+) -> Any:
+    """Return a stage, with the parts of a `Session` that the procedure reads.
 
-    Args:
-        clock: The bench.
-        bench: The bench as it was used.
-        rows: Rows of the phases.
-        since: Number of the stage's first pose and signal.
+    `rows` are its phases, and `since` the numbers of its first pose and signal.
     """
-
-    def __init__(
-        self,
-        clock: SimulatedBench,
-        bench: Bench,
-        rows: list[dict[str, Any]],
-        since: tuple[int, int],
-    ) -> None:
-        self.path = clock.folder / "stage.zarr"
-        names = rows[0] if rows else ("target", "phase", "outcome")
-        self.segments = {name: np.array([row[name] for row in rows]) for name in names}
-        self.attrs = {"contact_frame": list(bench.contact_frame)}
-        signal = bench.signal
-        self.signal = None if signal is None else signal.name
-        poses, signals = clock.poses[since[0] :], clock.signals[since[1] :]
-        kind = "taxels" if signal is None else signal.kind
-        self.streams = {"pose": _column("pose", poses), str(self.signal): _column(kind, signals)}
-
-    def first(self, kind: str) -> str | None:
-        """Return the first stream of a kind."""
-        return "pose" if kind == "pose" else None
+    names = rows[0] if rows else ("target", "phase", "outcome")
+    signal = bench.signal
+    name, kind = (None, "taxels") if signal is None else (signal.name, signal.kind)
+    return SimpleNamespace(
+        path=clock.folder / "stage.zarr",
+        segments={name: np.array([row[name] for row in rows]) for name in names},
+        attrs={"contact_frame": list(bench.contact_frame)},
+        signal=name,
+        streams={
+            "pose": _column("pose", clock.poses[since[0] :]),
+            str(name): _column(kind, clock.signals[since[1] :]),
+        },
+        first=lambda kind: "pose" if kind == "pose" else None,
+    )
 
 
 def _column(kind: str, samples: list[tuple[int, np.ndarray]]) -> Any:
@@ -411,15 +388,10 @@ def _column(kind: str, samples: list[tuple[int, np.ndarray]]) -> Any:
 
 
 class Stages:
-    """Records stages on a simulated bench; a `rig.acquire.no_gauge.Record`.
-
-    Args:
-        clock: The bench.
-    """
+    """Records stages on a simulated bench; a `rig.acquire.no_gauge.Record`."""
 
     def __init__(self, clock: SimulatedBench) -> None:
-        self._clock = clock
-        self._number = 0
+        self._clock, self._number = clock, 0
         self.stage = ""
         """Stage that runs or ran last."""
 
@@ -467,7 +439,7 @@ class Stages:
 
         def after(target: Target) -> None:
             if after_target is not None:
-                after_target(target, Recorded(clock, bench, rows, since))
+                after_target(target, _recorded(clock, bench, rows, since))
 
         driven: Any = arm
         runner = PlanRunner(
@@ -484,4 +456,4 @@ class Stages:
         finally:
             with contextlib.suppress(SafetyStop, DeviceLost):
                 arm.retract()
-        return Recorded(clock, bench, rows, since)
+        return _recorded(clock, bench, rows, since)

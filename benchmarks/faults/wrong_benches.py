@@ -55,13 +55,11 @@ class Outcome:
     wrist: bool
     """True if the arm reports its wrench."""
     largest: float
-    """Largest true force [N]."""
     rating: float
-    """Rating of the sensor [N]."""
+    """Largest true force, and rating of the sensor [N]."""
     stage: str
-    """Stage in which it ended."""
     reason: str
-    """Message of the stop; empty if the plan was completed."""
+    """Stage in which it ended, and why; empty if the plan was completed."""
 
     @property
     def fraction(self) -> float:
@@ -151,21 +149,11 @@ class _Thinned(Plan):
 
 
 def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wrist: bool) -> Truth:
-    """Return how a bench with a fault really is.
-
-    Args:
-        bench: The bench as its file describes it.
-        fault: One of FAULTS.
-        rng: Source of the amounts.
-        seed: Seed of noise and wrist.
-        wrist: True if the arm reports its wrench.
-    """
+    """Return how a bench is whose file is wrong by one of FAULTS; `seed` is of noise and wrist."""
     world = bench.world
     if not isinstance(world, AnalyticSpec):
         raise ConfigError(f"{bench.sensor}: found a simulated world; allowed: an analytic one")
-    payload = 0.0
-    truth = Truth(world, seed=seed)
-    faults = {fault}
+    payload, truth, faults = 0.0, Truth(world, seed=seed), {fault}
     if fault == "several":
         faults = set(rng.choice(FAULTS[:-1], 3, replace=False).tolist())
     if "surface" in faults:
