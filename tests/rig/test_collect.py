@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -130,14 +132,34 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     after = {path: path.read_bytes() for path in run.session.rglob("*") if path.is_file()}
     assert after == before
 
-    # Unless its targets are to be pressed again: the press of the last run is the one that counts.
-    assert main(["collect", *more, "--again", "2"]) == 2
-    assert "--again: found 2; allowed: targets 1 to 1" in capsys.readouterr().err
-    fourth = Collection.start(run.session, *more, "--again", "1")
-    assert fourth.wait() == 0, fourth.text
-    assert "complete: 1 of 1 targets" in fourth.lines[-1]
-    session = Session(run.session)
-    assert len(session.runs) == 3
-    assert list(session.segments["run"]).count(2) == 4
-    used = read_recording(run.session)
-    assert set(used.column("run").tolist()) == {2}
+
+@pytest.mark.slow
+def test_targets_of_a_complete_session_are_pressed_again(
+    collected: Collected, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = tmp_path / "s.zarr"
+    shutil.copytree(collected[1].session, session)
+    more = ("--resume", str(session), "--bench", str(quick_bench(tmp_path, "tacpalm")))
+    assert main(["collect", *more, "--again", "3"]) == 2
+    assert "--again: found 3; allowed: targets 1 to 2" in capsys.readouterr().err
+    run = Collection.start(session, *more, "--again", "1")
+    assert run.wait() == 0, run.text
+    assert "complete: 2 of 2 targets" in run.lines[-1]
+    assert len(Session(session).runs) == 2
+    assert list(Session(session).segments["run"]).count(1) == 4
+    # The press of the last run is the one that counts.
+    recording = read_recording(session)
+    pairs = zip(recording.column("target"), recording.column("run"), strict=True)
+    assert {(int(target), int(run)) for target, run in pairs} == {(0, 1), (1, 0)}
+
+
+@pytest.mark.slow
+def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> None:
+    limits = {"force_rating_n": [12.0, 12.0, 0.4], "soft_fraction": 0.5, "hard_fraction": 5.0}
+    limits |= {"horizon_ms": 20.0, "stiffness_n_per_mm": 0.005}
+    bench = quick_bench(tmp_path, "tacpalm", limits=json.dumps(limits))
+    run = Collection.start(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))
+    assert run.wait() == 0, run.text
+    limited = OUTCOMES.index("force_limited")
+    assert list(Session(run.session).segments["outcome"]) == [limited, limited]
+    assert "Fz" in run.text

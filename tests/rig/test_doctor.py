@@ -63,6 +63,7 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
         "force": {**started["force"], "host": NOBODY},
         "camera": camera,
         "contact_frame": frame,
+        "preflight": {**started.get("preflight", {}), "timeout": 3.0},
         "gripper": {"kind": "robotiq_2f", "port": str(tmp_path / "no-gripper")},
         "pedal": {"kind": "hid_pedal", "device": str(tmp_path / "no-pedal")},
     }

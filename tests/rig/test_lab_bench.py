@@ -33,8 +33,6 @@ from rig.core.samples import ARM_TRUTH
 from rig.core.shared_memory import SharedLatest
 from rig.mock.bench import MockBench
 
-pytestmark = pytest.mark.serial
-
 # Height above the sensor to which a stopped arm retracts, less the tolerance of the move [mm].
 RETRACTED = 15.0
 
@@ -60,9 +58,9 @@ class LabBench:
         return 1e3 * float(transform(self._to_contact, record["pose"][:3])[2])
 
 
-@pytest.fixture(name="lab", scope="module")
-def lab_bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabBench]:
-    lab = LabBench(tmp_path_factory.mktemp("lab"))
+@pytest.fixture(name="lab")
+def lab_bench(tmp_path: Path) -> Iterator[LabBench]:
+    lab = LabBench(tmp_path)
     with lab.mock:
         yield lab
 
@@ -141,6 +139,7 @@ def _until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> N
         time.sleep(0.005)
 
 
+@pytest.mark.serial
 def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
     lab: LabBench, tmp_path: Path
 ) -> None:
@@ -174,30 +173,21 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
 
 
 @pytest.mark.parametrize(
-    "answer", [b"\n", b"no\n", b"\x04", b"\x03"], ids=["enter", "no", "end", "ctrl-c"]
+    ("early", "answer"),
+    [(b"", b"\n"), (b"", b"no\n"), (b"", b"\x04"), (b"", b"\x03"), (b"\nmove\nmo", b"ve\n")],
+    ids=["enter", "no", "end", "ctrl-c", "typed-before"],
 )
-def test_anything_but_the_word_starts_nothing(lab: LabBench, tmp_path: Path, answer: bytes) -> None:
+def test_anything_but_the_word_starts_nothing(
+    gripping: Path, tmp_path: Path, early: bytes, answer: bytes
+) -> None:
     session = tmp_path / "s.zarr"
     with Terminal(
-        *("collect", "--bench", str(lab.file), "--out", str(session)),
+        *("collect", "--bench", str(gripping), "--out", str(session)),
         *("--calibrations", str(tmp_path / "none")),
     ) as terminal:
+        os.write(terminal.master, early)
         terminal.read_until("to start, anything")
         os.write(terminal.master, answer)
-        assert terminal.wait() == 130
-        assert "nothing was recorded" in terminal.text
-    assert not session.exists()
-
-
-def test_what_was_typed_before_the_question_starts_nothing(lab: LabBench, tmp_path: Path) -> None:
-    session = tmp_path / "s.zarr"
-    with Terminal(
-        *("collect", "--bench", str(lab.file), "--out", str(session)),
-        *("--calibrations", str(tmp_path / "none")),
-    ) as terminal:
-        os.write(terminal.master, b"\nmove\nmo")
-        terminal.read_until("to start, anything")
-        os.write(terminal.master, b"ve\n")
         assert terminal.wait() == 130
         assert "nothing was recorded" in terminal.text
     assert not session.exists()
