@@ -259,10 +259,13 @@ def section(values: dict[str, Any], page: Page) -> str:
     commands = values["commands"]
     with chart(page.picture("times"), 8, 0.8 + 0.25 * len(commands)) as figure:
         axes = figure.subplots()
-        names = [f"{number + 1} {each['command'][:40]}" for number, each in enumerate(commands)]
+        names = [
+            f"{number} {each['command'].partition(' --')[0]}"
+            for number, each in enumerate(commands, 1)
+        ]
         axes.barh(names, [each["seconds"] for each in commands], color=BLUE)
         axes.set(xlabel="time [s]")
-        axes.invert_yaxis()
+        axes.set(ylim=(len(commands) - 0.5, -0.5))
     rows = [(f"`{each['command']}`", f"{each['seconds']:.0f}", each["tries"]) for each in commands]
     last = "\n".join(commands[-1]["lines"])
     return f"""## The commands

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import pi
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from benchmarks.faults.collection_run import quick_bench
 from benchmarks.faults.processes import family, stream_written
 from benchmarks.report import Page, Run, table
 from recorder import Session, check, faults
-from recorder.charts import chart
+from recorder.charts import BLUE, chart
 from recorder.command_line.errors import CommandError
 from recorder.settings import yaml_text
 from rig.bench.bench import BenchFile
@@ -191,7 +191,7 @@ def measure(run: Run) -> dict[str, Any]:
         ],
         "warm_up": warm_up,
         "growth": sorted(filter(None, growths), key=lambda each: str(each["role"])),
-        "tracks": [asdict(track) for track in tracks],
+        "processes": [track.role for track in tracks],
     }
 
 
@@ -199,13 +199,12 @@ def section(values: dict[str, Any], page: Page) -> str:
     """Return the streams, the findings, and the memory of each process as table and chart."""
     if values["exit"] != 0:
         return f"## Endurance\n\nThe collection ended with exit code {values['exit']}."
-    with chart(page.picture("memory"), 8, 3) as figure:
+    with chart(page.picture("memory"), 8, 0.8 + 0.25 * len(values["growth"])) as figure:
         axes = figure.subplots()
-        for track in values["tracks"]:
-            memory = np.array(track["memory"]) / _MIB
-            axes.plot(np.array(track["seconds"]) / 60, memory, label=track["role"])
-        axes.set(xlabel="time since the start [min]", ylabel="private memory [MiB]", ylim=(0, None))
-        axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
+        for each in values["growth"]:
+            ends = [each["first"] / _MIB, each["last"] / _MIB]
+            axes.plot(ends, 2 * [each["role"]], "|-", color=BLUE, markersize=10)
+        axes.set(xlabel="memory in the first and in the last minute [MiB]", xlim=(0, None))
     streams = [
         (name, each["rows"], each["dropped"], f"{1e3 * each['longest_gap']:.1f} ms")
         for name, each in values["streams"].items()
@@ -236,6 +235,6 @@ processes observed regularly: {values["bytes"] / 1e6:.0f} MB, exit code 0. `tact
 Memory [MiB] that no other process shares, from {values["warm_up"]:.0f} s after the start to the end
 of recording. The total grows by {total:+.2f} MiB an hour.
 
-{page.link("memory", "Private memory of each process over time")}
+{page.link("memory", "Memory of each process in the first and in the last minute")}
 
 {table(head, growth)}"""

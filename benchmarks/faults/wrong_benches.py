@@ -7,8 +7,8 @@ import io
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +67,8 @@ class Outcome:
         return self.largest / self.rating
 
 
-def measure(run: Run) -> list[dict[str, Any]]:
-    """Collect on each wrong bench; return the outcomes."""
+def measure(run: Run) -> dict[str, Any]:
+    """Collect on each wrong bench; return the largest forces and the ends, by fault."""
     count = run.options.benches or (QUICK_COUNT if run.quick else COUNT)
     outcomes: list[Outcome] = []
     each = len(SENSORS)
@@ -78,11 +78,37 @@ def measure(run: Run) -> list[dict[str, Any]]:
             outcomes.append(waiting.result())
             run.progress(len(outcomes) / count)
     run.failures += [
-        f"seed {each.seed}: {each.fraction:.0%} of the rating of {each.sensor} ({each.fault})"
-        for each in outcomes
-        if each.fraction > 1
+        f"seed {one.seed}: {one.fraction:.0%} of the rating of {one.sensor} ({one.fault})"
+        for one in outcomes
+        if one.fraction > 1
     ]
-    return [asdict(each) for each in outcomes]
+    return summary_of(outcomes)
+
+
+def summary_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return the number of benches, the largest force as a fraction, and the ends, by fault."""
+    by_fault = {fault: [one for one in outcomes if one.fault == fault] for fault in FAULTS}
+    worst = max(outcomes, key=lambda one: one.fraction)
+    return {
+        "benches": len(outcomes),
+        "largest": worst.fraction,
+        "worst": f"seed {worst.seed}: {worst.sensor}, {worst.fault}",
+        "without_wrench": [
+            sum(not one.wrist for one in outcomes),
+            max((one.fraction for one in outcomes if not one.wrist), default=0.0),
+        ],
+        "faults": {
+            fault: {
+                "benches": len(ones),
+                "largest": max(one.fraction for one in ones),
+                "ends": Counter(
+                    f"stopped in {one.stage}" if one.reason else "completed" for one in ones
+                ),
+            }
+            for fault, ones in by_fault.items()
+            if ones
+        },
+    }
 
 
 def collected(seed: int) -> Outcome:
@@ -176,34 +202,30 @@ def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wris
     return replace(truth, wrist=Wrist(seed, payload) if wrist else None)
 
 
-def section(values: list[dict[str, Any]], page: Page) -> str:
+def section(values: dict[str, Any], page: Page) -> str:
     """Return the largest forces and the ends by fault, as table and chart."""
-    outcomes = [Outcome(**each) for each in values]
-    worst = max(outcomes, key=lambda each: each.fraction)
-    by_fault = {fault: [each for each in outcomes if each.fault == fault] for fault in FAULTS}
-    by_fault = {fault: each for fault, each in by_fault.items() if each}
-    with chart(page.picture("force"), 8, 0.9 + 0.3 * len(by_fault)) as figure:
+    faults = values["faults"]
+    with chart(page.picture("force"), 8, 0.9 + 0.3 * len(faults)) as figure:
         axes = figure.subplots()
-        for place, each in enumerate(by_fault.values()):
-            forces = [100 * outcome.fraction for outcome in each]
-            axes.plot(forces, [place] * len(forces), "|", color=BLUE, markersize=12)
+        axes.barh(list(faults), [100 * one["largest"] for one in faults.values()], color=BLUE)
         axes.axvline(100, color=RED)
-        axes.set_yticks(range(len(by_fault)), list(by_fault))
-        axes.set(xlabel="largest true force of a bench [% of the rating]", xlim=(0, 105))
-        axes.set(ylim=(len(by_fault) - 0.5, -0.5))
-    rows = []
-    for fault, each in by_fault.items():
-        ends = Counter(
-            f"stopped in {outcome.stage}" if outcome.reason else "completed" for outcome in each
+        axes.set(xlabel="largest true force [% of the rating]", xlim=(0, 105))
+        axes.invert_yaxis()
+    rows = [
+        (
+            fault,
+            ", ".join(f"{end} {count}" for end, count in Counter(one["ends"]).most_common()),
+            one["benches"],
+            f"{one['largest']:.0%}",
         )
-        text = ", ".join(f"{name} {count}" for name, count in ends.most_common())
-        rows.append((fault, text, len(each), f"{max(one.fraction for one in each):.0%}"))
-    without = [each.fraction for each in outcomes if not each.wrist]
+        for fault, one in faults.items()
+    ]
+    bare, most = values["without_wrench"]
     return f"""## Wrong benches without a gauge
 
-{len(outcomes)} mock benches on a simulated clock, of which {len(without)} without the arm's wrench.
-The true force reached at most {worst.fraction:.0%} of the sensor's rating (seed {worst.seed}:
-{worst.sensor}, {worst.fault}), and {max(without, default=0.0):.0%} without the wrench.
+{values["benches"]} mock benches on a simulated clock, {bare} of them without the arm's wrench. The
+true force reached at most {values["largest"]:.0%} of the sensor's rating ({values["worst"]}), and
+{most:.0%} without the wrench.
 
 Each bench finds its surface, presses in steps and presses targets spread over its plan. Samples
 reach the guards late: images {1e3 * CAMERA_DELAY:.0f} ms, taxels {1e3 * TAXELS_DELAY:.0f} ms, the
@@ -212,6 +234,6 @@ drift. Faults: the surface is off by -2 to +1 mm, the indenter 5 mm longer, the 
 to 8 degrees, its signal frozen or silent, the payload wrong, the indenter a punch or sphere of 1 to
 5 mm; `several` are three at once.
 
-{page.link("force", "Largest true force of each bench, by fault")}
+{page.link("force", "Largest true force, by fault")}
 
 {table(("fault", "ended by", "benches", "largest force"), rows)}"""

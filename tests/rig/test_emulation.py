@@ -80,7 +80,7 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
             file.write_text(settings)
             second = subprocess.run(
                 [*NETFT, "--file", str(file)],
-                **{"capture_output": True, "text": True, "check": False, "timeout": 30},
+                **{"capture_output": True, "text": True, "check": False, "timeout": 240},
             )
             assert second.returncode == 2
             assert "cannot listen" in second.stderr

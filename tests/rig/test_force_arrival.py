@@ -20,7 +20,7 @@ def connected_sockets() -> Iterator[tuple[socket.socket, socket.socket]]:
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
         receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(5.0)
+        receiver.settimeout(60.0)
         sender.connect(receiver.getsockname())
         yield receiver, sender
 

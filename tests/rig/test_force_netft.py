@@ -216,7 +216,7 @@ def test_noise_has_the_asked_spread(host: str) -> None:
 def test_an_independent_client_reads_the_same_from_the_emulator(host: str) -> None:
     pynetft = pytest.importorskip("pynetft", reason="the oracle client is not installed")
     with emulated(host), pynetft.Client(pynetft.Config(sensor_host=host, http_port=8080)) as client:
-        samples = list(itertools.islice(client.samples(timeout=5.0), 50))
+        samples = list(itertools.islice(client.samples(timeout=60.0), 50))
         assert samples[-1].force == pytest.approx(WRENCH[:3])
         assert samples[-1].torque == pytest.approx([1e3 * value for value in WRENCH[3:]])
         numbers = [sample.rdt_sequence for sample in samples]
@@ -226,7 +226,7 @@ def test_an_independent_client_reads_the_same_from_the_emulator(host: str) -> No
 def test_an_independent_client_can_bias_the_emulator(host: str) -> None:
     pynetft = pytest.importorskip("pynetft", reason="the oracle client is not installed")
     with emulated(host), pynetft.Client(pynetft.Config(sensor_host=host, http_port=8080)) as client:
-        stream = client.samples(timeout=5.0)
+        stream = client.samples(timeout=60.0)
         next(stream)
         client.bias()
         for sample in itertools.islice(stream, 2000):

@@ -110,7 +110,7 @@ jog: {{kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}}
 
     def wait(self, condition: Callable[[], bool]) -> None:
         clock = SystemClock()
-        limit_ns = clock.now_ns() + 40_000_000_000
+        limit_ns = clock.now_ns() + 240_000_000_000
         while not condition():
             assert clock.now_ns() < limit_ns, self.log.read_text()
             assert self.run.process.poll() is None, self.log.read_text()

@@ -145,7 +145,7 @@ def site(arm: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 def arm_after(fault: str, **values: Any) -> Callable[[Site], Iterable[Finding]]:
     def found(site: Site) -> Iterable[Finding]:
         site.inject(fault, **values)
-        return checks.arm(HOST, 2.0)
+        return checks.arm(HOST, 60.0)
 
     return found
 
@@ -389,7 +389,7 @@ def test_a_bench_without_a_fault_is_well(site: Site) -> None:
     network = list(checks.network(site.changed(force={"host": NOBODY})))
     assert (network[0].part, network[0].state) == ("arm", "well")
     found = [
-        *checks.arm(HOST, 2.0),
+        *checks.arm(HOST, 60.0),
         *tool(site),
         site.weighed(np.eye(3)),
         site.pushed(np.eye(3)),

@@ -53,7 +53,7 @@ def height() -> float:
     return inject()["pose"][2] - FRAME[2]
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
+def wait_until(condition: Callable[[], bool], seconds: float = 240.0) -> None:
     deadline_ns = CLOCK.now_ns() + round(seconds * SECOND_NS)
     while not condition():
         assert CLOCK.now_ns() < deadline_ns, "did not come about"
