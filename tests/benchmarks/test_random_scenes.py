@@ -224,7 +224,8 @@ def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Pat
     assert {"trap", "absurd"} < set(families)
     assert sum(one.scene is None for one in some) < 15
     for one in some[:8]:
-        if one.scene is not None and one.scene.indenter.solid is None:
+        sensible = one.what.startswith("sensible")
+        if sensible and one.scene is not None and one.scene.indenter.solid is None:
             (mesh,) = meshes_of([one.scene], Fem(grading=Grading()))
             assert len(mesh.elements) <= ELEMENTS_MAX
 

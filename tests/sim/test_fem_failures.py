@@ -241,24 +241,6 @@ def test_finer_meshes_are_solved_in_float64_where_a_coarser_one_was() -> None:
     assert precision_for_finer(double, Fem(precision="float32")) == "float32"
 
 
-@pytest.mark.slow
-def test_unlike_scenes_in_one_call_get_what_they_get_alone() -> None:
-    """Bodies of different size, thickness, dome and effects, batched where possible."""
-    bodies = [
-        BODY,
-        Body(size_x=9e-3, size_y=8e-3, thickness=4e-3),
-        Body(size_x=8e-3, size_y=8e-3, thickness=5e-3),
-        Body(size_x=8e-3, size_y=8e-3, thickness=4e-3, dome_radius=20e-3),
-    ]
-    scenes = [Scene(sphere(3e-3), press([0.5e-3]), body) for body in bodies]
-    scenes.append(replace(SCENE, effects=Effects(friction=Friction(0.3))))
-    numerics = Fem(spacing=SPACING, precision="float64")
-    for scene, outcome in zip(scenes, simulate_many(scenes, numerics), strict=True):
-        assert isinstance(outcome, Result)
-        assert outcome.scene is scene
-        np.testing.assert_array_equal(outcome.wrench, simulate(scene, numerics).wrench)
-
-
 @pytest.mark.parametrize("spacing", [2e-3, 1e-6, float("nan")])
 def test_meshes_that_are_too_coarse_too_fine_or_nonsense_are_refused(spacing: float) -> None:
     with pytest.raises(SceneError, match=r"mesh|spacing"):

@@ -23,6 +23,7 @@ ROUGH = Fem(fineness=0.4)
 SLOW = pytest.mark.slow
 # Shifts within one element.
 SIDES = 8
+DEPTHS = (0.1e-3, 0.3e-3, 0.6e-3)
 
 
 def _face(indenter: Indenter) -> Array:
@@ -52,7 +53,20 @@ PLATE: dict[int, tuple[float, float]] = {
 }
 
 
-def _plate(degrees: int, shift: tuple[float, float], numerics: Fem) -> None:
+@pytest.mark.parametrize(
+    ("degrees", "shift", "numerics"),
+    few(
+        [
+            pytest.param(0, (0.0, 0.0), Fem(spacing=1e-3)),
+            *(pytest.param(one, (0.07e-3, 0.3e-3), Fem(spacing=1e-3)) for one in PLATE),
+        ],
+        2,
+    )
+    + [pytest.param(one, (0.07e-3, 0.3e-3), Fem(), marks=SLOW) for one in (0, 5, 15)],
+)
+def test_a_plane_pushes_along_its_normal(
+    degrees: int, shift: tuple[float, float], numerics: Fem
+) -> None:
     angle = math.radians(degrees)
     plate = box(WIDE, WIDE, 0.3e-3).tilted(0.0, -angle)
     beside, depth = PLATE[degrees]
@@ -63,30 +77,19 @@ def _plate(degrees: int, shift: tuple[float, float], numerics: Fem) -> None:
     assert _along(result.force[-1], _face(plate)) < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("degrees", "shift"),
-    few(
-        [
-            pytest.param(0, (0.0, 0.0)),
-            *(pytest.param(one, (0.07e-3, 0.3e-3)) for one in PLATE),
-        ],
-        2,
-    ),
-)
-def test_a_plane_pushes_along_its_normal(degrees: int, shift: tuple[float, float]) -> None:
-    _plate(degrees, shift, Fem(spacing=1e-3))
-
-
-@SLOW
-@pytest.mark.parametrize("degrees", [0, 5, 15])
-def test_a_plane_on_a_fine_mesh_pushes_along_its_normal(degrees: int) -> None:
-    _plate(degrees, (0.07e-3, 0.3e-3), Fem())
-
-
 # A tilted punch: its face pushes along the normal, its low edge equally in the other direction.
 
 
-def _punch(degrees: int, shift: float, numerics: Fem) -> None:
+@pytest.mark.parametrize(
+    ("degrees", "shift", "numerics"),
+    [
+        (15, 0.13e-3, ROUGH),
+        pytest.param(0, 0.13e-3, ROUGH, marks=SLOW),
+        pytest.param(5, 0.0, ROUGH, marks=SLOW),
+        *(pytest.param(degrees, 0.13e-3, Fem(), marks=SLOW) for degrees in (0, 5, 15, 30)),
+    ],
+)
+def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float, numerics: Fem) -> None:
     punch = flat_punch(2e-3, 0.3e-3)
     punch = punch.tilted(0.0, -math.radians(degrees)) if degrees else punch
     result = simulate(Scene(punch, press([0.3e-3], at=(shift, 0.0)), SMALL), numerics)
@@ -105,24 +108,22 @@ def _punch(degrees: int, shift: float, numerics: Fem) -> None:
     assert _along(traction[inner].sum(axis=0), _face(punch)) < 1e-6
 
 
-@pytest.mark.parametrize(
-    ("degrees", "shift"),
-    few([pytest.param(15, 0.13e-3), pytest.param(0, 0.13e-3), pytest.param(5, 0.0)], 1),
-)
-def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float) -> None:
-    _punch(degrees, shift, ROUGH)
-
-
-@SLOW
-@pytest.mark.parametrize("degrees", [0, 5, 15, 30])
-def test_a_leaning_punch_on_the_default_mesh_is_not_pulled_aside(degrees: int) -> None:
-    _punch(degrees, 0.13e-3, Fem())
-
-
 # A sphere at positions within one element: equal forces, none of them sideways.
 
 
-def _ripple(depth: float, element: float, numerics: Fem, most: float) -> None:
+@SLOW
+@pytest.mark.parametrize(
+    ("element", "numerics", "most", "depth"),
+    [
+        # 3 to 5 elements across the contact, finer ones, and a mesh that goes along.
+        *((0.8e-3, Fem(spacing=0.8e-3, graded=False), 0.06, depth) for depth in DEPTHS[1:]),
+        *((1.6e-3 / 3, Fem(spacing=1.6e-3 / 3, graded=False), 0.015, depth) for depth in DEPTHS),
+        *((0.3e-3, Fem(), 1e-3, depth) for depth in DEPTHS),
+    ],
+)
+def test_a_sphere_is_pressed_alike_wherever_it_is_in_an_element(
+    element: float, numerics: Fem, most: float, depth: float
+) -> None:
     body = Body(size_x=16e-3, size_y=16e-3, thickness=4e-3)
     results = [
         simulate(
@@ -140,22 +141,3 @@ def _ripple(depth: float, element: float, numerics: Fem, most: float) -> None:
     # Consistency check: the mesh stays in place, or follows.
     same = all((result.surface_x == results[0].surface_x).all() for result in results)
     assert same != numerics.follows
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("depth", [pytest.param(0.3e-3, marks=SLOW), 0.6e-3])
-def test_a_sphere_is_pressed_alike_wherever_it_is_in_an_element(depth: float) -> None:
-    """A fixed mesh with 3 to 5 elements across the contact."""
-    _ripple(depth, 0.8e-3, Fem(spacing=0.8e-3, graded=False), 0.06)
-
-
-@SLOW
-@pytest.mark.parametrize("depth", [0.1e-3, 0.3e-3, 0.6e-3])
-def test_a_sphere_is_pressed_alike_wherever_it_is_in_a_finer_element(depth: float) -> None:
-    _ripple(depth, 1.6e-3 / 3, Fem(spacing=1.6e-3 / 3, graded=False), 0.015)
-
-
-@SLOW
-@pytest.mark.parametrize("depth", [0.1e-3, 0.3e-3, 0.6e-3])
-def test_a_mesh_that_goes_along_leaves_no_ripple(depth: float) -> None:
-    _ripple(depth, 0.3e-3, Fem(), 1e-3)

@@ -225,27 +225,6 @@ def test_a_large_ellipse_answers_as_the_rectangle_around_it_does() -> None:
 
 
 @pytest.mark.slow
-def test_forces_beside_the_rim_settle_as_elements_shrink() -> None:
-    scene = Scene(BALL, press((1 * MM,), at=(3 * MM, 2 * MM)), DISC)
-    forces = [_push(simulate(scene, Fem(fineness=fineness))) for fineness in (0.75, 1.2, 1.8)]
-    assert abs(forces[2] - forces[1]) < abs(forces[1] - forces[0])
-    assert forces[0] == pytest.approx(forces[2], rel=0.02)
-
-
-@pytest.mark.slow
-def test_a_thin_rim_is_pressed() -> None:
-    place = 14 * MM
-    top = THIN.height(place, 0.0)
-    low = top - 0.2 * (THIN.thickness + top)
-    result = simulate(Scene(BALL, through([(place, 0, top), (place, 0, low)], speed=10 * MM), THIN))
-    assert result.force[1, 0] < 0 < -result.force[1, 2]  # the surface is inclined
-    assert result.quality.residual.max() <= 1e-4
-    assert result.quality.balance[1:].max() < 1e-3
-    assert result.quality.det_f_min.min() > 0.5
-    assert abs(result.quality.energy_gap[-1]) < 0.01
-
-
-@pytest.mark.slow
 def test_a_thin_rim_is_pressed_and_sheared() -> None:
     place = 12 * MM
     top = THIN.height(place, 0.0)
@@ -257,6 +236,7 @@ def test_a_thin_rim_is_pressed_and_sheared() -> None:
     assert sheared[1] > 0.1 * -sheared[2]
     assert result.quality.residual.max() <= 1e-4
     assert result.quality.balance[1:].max() < 1e-3
+    assert result.quality.det_f_min[:2].min() > 0.5
     assert result.quality.det_f_min.min() > 0.3
     assert np.nanmax(result.quality.slip_excess) < 0.02
 
