@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from benchmarks.accuracy import effects, frames, images, solvers, speed, tolerance
 from benchmarks.report import Benchmark, Part
@@ -30,10 +29,6 @@ def _options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _summary(values: dict[str, Any]) -> str:
-    return solvers.summary(values["accuracy"]) if "accuracy" in values else ""
-
-
 BENCHMARK = Benchmark(
     name="accuracy",
     title="What accuracy costs in time",
@@ -49,7 +44,7 @@ BENCHMARK = Benchmark(
         Part("effects", effects.measure, effects.section, weight=1),
         Part("images", images.measure, images.section, weight=0.5),
     ),
-    summary=_summary,
+    summary=lambda values: solvers.summary(values) if "accuracy" in values else "",
     options=_options,
     on_device=True,
 )

@@ -27,12 +27,7 @@ REPEATS, QUICK_REPEATS = 7, 1
 
 # Arrays that tier `fem` keeps for each effect, as paths from the solver's `State`.
 STATE: dict[str, tuple[str, ...]] = {
-    "friction": (
-        "contact.traction",
-        "contact.traction_old",
-        "contact.limit",
-        "_limit_relaxed",
-    ),
+    "friction": ("contact.traction", "contact.traction_old", "contact.limit", "_limit_relaxed"),
     "viscosity": (
         "_branches.arrays.history",
         "_branches.arrays.bulk_history",

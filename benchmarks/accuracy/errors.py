@@ -27,20 +27,6 @@ def frames(outcome: Outcome, chosen: list[int]) -> Outcome:
     )
 
 
-def check_same(one: Outcome, other: Outcome, body: Body) -> None:
-    """Reject outcomes that cannot be compared.
-
-    Raises:
-        ValueError: The numbers of frames differ, or points are beyond the body.
-    """
-    if len(one.force) != len(other.force):
-        raise ValueError(f"{len(one.force)} frames against {len(other.force)} of the reference")
-    for outcome in (one, other):
-        for places, size in ((outcome.surface_x, body.size_x), (outcome.surface_y, body.size_y)):
-            if np.abs(places).max() > 0.501 * size:
-                raise ValueError(f"points up to {np.abs(places).max()} m on a body of {size} m")
-
-
 @dataclass(frozen=True, slots=True)
 class Errors:
     """Differences from the reference, frame by frame (F,); the last frame is the last number."""
@@ -70,11 +56,7 @@ def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
     Surfaces are cubic splines through the points of each, as a rendered image would use. They are
     compared up to the outermost points of the coarser one, where both have points around. The
     spacing of the points may change along the surface.
-
-    Raises:
-        ValueError: The numbers of frames differ, or points are beyond the body.
     """
-    check_same(outcome, reference, body)
     force, fraction = force_errors(outcome, reference)
     frames = range(len(force))
     surface = np.array([_surface_errors(outcome, reference, frame) for frame in frames]).T

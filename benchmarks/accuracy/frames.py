@@ -235,9 +235,7 @@ def section(rows: Sequence[Row], page: Page) -> str:
             row["at_once"],
             f"{row['elements']:,}",
             seconds(row["seconds"]),
-            f"{row['frames_per_second']:,.4g}"
-            if row["frames_per_second"] < 1e4
-            else f"{row['frames_per_second']:,.0f}",
+            f"{row['frames_per_second']:,.0f}",
             row["failed"],
             percent(row["mean"]),
             percent(row["worst"]),

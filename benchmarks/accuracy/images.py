@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from benchmarks.accuracy.raycast import cast_rays, marked
 from benchmarks.accuracy.states import RenderState, dent, fold, solved
 from benchmarks.accuracy.wording import devices_of, kind_of
 from benchmarks.report import Page, Run, table
-from recorder.plot import INK, PANEL, PAPER, SOFT, font
+from recorder.plot import INK, PANEL, PAPER, font
 from sim.device import ready_device
 from sim.markers import SIMULATED, Camera, named
 from sim.markers.renderer import Renderer
@@ -128,7 +128,7 @@ def speeds(device: str, quick: bool) -> list[Row]:
 
 def section(values: dict[str, Any], page: Page) -> str:
     """Return the picture and both tables."""
-    draw(page, [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3))])
+    draw(page, dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3)))
     rows = [
         [
             row["state"],
@@ -174,26 +174,21 @@ union.
 CPU time on a CPU."""
 
 
-def draw(page: Page, states: Sequence[RenderState]) -> None:
-    """Draw a row for each state and a column for each pattern.
-
-    Markers are dark; places with markers only on the undeformed gel are red.
-    """
+def draw(page: Page, state: RenderState) -> None:
+    """Draw a state with each pattern: markers dark, and red where they were before alone."""
+    ready_device("cpu")
     width = GAP + len(DRAWN) * (TILE[0] + GAP)
-    sheet = Image.new("RGB", (width, GAP + len(states) * (TILE[1] + CAPTION + GAP)), PAPER)
+    sheet = Image.new("RGB", (width, TILE[1] + CAPTION + 2 * GAP), PAPER)
     pen = ImageDraw.Draw(sheet)
-    for row, state in enumerate(states):
-        renderer = Renderer(state.body, Camera.paper())
-        textures = renderer.textures([named(name) for name in DRAWN])
-        before = renderer.undeformed().coverage(textures)[0]
-        after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]
-        top = GAP + row * (TILE[1] + CAPTION + GAP)
-        for column, name in enumerate(DRAWN):
-            left = GAP + column * (TILE[0] + GAP)
-            drawn = Image.fromarray(_blended(before[column], after[column]))
-            sheet.paste(drawn.resize(TILE, Image.Resampling.LANCZOS), (left, top))
-            pen.text((left, top + TILE[1] + 6), name, INK, font(15))
-            pen.text((left + TILE[0], top + TILE[1] + 8), state.name, SOFT, font(13), anchor="ra")
+    renderer = Renderer(state.body, Camera.paper())
+    textures = renderer.textures([named(name) for name in DRAWN])
+    before = renderer.undeformed().coverage(textures)[0]
+    after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]
+    for column, name in enumerate(DRAWN):
+        left = GAP + column * (TILE[0] + GAP)
+        drawn = Image.fromarray(_blended(before[column], after[column]))
+        sheet.paste(drawn.resize(TILE, Image.Resampling.LANCZOS), (left, GAP))
+        pen.text((left, GAP + TILE[1] + 6), name, INK, font(15))
     sheet.quantize(COLOURS).save(page.picture("images"), optimize=True)
 
 

@@ -15,9 +15,9 @@ def kind_of(device: str) -> str:
     return "CPU" if device == "cpu" else "GPU"
 
 
-def seconds(value: float) -> str:
+def seconds(value: float | None) -> str:
     """Return seconds with two or three digits, in minutes or hours where they are many."""
-    if not math.isfinite(value):
+    if value is None or not math.isfinite(value):
         return "-"
     if value < 0.1:
         return f"{value:.3f} s"

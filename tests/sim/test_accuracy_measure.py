@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.errors import compare, frames
+from benchmarks.accuracy.errors import compare
 from sim.markers.camera import DISTANCE, FOCAL
 from sim.metrics import Outcome, marker_pixels, marker_places
 from sim.result import WEAK
@@ -94,12 +94,3 @@ def test_a_weak_frame_is_measured_by_a_tenth_of_the_strongest():
     assert errors.force_share[1] == pytest.approx([0.001, 0, 0.01])
     assert errors.worst()["force_share"] == pytest.approx(0.1)
     assert errors.worst()["force_last"] == pytest.approx(0.01)
-
-
-def test_outcomes_that_do_not_belong_together_are_refused():
-    x = even(21)
-    one = outcome(x, x)
-    with pytest.raises(ValueError, match="2 frames against 1"):
-        compare(one, frames(one, [1]), BODY)
-    with pytest.raises(ValueError, match="on a body of"):
-        compare(one, one, Body(size_x=10e-3, size_y=10e-3))
