@@ -198,9 +198,7 @@ NOT_RUN = {
     "extrapolation": "hours of training",
     "indenter-drawings": "overwrites packaged drawings",
     "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
-    "live-forces": "minutes of solutions by fem",
     "transfer-skins": "needs the runs of make demo-transfer",
-    "twin-demo": "ten minutes in real time, of which a tutorial has a short form",
 }
 
 

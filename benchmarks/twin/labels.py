@@ -1,187 +1,123 @@
 """Labels by twins under the errors of a bench, compared with the target's own forces.
 
-    python -m benchmarks twin-labels --tier layer --draws 1 --indenters sphere,wave
-    python -m benchmarks twin-labels --draws 4 --out twin-labels.md
-
 Each draw plants a GelSight and a TacPalm whose skins differ from their rows, and presses both at
 the same places on a bench with errors. Labels of either for the other come from the functions of
-`tactile sim labels` and `tactile compensate`. The page of `--out` is written after every row, and
-the same command goes on where it stopped: its rows are beside the page. In simulation.
+`tactile sim labels` and `tactile compensate`.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-import time
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.learning.sums import r_squared_of_sums
-from benchmarks.twin.command import each_of, stored
-from benchmarks.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, STEPS, Pad, Pressed, table
+from benchmarks.processes import done_counts, side_by_side
+from benchmarks.report import Page, Run, table
+from benchmarks.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, Pad, Pressed, Settings
+from benchmarks.twin.pads import table as archive_rows
 from learning.compensation.prior import Prior, compensate, curve_of_table, fit_prior
 from learning.compensation.search import best_for_priors
 from learning.compensation.simulated import simulated_labels, twin_forces
-from recorder.command_line.options import add_device, add_seed, names, positive, whole
-from recorder.pages import render
-from recorder.progress import Progress
-from sim.errors import SceneError, SimulationDiverged
+from recorder.charts import BLUE, GREEN, ORANGE, SOFT, chart
+from sim.errors import SimulationDiverged
 from sim.indenters import NAMES
-from sim.result import ContactTier
 from sim.sensors import sensor
 from sim.sensors.quantities import quantities, with_quantities
 from sim.twin.fit import with_effects
 
 Array = NDArray[np.float64]
+Values = Mapping[str, Any]
 
-INDENTERS = ("sphere_s", "hemisphere", "cylinder", "torus")
 METHODS = {
     "source": "the source's labels",
     "priors": "paper's formulas, `priors`",
     "simulated": "by twins, `simulated`",
     "twin": "the target's twin alone",
-    "simulated, no gauge": "`simulated`, the target's row in place of its twin",
+    "simulated, no gauge": "`simulated`, the target's row for its twin",
     "twin, no gauge": "the target's row alone",
 }
 # Quantities of twins whose errors are shown.
 SHOWN = ("modulus", "thickness", "poisson", "friction")
 # Resamplings of an interval.
 RESAMPLED = 2000
+QUICK = Settings(("sphere", "torus"), "layer", grid=24, fits=False)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the benchmark."""
-    add = parser.add_argument
-    add(
-        "--tier",
-        choices=get_args(ContactTier),
-        default="fem",
-        help="of the true forces (%(default)s)",
-    )
-    add("--errors", type=names, default=tuple(ERRORS), metavar="NAME,...", help="some (all)")
-    add("--indenters", type=names, default=INDENTERS, metavar="NAME,...", help="some of the 18")
-    add("--draws", type=whole(1, 1000), default=1, metavar="N", help="pairs of skins (%(default)s)")
-    add("--fineness", type=positive, default=0.3, metavar="F", help="of fem (%(default)s)")
-    add("--grid", type=whole(23, 256), default=32, metavar="N", help="of fit, labels (%(default)s)")
-    add("--processes", type=whole(1, 256), default=1, metavar="N", help="(%(default)s)")
-    add("--out", type=Path, metavar="MD", help="page to write, after every row")
-    add_device(parser, "device of true forces by fem")
-    add_seed(parser)
+def measure(run: Run) -> dict[str, Any]:
+    """Return sums of forces and of what labels miss, of each draw and error."""
+    settings = QUICK if run.quick else Settings(device=run.device)
+    errors = ("none",) if run.quick else tuple(ERRORS)
+    draws = range(1 if run.quick else run.options.draws)
+    gauges = [(draw, name) for draw in draws for name in errors if name in ("none", "all")]
+    tasks = [(draw, name) for draw in draws for name in errors]
+    twins: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
+    with done_counts(run.failures.append):
+        solve = partial(gauge, settings)
+        for row in side_by_side(solve, gauges, run.device, run.options.processes):
+            twins.append(row)
+            run.progress(0.3 * len(twins) / len(gauges))
+        label = partial(labelled, settings, twins)
+        for row in side_by_side(label, tasks, run.device, run.options.processes):
+            rows.append(row)
+            run.progress(0.3 + 0.7 * len(rows) / len(tasks))
+    run.seeds = [*draws]
+    run.spread = "95 % intervals by drawing draws, and indenters within them, again"
+    for row in twins:
+        del row["curves"]
+    return {"indenters": settings.indenters, "twins": twins, "rows": rows}
 
 
-def run(options: argparse.Namespace) -> int:
-    """Compute the missing rows, print and write their page; return 1 if no row has a solution."""
-    for name, allowed in (("errors", tuple(ERRORS)), ("indenters", NAMES)):
-        if unknown := [each for each in getattr(options, name) if each not in allowed]:
-            raise SceneError(f"--{name}: {', '.join(unknown)}; allowed: {', '.join(allowed)}")
-    path = None if options.out is None else options.out.with_suffix(".jsonl")
-    rows = [] if path is None else stored(path, settings(options))
-    done, before = {*map(key, rows)}, len(rows)
-    wanted = [each for each in tasks(options) if each not in done]
-    with Progress("labels", sys.stderr) as progress:
-        # Rows under an error need the gauge presses of their draw.
-        for these in (
-            [each for each in wanted if each[1] == "gauge"],
-            [each for each in wanted if each[1] != "gauge"],
-        ):
-            for (draw, kind, error), row in each_of(partial(timed, rows, options), these, options):
-                rows.append(row)
-                progress((len(rows) - before) / len(wanted))
-                print(f"draw {draw}, {kind} {error}: {row['seconds']} s {row['why']}", flush=True)
-                if path is not None:
-                    with path.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(row) + "\n")
-                    options.out.write_text(page(rows, options), encoding="utf-8")
-    text = page(rows, options)
-    if options.out is not None:
-        options.out.write_text(text, encoding="utf-8")
-    print(text)
-    return 0 if any(row.get("sums") for row in rows) else 1
-
-
-def timed(
-    rows: Sequence[Mapping[str, Any]], options: argparse.Namespace, task: tuple[int, str, str]
-) -> dict[str, Any]:
-    """Return the row of a task, with its time."""
-    began = time.perf_counter()
-    draw, kind, error = task
-    row = gauge(draw, error, options) if kind == "gauge" else labelled(draw, error, rows, options)
-    return {**row, "seconds": round(time.perf_counter() - began)}
-
-
-def tasks(options: argparse.Namespace) -> list[tuple[int, str, str]]:
-    """Return what is computed, in order: draw, `gauge` or `error`, and the name of the error."""
-    gauges = dict.fromkeys("all" if error == "all" else "none" for error in options.errors)
-    return [
-        (draw, kind, name)
-        for draw in range(options.draws)
-        for gauge in gauges
-        for kind, these in (("gauge", (gauge,)), ("error", options.errors))
-        for name in these
-        if kind == "gauge" or (name == "all") == (gauge == "all")
-    ]
-
-
-def key(row: Mapping[str, Any]) -> tuple[int, str, str]:
-    """Return which of the tasks a row is the result of."""
-    kind = "gauge" if "gauge" in row else "error"
-    return row["draw"], kind, row[kind]
-
-
-def settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what the rows of a page must have in common."""
-    return {
-        name: getattr(options, name) for name in ("tier", "indenters", "fineness", "grid", "seed")
-    }
-
-
-def gauge(draw: int, error: str, options: argparse.Namespace) -> dict[str, Any]:
+def gauge(settings: Settings, task: tuple[int, str]) -> dict[str, Any]:
     """Return twins of both sensors, and forces of their force-depth presses, under an error."""
-    row: dict[str, Any] = {"draw": draw, "gauge": error, "twins": {}, "curves": {}, "why": ""}
+    draw, error = task
+    row: dict[str, Any] = {"draw": draw, "gauge": error, "errors": {}, "curves": {}, "why": ""}
+    row["twins"] = {}
     try:
         for name in SENSORS:
-            pad = Pad(name, draw, options)
-            row["twins"][name] = quantities(pad.twin(error))
+            pad = Pad(name, draw, settings)
+            twin, true = quantities(pad.twin(error)), quantities(pad.skin)
+            row["twins"][name] = twin
+            off = {each: abs(twin[each] - true[each]) for each in SHOWN}
+            row["errors"][name] = off | {
+                each: off[each] / true[each] for each in SHOWN if each != "poisson"
+            }
             row["curves"][name] = pad.force(pad.planned()[-1], error).tolist()
     except SimulationDiverged as diverged:
         row["why"] = reason(diverged)
     return row
 
 
-def labelled(
-    draw: int, error: str, rows: Sequence[Mapping[str, Any]], options: argparse.Namespace
-) -> dict[str, Any]:
+def labelled(settings: Settings, twins: Sequence[Values], task: tuple[int, str]) -> dict[str, Any]:
     """Return sums of a draw and error, by direction: of forces and of what labels miss."""
-    of = draw, "gauge", "all" if error == "all" else "none"
-    gauged = next(row for row in rows if key(row) == of)
+    draw, error = task
+    under = "all" if error == "all" else "none"
+    gauged = next(row for row in twins if (row["draw"], row["gauge"]) == (draw, under))
     row: dict[str, Any] = {"draw": draw, "error": error, "why": gauged["why"], "sums": {}}
     if gauged["why"]:
         return row
     left_out: list[str] = []
     by_twins, by_rows = {}, {}
     for name in SENSORS:
-        pad = Pad(name, draw, options)
+        pad = Pad(name, draw, settings)
         *presses, force_depth = pad.planned()
-        parts = [table(force_depth, np.array(gauged["curves"][name]))]
+        parts = [archive_rows(force_depth, np.array(gauged["curves"][name]))]
         for press in presses:
             try:
                 force = pad.force(press, error)
             except SimulationDiverged as diverged:
                 left_out.append(f"{name}, {press.indenter}: {reason(diverged)}")
                 force = np.full((len(press.motion), 3), np.nan)
-            parts.append(table(press, force))
+            parts.append(archive_rows(press, force))
         columns = {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
         pressed, design = Pressed(name, columns), sensor(name)
         twin = with_quantities(with_effects(design), gauged["twins"][name])
-        by_twins[name] = pressed.beside(twin, options.grid)
-        by_rows[name] = pressed.beside(design, options.grid)
+        by_twins[name] = pressed.beside(twin, settings.grid)
+        by_rows[name] = pressed.beside(design, settings.grid)
     for source, target in (SENSORS, SENSORS[::-1]):
         row["sums"][f"{source}, {target}"] = sums(
             by_twins[source], by_twins[target], by_rows[target]
@@ -269,58 +205,74 @@ def r2(parts: Sequence[Mapping[str, Any]], method: str) -> tuple[list[float], tu
         again.append(r_squared_of_sums(*np.einsum("rk,kqa->qra", taken, rows)).mean(axis=-1))
     drawn = random.integers(len(parts), size=(RESAMPLED, len(parts)))
     means = np.array(again)[drawn, random.integers(RESAMPLED, size=drawn.shape)]
-    low, high = np.quantile(means.mean(axis=1), (0.025, 0.975))
+    # Indenters without any force along an axis have no R2 there.
+    low, high = np.nanquantile(means.mean(axis=1), (0.025, 0.975))
     axes = np.mean(found, axis=0)
     return [*axes.tolist(), float(axes.mean())], (float(low), float(high))
 
 
-def page(rows: Sequence[Mapping[str, Any]], options: argparse.Namespace) -> str:
-    """Return the results as a page of Markdown."""
-    rows = [row for row in rows if row["draw"] < options.draws]
-    words = ["--tier", options.tier, "--draws", options.draws, "--fineness", options.fineness]
-    words += ["--indenters", ",".join(options.indenters), "--grid", options.grid]
-    words += ["--seed", options.seed]
-    found: dict[str, dict[str, dict[str, Any]]] = {}
-    for error in options.errors:
-        these = [row for row in rows if row.get("error") == error and row["sums"]]
-        for pair in these[0]["sums"] if these else ():
-            parts = [row["sums"][pair] for row in these]
-            found.setdefault(pair, {})[error] = {method: r2(parts, method) for method in METHODS}
-    return render(
-        Path(__file__).with_suffix(".md"),
-        command=f"python -m benchmarks twin-labels {' '.join(map(str, words))}",
-        options=options,
-        rows=rows,
-        found=found,
-        methods=METHODS,
-        gauge=GAUGE,
-        twins=twin_errors(rows, options),
-        steps=STEPS,
-        deepest=DEEPEST,
-        draws=len({row["draw"] for row in rows if row.get("sums")}),
-        without=[
-            f"draw {row['draw']}, {row.get('error', 'gauge presses')}: {row['why']}"
-            for row in rows
-            if row["why"]
-        ],
-    )
+def section(values: Values, page: Page) -> str:
+    """Return R2 of labels by error of the bench, both ways, and the errors of the twins."""
+    scores: dict[str, dict[str, dict[str, Any]]] = {}
+    for error in ERRORS:
+        these = [row["sums"] for row in values["rows"] if row["error"] == error and row["sums"]]
+        for pair in these[0] if these else ():
+            parts = [sums[pair] for sums in these]
+            scores.setdefault(pair, {})[error] = {name: r2(parts, name) for name in METHODS}
+    draws = len({row["draw"] for row in values["rows"] if row["sums"]})
+    deepest = ", ".join(f"{1e3 * DEEPEST[name]:g} mm ({name})" for name in SENSORS)
+    texts = [
+        f"""## Labels by twins under the errors of a bench
+A GelSight and a TacPalm with planted skins, pressed at the same places to {deepest}
+and sheared by {", ".join(values["indenters"])}: {draws} pairs of skins.
+R2 is that of labels as predictions of the target's own forces, mean of Fx, Fy and Fz over all
+frames of a draw, then over draws, with 95 % intervals. Twins are fitted by `layer` to presses of
+{" and ".join(GAUGE)}; true forces are of tier `fem`. Errors are drawn for each mount of an indenter
+(place 0.3 mm, tilt 1 deg, height 30 um), for each indenter (size 0.1 mm), and the mount yields by
+20 um/N. Each error alone is one of the labelled presses; with all, the presses of the twins have
+them too."""
+    ]
+    for pair, errors in scores.items():
+        source, target = pair.split(", ")
+        lines = [
+            [error, *(f"{axes[3]:.2f} ({low:.2f} to {high:.2f})" for axes, (low, high) in row)]
+            for error, row in ((error, cells.values()) for error, cells in errors.items())
+        ]
+        texts.append(f"Labels of {source} for {target}:")
+        texts.append(table(["error", *METHODS.values()], lines))
+    if scores:
+        _draw(scores, page)
+        texts.append(page.link("labels", "R2 of labels under each error of the bench"))
+    kinds = dict.fromkeys((row["gauge"], name) for row in values["twins"] for name in row["errors"])
+    lines = []
+    for under, name in kinds:
+        off = [row["errors"][name] for row in values["twins"] if row["gauge"] == under]
+        mean = {each: float(np.mean([one[each] for one in off])) for each in SHOWN}
+        percent = [f"{100 * mean[each]:.1f} %" for each in ("modulus", "thickness", "friction")]
+        lines.append([name, under, *percent, f"{mean['poisson']:.3f}"])
+    head = ["sensor", "errors", "modulus", "thickness", "friction", "Poisson's ratio"]
+    texts += ["Mean error of these twins:", table(head, lines)]
+    if without := [f"draw {row['draw']}: {row['why']}" for row in values["rows"] if row["why"]]:
+        texts.append(f"Left out, without a solution: {'; '.join(without)}.")
+    return "\n\n".join(texts)
 
 
-def twin_errors(
-    rows: Sequence[Mapping[str, Any]], options: argparse.Namespace
-) -> dict[tuple[str, str], dict[str, float]]:
-    """Return the mean size of the errors of twins, by gauge presses and sensor.
-
-    As fractions of the true values; of Poisson's ratio as they are.
-    """
-    found: dict[tuple[str, str], list[dict[str, float]]] = {}
-    for row in rows:
-        for name, values in row.get("twins", {}).items():
-            true = quantities(Pad(name, row["draw"], options).skin)
-            sizes = {each: abs(values[each] - true[each]) for each in SHOWN}
-            sizes |= {each: sizes[each] / true[each] for each in SHOWN if each != "poisson"}
-            found.setdefault((row["gauge"], name), []).append(sizes)
-    return {
-        where: {each: float(np.mean([one[each] for one in ones])) for each in SHOWN}
-        for where, ones in found.items()
-    }
+def _draw(scores: Mapping[str, Mapping[str, Mapping[str, Any]]], page: Page) -> None:
+    """Draw R2 of three methods under each error, both ways."""
+    drawn = {"priors": SOFT, "simulated": BLUE, "twin": ORANGE, "simulated, no gauge": GREEN}
+    with chart(page.picture("labels"), 8.0, 3.4) as figure:
+        every = figure.subplots(1, len(scores), sharey=True)
+        for axes, (pair, errors) in zip(np.atleast_1d(every), scores.items(), strict=True):
+            for index, (method, color) in enumerate(drawn.items()):
+                for place, cells in enumerate(errors.values()):
+                    values, (low, high) = cells[method]
+                    x = place + 0.18 * (index - 1.5)
+                    axes.plot([x, x], [max(low, -0.5), high], color=color, lw=1.5)
+                    label = METHODS[method].replace("`", "") if place == 0 else None
+                    axes.plot(x, max(values[3], -0.5), "o", ms=4, color=color, label=label)
+            axes.set_xticks(range(len(errors)), errors, rotation=30)
+            axes.set_ylim(-0.5, 1.02)
+            axes.set_title("labels of {} for {}".format(*pair.split(", ")), fontsize=9)
+        np.atleast_1d(every)[0].set_ylabel("R2 (lines: 95 %; below -0.5 cut)")
+        handles, names = np.atleast_1d(every)[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=8)

@@ -1,21 +1,21 @@
-"""Live forces compared with `layer` and `fem`: `python -m benchmarks live-forces`.
+"""Live forces compared with `layer` and `fem`.
 
 Sphere, prism and cylinder are pressed to the sensor's depth, sheared, returned and lifted, with the
 sensor's friction, viscosity and speed. `live` receives a pose 60 times a second; `layer` and `fem`
-receive the frames that are compared. Takes minutes per indenter, nearly all of them for `fem`.
+receive the frames that are compared.
 """
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
+import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.processes import done_counts
+from benchmarks.report import Page, Run, table
 from benchmarks.twin.rows import SPACING
-from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
 from sim.fem import FOR_EDGES, Fem
@@ -37,42 +37,70 @@ STEPS = 4
 ANGLE = 0.3
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the benchmark."""
-    parser.add_argument("--sensors", nargs="+", default=HETEROGENEOUS, choices=HETEROGENEOUS)
-    parser.add_argument("--indenters", nargs="+", default=INDENTERS)
-    parser.add_argument(
-        "--grid", type=int, default=GRID, help="grid of the live sensor (%(default)s)"
-    )
-    add_device(parser, "device of `fem`")
+def measure(run: Run) -> list[dict[str, Any]]:
+    """Solve every sensor under every indenter; quick: one, without `fem`."""
+    ready_device(run.device)
+    pairs = [(name, indenter) for name in HETEROGENEOUS for indenter in INDENTERS]
+    if run.quick:
+        pairs = pairs[:1]
+    rows = []
+    with done_counts(run.failures.append):
+        for name, indenter in pairs:
+            rows.append(compared(sensor(name), named(indenter), run))
+            run.progress(len(rows) / len(pairs))
+    return rows
 
 
-def run(options: argparse.Namespace) -> int:
-    """Solve, compare and print."""
-    ready_device(options.device)
-    print(f"{'':28} {'largest force [N]':>21}   {'rms error [N]':>20}   {'worst error [N]':>20}")
-    for name in options.sensors:
-        for indenter in options.indenters:
-            each, body = sensor(name), named(indenter)
-            for line in lines(each, body, options.grid, options.device):
-                print(line, flush=True)
-    return 0
-
-
-def lines(each: SimulatedSensor, indenter: Indenter, grid: int, device: str) -> Iterator[str]:
-    """Yield one line for each solution that the live forces are compared with."""
+def compared(each: SimulatedSensor, indenter: Indenter, run: Run) -> dict[str, Any]:
+    """Return the errors of live forces, rms and worst by axis, and the largest forces [N]."""
     motion = way(each)
     scene = each.scene(indenter, motion)
-    live = live_forces(each, indenter, motion, grid)
-    title = f"{each.name} {indenter.name}"
-    yield _line(f"{title}: layer", live, simulate(scene, Layer()).force)
-    numerics = Fem(spacing=SPACING[each.name], grading=FOR_EDGES)
-    try:
-        solved = simulate(scene, numerics, device=device).force
-    except SimulationDiverged as error:
-        yield f"{title}: fem: {error}"
-    else:
-        yield _line(f"{title}: fem", live, solved)
+    began = time.perf_counter()
+    live = live_forces(each, indenter, motion, GRID)
+    count = round(motion.time[-1] * RATE)
+    row: dict[str, Any] = {"sensor": each.name, "indenter": indenter.name}
+    row["ms"] = 1e3 * (time.perf_counter() - began) / count
+    tiers: dict[str, Fem | Layer] = {"layer": Layer()}
+    if not run.quick:
+        tiers["fem"] = Fem(spacing=SPACING[each.name], grading=FOR_EDGES)
+    for name, tier in tiers.items():
+        try:
+            force = simulate(scene, tier, device=run.device).force
+        except SimulationDiverged as diverged:
+            row[name] = str(diverged).partition("\n")[0]
+            continue
+        off = live - force
+        row[name] = {
+            "rms": np.sqrt((off**2).mean(axis=0)).tolist(),
+            "worst": np.abs(off).max(axis=0).tolist(),
+            "largest": np.abs(force).max(axis=0).tolist(),
+        }
+    return row
+
+
+def section(rows: list[dict[str, Any]], _: Page) -> str:
+    """Return the table of errors of live forces."""
+    lines = []
+    for row in rows:
+        for name in ("layer", "fem"):
+            errors = row.get(name)
+            if isinstance(errors, str):
+                lines.append([row["sensor"], row["indenter"], name, errors, "", "", ""])
+            elif errors is not None:
+                cells = [
+                    f"{rms:.3f} ({worst:.2f})"
+                    for rms, worst in zip(errors["rms"], errors["worst"], strict=True)
+                ]
+                largest = ", ".join(f"{each:.2f}" for each in errors["largest"])
+                lines.append([row["sensor"], row["indenter"], name, *cells, largest])
+    head = ["sensor", "indenter", "beside", "Fx", "Fy", "Fz", "largest Fx, Fy, Fz"]
+    return f"""## Live forces
+Forces of `sim.stream` ({GRID} pixels, {RATE:g} poses a second) beside those of `simulate` for the
+same motion: to the sensor's depth, sheared along 17 degrees, back and up. Root mean square (worst)
+of the difference [N]; `layer` and live forces take strain as small, `fem` does not.
+
+{table(head, lines)}
+"""
 
 
 def way(each: SimulatedSensor) -> Motion:
@@ -91,20 +119,9 @@ def live_forces(each: SimulatedSensor, indenter: Indenter, motion: Motion, grid:
     for now in times:
         turns = max(1, round((now - before) * RATE))
         for part in np.arange(1, turns + 1) / turns:
-            time = before + (now - before) * part
-            tip = np.array([np.interp(time, times, axis) for axis in tips.T])
+            at = before + (now - before) * part
+            tip = np.array([np.interp(at, times, axis) for axis in tips.T])
             live.move(tip, (now - before) / turns)
         forces.append(live.wrench[:3])
         before = now
     return np.array(forces)
-
-
-def _line(title: str, live: Array, other: Array) -> str:
-    error = live - other
-    parts = (
-        np.abs(other).max(axis=0),
-        np.sqrt((error**2).mean(axis=0)),
-        np.abs(error).max(axis=0),
-    )
-    numbers = "   ".join(" ".join(f"{value:6.3f}" for value in part) for part in parts)
-    return f"{title:28} {numbers}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,14 +10,15 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.twin.command import usual
-from benchmarks.twin.planted import Bench, felt, observed, random_skin, solved
+from benchmarks.twin.planted import Bench, felt, observed, random_skin, solved, usual
 from recorder.archive import ArchivedSensor, Simulated
 from sim.dataset import DatasetPlan
 from sim.dataset.plan import PlannedPress, code, target_presses
 from sim.fem import Fem
 from sim.indenters import NAMES, indenter_of
+from sim.result import ContactTier
 from sim.sensors import SimulatedSensor, sensor
+from sim.sensors.quantities import with_quantities
 from sim.twin import fitted
 from sim.twin.labels import provenance, simulated_forces
 
@@ -43,31 +43,48 @@ FEM = Fem(elements_max=2500, augmentations=1, tolerance=1e-3, path_tolerance=1e-
 
 
 @dataclass(frozen=True, slots=True)
+class Settings:
+    """How pads are pressed, and their twins fitted."""
+
+    indenters: tuple[str, ...] = ("sphere_s", "hemisphere", "cylinder", "torus")
+    tier: ContactTier = "fem"
+    """Of the true forces."""
+    fineness: float = 0.4
+    """Of `fem`."""
+    grid: int = 48
+    """Of twins and labels."""
+    fits: bool = True
+    """Twins are fitted; if not, they are the skins with a thickness 5 % too large."""
+    seed: int = 0
+    device: str = "cpu"
+
+
+@dataclass(frozen=True, slots=True)
 class Pad:
     """Sensor with the skin of a draw, on a bench."""
 
     name: str
     draw: int
-    options: argparse.Namespace
+    settings: Settings
 
     @property
     def skin(self) -> SimulatedSensor:
         """The skin, which differs from its row."""
-        seed = [self.options.seed, self.draw, SENSORS.index(self.name)]
+        seed = [self.settings.seed, self.draw, SENSORS.index(self.name)]
         return random_skin(np.random.default_rng(seed), self.name)[0]
 
     @property
     def how(self) -> dict[str, Any]:
         """Settings of its true forces."""
         step = self.skin.body.thickness / 20
-        fem = replace(FEM, fineness=self.options.fineness, step_travel=step)
-        how = {"truth": self.options.tier, "fem": fem, "device": self.options.device}
+        fem = replace(FEM, fineness=self.settings.fineness, step_travel=step)
+        how = {"truth": self.settings.tier, "fem": fem, "device": self.settings.device}
         # Tier `layer` has a finer grid than the twins.
-        return {**how, "grid": 2 * self.options.grid}
+        return {**how, "grid": 2 * self.settings.grid}
 
     def bench(self, indenter: str, error: str) -> Bench:
         """Return the bench with one error or all: in a draw, each is the same alone or not."""
-        seed = [self.options.seed, self.draw]
+        seed = [self.settings.seed, self.draw]
         mounted = np.random.default_rng([*seed, SENSORS.index(self.name), code(indenter)])
         printed = np.random.default_rng([*seed, len(SENSORS), code(indenter)])
         most: dict[str, Any] = {
@@ -85,13 +102,15 @@ class Pad:
         Raises:
             SimulationDiverged: A press has no solution.
         """
+        if not self.settings.fits:
+            return with_quantities(self.skin, {"thickness": 1.05 * self.skin.body.thickness})
         tracks = []
         for number, indenter in enumerate(GAUGE, 100 * self.draw):
             presses = usual(indenter, self.name, PARTS[self.name])
             bench = self.bench(indenter, error)
             forces = solved(self.skin, presses, bench, **self.how)
             tracks.append(observed(self.skin, presses, bench, number, forces=forces))
-        return fitted(tracks, sensor(self.name), grid=self.options.grid).sensor
+        return fitted(tracks, sensor(self.name), grid=self.settings.grid).sensor
 
     def planned(self) -> list[PlannedPress]:
         """Return a press of each indenter, at places of both sensors, and a force-depth press."""
@@ -104,11 +123,11 @@ class Pad:
             trajectory=replace(design.trajectory, depth_max=deepest, depth_step=step),
             force_depth=replace(design.force_depth, depth_max=deepest, repeats=1),
         )
-        indenters = tuple(sorted(self.options.indenters, key=code))
+        indenters = tuple(sorted(self.settings.indenters, key=code))
         plan = DatasetPlan("targets", (design,), indenters, steps=STEPS, fraction=TARGETS)
         *presses, force_depth = target_presses(plan, design)
         each = len(presses) // len(indenters)
-        chosen = np.random.default_rng([self.options.seed, self.draw]).permutation(each)
+        chosen = np.random.default_rng([self.settings.seed, self.draw]).permutation(each)
         some = (presses[index * each + chosen[index % each]] for index in range(len(indenters)))
         return [*some, force_depth]
 

@@ -19,7 +19,7 @@ from sim.stream import LivePress
 from sim.tiers import simulate
 from sim.twin import PressTrack, track_of
 from sim.twin.model import leaning
-from sim.twin.plan import PlannedPresses
+from sim.twin.plan import PlannedPresses, planned_presses
 
 Array = NDArray[np.float64]
 
@@ -262,3 +262,12 @@ def relaxation(ratios: Sequence[float], times: Sequence[float], at: Array) -> Ar
     for ratio, time in zip(ratios, times, strict=True):
         found += ratio * np.exp(-at / time)
     return found
+
+
+def usual(indenter: str, name: str, part: float = 0.4) -> PlannedPresses:
+    """Return presses to two depths of a design, sheared and held.
+
+    The first is `part` of the deepest of the design, the second twice as deep.
+    """
+    step = round(part * sensor(name).depth_max, 5)
+    return planned_presses(indenter, (step, 2 * step), 0.8e-3, 1.6)

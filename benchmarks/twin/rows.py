@@ -1,30 +1,29 @@
-"""Fit of the sensors' parameters: `python -m benchmarks sensor-fit [--finer] [--check]`.
+"""Fit of the parameters of the sensors' rows.
 
 1. The prism is pressed, without viscosity, into GelSight, uSkin and TacPalm: force over depth.
 2. Ratios of the branches: the press at the row's speed loses the given fraction of its area.
 3. Moduli: force is proportional to modulus; at full depth uSkin : GelSight : TacPalm = 4 : 2 : 1.
 4. Gains of uSkin: the largest counts of a press and of its shear at the contact points.
+5. The viscous presses, loading and unloading, are solved with the rows' values.
 
-It prints the fitted values next to those of the rows, and fails if they differ by more than 1 %.
-`--finer` uses elements of two thirds the size; `--check` solves the viscous presses, loading and
-unloading, with the rows' values.
+A row that differs from its fit by more than 1 % is a failure.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.report import Page, Run, table
 from benchmarks.twin.relaxation import fitted, hysteresis, relaxed
-from recorder.command_line.options import add_device
 from sim.device import ready_device
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import named
+from sim.layer import Layer
 from sim.result import Result
 from sim.scene import Motion, Scene, Viscosity, through
 from sim.sensors.field import SurfaceField
@@ -67,35 +66,65 @@ class Line:
         return abs(self.row / self.found - 1) <= AGREED
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the benchmark."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--finer", action="store_true", help="elements of two thirds the size")
-    parser.add_argument("--check", action="store_true", help="solve the viscous presses as well")
-    add_device(parser)
-
-
-def run(options: argparse.Namespace) -> int:
-    """Fit, print and compare with the rows; return 1 if they differ."""
-    ready_device(options.device)
+def measure(run: Run) -> dict[str, Any]:
+    """Fit, and solve the viscous presses; a row that is out of date is a failure."""
+    ready_device(run.device)
     sensors = {name: sensor(name) for name in FORCES}
 
     def solved(name: str, scene: Scene) -> Result:
-        size = SPACING[name] * (2 / 3 if options.finer else 1.0)
-        return _solved(name, scene, Fem(spacing=size, grading=FOR_EDGES), options.device)
+        # A quick run has the pixels of `layer`, whose fits differ.
+        fem = Fem(spacing=SPACING[name], grading=FOR_EDGES)
+        return simulate(scene, Layer() if run.quick else fem, device=run.device)
 
-    presses = {name: solved(name, prism_press(each)) for name, each in sensors.items()}
+    presses = {}
+    for name, each in sensors.items():
+        presses[name] = solved(name, prism_press(each))
+        run.progress(0.15 * len(presses))
     lines = fit_forces(sensors, presses)
     pad = sensors["uskin"]
     lines += fit_gains(pad, [solved("uskin", prism_shear(pad, point)) for point in (1, 2)])
-    print(f"\n{'':42} {'row':>10} {'fitted':>10}")
-    for line in lines:
-        mark = "" if line.agrees else "   <- differs"
-        print(f"{line.name:42} {line.row:10.4g} {line.found:10.4g}{mark}")
-    if options.check:
-        cycles = {name: solved(name, _cycle(each)) for name, each in sensors.items()}
-        print_cycles(cycles)
-    return 0 if all(line.agrees for line in lines) else 1
+    run.progress(0.6)
+    cycles = []
+    for name, each in sensors.items():
+        depth, force = _curve(solved(name, _cycle(each)))
+        cycles.append({"name": name, "force": force.max(), "loss": hysteresis(depth, force)})
+        run.progress(0.6 + 0.13 * len(cycles))
+    if not run.quick:
+        run.failures += [
+            f"{line.name}: {line.row:g}, fitted {line.found:g}" for line in lines if not line.agrees
+        ]
+    return {"lines": [asdict(line) for line in lines], "cycles": cycles}
+
+
+def section(values: dict[str, Any], _: Page) -> str:
+    """Return rows beside fits, and the viscous presses."""
+    lines = [
+        [each["name"], f"{each['row']:.4g}", f"{each['found']:.4g}"] for each in values["lines"]
+    ]
+    unit = next(each["force"] for each in values["cycles"] if each["name"] == ANCHOR)
+    cycles = [
+        [
+            each["name"],
+            f"{each['force']:.3f} N",
+            f"{each['force'] / unit:.3f}",
+            f"{100 * each['loss']:.1f} %",
+            f"{100 * LOSS[each['name']]:.0f} %",
+        ]
+        for each in values["cycles"]
+    ]
+    head = ["viscous press", "force", f"over {ANCHOR}'s", "area lost", "fitted to"]
+    return f"""## Parameters of the sensors' rows
+The prism is pressed to each sensor's full depth. Ratios of the branches make the press at the row's
+speed lose a part of its area; moduli make forces 4 : 2 : 1 (the paper: a TacTip's is a quarter of a
+uSkin's and half of a GelSight's); gains give the largest counts.
+
+{table(["parameter", "row", "fitted"], lines)}
+
+The same presses, solved with viscosity down and up, with the rows' values. The fit takes the skin
+as quasi-linear:
+
+{table(head, cycles)}
+"""
 
 
 def fit_forces(sensors: dict[str, SimulatedSensor], presses: dict[str, Result]) -> list[Line]:
@@ -130,16 +159,6 @@ def fit_gains(pad: SimulatedSensor, results: Sequence[Result]) -> list[Line]:
         Line("uskin: gain_normal [counts/mT]", pad.signal.gain_normal / 1e3, normal / 1e3),
         Line("uskin: gain_shear [counts/mT]", pad.signal.gain_shear / 1e3, shear / 1e3),
     ]
-
-
-def print_cycles(results: dict[str, Result]) -> None:
-    """Print force and loss of the prism's loading and unloading, solved with the rows' values."""
-    print(f"\n{'solved with viscosity':42} {'force [N]':>10} {'part':>10} {'loss':>10}")
-    unit = _curve(results[ANCHOR])[1].max() / FORCES[ANCHOR]
-    for name, result in results.items():
-        depth, force = _curve(result)
-        lost = hysteresis(depth, force)
-        print(f"{name:42} {force.max():10.3f} {force.max() / unit:10.3f} {lost:10.3f}")
 
 
 def prism_press(each: SimulatedSensor) -> Scene:
@@ -185,14 +204,3 @@ def _branches(each: SimulatedSensor) -> Viscosity:
 def _curve(result: Result) -> tuple[Array, Array]:
     """Return the depths and pressing forces of a press."""
     return -np.array(result.scene.motion.tip)[:, 2], -result.force[:, 2]
-
-
-def _solved(name: str, scene: Scene, numerics: Fem, device: str) -> Result:
-    """Solve a scene and report when it is done.
-
-    Raises:
-        SimulationDiverged: No solution.
-    """
-    result = simulate(scene, numerics, device=device)
-    print(f"solved: {name}, {len(scene.motion)} frames", file=sys.stderr)
-    return result

@@ -30,7 +30,7 @@ RELAXED, LEAST_HOLD = 3.0, 0.3
 # Timing error between arm and gauge [s]; relative error of all forces of an indenter, by its print.
 TIMING, PRINT = 20e-3, 0.02
 # Relative error of the law at rest: the median misfit of 200 fits to planted skins, whose spreads a
-# plan then foretells (docs/results/twin-planted.md: modulus 4.1 %, thickness 8 %, friction 2 %).
+# plan then foretells (docs/results/twin.md: modulus 4.1 %, thickness 8 %, friction 2 %).
 MISFIT = 0.016
 # Difference of a press's forces on a rougher grid, over the largest of them, above which it is not
 # chosen: as a tip or a thin edge crosses pixels, slopes are noise, which passes for information.

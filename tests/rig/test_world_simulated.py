@@ -371,7 +371,7 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
 def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     sensor: str, tmp_path: Path
 ) -> None:
-    from benchmarks.twin.session import recorded, simulated
+    from benchmarks.twin.demo import forces_again, recorded
     from sim import Layer
 
     more = "trajectory: {points: [1], angle_step_deg: 180.0}"
@@ -386,12 +386,12 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     assert session.attrs["bench"]["world"]["kind"] == "simulated"
     assert faults_of(run.session) == []
     found = recorded(session)
-    offline = simulated(found, np.array([], np.int64), Layer(grid=48)).wrench
+    offline = forces_again(found, Layer(grid=48))
     inside = (found.force_time > found.time[0]) & (found.force_time < found.time[-1])
     at = np.stack(
         [np.interp(found.force_time[inside], found.time, axis) for axis in offline.T], axis=1
     )
-    error = np.abs(found.wrench[inside] - at)[:, :3]
+    error = np.abs(found.force[inside] - at)
     # Noise of 0.01 N, and delays of a busy machine; robust to single pauses.
     assert (np.median(error, axis=0) < 0.02).all()
     assert np.percentile(error, 95) < 0.15 * np.abs(offline[:, 2]).max() + 0.03

@@ -18,7 +18,6 @@ import pytest
 from support.marker_rows import write_rows
 from support.sessions import CONTACT_FRAME, T0, Columns, make_session
 
-from benchmarks.twin.command import usual
 from benchmarks.twin.planted import (
     Bench,
     Forces,
@@ -26,6 +25,7 @@ from benchmarks.twin.planted import (
     random_skin,
     recorded,
     solved,
+    usual,
 )
 from recorder.processes import Workers
 from sim.errors import PassesThrough, SceneError, SimulationDiverged

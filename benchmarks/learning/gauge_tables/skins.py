@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.twin.command import usual
-from benchmarks.twin.planted import Bench, Forces, observed, random_skin, solved
+from benchmarks.twin.planted import Bench, Forces, observed, random_skin, solved, usual
 from recorder.settings import yaml_text
 from recorder.store import replace_file
 from sim.dataset.plan import Solving

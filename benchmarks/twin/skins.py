@@ -1,0 +1,218 @@
+"""Twins of random skins that are known, on a bench with errors that the fit does not know."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks.processes import done_counts, side_by_side
+from benchmarks.report import Page, Run, table
+from benchmarks.twin.planted import (
+    GRID,
+    Bench,
+    observed,
+    random_skin,
+    relaxation,
+    solved,
+    usual,
+)
+from recorder.charts import BLUE, SOFT, chart
+from sim.cli.twin_plan import CHANGE
+from sim.errors import SimulationDiverged
+from sim.indenters import NAMES
+from sim.sensors import sensor
+from sim.sensors.quantities import quantities
+from sim.twin import TrackModel, fitted, misfit
+from sim.twin.fit import Z
+from sim.twin.plan import PlannedPresses, Planner, planned_presses, sessions
+
+SENSOR, SEED = "gelsight", 0
+# Indenters of a fit, and the one whose forces are predicted: no fit has its presses.
+PRESSED, HELD_OUT = ("sphere", "prism"), "torus"
+COLUMNS = ("modulus", "thickness", "relaxation", "friction", "held-out force")
+# Minutes of a planned bench, pixels of a fit, and of a quick one.
+MINUTES, FIT_GRID, QUICK_GRID = 5.0, 64, 24
+# Times at which relaxation is compared [s].
+TIMES = np.geomspace(0.05, 2.0, 20)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How skins are pressed and fitted."""
+
+    tier: Literal["layer", "fem"]
+    """Of the true forces and of the fit."""
+    presses: tuple[PlannedPresses, ...]
+    seed: int
+    quick: bool
+    """Few pixels, and no correction by `fem`."""
+
+    @property
+    def grid(self) -> int:
+        """Pixels of the fit."""
+        return QUICK_GRID if self.quick else FIT_GRID
+
+
+def measure(tier: Literal["layer", "fem"], planned: bool, run: Run) -> dict[str, Any]:
+    """Fit twins of random skins and compare them with the truth."""
+    presses: tuple[PlannedPresses, ...]
+    if planned:
+        # A quick run plans on few pixels, and fits nothing.
+        planner = Planner(sensor(SENSOR), **({"grid": 16} if run.quick else {}))
+        indenters = [name for name in NAMES if name != HELD_OUT][: 1 if run.quick else None]
+        candidates = planner.candidates(indenters)
+        presses = tuple(sessions(planner.best(candidates, seconds=60 * MINUTES, change=CHANGE)))
+    elif run.quick:
+        presses = (planned_presses("sphere", (0.8e-3,), 0.4e-3, 0.6),)
+    else:
+        presses = tuple(usual(name, SENSOR) for name in PRESSED)
+    settings = Settings(tier, presses, SEED, quick=run.quick)
+    numbers = range(int(not planned) if run.quick else run.options.skins)
+    rows: list[dict[str, Any]] = []
+    without: list[str] = []
+    with done_counts(run.failures.append):
+        every = side_by_side(partial(one, settings), numbers, run.device, run.options.processes)
+        for number, row in every:
+            if isinstance(row, str):
+                without.append(f"skin {number}: {row}")
+            else:
+                rows.append(row)
+            run.progress((len(rows) + len(without)) / len(numbers))
+    rows.sort(key=lambda row: row["number"])
+    run.seeds = [row["number"] for row in rows]
+    run.spread = "one fit a skin; quantiles over skins"
+    return {
+        "tier": tier,
+        "grid": settings.grid,
+        "presses": [
+            [each.indenter, [*each.depths], each.plan.shear, each.hold] for each in presses
+        ],
+        "rows": rows,
+        "without": without,
+    }
+
+
+def one(settings: Settings, number: int) -> tuple[int, dict[str, Any] | str]:
+    """Return the row of a skin, or why it has none."""
+    try:
+        return number, identified(settings, number)
+    except SimulationDiverged as diverged:
+        return number, str(diverged).partition("\n")[0]
+
+
+def identified(settings: Settings, number: int) -> dict[str, Any]:
+    """Fit a skin's twin, and compare it with the skin.
+
+    Raises:
+        SimulationDiverged: A true force or one of the fit has no solution.
+    """
+    skin, bench = random_skin(np.random.default_rng([settings.seed, number]), SENSOR)
+    tracks = [
+        observed(
+            skin,
+            presses,
+            errors,
+            100 * number + index,
+            forces=solved(skin, presses, errors, truth=settings.tier),
+        )
+        for index, (presses, errors) in enumerate(
+            [*((each, bench) for each in settings.presses), (_held_out(settings), Bench(noise=0.0))]
+        )
+    ]
+    began = time.perf_counter()
+    tier = "layer" if settings.quick else settings.tier
+    fit = fitted(tracks[:-1], sensor(SENSOR), grid=settings.grid, tier=tier)
+    seconds = time.perf_counter() - began
+    true = quantities(skin)
+    model = TrackModel(fit.design, tracks[-1:], grid=settings.grid)
+    values = {name: fit.values[name] for name in true}
+    if fit.tier == "fem":
+        model.correct(values)
+    shapes = [
+        relaxation(
+            [these[name] for name in true if name.startswith("ratio")],
+            [these[name] for name in true if name.startswith("time")],
+            TIMES,
+        )
+        for these in (fit.values, true)
+    ]
+    errors = {
+        name: abs(fit.values[name] / true[name] - 1)
+        for name in ("modulus", "thickness", "friction")
+    }
+    errors["relaxation"] = float(np.sqrt(np.mean(np.square(shapes[0] / shapes[1] - 1))))
+    errors["held-out force"] = misfit(tracks[-1:], model.readings(values))
+    off = {name: fit.distance(name, value) for name, value in true.items()}
+    return {"number": number, "errors": errors, "off": off, "misfit": fit.misfit} | {
+        "seconds": seconds
+    }
+
+
+def _held_out(settings: Settings) -> PlannedPresses:
+    if settings.quick:
+        return planned_presses(HELD_OUT, (0.8e-3,), 0.4e-3, 0.6)
+    return usual(HELD_OUT, SENSOR)
+
+
+def section(title: str, values: Mapping[str, Any], page: Page, *, picture: str = "") -> str:
+    """Return the errors of twins and the coverage of their intervals."""
+    rows = values["rows"]
+    if not rows:
+        return f"## {title}\nNo skin was fitted."
+    quantity = list(rows[0]["off"])
+    columns = [name for name in COLUMNS if name in rows[0]["errors"]]
+    errors = np.array([[row["errors"][name] for name in columns] for row in rows])
+    off = np.array([[abs(row["off"][name]) for name in quantity] for row in rows])
+    lines = [
+        [name, *(f"{100 * each:.1f} %" for each in (*np.quantile(column, (0.5, 0.9)), max(column)))]
+        for name, column in zip(columns, errors.T, strict=True)
+    ]
+    covered = (off <= Z).sum(axis=0)
+    wider = dict(zip(quantity, np.quantile(off, 0.9, axis=0) / Z, strict=True))
+    narrow = [f"{name} {factor:.2f}" for name, factor in wider.items() if factor > 1]
+    widest = max(wider, key=wider.__getitem__)
+    enough = f"too narrow, by these factors: {', '.join(narrow)}" if narrow else "wide enough"
+    indenters: dict[str, int] = {}
+    for name, depths, _, _ in values["presses"]:
+        indenters[name] = indenters.get(name, 0) + len(depths)
+    pressed = ", ".join(f"{count} by `{name}`" for name, count in indenters.items())
+    seconds = np.median([row["seconds"] for row in rows])
+    how = f"`layer` on {GRID} pixels, fits by `layer` on {values['grid']}"
+    if values["tier"] == "fem":
+        how = f"`fem`, fits by `layer` on {values['grid']} pixels, corrected by `fem`"
+    texts = [
+        f"## {title}",
+        f"Presses of each skin: {pressed}; sheared, held, with errors of height, tilt, compliance, "
+        f"latency and axes, and 10 mN of noise. True forces by {how}. {len(rows)} skins; median "
+        f"time of a fit {seconds:.0f} s.",
+        table(["error", "median", "90 % below", "largest"], lines),
+        f"{covered.sum()} of {off.size} true values lie in their 90 % intervals "
+        f"({100 * covered.sum() / off.size:.0f} %; {', '.join(quantity)}). Nine of ten need "
+        f"intervals times at most {wider[widest]:.2f} ({widest}): they are {enough}.",
+    ]
+    if values["without"]:
+        texts.append(f"Left out, without a solution: {'; '.join(values['without'])}.")
+    if picture:
+        _draw(rows, columns, page, picture)
+        texts.append(page.link(picture, "Errors of the twins of all skins"))
+    return "\n\n".join(texts)
+
+
+def _draw(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], page: Page, name: str) -> None:
+    """Draw the share of skins below each error."""
+    with chart(page.picture(name), 7.0, 2.6) as figure:
+        every = figure.subplots(1, len(columns), sharey=True)
+        for axes, column in zip(np.atleast_1d(every), columns, strict=True):
+            errors = np.sort([100 * row["errors"][column] for row in rows])
+            axes.step(errors, np.arange(1, len(errors) + 1) / len(errors), color=BLUE)
+            axes.axhline(0.5, color=SOFT, lw=0.7, ls=":")
+            axes.axhline(0.9, color=SOFT, lw=0.7, ls=":")
+            axes.set_xlim(0, 1.05 * errors[-1])
+            axes.set_title(column, fontsize=9)
+            axes.set_xlabel("error [%]")
+        np.atleast_1d(every)[0].set_ylabel("fraction of skins")
