@@ -14,7 +14,6 @@ BENCHMARKS = {
     "recording": ("benchmarks.recording.command", "what recording costs, loses and gives back"),
     "faults": ("benchmarks.faults.command", "faults, kills, wrong benches, endurance"),
     "first-hour": ("benchmarks.first_hour", "every command from the wheel to live forces"),
-    "bench-drawings": ("benchmarks.bench_drawings", "draw wiring, mounting and frames of a bench"),
     # The simulator
     "hard-cases": (
         "benchmarks.hard_cases.command",
@@ -25,12 +24,7 @@ BENCHMARKS = {
         "benchmarks.independent.command",
         "forces beside solutions by other methods",
     ),
-    "sensor-picture": ("benchmarks.twin.picture", "draw one press on every sensor"),
     "twin": ("benchmarks.twin.command", "twins of sensors: skins, labels, rows, live forces"),
-    "patterns": ("benchmarks.sim.pictures.patterns", "draw all marker patterns"),
-    "states": ("benchmarks.sim.pictures.states", "draw each indenter's press in an archive"),
-    "indenters": ("benchmarks.sim.pictures.indenters", "draw all indenters"),
-    "indenter-drawings": ("benchmarks.sim.pictures.drawings", "draw each indenter in mm"),
     # Learning
     "diffusion-full-size": (
         "benchmarks.learning.diffusion_full_size",

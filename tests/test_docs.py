@@ -196,7 +196,6 @@ def test_every_command_is_run_by_a_test() -> None:
 # Benchmarks whose module no test names, and why.
 NOT_RUN = {
     "extrapolation": "hours of training",
-    "indenter-drawings": "overwrites packaged drawings",
     "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
     "transfer-skins": "needs the runs of make demo-transfer",
 }

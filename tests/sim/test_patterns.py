@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from benchmarks.sim.pictures.patterns import draw_sheet
 from sim.errors import SceneError
 from sim.markers import (
     HOMOGENEOUS,
@@ -180,16 +176,3 @@ def test_what_is_no_pattern_is_refused(change: dict, message: str) -> None:
 def test_an_unknown_name_is_answered_with_those_there_are() -> None:
     with pytest.raises(SceneError, match=r"'Array5'; allowed: Array1, Array2.*TacPalm"):
         named("Array5")
-
-
-def test_the_sheet_shows_markers_where_they_are(tmp_path: Path) -> None:
-    path = tmp_path / "sheet.png"
-    draw_sheet(path, ["Array3", "Circle-II"], tile=160)
-    with Image.open(path) as picture:
-        pixels = np.asarray(picture.convert("L")).astype(float)
-    gap = 160 // 12
-    for index, name in enumerate(("Array3", "Circle-II")):
-        left = gap + index * (160 + gap)
-        for x, y in itertools.islice(named(name).places, 30):
-            column, row = left + 80 + x / 20e-3 * 160, gap + 80 - y / 20e-3 * 160
-            assert pixels[int(row), int(column)] < 120

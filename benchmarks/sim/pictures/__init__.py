@@ -1,1 +1,0 @@
-"""Contact sheets of marker patterns and indenters for the docs."""
