@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks.processes import done_counts, side_by_side
 from benchmarks.report import Page, Run, table
 from benchmarks.twin.planted import (
+    FEM,
     GRID,
     Bench,
     observed,
@@ -24,6 +25,7 @@ from benchmarks.twin.planted import (
 from recorder.charts import BLUE, SOFT, chart
 from sim.cli.twin_plan import CHANGE
 from sim.errors import SimulationDiverged
+from sim.fem import Fem
 from sim.indenters import NAMES
 from sim.sensors import sensor
 from sim.sensors.quantities import quantities
@@ -37,6 +39,8 @@ PRESSED, HELD_OUT = ("sphere", "prism"), "torus"
 COLUMNS = ("modulus", "thickness", "relaxation", "friction", "held-out force")
 # Minutes of a planned bench, pixels of a fit, and of a quick one.
 MINUTES, FIT_GRID, QUICK_GRID = 5.0, 64, 24
+# Elements of a quick run.
+COARSE = Fem(spacing=1.6e-3)
 # Times at which relaxation is compared [s].
 TIMES = np.geomspace(0.05, 2.0, 20)
 
@@ -118,7 +122,9 @@ def identified(settings: Settings, number: int) -> dict[str, Any]:
             presses,
             errors,
             100 * number + index,
-            forces=solved(skin, presses, errors, truth=settings.tier),
+            forces=solved(
+                skin, presses, errors, truth=settings.tier, fem=COARSE if settings.quick else FEM
+            ),
         )
         for index, (presses, errors) in enumerate(
             [*((each, bench) for each in settings.presses), (_held_out(settings), Bench(noise=0.0))]

@@ -1,1 +1,0 @@
-"""Accuracy and speed of the simulator."""
