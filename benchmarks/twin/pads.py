@@ -44,7 +44,7 @@ FEM = Fem(elements_max=2500, augmentations=1, tolerance=1e-3, path_tolerance=1e-
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How pads are pressed, and their twins fitted."""
+    """Settings of presses of pads, and of the fits of their twins."""
 
     indenters: tuple[str, ...] = ("sphere_s", "hemisphere", "cylinder", "torus")
     tier: ContactTier = "fem"

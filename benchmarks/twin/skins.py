@@ -47,7 +47,7 @@ TIMES = np.geomspace(0.05, 2.0, 20)
 
 @dataclass(frozen=True)
 class Settings:
-    """How skins are pressed and fitted."""
+    """Settings of the presses of skins, and of their fits."""
 
     tier: Literal["layer", "fem"]
     """Of the true forces and of the fit."""
