@@ -71,8 +71,7 @@ demo-transfer: $(VENV)/.learning-sim  ## newtons on a simulated sensor without a
 	$(TACTILE) evaluate "$$out/weighed" "$$bare"
 
 demo-twin: $(VENV)/.rig-sim  ## a mock sensor is recorded and its twin identified
-	@out=$(call folder,runs/twin-demo) && \
-	$(PY) -m benchmarks twin --only demo --keep "$$out" --out "$$out/twin.md"
+	@$(PY) -m benchmarks twin --only demo --out $(call folder,runs/twin-demo)/twin.md
 
 demo-paper: $(VENV)/.diffusion-sim  ## the paper's chain at toy size
 	@$(PY) -m benchmarks paper-chain --out $(call folder,runs/demo-paper) --size toy --minutes 1 --gpus cpu

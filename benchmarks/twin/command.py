@@ -20,7 +20,6 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--skins", type=whole(1, 1000), default=20, metavar="N", help="of each part (%(default)s)")
     add("--draws", type=whole(1, 1000), default=4, metavar="N", help="of `labels` (%(default)s)")
     add("--processes", type=whole(1, 256), default=1, metavar="N", help="(%(default)s)")
-    add("--keep", type=Path, metavar="FOLDER", help="of the demo's sessions and twin")
 
 
 BENCHMARK = Benchmark(

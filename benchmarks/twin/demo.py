@@ -60,8 +60,9 @@ TRIES = 3
 
 
 def measure(run: Run) -> dict[str, Any]:
-    """Record, fit, and compare with the truth; sessions and the twin's picture stay in `--keep`."""
-    folder: Path = run.options.keep or run.folder
+    """Record, fit, and compare with the truth; alone, sessions stay beside the page."""
+    alone = run.options.only == ["demo"] and run.options.out is not None
+    folder: Path = run.options.out.parent if alone else run.folder
     folder.mkdir(parents=True, exist_ok=True)
     skin, bench = folder / "skin.yaml", folder / "bench.yaml"
     skin.write_text(SKIN, encoding="utf-8")
