@@ -227,7 +227,6 @@ def reaction_of(row: Row, line: str) -> str:
 def section(values: dict[str, Any], page: Page) -> str:
     """Return the tables by device, the limits, and the chart of the times until notice."""
     rows = values["rows"]
-    devices = dict.fromkeys(row["device"] for row in rows)
     parts = [_INTRODUCTION]
     if noticed := [row for row in rows if row["noticed"] is not None]:
         with chart(page.picture("noticed"), 8, 0.8 + 0.17 * len(noticed)) as figure:
@@ -237,10 +236,8 @@ def section(values: dict[str, Any], page: Page) -> str:
             axes.set(xscale="log", xlabel="time from the fault to the end of the motion [s]")
             axes.set(ylim=(len(noticed) - 0.5, -0.5))
         parts.append(page.link("noticed", "Time until each fault ended the motion"))
-    for device in devices:
-        lines = [_cells(row) for row in rows if row["device"] == device]
-        head = ("fault", "reaction of the rig", "noticed", "exit", "lost", "rejected", "arm")
-        parts += [f"### {device[0].upper()}{device[1:]}", table(head, lines)]
+    head = ("fault", "reaction of the rig", "noticed", "exit", "lost", "rejected", "arm")
+    parts.append(table(head, [_cells(row) for row in rows]))
     parts += [f"Not run: {name}: {why}." for name, why in values["skipped"].items()]
     return "\n\n".join([*parts, _limits()])
 
@@ -254,7 +251,7 @@ def _cells(row: dict[str, Any]) -> Sequence[object]:
         if count
     ]
     return (
-        row["fault"],
+        f"{row['device']}: {row['fault']}",
         row["reaction"].replace("|", "\\|"),
         "-" if row["noticed"] is None else f"{row['noticed']:.2f} s",
         "none" if row["exit"] is None else row["exit"],

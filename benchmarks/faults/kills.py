@@ -10,10 +10,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.collection_kills import VICTIMS, kill_often
+from benchmarks.faults.collection_kills import kill_often
 from benchmarks.faults.disk import CannotMount
 from benchmarks.faults.program_kills import PROGRAMS, Loss, fill_disk, kill_in_turn
-from benchmarks.report import Page, Run, table
+from benchmarks.report import Page, Run
 from recorder import SessionError
 
 SEED = 0
@@ -75,9 +75,8 @@ def in_scratch(folder: Path, act: Callable[[Path], int], wrong: list[str]) -> in
 def section(values: dict[str, Any], page: Page) -> str:
     """Return the counts of both kinds of kills, and of full disks."""
     collections, programs = values["collections"], values["programs"]
-    victims = collections["victims"]
-    killed = [(victim, victims.get(victim, 0)) for victim in VICTIMS]
-    killed += [(f"a program: {name}", programs["kills"].get(name, 0)) for name in PROGRAMS]
+    killed = ", ".join(f"{victim} {count}" for victim, count in collections["victims"].items())
+    by_program = ", ".join(f"{name} {count}" for name, count in programs["kills"].items())
     disks = f"{values['disks']} disks were filled by writing"
     if values["no_disk"]:
         disks = f"Full disks were not tested (a tmpfs needs root: {values['no_disk']})"
@@ -86,13 +85,11 @@ def section(values: dict[str, Any], page: Page) -> str:
 SIGKILL to a random process of a mock collection within the first 3 s of recording, repeatedly in
 the same sessions: killed, recovered (`tactile session recover`), resumed, killed again, and finally
 run to `complete`. The rows of earlier runs are compared after each recovery and each resume, and no
-process may outlive its collection. Below these, programs that only write, recover or resume a
-session as fast as they can, killed within 0.25 s.
+process may outlive its collection. Killed: {killed}. Of {collections["compared"]:,} samples that
+collections had accepted, **{collections["lost"]}** were lost; {collections["completed"]} sessions,
+resumed {collections["resumed"]} times, reached `complete`.
 
-{table(("killed", "times"), killed)}
-
-Of {collections["compared"]:,} samples that collections had accepted, **{collections["lost"]}** were
-lost; {collections["completed"]} sessions, resumed {collections["resumed"]} times, reached
-`complete`. {disks}; {programs["rows"]:,} rows accepted by programs and on disks were compared, and
+Programs that write, recover and resume a session as fast as they can were killed within 0.25 s:
+{by_program}. {disks}. {programs["rows"]:,} accepted rows were compared;
 {len(programs["wrong"])} trials lost, doubled or changed a row, or left a session that `tactile
 session check` finds damaged."""

@@ -48,7 +48,7 @@ def test_the_command_runs_a_row_and_writes_its_page(tmp_path: Path) -> None:
     assert main(["faults", *chosen]) == 0
     text = out.read_text()
     assert "1 of 1 faults ended as they must; 0 of " in text
-    row = next(line for line in text.splitlines() if line.startswith("| duplicated"))
+    row = next(line for line in text.splitlines() if line.startswith("| force: duplicated"))
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     assert cells[1:4] == ["continued, counted it", "-", "0"]
     assert cells[4].startswith("0 of ")
