@@ -98,7 +98,7 @@ def test_the_test_on_a_gpu_says_no_only_where_nothing_overlaps(
     precision: Literal["float32", "float64"],
 ) -> None:
     """Walls whose ends begin to meet at 10 degrees; skin that is bent alone is let go."""
-    scene, mesh = Scene(sphere(1e-3), press([1e-4]), STRIP), build_mesh(STRIP, 0.25e-3)
+    scene, mesh = Scene(sphere(1e-3), press([1e-4]), STRIP), build_mesh(STRIP, 0.4e-3)
     assembly = Assembly([mesh] * 2, [scene] * 2, Fem(), precision, "cpu")
     assembly.crossing = Crossing(assembly.real, 2, mesh.faces, "cpu")
     looked, overlaps = [], []

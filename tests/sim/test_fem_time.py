@@ -68,7 +68,7 @@ def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
     depths = (0, 0.5, 1.0, 1.0, 0.3, -0.1, 0.2, 0.5)
     times = (0, 0.1, 0.2, 3.0, 3.05, 3.1, 3.13, 3.15)
     path = tuple((0.0, 0.0, -1e-3 * depth) for depth in depths)
-    body = replace(SMALL, size_x=16e-3, size_y=16e-3)
+    body = replace(SMALL, size_x=12e-3, size_y=12e-3)
     slow = Effects(friction=Friction(0.5), viscosity=Viscosity((0.5, 0.5), (0.05, 0.6)))
     scene = Scene(named("cylinder"), Motion(path, times), body, slow)
     found = simulate(scene, Fem(spacing=1e-3))

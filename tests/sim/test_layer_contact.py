@@ -136,10 +136,10 @@ def test_more_body_around_changes_nothing_within_the_layer() -> None:
 
 
 def test_contact_outside_of_a_window_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = simulate_layer(Scene(named("dots"), press([1.2e-3])), Layer(grid=64))
+    usual = simulate_layer(Scene(named("dots"), press([1.2e-3])), Layer(grid=48))
     # Windows that contain only overlaps of more than half: they have to be widened.
     monkeypatch.setattr(press_module, "BULGE", -0.5)
-    found = simulate_layer(Scene(named("dots"), press([1.2e-3])), Layer(grid=64))
+    found = simulate_layer(Scene(named("dots"), press([1.2e-3])), Layer(grid=48))
     assert found.quality.steps.sum() > usual.quality.steps.sum()
     np.testing.assert_allclose(found.force, usual.force, atol=1e-2 * np.abs(usual.force).max())
 
