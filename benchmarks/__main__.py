@@ -59,7 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name not in BENCHMARKS:
         print(f"wrong input: {name!r}; allowed: {', '.join(BENCHMARKS)}", file=sys.stderr)
         return EXIT_WRONG_INPUT
-    return run_module(BENCHMARKS[name][0], options, prog=f"python -m benchmarks {name}")
+    return run_module(
+        BENCHMARKS[name][0],
+        options,
+        prog=f"python -m benchmarks {name}",
+        interrupted="--draw makes the page of the parts that were measured",
+    )
 
 
 def _list() -> int:
