@@ -26,28 +26,8 @@ BENCHMARKS = {
     ),
     "twin": ("benchmarks.twin.command", "twins of sensors: skins, labels, rows, live forces"),
     # Learning
-    "diffusion-full-size": (
-        "benchmarks.learning.diffusion_full_size",
-        "diffusion at the paper's size, on a GPU",
-    ),
-    "extrapolation": ("benchmarks.learning.extrapolation", "forces beyond those of the training"),
-    "learning-tables": ("benchmarks.learning.tables.command", "the paper's tables"),
-    "paper-chain": (
-        "benchmarks.learning.paper_chain.command",
-        "the paper's models trained from nothing, beside simple baselines",
-    ),
-    "gauge-tables": (
-        "benchmarks.learning.gauge_tables.command",
-        "forces on new indenters, beside the gauge presses that each method needs",
-    ),
-    "transfer-skins": (
-        "benchmarks.learning.skins.command",
-        "coverage of intervals over skins of random modulus",
-    ),
-    "learning-on-gpus": (
-        "benchmarks.learning.tables.on_gpus",
-        "all tables and ablations, on all GPUs",
-    ),
+    "paper": ("benchmarks.paper.command", "the paper's models trained from nothing"),
+    "gauge": ("benchmarks.gauge.command", "forces without a gauge, from the weakest way"),
 }
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import platform
 import shlex
@@ -325,6 +326,8 @@ def _seeds(head: dict[str, Any]) -> str:
 
 
 def _minutes(seconds: float) -> str:
+    if math.isnan(seconds):
+        return "not recorded"
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 

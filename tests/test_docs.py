@@ -194,11 +194,7 @@ def test_every_command_is_run_by_a_test() -> None:
 
 
 # Benchmarks whose module no test names, and why.
-NOT_RUN = {
-    "extrapolation": "hours of training",
-    "learning-on-gpus": "needs several GPUs; its plan of jobs has tests",
-    "transfer-skins": "needs the runs of make demo-transfer",
-}
+NOT_RUN: dict[str, str] = {}
 
 
 def test_every_benchmark_is_run_by_a_test_or_listed_with_a_reason() -> None:

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.learning.sums import r_squared_of_sums
 from benchmarks.processes import done_counts, side_by_side
 from benchmarks.report import Page, Run, table
+from benchmarks.sums import r_squared_of_sums
 from benchmarks.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, Pad, Pressed, Settings
 from benchmarks.twin.pads import table as archive_rows
 from learning.compensation.prior import Prior, compensate, curve_of_table, fit_prior

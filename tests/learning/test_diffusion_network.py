@@ -14,7 +14,7 @@ import torch
 from support.tiny_diffusion import SIDE, UNET, WIDTH, striped_pairs, tiny_pretrained, tiny_settings
 from torch import nn
 
-from benchmarks.learning import diffusion_full_size
+from benchmarks.paper import full_size
 from learning.config import read_settings
 from learning.data.images import unit
 from learning.errors import LearningError
@@ -207,8 +207,8 @@ def test_a_missing_extra_is_said_with_how_to_install_it(monkeypatch) -> None:
 def test_full_size_networks_have_the_published_numbers_of_parameters() -> None:
     diffusers = vendor("diffusers")
     with torch.device("meta"):
-        unet = diffusers.UNet2DConditionModel.from_config(diffusion_full_size.UNET)
-        vae = diffusers.AutoencoderKL.from_config(diffusion_full_size.VAE)
+        unet = diffusers.UNet2DConditionModel.from_config(full_size.UNET)
+        vae = diffusers.AutoencoderKL.from_config(full_size.VAE)
         assert _count(unet) == pytest.approx(865.9e6, abs=0.1e6)
         assert _count(vae) == pytest.approx(83.65e6, abs=0.01e6)
         add_adapter(unet, UNET_ADAPTER, 8, UNET_TARGETS)
@@ -223,8 +223,8 @@ def test_full_size_networks_have_the_published_numbers_of_parameters() -> None:
 @pytest.mark.parametrize("preset", ["ours", "authors_code"])
 def test_full_size_networks_fit_together_at_256_px(preset: str) -> None:
     settings = read_settings(TranslatorSettings, PRESETS, preset)
-    made = diffusion_full_size.random_pretrained(
-        diffusion_full_size.UNET, diffusion_full_size.VAE, diffusion_full_size.CLIP, WIDTHS, "meta"
+    made = full_size.random_pretrained(
+        full_size.UNET, full_size.VAE, full_size.CLIP, WIDTHS, "meta"
     )
     with torch.device("meta"):
         network = build(made.unet, made.vae, settings)

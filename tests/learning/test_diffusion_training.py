@@ -9,11 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from support.tiny_diffusion import (
-    CLIP,
-    DEEP_VAE,
     SIDE,
-    UNET,
-    VGG,
     striped_pairs,
     tiny_pretrained,
     tiny_settings,
@@ -21,8 +17,6 @@ from support.tiny_diffusion import (
 )
 from support.training import session
 
-from benchmarks.learning import diffusion_full_size
-from benchmarks.learning.diffusion_full_size import check, overfitted_pairs, table
 from learning.config import preset_names, read_settings
 from learning.errors import LearningError
 from learning.training.optim import Constant
@@ -210,23 +204,3 @@ def test_a_training_without_pairs_is_refused() -> None:
     pairs = striped_pairs()
     with pytest.raises(LearningError, match="pairs: found none"):
         train(pairs.of_pairs(torch.arange(0)), tiny_pretrained(), tiny_settings())
-
-
-@pytest.mark.slow
-def test_the_full_size_check_measures_and_writes(tmp_path: Path) -> None:
-    out = tmp_path / "full-size.json"
-    found = check(
-        [1, 2],
-        out,
-        steps=diffusion_full_size.WARM + 1,
-        overrides=["launch={device: cpu, mixed_precision: no}"],
-        networks=lambda device: diffusion_full_size.random_pretrained(
-            UNET, DEEP_VAE, CLIP, VGG, device
-        ),
-        side=64,
-    )
-    assert json.loads(out.read_text()) == found
-    assert [row["batch"] for row in found["measured"]] == [1, 2]
-    assert all(row["training_images_per_s"] > 0 for row in found["measured"])
-    assert "mean square on 4 pairs" in table(found)
-    assert len(overfitted_pairs(3, SIDE, torch.device("cpu")).pairs) == 3

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.learning.diffusion_full_size import random_pretrained
+from benchmarks.paper.full_size import random_pretrained
 from learning.config import read_settings
 from learning.data.pairs import PairedFrames
 from learning.translation.diffusion.train import PRESETS, Pretrained, TranslatorSettings

@@ -1,0 +1,459 @@
+"""Ways to the forces of a sensor, from the weakest to the strongest, on planted sensors.
+
+A cell has sums of errors by test indenter of one seed, source and target. Only ways that are
+privileged read labels of the target, in training or to choose anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmarks.gauge.planted import GROUPS, name_of, planted, write_rows, write_twin
+from benchmarks.paper.chain import train_field
+from benchmarks.paper.sizes import RECIPES
+from benchmarks.paper.study import (
+    Joined,
+    Study,
+    folder_of,
+    form_of,
+    nearest_labels,
+    once,
+    shortened,
+    simulate,
+)
+from benchmarks.report import Run
+from benchmarks.sums import r2_of, sums_by_indenter
+from learning.compensation.simulated import simulated_labels, twin_forces
+from learning.config import read_settings, require_same
+from learning.data.presses import Presses
+from learning.data.splits import make_split
+from learning.errors import LearningError
+from learning.experiment.frames import look_of, translate_presses
+from learning.force.labels import Relabelling, by_twins, compensated
+from learning.force.model import ForceModel
+from learning.force.train import PRESETS, ForceModelSettings, train_force
+from learning.training.run import generator
+from learning.translation.loading import load_translator
+from learning.translation.translator import SensorView, for_pair
+from recorder import MarkerArchive
+from recorder.archive import write_simulated
+from recorder.processes import cores
+from recorder.progress import span_of
+from sim.dataset import DatasetPlan, Solving
+from sim.dataset.plan import UNSEEN
+from sim.indenters import NAMES, drawn_name
+from sim.result import ContactTier
+from sim.sensors import sensor_of
+from sim.sensors.sensor import read_sensor
+from sim.twin.labels import provenance, simulated_forces
+
+Floats = NDArray[np.float64]
+# Overrides of presets; the others are the presets' own.
+NETS = {
+    "tiny": ("sequences.batch=8", "sequences.flips=true"),
+    "displacement": ("sequences.flips=true",),
+    "superposed": (),
+    "paper": RECIPES["paper"],
+}
+MAIN = "tiny"
+# Names of the ways, in their order; labels at true places are no predictions from frames.
+MEAN, NEAREST, SOURCE = "mean of the source's labels", "nearest frame", "source only"
+DISPLACED, TRANSLATED = "displacement", "translation"
+BY_TWIN, OWN = "own frames, the twin's forces", "own labels"
+AT_PLACES = ("the source's labels", "labels by curves", "labels by both twins", "the twin's forces")
+# Resamples of test indenters and seeds, and the interval between their quantiles.
+RESAMPLES, INTERVAL = 2000, (0.025, 0.975)
+# Presses of the target with a gauge: a force-depth curve, and those of a twin's fit.
+CURVE, TWIN = 1, 4
+# Draws from a twin's uncertainty, for the spread of its labels.
+DRAWS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Data and trainings."""
+
+    sensors: int
+    """Number of sensors of a group, the first ones."""
+    tier: ContactTier
+    """Tier of true forces and frames."""
+    targets: int
+    """Targets under each indenter."""
+    phase: int
+    """Frames of a phase of a press."""
+    seen: tuple[str, ...]
+    """Indenters that are trained on."""
+    unseen: tuple[str, ...]
+    """Indenters of the 18 that are tested."""
+    drawn: int
+    """Drawn indenters, which are tested; nothing else uses them."""
+    grid: int
+    """Pixels of twins and their labels."""
+    steps: int
+    """Steps of a net from nothing: `paper` has half of them, one that goes on a quarter."""
+    nets: tuple[str, ...]
+    """Nets that are trained on a sensor's own labels."""
+    field: tuple[str, ...]
+    """Preset and overrides of the field translator."""
+    field_seconds: float
+    """Its training time [s]; 0: a few steps."""
+    fits: bool = True
+    """False: the design stands for the twin, which saves the fit."""
+
+
+FULL = Size(
+    sensors=3,
+    tier="fem",
+    targets=8,
+    phase=4,
+    seen=tuple(name for name in NAMES if name not in UNSEEN),
+    unseen=UNSEEN,
+    drawn=6,
+    grid=48,
+    steps=1000,
+    nets=("displacement", "tiny", "paper"),
+    field=("ours", "field_stage.batch=96", "map_stage.batch=96"),
+    field_seconds=60,
+)
+TOY = Size(
+    sensors=2,
+    tier="layer",
+    targets=2,
+    phase=2,
+    seen=("sphere", "prism"),
+    unseen=("sphere_s",),
+    drawn=1,
+    grid=16,
+    steps=8,
+    nets=("displacement", "tiny"),
+    field=("cpu_smoke",),
+    field_seconds=0,
+    fits=False,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Forces that a way gives for the test frames of a target."""
+
+    way: str
+    net: str
+    source: str
+    target: str
+    spent: int
+    """Presses of the target with a gauge that it needs."""
+    force: Floats
+    """Fx, Fy, Fz of the test frames (n, 3) [N]; NaN where there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder(Study):
+    """Planted sensors and one seed."""
+
+    size: Size
+    seed: int
+
+
+def measure(run: Run, group: str) -> dict[str, Any]:
+    """Plant a group's sensors, fit their twins, train every way, and return the table's lines."""
+    size, options = TOY if run.quick else FULL, run.options
+    size = replace(size, steps=options.steps or size.steps, targets=options.targets or size.targets)
+    seeds = options.seeds[:1] if run.quick else options.seeds
+    designs = GROUPS[group][: size.sensors]
+    folder = folder_of(run, f"gauge-{group}-{options.skins}-{options.fit}")
+    require_same(folder / "settings.json", {"targets": size.targets, "steps": size.steps})
+    ladder = prepare(run, folder, group, designs, size)
+    cells = once(folder, "baselines", lambda: [cell(ladder, one) for one in baselines(ladder)])
+    ways: dict[str, Callable[[Ladder, str], Iterator[Prediction]]]
+    ways = {"own": own, "from": from_source}
+    jobs = [(name, sensor, seed) for seed in seeds for name in ways for sensor in ladder.archive]
+    for done, (name, sensor, seed) in enumerate(jobs):
+        run.progress(0.5 + 0.5 * done / len(jobs))
+        of_seed = replace(ladder, seed=seed)
+
+        def job(name: str = name, sensor: str = sensor, one: Ladder = of_seed) -> Any:
+            return [cell(one, each, one.seed) for each in ways[name](one, sensor)]
+
+        cells += once(folder, f"{name} {sensor} {seed}", job)
+    run.seeds = seeds
+    run.spread = "means of pairs and seeds; 95 % intervals by drawing indenters and seeds again"
+    names = ladder.archive if size.fits else ()
+    twins = {name: once(folder, f"twin {name}", dict) for name in names}
+    return {
+        "designs": designs,
+        "skins": options.skins,
+        "fit": options.fit,
+        "truth": size.tier,
+        "lines": lines_of(cells),
+        "twins": twins,
+    }
+
+
+def prepare(run: Run, folder: Path, group: str, designs: Sequence[str], size: Size) -> Ladder:
+    """Return the sensors' frames with true forces and those of their twins."""
+    rows = folder / "rows"
+    write_rows(rows, group, designs, run.options.skins)
+    shapes = (*(name for name in NAMES if name in size.seen + size.unseen),)
+    drawn = tuple(drawn_name(number) for number in range(size.drawn))
+    paths = []
+    for done, design in enumerate(designs):
+        name, fraction = name_of(design), 0.5 / len(designs)
+        progress = span_of(run.progress, done * fraction, fraction)
+        row = read_sensor(rows / f"{name}.yaml")
+        assert row.trajectory is not None
+        plan = DatasetPlan(
+            "targets",
+            (row,),
+            indenters=(*shapes, *drawn),
+            solving=Solving(tier=size.tier),
+            steps=size.phase,
+            fraction=round(size.targets / len(row.trajectory), 6),
+        )
+        paths.append(folder / f"{name}.markers.zarr")
+        archive = simulate(paths[-1], plan, run.device, cores(), span_of(progress, 0, 0.5))
+        twin = design
+        if size.fits:
+            twin = str(folder / "twins" / f"{name}.yaml")
+            fit: dict[str, Any] = {"fit": run.options.fit, "grid": size.grid}
+            fit |= {"truth": size.tier, "device": run.device, "processes": cores()}
+            one = planted(rows, group, design, run.options.skins)
+            once(folder, f"twin {name}", partial(write_twin, one, Path(twin), **fit))
+        progress(0.8)
+        add_labels(archive, name, twin, size, run.device)
+    archives = Joined(paths)
+    split = make_split(archives, validation=0, new_press=0, unseen=[*size.unseen, *drawn])
+    device = torch.device(run.device)
+    return Ladder(folder, archives, split, device, max(1, cores() // 2), True, size, 0)
+
+
+def add_labels(archive: MarkerArchive, name: str, twin: str, size: Size, device: str) -> None:
+    """Add the twin's forces in the presses of an archive to it, unless they are there."""
+    sensor, row = archive[name], sensor_of(twin)
+    draws = DRAWS if size.fits else 0
+    source = provenance(row, draws, 0, size.grid, None)
+    if sensor.simulated is not None and sensor.simulated.made_from == source:
+        return
+    how: dict[str, Any] = {"draws": draws, "seed": 0, "grid": size.grid, "device": device}
+    forces = simulated_forces(sensor, archive.indenters, row, processes=cores(), **how)
+    write_simulated(sensor, forces.force, forces.spread, source)
+
+
+def partners(source: Any, target: Any) -> NDArray[np.int64]:
+    """Return for each row of the target the source's row of the same location and frame; or -1."""
+    keys = []
+    for table in (source, target):
+        rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
+        pair = [table[name][rows].astype(np.int64) for name in ("location", "frame")]
+        keys.append((rows, pair[0] * 10_000 + pair[1]))
+    (own, one), (others, other) = keys
+    _, here, there = np.intersect1d(one, other, assume_unique=True, return_indices=True)
+    partner = np.full(len(target["location"]), -1, np.int64)
+    partner[others[there]] = own[here]
+    return partner
+
+
+# Ways
+
+
+def trained(
+    ladder: Ladder,
+    preset: str,
+    presses: Presses,
+    start_from: ForceModel | None = None,
+    labels: Relabelling | None = None,
+) -> ForceModel:
+    """Return a force net, trained in memory for the steps of the size.
+
+    Raises:
+        LearningError: There is nothing to learn from, or the training diverged.
+    """
+    overrides = [f"seed={ladder.seed}", "patience_epochs=null", ladder.launch, *NETS[preset]]
+    if ladder.device.type == "cpu":
+        overrides.append("launch.mixed_precision=no")
+    whole = read_settings(ForceModelSettings, PRESETS, preset, overrides)
+    labelled = presses if labels is None else labels.of(presses)
+    parts = {"paper": 2} if start_from is None else {preset: 4}
+    steps = ladder.size.steps // parts.get(preset, 1)
+    epochs = max(1, round(steps / -(-len(labelled) // whole.sequences.batch)))
+    last = shortened(whole.stages[-1], epochs, len(labelled), whole)
+    return train_force(labelled, replace(whole, stages=(last,)), start_from=start_from)
+
+
+def baselines(study: Study) -> Iterator[Prediction]:
+    """Yield predictions without nets."""
+    archive = study.archive
+    for source, target in permutations(archive, 2):
+        one, other = archive[source], archive[target]
+        rows = study.unseen(target).rows.numpy()
+        train = one.table["wrench"][study.split.rows(one.table, "train"), :3]
+        mean = np.tile(train.mean(axis=0, dtype=np.float64), (len(rows), 1))
+        yield Prediction(MEAN, "-", source, target, 0, mean)
+        wrench = one.table["wrench"][:, :3].astype(np.float64)
+        both = simulated_labels(one, other).force
+        labels = [(AT_PLACES[0], 0, wrench), (AT_PLACES[2], TWIN, both)]
+        curves = study.relabelling(source, target)
+        if curves is not None:
+            yield Prediction(
+                NEAREST, "-", source, target, CURVE, nearest_labels(study, source, target)
+            )
+            valid = np.flatnonzero(one.table["valid"])
+            scaled = np.full_like(wrench, np.nan)
+            depth, phase = one.table["depth"][valid], one.table["phase"][valid]
+            scaled[valid], _ = curves.applied(
+                wrench[valid], depth.astype(np.float64), phase.astype(np.int64)
+            )
+            labels.append((AT_PLACES[1], CURVE, scaled))
+        partner = partners(one.table, other.table)[rows]
+        for words, spent, forces in labels:
+            force = np.where(partner[:, None] >= 0, forces[partner], np.nan)
+            yield Prediction(words, "-", source, target, spent, force)
+    for target in archive:
+        force = twin_forces(archive[target]).force[study.unseen(target).rows.numpy()]
+        yield Prediction(AT_PLACES[3], "-", target, target, TWIN, force)
+
+
+def from_source(ladder: Ladder, source: str) -> Iterator[Prediction]:
+    """Yield predictions of nets that are trained on one source, for all targets."""
+    archive, name = ladder.archive, f"field-{ladder.seed}"
+    train_field(ladder, ladder.size.field, ladder.size.field_seconds, name, ladder.seed)
+    translator = load_translator(ladder.model(name), ladder.device)
+    images, moved, packed = (
+        ladder.presses(source, "train", form) for form in ("images", "field", "packed")
+    )
+    nets = {MAIN: trained(ladder, MAIN, images)}
+    nets["displacement"] = trained(ladder, "displacement", moved)
+    for target in (each for each in archive if each != source):
+        one, other = archive[source], archive[target]
+
+        def of(way: str, net: str, model: ForceModel, spent: int, to: str = target) -> Prediction:
+            force = model.predict(ladder.unseen(to, form_of(net)))
+            return Prediction(way, net, source, to, spent, force)
+
+        yield of(SOURCE, MAIN, nets[MAIN], 0)
+        yield of(DISPLACED, "displacement", nets["displacement"], 0)
+        pair = for_pair(translator, SensorView.of(one), SensorView.of(other))
+        frames = translate_presses(packed, look_of(other, packed, ladder.device), pair)
+        curves = ladder.relabelling(source, target)
+        for words, spent, labels in (
+            (AT_PLACES[1], CURVE, None if curves is None else compensated(curves)),
+            (AT_PLACES[2], TWIN, by_twins(simulated_labels(one, other))),
+        ):
+            if labels is not None:
+                tuned = trained(ladder, "displacement", moved, nets["displacement"], labels)
+                yield of(f"{DISPLACED}, {words}", "displacement", tuned, spent)
+                tuned = trained(ladder, MAIN, frames, nets[MAIN], labels)
+                yield of(f"{TRANSLATED}, {words}", MAIN, tuned, spent)
+
+
+def own(ladder: Ladder, sensor: str) -> Iterator[Prediction]:
+    """Yield predictions of nets that are trained on a sensor's frames alone.
+
+    With its twin's forces as labels, and with its own.
+    """
+    labels = by_twins(twin_forces(ladder.archive[sensor]))
+    for preset in ladder.size.nets:
+        presses = ladder.presses(sensor, "train", form_of(preset))
+        test = ladder.unseen(sensor, form_of(preset))
+        if preset != "paper":
+            force = trained(ladder, preset, presses, labels=labels).predict(test)
+            yield Prediction(BY_TWIN, preset, sensor, sensor, TWIN, force)
+        force = trained(ladder, preset, presses).predict(test)
+        yield Prediction(OWN, preset, sensor, sensor, len(presses), force)
+
+
+# Scores
+
+
+def cell(study: Study, one: Prediction, seed: int = 0) -> dict[str, Any]:
+    """Return the scores of a prediction: sums by indenter.
+
+    Raises:
+        LearningError: A force of a net is not finite.
+    """
+    true, names = study.true_forces(one.target)
+    finite = np.isfinite(one.force).all(axis=1)
+    if one.net != "-" and not finite.all():
+        raise LearningError(f"{one.way}, {one.source} to {one.target}: forces are not finite")
+    sums = sums_by_indenter(true[finite], one.force[finite], names[finite])
+    described = {name: getattr(one, name) for name in ("way", "net", "source", "target", "spent")}
+    return {**described, "seed": seed, "sums": {name: each.tolist() for name, each in sums.items()}}
+
+
+def lines_of(cells: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return a line for each way and net: R2 with intervals, and how far it is below own labels.
+
+    Sealed are drawn indenters; the paper's six stand apart.
+    """
+    scored = []
+    for way, net in dict.fromkeys((each["way"], each["net"]) for each in cells):
+        these = [each for each in cells if (each["way"], each["net"]) == (way, net)]
+        seeds = sorted({each["seed"] for each in these})
+        known = {(each["seed"], each["source"], each["target"]): each["sums"] for each in these}
+        # A pair that lacks a seed would count for less.
+        ends = dict.fromkeys((each["source"], each["target"]) for each in these)
+        pairs = [end for end in ends if all((seed, *end) in known for seed in seeds)]
+        if not pairs:
+            continue
+        grid = [[known[seed, *end] for end in pairs] for seed in seeds]
+        sealed = sums_of(grid, lambda name: name not in UNSEEN)
+        total = sealed.sum(axis=2)
+        errors = np.nanmean(total[..., 4, :] / np.maximum(total[..., 0, :], 1), axis=(0, 1))
+        line = {"way": way, "net": net, "spent": max(each["spent"] for each in these)}
+        line |= {"pairs": len(pairs), "seeds": len(seeds)}
+        line |= {"mae_shear_n": float(errors[:2].mean()), "mae_fz_n": float(errors[2])}
+        paper = resampled(sums_of(grid, lambda name: name in UNSEEN))
+        scored.append((line, resampled(sealed), paper))
+    best = max(
+        (sealed for line, sealed, _ in scored if line["way"] == OWN and np.isfinite(sealed[0])),
+        key=lambda sealed: float(sealed[0]),
+        default=np.full(1 + RESAMPLES, np.nan),
+    )
+    for line, sealed, paper in scored:
+        for name, values in (("sealed", sealed), ("paper", paper), ("below", best - sealed)):
+            low, high = span(values)
+            line |= {name: float(values[0]), f"{name}_low": low, f"{name}_high": high}
+    return [line for line, _, _ in scored]
+
+
+def sums_of(grid: Sequence[Sequence[Mapping[str, Any]]], of: Callable[[str], bool]) -> Floats:
+    """Return sums by seed, pair and indenter (s, p, k, 5, 3)."""
+    names = sorted({name for row in grid for sums in row for name in sums if of(name)})
+    none = np.zeros((5, 3))
+    parts = [[[sums.get(name, none) for name in names] for sums in row] for row in grid]
+    return np.array(parts, np.float64).reshape(len(grid), len(grid[0]), len(names), 5, 3)
+
+
+def resampled(sums: Floats) -> Floats:
+    """Return the mean R2 over seeds and pairs, then that of each resample (1 + RESAMPLES,).
+
+    Indenters are drawn again, the same for all pairs, and so are seeds.
+
+    Args:
+        sums: Sums by seed, pair and indenter (s, p, k, 5, 3).
+    """
+    seeds, _, indenters = sums.shape[:3]
+    if not indenters:
+        return np.full(1 + RESAMPLES, np.nan)
+    random = generator(0, "resamples")
+    counts = random.multinomial(indenters, np.full(indenters, 1 / indenters), RESAMPLES)
+    drawn = r2_of(np.einsum("rk,spkqa->rspqa", counts.astype(float), sums)).mean(axis=2)
+    chosen = random.integers(seeds, size=(RESAMPLES, seeds))
+    again = np.take_along_axis(drawn, chosen, axis=1).mean(axis=1)
+    return np.append(r2_of(sums.sum(axis=2)).mean(), again)
+
+
+def span(values: Floats) -> tuple[float, float]:
+    """Return the interval of resamples; NaN if there are none."""
+    if not np.isfinite(values[1:]).any():
+        return float("nan"), float("nan")
+    low, high = np.nanquantile(values[1:], INTERVAL)
+    return float(low), float(high)

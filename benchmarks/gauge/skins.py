@@ -1,0 +1,165 @@
+"""Coverage of a transferred model's intervals over skins of random modulus.
+
+The model of `make demo-transfer` is tested on the same sensor with other skins. In the `layer` tier
+a skin of another modulus deforms alike when it is pressed as deep, and its forces are in
+proportion, so the demo's frames and scaled forces are those of the other skin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.paper.study import folder_of, simulate
+from benchmarks.report import ROOT, Page, Run, table
+from learning.config import read_settings
+from learning.data.matching import SensorSelection
+from learning.experiment.settings import PRESETS, ExperimentSettings
+from learning.force.calibrate import presses_of_rows
+from learning.force.intervals import Intervals, ScaleSample, measured_scale
+from learning.force.model import load_force_model
+from learning.transfer.run import TransferRequest, run_transfer
+from learning.transfer.score import NewFrames, Score, new_frames, score_of
+from recorder import MarkerArchive
+from recorder.processes import cores
+from recorder.progress import span_of
+from sim.dataset import DatasetPlan, Solving
+from sim.sensors import sensor_of
+
+Floats = NDArray[np.float64]
+GRAVITY = 9.80665
+# Largest factor of the moduli, mass of the weight [g], number of skins, and seed of all draws.
+WITHIN, GRAMS, SKINS, SEED = 2.0, 200.0, 20, 0
+SOURCE, TARGET = "gauge", "bare"
+FRACTION, PHASE = 0.025, 4
+TOY: dict[str, Any] = {
+    "indenters": ("sphere", "sphere_s", "dots", "prism"),
+    "fraction": 0.01,
+    "steps": 2,
+}
+_FEW = "stages=[{epochs: 2, learning_rate: 0.002, schedule: cosine}]"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Presses:
+    """Force-depth presses, on which weights are laid."""
+
+    true: Floats
+    """Compression (n,) [N]."""
+    predicted: Floats
+    """Predicted compression (n,) [N]."""
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """Transfer to a sensor without a gauge, and score its model on random skins."""
+    folder, archives = folder_of(run, "gauge-coverage"), {}
+    for done, name in enumerate((SOURCE, TARGET)):
+        row = sensor_of(str(ROOT / "examples" / "demo-transfer" / f"{name}.yaml"))
+        amount: dict[str, Any] = TOY if run.quick else {"fraction": FRACTION, "steps": PHASE}
+        plan = DatasetPlan("targets", (row,), solving=Solving(tier="layer"), **amount)
+        path = folder / f"{name}.markers.zarr"
+        progress = span_of(run.progress, 0.2 * done, 0.2)
+        archives[name] = simulate(path, plan, "cpu", cores(), progress)
+    overrides = [f"force.set=['{_FEW}']", f"fine_tuning=['{_FEW}']"] if run.quick else []
+    request = TransferRequest(
+        source=SensorSelection(archives[SOURCE], SOURCE, SOURCE),
+        target=SensorSelection(archives[TARGET], TARGET, TARGET),
+        out=folder / "transfer",
+        settings=read_settings(ExperimentSettings, PRESETS, "transfer", overrides),
+        device=run.device,
+    )
+    run_transfer(request, lambda line: None)
+    run.progress(0.9)
+    count = 4 if run.quick else SKINS
+    run.seeds, run.spread = (SEED,), f"{count} skins; one training"
+    return {"skins": scores(archives, request.model, count)}
+
+
+def scores(archives: dict[str, MarkerArchive], model: Path, count: int) -> list[dict[str, Any]]:
+    """Return the scores on random skins, without a weight and with one, by modulus."""
+    archive = archives[TARGET]
+    frames = new_frames(model, SensorSelection(archive, TARGET, TARGET))
+    presses = force_depth(archive, model)
+    own, stiffness = modulus(archive), modulus(archives[SOURCE])
+    ratios = WITHIN ** np.random.default_rng(SEED).uniform(-1, 1, count)
+    return [
+        of_skin(float(ratio), float(ratio) * stiffness / own, frames, presses)
+        for ratio in sorted(ratios)
+    ]
+
+
+def modulus(archive: MarkerArchive) -> float:
+    """Return the modulus of an archive's only simulated sensor [Pa]."""
+    (only,) = archive.attrs["plan"]["sensors"]
+    return float(only["body"]["modulus"])
+
+
+def force_depth(archive: MarkerArchive, folder: Path) -> Presses:
+    """Predict the force-depth presses of the target."""
+    one, model = archive[TARGET], load_force_model(folder)
+    table = one.table
+    rows = np.flatnonzero((table["location"] < 0) & table["valid"])
+    presses = presses_of_rows(one, rows, model)
+    true = -np.asarray(table["wrench"][presses.rows.numpy(), 2], np.float64)
+    return Presses(true, -model.predict(presses)[:, 2])
+
+
+def of_skin(ratio: float, scaled: float, frames: NewFrames, presses: Presses) -> dict[str, Any]:
+    """Return the scores on a skin whose true forces are `scaled` times the demo's."""
+    true = scaled * frames.true
+    weight = 1e-3 * GRAVITY * GRAMS
+    row = int(np.argmin(np.abs(scaled * presses.true - weight)))
+    known, predicted = scaled * float(presses.true[row]), float(presses.predicted[row])
+    value, intervals = weighed(frames.intervals, known, predicted)
+    then = value * frames.predicted
+    return {
+        "modulus": ratio,
+        "without": _row(score_of(replace(frames, true=true))),
+        "weighed": _row(score_of(replace(frames, predicted=then, true=true, intervals=intervals))),
+        "within": intervals.scale.factor,
+    }
+
+
+def weighed(intervals: Intervals, known: float, predicted: float) -> tuple[float, Intervals]:
+    """Return the factor on forces, and the intervals, after one weight [N]."""
+    axis = intervals.axes[2]
+    if axis is None:
+        raise ValueError("the demo's model predicts Fz")
+    held = ScaleSample(known, predicted, axis.base + axis.slope * predicted)
+    value, scale = measured_scale([held], intervals.scale, "one weight")
+    return value, intervals.rescaled(value, scale)
+
+
+def section(values: dict[str, Any], page: Page) -> str:
+    """Return coverage and R2 over the skins."""
+    lines = []
+    for words, key in (("without a weight", "without"), (f"with one of {GRAMS:g} g", "weighed")):
+        parts = [skin[key] for skin in values["skins"]]
+        covered = 100 * np.array([each["coverage"] for each in parts])
+        fits = np.array([each["r2"] for each in parts])
+        spread = f"{covered.min():.1f} to {covered.max():.1f} %"
+        width = np.mean([each["width_fz_n"] for each in parts])
+        r2 = f"{fits.mean():.3f} ({fits.min():.3f} to {fits.max():.3f})"
+        lines.append([words, f"{covered.mean():.1f} %", spread, r2, f"+-{width:.3f} N"])
+    head = ["", "coverage of 90 % intervals", "of a skin", "R2 (of a skin)", "interval of Fz"]
+    return f"""## Coverage of intervals over skins
+
+The model of `make demo-transfer` on {len(values["skins"])} skins, whose moduli are drawn
+log-uniformly from 1/{WITHIN:g} to {WITHIN:g} times that of the source's. It knows none of them:
+without a weight the scale is assumed within a factor of 2; a weight measures it. Six indenters that
+no stage saw. By tier `layer`, in which another modulus scales the forces of a press and leaves its
+pictures as they are: skins of another thickness are not among them.
+
+{table(head, lines)}"""
+
+
+def _row(score: Score) -> dict[str, float]:
+    return {
+        "coverage": score.coverage,
+        "r2": score.errors.r2_mean,
+        "width_fz_n": float(score.width[2]),
+    }

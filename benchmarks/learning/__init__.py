@@ -1,1 +1,0 @@
-"""The paper's tables, and the time and memory that models need."""

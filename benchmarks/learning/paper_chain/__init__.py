@@ -1,1 +1,0 @@
-"""The paper's chain and its force net, trained from nothing in minutes, beside simple baselines."""

@@ -1,1 +1,0 @@
-"""Coverage of the intervals of a transferred model, over skins of random modulus."""

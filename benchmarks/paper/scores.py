@@ -1,0 +1,150 @@
+"""Scores of the chain: forces with intervals over indenters, translated images and patterns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from benchmarks.paper.study import UNSEEN, Study
+from benchmarks.sums import r2_of, sums_by_indenter
+from learning.data.images import unpack_masks
+from learning.data.splits import Split
+from learning.evaluation.translation import (
+    NEAREST,
+    RealFrames,
+    nearest_frames,
+    overlap,
+    paired_score,
+)
+from learning.metrics import r_squared
+from learning.training.run import generator
+from learning.translation.translator import Translator
+from recorder import MarkerArchive
+from recorder.archive import ArchivedSensor, location_pairs
+from recorder.markers import pack, unpack
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Packed = NDArray[np.uint8]
+# Resamples of the test indenters, and the interval between their quantiles.
+RESAMPLES, INTERVAL = 2000, (0.05, 0.95)
+IMAGE_SCORES = ("dice", "centroid_px", "centroid_p95_px", "count_mismatch")
+
+
+def force_scores(
+    true: Floats, predicted: Floats, indenter: NDArray[np.str_], seed: int
+) -> dict[str, float]:
+    """Return R2 (mean of axes, with its 90 % interval over indenters), and MAE [N].
+
+    Args:
+        true: Labels (n, 3) N.
+        predicted: Predictions (n, 3) N.
+        indenter: Name of the indenter of each frame (n,).
+        seed: Seed of the resamples.
+    """
+    sums = np.stack([*sums_by_indenter(true, predicted, indenter).values()])
+    chosen = generator(seed, "indenters").integers(len(sums), size=(RESAMPLES, len(sums)))
+    low, high = np.nanquantile(r2_of(sums[chosen].sum(axis=1)), INTERVAL)
+    axes, errors = r_squared(true, predicted), np.abs(predicted - true).mean(axis=0)
+    scores = {"r2": axes.mean(), "r2_low": low, "r2_high": high}
+    scores |= {f"r2_{axis}": value for axis, value in zip(("fx", "fy", "fz"), axes, strict=True)}
+    scores |= {"mae_shear_n": errors[:2].mean(), "mae_fz_n": errors[2]}
+    return {name: round(float(value), 4) for name, value in scores.items()}
+
+
+def image_rows(
+    study: Study,
+    name: str,
+    ends: tuple[str, str],
+    translator: Translator,
+    most: int,
+) -> list[dict[str, Any]]:
+    """Return scores of translated frames of unseen indenters; beside `field`, of the nearest ones.
+
+    Args:
+        study: Surroundings.
+        name: Name of the translator.
+        ends: Names of the source and the target.
+        translator: Translator for this pair.
+        most: Most frames to score.
+    """
+    source, target = (study.archive[end] for end in ends)
+    pairs = location_pairs(source.table, target.table)
+    unseen = np.flatnonzero(np.isin(pairs.source, study.split.rows(source.table, UNSEEN)))
+    some = unseen[generator(0, "scored").permutation(len(unseen))[:most]]
+    before, after = pairs.source[some], pairs.target[some]
+    packed = {name: translated((source, target), (before, after), translator, study.device)}
+    if name == "field":
+        train = study.split.rows(target.table, "train")
+        packed[NEAREST] = target.packed(nearest_frames(target.table, after, train))
+    real = RealFrames(target, after)
+    rows = []
+    for method, frames in packed.items():
+        score = paired_score(frames, real, UNSEEN, method)
+        row = {"method": method, "source": ends[0], "target": ends[1], "frames": len(frames)}
+        rows.append(row | {key: round(float(getattr(score, key)), 4) for key in IMAGE_SCORES})
+    return rows
+
+
+def pattern_rows(
+    archive: MarkerArchive,
+    split: Split,
+    translator: Translator,
+    most: int,
+    device: torch.device,
+) -> Iterator[dict[str, Any]]:
+    """Yield the scores of all pairs of patterns before and after translation."""
+    first = archive[next(iter(archive))]
+    rows = split.rows(first.table, UNSEEN)
+    rows = rows[generator(0, "states").permutation(len(rows))[:most]]
+    location = first.table["location"][rows]
+
+    def rows_of(sensor: ArchivedSensor) -> Ints:
+        order = np.argsort(sensor.table["location"], kind="stable")
+        return np.asarray(order[np.searchsorted(sensor.table["location"][order], location)])
+
+    real = {name: archive[name].packed(rows_of(archive[name])) for name in archive}
+    for source, target in permutations(archive, 2):
+        sensors = archive[source], archive[target]
+        at = rows_of(sensors[0]), rows_of(sensors[1])
+        frames = translated(sensors, at, translator, device)
+        row: dict[str, Any] = {"source": source, "target": target, "states": len(rows)}
+        for when, packed in (("before", real[source]), ("after", frames)):
+            dice = overlap(unpack(packed), unpack(real[target])).dice.mean()
+            row[f"dice_{when}"] = round(float(dice), 4)
+        yield row
+
+
+def translated(
+    sensors: tuple[ArchivedSensor, ArchivedSensor],
+    rows: tuple[Ints, Ints],
+    translator: Translator,
+    device: torch.device,
+) -> Packed:
+    """Return packed frames (n, 38400) of a source, as a target would have shown them.
+
+    Args:
+        sensors: The source and the target.
+        rows: Their rows of the same moments (n,), (n,).
+        translator: Translator for this pair.
+        device: Device of the translator.
+    """
+    frames = np.empty((len(rows[0]), 38400), np.uint8)
+    ends = tuple(zip(sensors, rows, strict=True))
+    stills = np.stack([end.table["reference"][own] for end, own in ends], axis=1)
+    for numbers in np.unique(stills, axis=0).tolist():
+        alike = np.flatnonzero((stills == numbers).all(axis=1))
+        packed = [end.references[[number]] for (end, _), number in zip(ends, numbers, strict=True)]
+        before, after = (_masks(each, device)[0] for each in packed)
+        masks = _masks(sensors[0].packed(rows[0][alike]), device)
+        frames[alike] = pack(translator.translate(masks, after, before).cpu().numpy())
+    return frames
+
+
+def _masks(packed: Packed, device: torch.device) -> torch.Tensor:
+    return unpack_masks(torch.from_numpy(packed)).to(device)
