@@ -102,7 +102,7 @@ def figures(values: Mapping[str, Any]) -> list[str]:
         f"{max(errors):.2f} %",
         f"{sum(near)}",
         f"{sum(map(covered, stating))} of {len(stating)}",
-        f"{np.median(seconds):.2g} s, {seconds[-1]:.2g} s",
+        f"{np.median(seconds):.1f} s, {seconds[-1]:.0f} s",
     ]
 
 
@@ -153,7 +153,7 @@ def tier_section(values: dict[str, Any], page: Page) -> str:
         ]
         head = ["press", "depth [mm]", "error", "stated", "uncertainty of the other"]
         more = f" (the {len(rim)} largest)" if count > len(rim) else ""
-        texts.append(f"Outside the stated error, {count} forces{more}:\n\n{table(head, rim)}")
+        texts.append(f"Forces outside the stated error: {count}{more}.\n\n{table(head, rim)}")
     reasons = {row["case"]: row["reason"].partition("\n")[0] for row in rows if row["reason"]}
     texts += [f"No solution of {case}: {reason}" for case, reason in reasons.items()]
     if tier == "fem" and solved(rows):

@@ -69,19 +69,19 @@ def measure(run: Run) -> dict[str, Any]:
     text = BENCH.replace("SKIN", str(skin.resolve()))
     hold, step, pressed = ("300", "1.2", PRESSED[:1]) if run.quick else ("1800", "0.4", PRESSED)
     bench.write_text(text.replace("HOLD", hold).replace("STEP", step), encoding="utf-8")
-    paths = {}
-    for name in (*pressed, HELD_OUT):
+    paths, held_out = {}, pressed[0] if run.quick else HELD_OUT
+    for name in dict.fromkeys((*pressed, held_out)):
         paths[name] = recording(bench, folder, name)
         run.progress(0.25 * len(paths))
     tracks = [track for name in pressed for track in tracks_of(Session(paths[name]))]
     grid = 32 if run.quick else 64
-    fit = fitted(tracks, sensor("gelsight"), grid=grid, processes=2)
+    fit = fitted(tracks, sensor("gelsight"), grid=grid, processes=1 if run.quick else 2)
     print("\n".join(lines(fit)))
     names = [paths[name].name for name in pressed]
     text = twin_yaml(fit.sensor, "gelsight.yaml", names)
     (folder / "twin.yaml").write_text(text, encoding="utf-8")
     draw(fit, folder / "twin.png", f"Twin of a mock sensor: misfit {100 * fit.misfit:.2f} %")
-    true, unseen = quantities(read_sensor(skin)), tracks_of(Session(paths[HELD_OUT]))
+    true, unseen = quantities(read_sensor(skin)), tracks_of(Session(paths[held_out]))
     readings = TrackModel(fit.design, unseen, grid=grid).readings(fit.values)
     run.spread = "one session"
     again = solved_again(recorded(Session(paths[pressed[0]])), Layer(grid=32 if run.quick else 96))

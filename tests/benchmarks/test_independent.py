@@ -200,7 +200,7 @@ def test_the_page_has_the_error_of_each_force_beside_the_stated_one(page: Path) 
         assert command.covered(row)
     text = page.read_text()
     assert f"| `layer` | {len(rows)} of {len(rows)} |" in text
-    assert "Outside the stated error" not in text
+    assert "outside the stated error" not in text
     assert (page.parent / "images" / "page-fem.png").stat().st_size > 5000
 
 
@@ -210,7 +210,7 @@ def test_an_error_beyond_the_stated_one_and_a_failure_are_named(page: Path) -> N
     first["stated_percent"] = abs(first["error_percent"]) - first["truth_percent"] - 0.01
     last |= {"force_n": None, "error_percent": None, "stated_percent": None, "reason": "it folds"}
     text = command.tier_section(values, Page(page))
-    assert "Outside the stated error, 1 forces:\n\n| press" in text
+    assert "Forces outside the stated error: 1.\n\n| press" in text
     assert f"No solution of {last['case']}: it folds" in text
 
 

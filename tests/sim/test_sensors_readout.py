@@ -1,4 +1,4 @@
-"""From one deformation to every signal: references, mirror images, variations, colours."""
+"""From one deformation to every signal: references, mirror images, variations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from sim.sensors import (
     readout,
     sensor,
 )
-from tests.support.colour import pictures
 
 Array = NDArray[np.float64]
 
@@ -164,22 +163,6 @@ def test_a_stiff_film_rounds_the_edges_of_indenters_that_have_some() -> None:
     felt = each.scene(narrow, press([1e-3])).indenter
     assert felt.edge_radius == pytest.approx(narrow.edge_radius_max)
     assert each.scene(sphere(4e-3), press([1e-3])).indenter == sphere(4e-3)
-
-
-def test_a_picture_shows_each_side_of_a_dent_in_another_colour(gelsight: CameraReadout) -> None:
-    each = plain("gelsight")
-    picture = pictures(each, gelsight, dent(each))[0].astype(int)
-    level = pictures(each, gelsight, SurfaceField.undeformed(each.body))[0].astype(int)
-    assert picture.shape == (480, 640, 3)
-    free = ~(
-        gelsight.masks(dent(each))[0, 0] | gelsight.masks(SurfaceField.undeformed(each.body))[0, 0]
-    )
-    left, right = (
-        (picture - level)[160:320, columns][free[160:320, columns]].mean(axis=0)
-        for columns in (slice(200, 280), slice(360, 440))
-    )
-    assert left[0] * right[0] < 0
-    assert abs(left[0] - right[0]) > 10
 
 
 def test_the_gel_shows_its_twelve_patterns_on_one_deformation() -> None:
