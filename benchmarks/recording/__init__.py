@@ -1,1 +1,1 @@
-"""What recording costs, what it loses, and how fast recordings are read, beside other stores."""
+"""Cost of recording, its losses, and the speed of reading, beside other stores."""

@@ -198,7 +198,7 @@ calibrated latency of {1e3 * LATENCY:g} ms, force {known.FORCE_HZ:g} Hz with noi
 Hz. Force is compared with the true mean over the exposure, pose with the true one at its end, an
 image with its tick (the marker that moves most). `read with the frame` is a loop that reads the
 force once when the frame has come; `by component` interpolates the rotation vector as three
-numbers, which fails for a tool that points down."""
+numbers, which fails for a tool that points down.""".replace("\n", " ")
 
 
 def section(values: dict[str, Any], page: Page) -> str:

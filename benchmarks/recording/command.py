@@ -64,9 +64,9 @@ def _of_stores(rows: list[dict[str, Any]]) -> list[list[object]]:
     kills = [one for key, row in known.items() if key.startswith("ours") for one in row["kills"]]
     if kills:
         lost, wrong = max(one["lost"] for one in kills), sum(one["wrong"] for one in kills)
-        said = f"{lost} lost at most, {wrong} invented, in {len(kills)} kills"
+        figures = f"{lost} lost at most, {wrong} invented, in {len(kills)} kills"
         lines.append(
-            ["kill -9: at most 1 frame lost, none invented", said, lost <= 1 and not wrong]
+            ["kill -9: at most 1 frame lost, none invented", figures, lost <= 1 and not wrong]
         )
     if {OURS, MCAP} <= known.keys():
         for what, goal, least in (
@@ -83,8 +83,10 @@ def _of_stores(rows: list[dict[str, Any]]) -> list[list[object]]:
     ]
     if "ours-zstd" in known and others:
         ours = comparison.rate(known["ours-zstd"], "written", "cpu")
-        said = f"{ours:,.0f} frames per CPU-second; the next {max(others):,.0f}"
-        lines.append(["lossless: the fastest store that survives a kill", said, ours > max(others)])
+        figures = f"{ours:,.0f} frames per CPU-second; the next {max(others):,.0f}"
+        lines.append(
+            ["lossless: the fastest store that survives a kill", figures, ours > max(others)]
+        )
     return lines
 
 
@@ -108,9 +110,9 @@ def _of_alignment(values: dict[str, Any]) -> list[list[object]]:
     for stream, (name, unit) in DEFAULTS.items():
         errors = errors_by_method(values["methods"], stream, unit)
         best = min(errors, key=lambda method: errors[method])
-        said = f"{errors[name]:.3g} {unit} rms; best: {best}, {errors[best]:.3g} {unit}"
+        figures = f"{errors[name]:.3g} {unit} rms; best: {best}, {errors[best]:.3g} {unit}"
         goal = f"the default for {stream} (`{name}`) is as accurate as any"
-        lines.append([goal, said, errors[name] <= 1.05 * errors[best]])
+        lines.append([goal, figures, errors[name] <= 1.05 * errors[best]])
     return lines
 
 

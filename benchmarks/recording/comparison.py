@@ -184,7 +184,9 @@ camera's JPEG of it, quality 90) appended as fast as the store takes them, close
 creating and closing counts, making the frames does not. Then windows of 16 images at random places,
 decoded into one array of pixels, from the page cache. Then the writer is killed while it appends:
 `all` means that every frame whose append had returned is in its place, after the store's own repair
-if it has one (ours needs none). A CPU-second is one second of user and system time."""
+if it has one (ours needs none). A CPU-second is one second of user and system time.""".replace(
+    "\n", " "
+)
 _OF_PAIRS = "Ours beside MCAP with its defaults, by pairs of runs that followed each other:"
 
 

@@ -219,7 +219,9 @@ def _times(stream: ForceStream, sample: Sample, least_frames: int) -> NDArray[np
 _ABOUT = """\
 Frames one by one as from a live sensor, keeping the recurrent state, on two threads. Weights are
 random, on which time does not depend. The error is the largest difference of a force from torch in
-fp32, that of the precision; errors against true forces are in [paper](paper.md)."""
+fp32, that of the precision; errors against true forces are in [paper](paper.md).""".replace(
+    "\n", " "
+)
 
 
 def section(rows: list[dict[str, Any]], page: Page) -> str:

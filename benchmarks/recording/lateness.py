@@ -18,7 +18,7 @@ from recorder.store import images
 from rig.core.clock import SECOND_NS, Pacer, SystemClock
 from rig.core.realtime import enable_realtime
 
-RATES_HZ = (40.0, 60.0, 500.0)
+RATES_HZ = (60.0, 500.0)
 BUSY, ENCODING = "two busy processes", "encoding thread"
 LOADS = ("idle", BUSY, ENCODING)
 _TIMEOUT = 60.0
@@ -109,7 +109,7 @@ def _spin() -> None:
 _ABOUT = """\
 The rig's `Pacer` against absolute deadlines, in a process that does nothing else; by default, and
 after `enable_realtime`. A thread that compresses a frame 60 times a second is why each stream has a
-process of its own."""
+process of its own.""".replace("\n", " ")
 
 
 def section(values: list[dict[str, Any]], page: Page) -> str:

@@ -51,11 +51,11 @@ def measure(run: Run) -> dict[str, Any]:
             if tried[-1]["dropped"]:
                 break
     require_room(place, full * 2 * _RATE["zstd"])
-    together = record(TOGETHER, full, place / "together")
+    at_once = record(TOGETHER, full, place / "together")
     return {
         "alone": alone,
         "trials": trials,
-        "together": together,
+        "together": at_once,
         "seconds": full,
     }
 
@@ -88,7 +88,7 @@ def require_room(place: Path, nbytes: float) -> None:
 _ABOUT = """\
 Streams from memory at their rates, each in a process with the rig's inbox and its real-time
 settings. A frame is dropped if the inbox was full or the next one had come before the receiver
-waited for it; it is late if its append began after the next one was due."""
+waited for it; it is late if its append began after the next one was due.""".replace("\n", " ")
 
 
 def section(values: dict[str, Any], page: Page) -> str:
@@ -101,7 +101,7 @@ def section(values: dict[str, Any], page: Page) -> str:
         whole = [trial["cameras"] for trial in tried if not trial["dropped"]]
         more = " or more" if len(whole) == len(tried) else ""
         held.append(f"{max(whole, default=0)}{more} {names[codec]}")
-    share = sum(one["cpu"] for one in values["together"])
+    fraction = sum(one["cpu"] for one in values["together"])
     memory = [sum(one[key] for one in values["together"]) / 1e6 for key in ("rss_start", "rss_end")]
     return "\n\n".join(
         [
@@ -109,7 +109,7 @@ def section(values: dict[str, Any], page: Page) -> str:
             f"{_ABOUT} SCHED_FIFO was {granted}. Each stream by itself:",
             _streams(values["alone"]),
             f"Two lossless cameras and everything else at once, for {values['seconds']:g} s: "
-            f"{100 * share:.0f} % of a core; memory of all processes {memory[0]:.0f} MB after a "
+            f"{100 * fraction:.0f} % of a core; memory of all processes {memory[0]:.0f} MB after a "
             f"fifth of the time and {memory[1]:.0f} MB at the end.",
             _streams(values["together"]),
             f"Cameras of 640x480 at 60 Hz without a dropped frame: {' and '.join(held)}.",

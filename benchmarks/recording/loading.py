@@ -182,7 +182,7 @@ Shuffled windows of {WINDOW} rows in batches of {BATCH}: JPEGs of {WIDTH}x{HEIGH
 forces at {FORCE_RATE:g} Hz, from the page cache. `TactileDataset` verifies checksums, aligns forces
 to the exposure and gives masks of validity; LeRobot reads the export of the same sessions, the
 plain loader the same JPEGs as files, with forces that were aligned before; neither checks anything.
-Memory is the largest of the process or a worker."""
+Memory is the largest of the process or a worker.""".replace("\n", " ")
 
 
 def section(rows: list[dict[str, Any]], page: Page) -> str:

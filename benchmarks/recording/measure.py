@@ -1,4 +1,4 @@
-"""What all parts measure with: durations, CPU time, memory, sizes."""
+"""Durations, CPU time, memory and sizes, measured alike by all parts."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -72,64 +73,56 @@ def slowed(rows: slice, factor: float) -> Callable[[Columns], Columns]:
     return change
 
 
+IMAGES, POSES, FORCES, PHASES = (
+    partial(only_in, name) for name in ("camera", "pose", "force", "segments")
+)
+CAMERA, FORCE, POSE = "streams/camera", "streams/force", "streams/pose"
 RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
-    "frozen image": ("frozen", "streams/camera", only_in("camera", repeated(slice(50, 140)))),
-    "frozen force": ("frozen", "streams/force", only_in("force", repeated(slice(500, 1700)))),
-    "gap in images": ("dropped", "streams/camera", only_in("camera", without(slice(60, 70)))),
-    "gap in poses": ("dropped", "streams/pose", only_in("pose", without(slice(60, 70)))),
-    "repeated time": (
-        "time-order",
-        "streams/pose",
-        only_in("pose", shifted("t_ns", slice(70, 71), -8_300_000)),
-    ),
+    "frozen image": ("frozen", CAMERA, IMAGES(repeated(slice(50, 140)))),
+    "frozen force": ("frozen", FORCE, FORCES(repeated(slice(500, 1700)))),
+    "gap in images": ("dropped", CAMERA, IMAGES(without(slice(60, 70)))),
+    "gap in poses": ("dropped", POSE, POSES(without(slice(60, 70)))),
+    "repeated time": ("time-order", POSE, POSES(shifted("t_ns", slice(70, 71), -8_300_000))),
     "host clock steps forward": (
         "clock-step",
-        "streams/camera",
-        only_in("camera", shifted("t_ns", slice(100, None), 250_000_000)),
+        CAMERA,
+        IMAGES(shifted("t_ns", slice(100, None), 250_000_000)),
     ),
     "host clock steps back": (
         "clock-step",
-        "streams/camera",
-        only_in("camera", shifted("t_ns", slice(100, None), -250_000_000)),
+        CAMERA,
+        IMAGES(shifted("t_ns", slice(100, None), -250_000_000)),
     ),
     "device clock restarts": (
         "clock-step",
-        "streams/pose",
-        only_in("pose", shifted("device_t", slice(200, None), -1.5)),
+        POSE,
+        POSES(shifted("device_t", slice(200, None), -1.5)),
     ),
     "device pauses and loses no number": (
         "gap",
-        "streams/force",
-        only_in("force", shifted("t_ns", slice(1500, None), 250_000_000)),
+        FORCE,
+        FORCES(shifted("t_ns", slice(1500, None), 250_000_000)),
     ),
-    "repeated number": (
-        "seq-order",
-        "streams/force/seq",
-        only_in("force", shifted("seq", slice(900, None), -1)),
-    ),
-    "few samples dropped": ("dropped", "streams/force", only_in("force", without(slice(900, 903)))),
-    "many samples dropped": (
-        "dropped",
-        "streams/force",
-        only_in("force", without(slice(900, 1100))),
-    ),
+    "repeated number": ("seq-order", f"{FORCE}/seq", FORCES(shifted("seq", slice(900, None), -1))),
+    "few samples dropped": ("dropped", FORCE, FORCES(without(slice(900, 903)))),
+    "many samples dropped": ("dropped", FORCE, FORCES(without(slice(900, 1100)))),
     "device slows down and loses no number": (
         "rate",
-        "streams/force",
-        only_in("force", slowed(slice(1200, None), 1.5)),
+        FORCE,
+        FORCES(slowed(slice(1200, None), 1.5)),
     ),
-    "stream ends early": ("truncated", "streams/pose", only_in("pose", without(slice(250, None)))),
-    "empty stream": ("truncated", "streams/pose", only_in("pose", without(slice(0, None)))),
-    "NaN": ("nan", "streams/force/value", only_in("force", shifted("value", slice(7, 8), np.nan))),
+    "stream ends early": ("truncated", POSE, POSES(without(slice(250, None)))),
+    "empty stream": ("truncated", POSE, POSES(without(slice(0, None)))),
+    "NaN": ("nan", f"{FORCE}/value", FORCES(shifted("value", slice(7, 8), np.nan))),
     "phase before the streams": (
         "segment-outside",
         "segments",
-        only_in("segments", shifted("start_ns", slice(0, 1), -400_000_000)),
+        PHASES(shifted("start_ns", slice(0, 1), -400_000_000)),
     ),
     "phase of a target that is not there": (
         "segment-outside",
         "segments",
-        only_in("segments", shifted("target", slice(2, 3), 50)),
+        PHASES(shifted("target", slice(2, 3), 50)),
     ),
 }
 
@@ -184,122 +177,68 @@ def cut_jpeg(session: Path) -> None:
     make_session(session, change=only_in("camera", change))
 
 
-CAMERA, FORCE = "streams/camera", "streams/force"
+def edited(path: str, edit: Callable[[dict[str, Any]], Any]) -> Callable[[Path], Any]:
+    return lambda session: edit_json(session / path / "zarr.json", edit)
+
+
+def removed(path: str) -> Callable[[Path], Any]:
+    def remove(session: Path) -> None:
+        file = session / path
+        shutil.rmtree(file) if file.is_dir() else file.unlink()
+
+    return remove
+
+
+def flipped(path: str, place: int) -> Callable[[Path], Any]:
+    return lambda session: flip(session / path, place)
+
+
+def written(path: str, data: bytes) -> Callable[[Path], Any]:
+    return lambda session: (session / path).write_bytes(data)
+
+
+def cut(path: str) -> Callable[[Path], Any]:
+    return lambda session: (session / path).write_bytes((session / path).read_bytes()[:-9])
+
+
+VALUE, SEQ, IMAGE = f"{FORCE}/value", f"{FORCE}/seq", f"{CAMERA}/value"
+SHARD, IMAGE_SHARD = f"{VALUE}/c/0/0", f"{IMAGE}/c/0/0/0/0"
 ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "status never written": (
         "unfinished",
         ".",
-        lambda s: edit_json(s / "zarr.json", lambda d: d["attributes"].update(status="recording")),
+        edited(".", lambda d: d["attributes"].update(status="recording")),
     ),
-    "broken metadata": (
-        "metadata",
-        FORCE,
-        lambda s: (s / FORCE / "zarr.json").write_text("{"),
-    ),
-    "shard missing": (
-        "missing-chunk",
-        f"{CAMERA}/value",
-        lambda s: (s / CAMERA / "value/c/0/0/0/0").unlink(),
-    ),
-    "chunk missing": (
-        "missing-chunk",
-        f"{FORCE}/seq",
-        lambda s: (
-            edit_json(s / FORCE / "seq/zarr.json", lambda d: None)
-            or (s / FORCE / "seq/c/0").unlink()
-        ),
-    ),
-    "chunk of a table missing": (
-        "missing-chunk",
-        "targets/depth",
-        lambda s: (s / "targets/depth/c/0").unlink(),
-    ),
-    "flipped bit in an image": (
-        "bad-crc",
-        f"{CAMERA}/value",
-        lambda s: flip(s / CAMERA / "value/c/0/0/0/0", 700),
-    ),
-    "flipped bit in a value": (
-        "bad-crc",
-        f"{FORCE}/value",
-        lambda s: flip(s / FORCE / "value/c/0/0", 5000),
-    ),
-    "flipped bit in a record's time": (
-        "bad-crc",
-        f"{FORCE}/value",
-        lambda s: flip(s / FORCE / "value/c/0/0", 14),
-    ),
-    "flipped bit in an index": (
-        "bad-crc",
-        f"{CAMERA}/value",
-        lambda s: flip(s / CAMERA / "value/c/0/0/0/0", -100),
-    ),
-    "flipped bit in the frames": (
-        "bad-crc",
-        "frames/wrench",
-        lambda s: flip(s / "frames/wrench/c/0/0", -300),
-    ),
-    "shard cut short": (
-        "bad-crc",
-        f"{FORCE}/value",
-        lambda s: (s / FORCE / "value/c/0/0").write_bytes(
-            (s / FORCE / "value/c/0/0").read_bytes()[:-9]
-        ),
-    ),
-    "torn tail": (
-        "torn-tail",
-        CAMERA,
-        lambda s: (s / CAMERA / "value/c/0/0/0/0.partial").write_bytes(b"TRL1 and then nothing"),
-    ),
-    "journal left": (
-        "journal-left",
-        FORCE,
-        lambda s: (s / FORCE / "t_ns/journal-3600").write_bytes(b""),
-    ),
-    "wrong dtype": (
-        "wrong-dtype",
-        f"{FORCE}/seq",
-        lambda s: edit_json(s / FORCE / "seq/zarr.json", lambda d: d.update(data_type="float64")),
-    ),
+    "broken metadata": ("metadata", FORCE, written(f"{FORCE}/zarr.json", b"{")),
+    "shard missing": ("missing-chunk", IMAGE, removed(IMAGE_SHARD)),
+    "chunk missing": ("missing-chunk", SEQ, removed(f"{SEQ}/c/0")),
+    "chunk of a table missing": ("missing-chunk", "targets/depth", removed("targets/depth/c/0")),
+    "flipped bit in an image": ("bad-crc", IMAGE, flipped(IMAGE_SHARD, 700)),
+    "flipped bit in a value": ("bad-crc", VALUE, flipped(SHARD, 5000)),
+    "flipped bit in a record's time": ("bad-crc", VALUE, flipped(SHARD, 14)),
+    "flipped bit in an index": ("bad-crc", IMAGE, flipped(IMAGE_SHARD, -100)),
+    "flipped bit in the frames": ("bad-crc", "frames/wrench", flipped("frames/wrench/c/0/0", -300)),
+    "shard cut short": ("bad-crc", VALUE, cut(SHARD)),
+    "torn tail": ("torn-tail", CAMERA, written(f"{IMAGE_SHARD}.partial", b"TRL1 and then nothing")),
+    "journal left": ("journal-left", FORCE, written(f"{FORCE}/t_ns/journal-3600", b"")),
+    "wrong dtype": ("wrong-dtype", SEQ, edited(SEQ, lambda d: d.update(data_type="float64"))),
     "wrong unit": (
         "wrong-dtype",
-        f"{FORCE}/value",
-        lambda s: edit_json(
-            s / FORCE / "value/zarr.json", lambda d: d["attributes"].update(units="kg")
-        ),
+        VALUE,
+        edited(VALUE, lambda d: d["attributes"].update(units="kg")),
     ),
-    "no unit": (
-        "missing-units",
-        f"{FORCE}/value",
-        lambda s: edit_json(s / FORCE / "value/zarr.json", lambda d: d["attributes"].pop("units")),
-    ),
-    "unequal lengths": (
-        "unequal-lengths",
-        FORCE,
-        lambda s: edit_json(s / FORCE / "seq/zarr.json", lambda d: d.update(shape=[3000])),
-    ),
+    "no unit": ("missing-units", VALUE, edited(VALUE, lambda d: d["attributes"].pop("units"))),
+    "unequal lengths": ("unequal-lengths", FORCE, edited(SEQ, lambda d: d.update(shape=[3000]))),
     "frames of other segments": (
         "frames-length",
         "frames",
-        lambda s: append_all_segments(s),
+        lambda session: append_all_segments(session),
     ),
-    "stream removed": (
-        "missing-array",
-        FORCE,
-        lambda s: shutil.rmtree(s / FORCE),
-    ),
-    "column of the frames removed": (
-        "missing-array",
-        "frames/wrench",
-        lambda s: shutil.rmtree(s / "frames/wrench"),
-    ),
-    "column of the targets removed": (
-        "missing-array",
-        "targets/depth",
-        lambda s: shutil.rmtree(s / "targets/depth"),
-    ),
-    "frames missing": ("frames-length", "frames", lambda s: shutil.rmtree(s / "frames")),
-    "image without an end": ("bad-image", f"{CAMERA}/value", cut_jpeg),
+    "stream removed": ("missing-array", FORCE, removed(FORCE)),
+    "column of the frames removed": ("missing-array", "frames/wrench", removed("frames/wrench")),
+    "column of the targets removed": ("missing-array", "targets/depth", removed("targets/depth")),
+    "frames missing": ("frames-length", "frames", removed("frames")),
+    "image without an end": ("bad-image", IMAGE, cut_jpeg),
 }
 
 

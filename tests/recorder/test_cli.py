@@ -71,18 +71,6 @@ def test_recover_prints_what_it_brought_back(
     assert capsys.readouterr().out.endswith("nothing to do, status recovered\n")
 
 
-def test_export_writes_a_copy_or_says_why_not(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy = tmp_path / "p.zarr"
-    command = ["session", "export", str(recorded), str(copy), "--to", "zarr"]
-    assert main([*command, "--images", "pixels"]) == 0
-    assert main(command) == 2
-    captured = capsys.readouterr()
-    assert captured.out == f"{copy}: written, zarr\n"
-    assert captured.err == f"wrong input: {copy}: exists already\n"
-
-
 @pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force"), ("camera",)])
 def test_a_sheet_shows_frames_and_curves(names: tuple[str, ...], tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", names=names)

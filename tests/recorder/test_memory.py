@@ -128,9 +128,17 @@ def test_opening_reads_each_metadata_file_once(
     assert read[recorded / "streams/force/t_ns/zarr.json"] == 2
 
 
-def test_images_are_decoded_into_the_callers_array(recorded: Path) -> None:
+@pytest.mark.parametrize("cores", [1, 3])
+def test_images_are_decoded_into_the_callers_array_on_any_number_of_cores(
+    cores: int, recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
     camera = Session(recorded).streams["camera"]
     rows = [70, 3, 70, 215, 0]
+    many = [*range(40, 29, -1), 35]
+    np.testing.assert_array_equal(
+        camera.images(many), np.concatenate([camera.images([row]) for row in many])
+    )
     expected = np.stack([camera.images([row])[0] for row in rows])
     np.testing.assert_array_equal(camera.images(rows), expected)
     out = np.full((6, *expected.shape[1:]), 7, np.uint8)

@@ -39,6 +39,7 @@ from recorder.findings import faults
 from recorder.session.frames import in_frame, write_frames
 from recorder.session.reader import grid
 from recorder.store.reader import Table
+from tests.support.zarr_readers import READERS, reader_of_zarr
 
 
 @pytest.fixture(scope="module")
@@ -443,35 +444,12 @@ def test_imagecodecs_reads_camera_bytes_under_the_same_name(recorded: Path) -> N
     assert np.abs(found.astype(int) - ours).max() <= 1  # JPEG libraries round differently
 
 
-def test_tensorstore_reads_the_numbers_and_the_portable_images(
-    recorded: Path, tmp_path: Path
+@pytest.mark.parametrize("reader", READERS)
+def test_other_readers_read_the_numbers_and_the_portable_images(
+    reader: str, recorded: Path, tmp_path: Path
 ) -> None:
-    tensorstore = pytest.importorskip("tensorstore", reason="tensorstore is not installed")
-
-    def read(path: Path) -> Any:
-        spec = {"driver": "zarr3", "kvstore": {"driver": "file", "path": str(path)}}
-        return tensorstore.open(spec).result().read().result()
-
+    read, session = reader_of_zarr(reader), Session(recorded)
     portable(recorded, tmp_path / "p.zarr")
-    assert_reads_like_ours(read, recorded, tmp_path / "p.zarr")
-
-
-def test_zarrs_reads_the_numbers_and_the_portable_images(recorded: Path, tmp_path: Path) -> None:
-    pytest.importorskip("zarrs", reason="zarrs is not installed")
-
-    def read(path: Path) -> Any:
-        with zarr.config.set({"codec_pipeline.path": "zarrs.ZarrsCodecPipeline"}):
-            array = zarr.open_array(path, mode="r")
-            pipeline = array._async_array.codec_pipeline
-            assert type(pipeline).__module__.startswith("zarrs")
-            return array[:]
-
-    portable(recorded, tmp_path / "p.zarr")
-    assert_reads_like_ours(read, recorded, tmp_path / "p.zarr")
-
-
-def assert_reads_like_ours(read: Any, recorded: Path, portable: Path) -> None:
-    session = Session(recorded)
     for name, stream in session.streams.items():
         for column in stream.small:
             found = read(recorded / "streams" / name / column)
@@ -479,7 +457,7 @@ def assert_reads_like_ours(read: Any, recorded: Path, portable: Path) -> None:
     for name in ("t_ns", "wrench", "valid"):
         np.testing.assert_array_equal(read(recorded / "frames" / name), session.frames[name])
     pixels = session.streams["camera"].images(range(216))
-    np.testing.assert_array_equal(read(portable / "streams/camera/value"), pixels)
+    np.testing.assert_array_equal(read(tmp_path / "p.zarr/streams/camera/value"), pixels)
 
 
 def test_places_in_a_contact_frame_are_along_its_axes() -> None:

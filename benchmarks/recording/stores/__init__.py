@@ -86,7 +86,7 @@ class Entry:
 
     @property
     def ours(self) -> bool:
-        """Whether it is this recorder, whose closed stores are on the disk; others are flushed."""
+        """True for this recorder, whose closed stores are on the disk; others are flushed."""
         return self.module == "ours"
 
     def make(self) -> FrameStore:
