@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.faults.collection_run import EMULATORS, CollectionRun, Hangs, quick_bench
-from benchmarks.faults.device_faults import judge
+from benchmarks.faults.device_faults import UNREPORTED, judge
 from benchmarks.faults.judge import complaints, stored_in
 from benchmarks.faults.processes import kill, wait_gone
 from benchmarks.faults.rows import Row
@@ -138,7 +138,9 @@ def _kill_once(collection: CollectionRun, rng: random.Random, done: Kills) -> No
     done.compared += result.looked_for
     done.lost += result.lost + len(changed)
     wrong = [f"still runs: {everybody[pid].strip()[-60:]}" for pid in left]
-    wrong += [f"{name}: rows recorded before changed" for name in changed] + list(result.wrong)
+    wrong += [f"{name}: rows recorded before changed" for name in changed]
+    # A collection that was killed reports nothing.
+    wrong += [what for what in result.wrong if what != UNREPORTED]
     where = f"kill {done.victims.total()}, {victim}, {wait:.1f} s into recording"
     done.wrong += [f"{where}: {what}" for what in wrong]
 

@@ -34,6 +34,7 @@ _CLEARING = 5.0
 # With less free space than this, the next record does not fit [bytes].
 _FULL = 1 << 16
 _FILLING = 60.0
+UNREPORTED = "the arm is not clear, and this is not reported"
 # Maximum length of a reason; the rest is advice to the technician [characters].
 _LONGEST = 150
 
@@ -175,7 +176,7 @@ def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> R
     if not standing:
         wrong.append(f"the arm: {arm}")
     elif "clear" not in arm and "NOT RETRACTED" not in collection.text:
-        wrong.append("the arm is not clear, and this is not reported")
+        wrong.append(UNREPORTED)
     reaction = reaction_of(row, collection.last_line.replace(str(session), session.name))
     try:
         # Check before recovery: the samples must be readable even if nobody runs it.
