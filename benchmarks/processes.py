@@ -13,9 +13,6 @@ from recorder.processes import Workers
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
-# Exit code of a run ended by Ctrl-C, as usual.
-INTERRUPTED = 130
-
 
 def side_by_side(
     run: Callable[[Item], Outcome], items: Iterable[Item], device: str, processes: int

@@ -11,7 +11,7 @@ from typing import Any
 from benchmarks.hard_cases.cases import BY_FAMILY, CASES, LONGEST, QUICK, asserts, chosen
 from benchmarks.hard_cases.laws import Law
 from benchmarks.hard_cases.solver import Case, Solver
-from benchmarks.processes import side_by_side
+from benchmarks.processes import done_counts, side_by_side
 from benchmarks.report import Page, Run, table
 from sim.errors import SimulationDiverged
 
@@ -53,13 +53,11 @@ def measure(run: Run) -> dict[str, Report]:
     order = sorted(names, key=lambda name: name not in LONGEST)
     reports: dict[str, Report] = {}
     judging = partial(judge_named, run.device)
-    try:
+    with done_counts(run.failures.append):
         for name, report in side_by_side(judging, order, run.device, run.options.processes):
             reports[name] = report
             run.failures += [f"{name}: {failure}" for failure in report["failures"]]
             run.progress(len(reports) / len(names))
-    except KeyboardInterrupt:
-        run.failures.append(f"interrupted after {len(reports)} of {len(names)} cases")
     return {name: reports[name] for name in names if name in reports}
 
 

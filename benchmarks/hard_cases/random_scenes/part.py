@@ -18,7 +18,7 @@ from benchmarks.hard_cases.random_scenes.referee import LAWS
 from benchmarks.hard_cases.random_scenes.scenes import FOLDER, drawn
 from benchmarks.hard_cases.random_scenes.shrink import shrunk, store
 from benchmarks.hard_cases.solver import Solver
-from benchmarks.processes import side_by_side
+from benchmarks.processes import done_counts, side_by_side
 from benchmarks.report import Page, Run, table
 from sim.scene import Scene
 
@@ -62,15 +62,13 @@ def measure(run: Run) -> list[dict[str, Any]]:
         indices = list(QUICK)
     run.seeds = [options.seed]
     judging = partial(judge_drawn, Settings(Solver(run.device), options.seconds), options.seed)
-    try:
+    with done_counts(run.failures.append):
         for values in side_by_side(judging, indices, run.device, options.processes):
             outcomes.append(values)
             run.progress(len(outcomes) / len(indices))
             if values["class"] in WRONG:
                 file = f"; made plain: {values['stored']}" if "stored" in values else ""
                 run.failures.append(f"{values['scene']}: {values['why']}{file}")
-    except KeyboardInterrupt:
-        run.failures.append(f"interrupted after {len(outcomes)} of {len(indices)} scenes")
     return sorted(outcomes, key=lambda values: indices.index(int(values["scene"].split("/")[1])))
 
 
