@@ -210,7 +210,7 @@ def clicked(
 def look(
     browser: Chromium, address: str, picture: Path | None, again: Sequence[int]
 ) -> Iterator[str]:
-    """Look at the first session of the lab on the page and mark targets; yield what it shows.
+    """Look at the first session of the lab on the page and mark targets; yield its contents.
 
     Raises:
         AssertionError: Something does not appear.

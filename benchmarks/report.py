@@ -96,7 +96,7 @@ class Part:
 
     name: str
     measure: Callable[[Run], Any]
-    """Measures, and returns what it found as values of JSON."""
+    """Measures, and returns values of JSON."""
     section: Callable[[Any, Page], str]
     """Returns the Markdown of those values, with headings of the second level; draws pictures."""
     weight: float = 1.0
@@ -186,7 +186,7 @@ class Benchmark:
         return FAILED if failures else 0
 
     def _stored(self, path: Path) -> dict[str, Any]:
-        """Return what a JSON file holds of this benchmark's parts; nothing if there is no file."""
+        """Return a JSON file's values of this benchmark's parts; nothing if there is no file."""
         if not path.exists():
             return {}
         try:
@@ -205,7 +205,7 @@ class Benchmark:
         return stored
 
     def _write(self, path: Path, stored: dict[str, Any], measured: Sequence[str] = ()) -> None:
-        """Write the page of what is stored, and name the files written.
+        """Write the page of the stored values, and name the files written.
 
         Values that were not `measured` now may come from another version of the benchmark.
         """

@@ -129,7 +129,7 @@ def _solved(scene: Scene) -> tuple[Outcome, float]:
 
 
 def section(some: Sequence[Row]) -> str:
-    """Return what leaving effects out gained and cost, in words."""
+    """Return gain and cost of leaving effects out, in words."""
     if not some:
         return ""
     less = [row for row in some if row.get("error") is not None]

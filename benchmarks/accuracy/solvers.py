@@ -266,7 +266,7 @@ def summary(values: dict[str, Any]) -> str:
 
 
 def _in_one_second(rows: Sequence[Row]) -> str:
-    """Return what one second gives, on the sphere and over all presses."""
+    """Return the yield of one second, on the sphere and over all presses."""
     sentences = []
     for kind, where in (("CPU", "one CPU core"), ("GPU", "a GPU")):
         best = {case: most_exact(solved(rows, case.name, kind), WITHIN) for case in CASES}
@@ -291,7 +291,7 @@ def _exact(row: Row | None) -> str:
 
 
 def section(values: dict[str, Any], page: Page) -> str:
-    """Return the picture, the table of one press, and what the columns mean."""
+    """Return the picture, the table of one press, and the columns' meaning."""
     rows, floors = values["rows"], values["floors"]
     cases = [case for case in CASES if any(row["case"] == case.name for row in rows)]
     save_chart(

@@ -1,1 +1,1 @@
-"""Faults of devices, processes, disks and bench files, and what the rig loses or breaks by them."""
+"""Faults of devices, processes, disks and bench files, and the losses that they cause."""

@@ -63,7 +63,7 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def in_scratch(folder: Path, act: Callable[[Path], int], wrong: list[str]) -> int:
-    """Call `act` with an empty folder and return the rows it looked for; note what was lost."""
+    """Call `act` with an empty folder and return the rows it looked for; note the losses."""
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         try:
             return act(Path(scratch))

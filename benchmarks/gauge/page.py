@@ -52,7 +52,7 @@ def number(value: Any) -> str:
 
 
 def summary(values: Mapping[str, Any]) -> str:
-    """Return the ladder of the groups that there are, and what follows from it."""
+    """Return the ladder of the groups that there are, and its conclusion."""
     groups = {name: values[name]["lines"] for name in TITLES if name in values}
     if not groups:
         return ""

@@ -64,7 +64,7 @@ def _skipping(result: Result) -> Result:
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A wrong solver, and what notices it."""
+    """A wrong solver, and the case that notices it."""
 
     what: str
     case: str

@@ -1,1 +1,1 @@
-"""Twins of planted sensors: what a fit finds of skins that are known."""
+"""Twins of planted sensors: fits of skins that are known."""

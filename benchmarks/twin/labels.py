@@ -48,7 +48,7 @@ QUICK = Settings(("sphere", "torus"), "layer", grid=24, fits=False)
 
 
 def measure(run: Run) -> dict[str, Any]:
-    """Return sums of forces and of what labels miss, of each draw and error."""
+    """Return sums of forces and of labels' errors, of each draw and error."""
     settings = QUICK if run.quick else Settings(device=run.device)
     errors = ("none",) if run.quick else tuple(ERRORS)
     draws = range(1 if run.quick else run.options.draws)
@@ -93,7 +93,7 @@ def gauge(settings: Settings, task: tuple[int, str]) -> dict[str, Any]:
 
 
 def labelled(settings: Settings, twins: Sequence[Values], task: tuple[int, str]) -> dict[str, Any]:
-    """Return sums of a draw and error, by direction: of forces and of what labels miss."""
+    """Return sums of a draw and error, by direction: of forces and of labels' errors."""
     draw, error = task
     under = "all" if error == "all" else "none"
     gauged = next(row for row in twins if (row["draw"], row["gauge"]) == (draw, under))

@@ -1,4 +1,4 @@
-"""Accuracy benchmark: what is compared, how times and errors are chosen, and what fails a run."""
+"""Accuracy benchmark: comparison, choice of times and errors, and failures of a run."""
 
 from __future__ import annotations
 

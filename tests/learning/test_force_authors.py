@@ -1,4 +1,4 @@
-"""The authors' force models open, and predict what their network computes."""
+"""The authors' force models open, and predict as their network does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The catalogue: it finds what a person looks for, and never shows what is no longer so."""
+"""The catalogue: it finds sessions, and never shows outdated ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Load cells and scales: their lines, what settles, and the label that a hold gets."""
+"""Load cells and scales: their lines, settling, and the label that a hold gets."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def _of(name: str, columns: Columns, time: Any, tip: Any, force: Any) -> Columns
 def command(
     press: tuple[Any, Any, Any], true: Forces, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Fit, dict[str, Any], Path]:
-    """Fit the session of a press by the command; return the fit, what it printed, and the row."""
+    """Fit the session of a press by the command; return the fit, its output, and the row."""
     folder = tmp_path_factory.mktemp("twin")
     session = make_session(
         folder / "press.zarr",

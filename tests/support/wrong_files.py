@@ -296,7 +296,7 @@ def refusals(kind: str, folder: Path) -> Iterator[Refusal]:
 
 
 def run(folder: Path, command: str) -> tuple[int, str]:
-    """Run `tactile COMMAND` in a folder; return the exit code and what it printed as an error."""
+    """Run `tactile COMMAND` in a folder; return the exit code and its error text."""
     from tactile.run import main
 
     errors = io.StringIO()

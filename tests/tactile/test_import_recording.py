@@ -1,4 +1,4 @@
-"""`tactile import` finds out what is there, asks for what it cannot know, and never guesses."""
+"""`tactile import` recognises files, asks for the unknown, and never guesses."""
 
 from __future__ import annotations
 

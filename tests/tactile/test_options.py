@@ -1,4 +1,4 @@
-"""The commands and options of the whole program: how many, and what each says of itself."""
+"""The commands and options of the whole program: their number and their help."""
 
 from __future__ import annotations
 

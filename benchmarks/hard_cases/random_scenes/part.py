@@ -73,7 +73,7 @@ def measure(run: Run) -> list[dict[str, Any]]:
 
 
 def section(outcomes: list[dict[str, Any]], _page: Page) -> str:
-    """Return tables by class and family, by law, and of what failed."""
+    """Return tables by class and family, by law, and of failures."""
     families = sorted({one["what"].split(", ")[0] for one in outcomes})
     counts = Counter((one["class"], one["what"].split(", ")[0]) for one in outcomes)
     classes = [
@@ -111,7 +111,7 @@ def section(outcomes: list[dict[str, Any]], _page: Page) -> str:
 
 
 def statement(law: str) -> str:
-    """Return what the law says."""
+    """Return the law's text."""
     others = {
         "finite": "All numbers are finite.",
         "symmetric": "A mirror-symmetric scene has mirror-symmetric forces.",
