@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 from benchmarks.report import RESULTS, Benchmark, Part
 from benchmarks.twin import demo, labels, live, rows, skins
 from recorder.command_line.options import whole
-from sim.errors import SceneError
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -68,20 +64,3 @@ def run(options: argparse.Namespace) -> int:
         if path.exists():
             print(demo.last_line(json.loads(path.read_text(encoding="utf-8"))["demo"]["results"]))
     return code
-
-
-def stored(path: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of a file of an earlier run; begin the file if there is none.
-
-    Raises:
-        SceneError: They are of other settings.
-    """
-    ours = json.loads(json.dumps(settings))
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(ours) + "\n", encoding="utf-8")
-        return []
-    first, *rows = path.read_text(encoding="utf-8").splitlines()
-    if json.loads(first) != ours:
-        raise SceneError(f"{path}: rows of {first}; allowed: those of {json.dumps(ours)}")
-    return [json.loads(row) for row in rows]
