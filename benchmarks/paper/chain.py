@@ -66,7 +66,6 @@ from recorder.processes import cores
 
 # Seed of all trainings; there is one run of each.
 SEED = 0
-TRANSLATORS = ("m2m", "field")
 # Methods whose nets see a press in order, and each frame alone.
 OWN, ALONE = "own labels", "own labels, each frame alone"
 MEMORY_NETS = ("paper", "tiny", "displacement")
@@ -140,7 +139,7 @@ def measured(run: Run, folder: Path, size: Size, minutes: float) -> dict[str, An
     jobs["translators"] = partial(translators, chain)
     if chain.patterns is not None:
         jobs["patterns"] = partial(patterns, chain)
-    for name in TRANSLATORS:
+    for name in size.translators:
         jobs |= {f"pairs {name} {one}": partial(pairs, chain, name, one) for one in size.trained}
     return run_jobs(run, chain, jobs)
 
@@ -251,22 +250,24 @@ def write_base(folder: Path, size: Size) -> None:
 
 def translators(chain: Chain) -> dict[str, Rows]:
     """Train the marker VAE, the translator between patterns and between sensors, and `field`."""
-    write_base(chain.base, chain.size)
-    train_marker_vae(chain)
-    begun: dict[str, Any] = {}
-    base = fingerprint(str(chain.base))
-    rate = 3e-4
-    if chain.patterns is not None:
-        adapter = load_vae_adapter(chain.model("vae"), base)
-        split = chain.patterns_split
-        train_m2m(chain, "m2m-patterns", chain.patterns, split, rate, vae_adapter=adapter)
-        begun["start_from"] = read_model_folder(chain.model("m2m-patterns"), M2M).weights()
-        rate = 2e-4
-    else:
-        begun["vae_adapter"] = load_vae_adapter(chain.model("vae"), base)
-    train_m2m(chain, "m2m", chain.archive, chain.split, rate, **begun)
+    if "m2m" in chain.size.translators:
+        train_chain(chain)
     train_field(chain, chain.size.field_preset, chain.seconds("field"))
     return {}
+
+
+def train_chain(chain: Chain) -> None:
+    """Train the marker VAE, then the paper's translator between patterns and between sensors."""
+    write_base(chain.base, chain.size)
+    train_marker_vae(chain)
+    adapter = load_vae_adapter(chain.model("vae"), fingerprint(str(chain.base)))
+    begun: dict[str, Any] = {"vae_adapter": adapter}
+    rate = 3e-4
+    if chain.patterns is not None:
+        train_m2m(chain, "m2m-patterns", chain.patterns, chain.patterns_split, rate, **begun)
+        begun = {"start_from": read_model_folder(chain.model("m2m-patterns"), M2M).weights()}
+        rate = 2e-4
+    train_m2m(chain, "m2m", chain.archive, chain.split, rate, **begun)
 
 
 def _diffusion(chain: Chain, rate: float, steps: int) -> m2m.TranslatorSettings:

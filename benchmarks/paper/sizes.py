@@ -44,6 +44,8 @@ class Size:
     """True for a stage on states of one gel under patterns, before that on the sensors."""
     held_out_patterns: tuple[str, ...] = ()
     """Patterns that no network is trained on."""
+    translators: tuple[str, ...] = ("m2m", "field")
+    """The paper's translator, and ours."""
     net: str = "paper"
     """Force net that is trained on translated frames."""
     minutes: float = 2.5
@@ -189,6 +191,8 @@ _PAIRS = {"skins": ("r6", "r18"), "kinds": ("gelsight", "uskin"), "memory": ("ge
 
 
 def toy(part: str) -> Size:
-    """Return a part's size for `--quick`: two sensors, solved by tier `layer`, tiny networks."""
+    """Return a part's size for `--quick`: two sensors by tier `layer`, tiny networks."""
     sensors = _PAIRS.get(part, ("array-i", "circle-ii"))
-    return replace(SIZES[part], sensors=sensors, sources=sensors[:1], **_TOY)
+    # The paper's translator is trained in one part alone.
+    some = SIZES[part].translators if part == "patterns" else ("field",)
+    return replace(SIZES[part], sensors=sensors, sources=sensors[:1], translators=some, **_TOY)
