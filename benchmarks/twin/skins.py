@@ -40,7 +40,7 @@ COLUMNS = ("modulus", "thickness", "relaxation", "friction", "held-out force")
 # Minutes of a planned bench, pixels of a fit, and of a quick one.
 MINUTES, FIT_GRID, QUICK_GRID = 5.0, 64, 24
 # Elements of a quick run.
-COARSE = Fem(spacing=1.6e-3)
+COARSE = Fem(spacing=1.0e-3)
 # Times at which relaxation is compared [s].
 TIMES = np.geomspace(0.05, 2.0, 20)
 
