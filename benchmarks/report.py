@@ -13,6 +13,7 @@ import json
 import math
 import os
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -236,9 +237,18 @@ class Benchmark:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a Markdown table; the first column is text, the others are aligned to the right."""
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" + "---:|" * (len(head) - 1)]
-    return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
+    """Return a Markdown table; columns of numbers, except the first, are aligned to the right."""
+    cells = [list(map(str, row)) for row in rows]
+    sides = "".join(
+        "---:|" if column and all(_NUMBER.match(row[column]) for row in cells) else "---|"
+        for column in range(len(head))
+    )
+    first, *lines = ("| " + " | ".join(row) + " |" for row in [list(head), *cells])
+    return "\n".join([first, f"|{sides}", *lines])
+
+
+# Begins like a number, with a sign or in bold, or is empty: no value.
+_NUMBER = re.compile(r"(\*\*)?[-+−±≤<>~ ]*\d|[-–—]?$|none|nan")
 
 
 def machine_name(device: str = "cpu") -> str:

@@ -94,7 +94,9 @@ def section(reports: dict[str, Report], page: Page) -> str:
         "of the mesh, the tolerance or float32, and a factor of 2 to 5. Most cases use elements "
         "of 1 mm, coarse for force, but the laws must hold there as well."
     )
-    picture = page.link("laws", "Each law of each case: the part of its allowance that it uses")
+    picture = page.link(
+        "laws", "Each law of each case: the part of its allowance that it uses, at the bottom none"
+    )
     not_held = "\n".join(["Not held:", "", *failures]) if failures else "All laws hold."
     return "\n\n".join([text, picture, table(columns, rows), not_held])
 
