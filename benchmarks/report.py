@@ -247,8 +247,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return "\n".join([first, f"|{sides}", *lines])
 
 
-# Begins like a number, with a sign or in bold, or is empty: no value.
-_NUMBER = re.compile(r"(\*\*)?[-+−±≤<>~ ]*\d|[-–—]?$|none|nan")
+# Begins like a number, after signs or in bold, or has no word: no value.
+_NUMBER = re.compile(r"\W*(\d|$)|none|nan")
 
 
 def machine_name(device: str = "cpu") -> str:
