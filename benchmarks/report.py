@@ -33,6 +33,8 @@ ROOT = Path(__file__).parent.parent
 RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "build" / "results"
 # Exit code of a run in which something failed that must hold.
 FAILED = 1
+# Rows of interrupted parts in the JSON file, and options that change none of them.
+PARTIAL, PAGE = "partial", ("only", "draw", "out")
 # What is stored of each part beside its results, and of what type.
 HEAD: dict[str, type | tuple[type, ...]] = {
     "command": str,
@@ -62,6 +64,20 @@ class Run:
     """Spread of repeated runs, e.g. `median of 5 runs, range at most 4 %`; empty: a single run."""
     failures: list[str] = field(default_factory=list)
     """Statements that must hold and do not; any makes the exit code 1."""
+    rows: dict[str, Any] = field(default_factory=dict)
+    """Values of `once`, those of an interrupted run included."""
+    store: Callable[[], None] = lambda: None
+    """Writes `rows` to the JSON file."""
+
+    def once(self, name: str, work: Callable[[], Any]) -> Any:
+        """Return the value, in JSON, that an interrupted run has stored, or that of `work`.
+
+        It is stored at once, so that an interrupted part loses only the value it was at.
+        """
+        if name not in self.rows:
+            self.rows[name] = work()
+            self.store()
+        return self.rows[name]
 
     @property
     def quick(self) -> bool:
@@ -155,7 +171,8 @@ class Benchmark:
         """Measure the parts, write the page, and return the exit code.
 
         What Ctrl-C or an error leaves of a run is in the JSON file, from which `--draw` makes the
-        page.
+        page, and with which the next run with the same options, machine and commit goes on in a
+        part that was interrupted.
 
         Raises:
             CommandError: `--draw` without a JSON file, or one that does not fit.
@@ -164,8 +181,8 @@ class Benchmark:
         measurements = path.with_suffix(".json")
         stored = self._stored(measurements)
         if options.draw:
-            if not stored:
-                raise CommandError(f"--draw: {measurements}: no such file")
+            if not any(part.name in stored for part in self.parts):
+                raise CommandError(f"--draw: {measurements}: no measured part")
             self._write(path, stored)
             return 0
         chosen = [part for part in self.parts if not options.only or part.name in options.only]
@@ -175,10 +192,11 @@ class Benchmark:
                 fraction = part.weight / whole
                 with tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder:
                     run = Run(options, Path(folder), span_of(progress, before, fraction))
-                    began = time.monotonic()
+                    seconds = _resume(run, part.name, stored, measurements)
                     values = part.measure(run)
                 before += fraction
-                stored[part.name] = _head(run, time.monotonic() - began) | {"results": values}
+                stored[PARTIAL].pop(part.name, None)
+                stored[part.name] = _head(run, seconds()) | {"results": values}
                 failures += [f"{part.name}: {failure}" for failure in run.failures]
                 _store(measurements, stored)
         self._write(path, stored, measured=[part.name for part in chosen])
@@ -189,7 +207,7 @@ class Benchmark:
     def _stored(self, path: Path) -> dict[str, Any]:
         """Return a JSON file's values of this benchmark's parts; nothing if there is no file."""
         if not path.exists():
-            return {}
+            return {PARTIAL: {}}
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
@@ -203,7 +221,7 @@ class Benchmark:
                     raise CommandError(f"{path}: {name}.{key}: missing or of another type")
             if "results" not in values:
                 raise CommandError(f"{path}: {name}.results: missing")
-        return stored
+        return stored | {PARTIAL: document.get(PARTIAL, {})}
 
     def _write(self, path: Path, stored: dict[str, Any], measured: Sequence[str] = ()) -> None:
         """Write the page of the stored values, and name the files written.
@@ -264,6 +282,9 @@ def machine_name(device: str = "cpu") -> str:
         return cores
     import warp as wp
 
+    from sim.device import ready_device
+
+    ready_device(device)
     return f"{wp.get_device(device).name} ({cores})"
 
 
@@ -341,9 +362,33 @@ def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 
+def _resume(run: Run, name: str, stored: dict[str, Any], path: Path) -> Callable[[], float]:
+    """Give a run the rows of one interrupted with the same options, machine and commit.
+
+    Return the clock of both [s]. Code that differs from the commit begins anew.
+    """
+    chosen = [f"{key}={value}" for key, value in vars(run.options).items() if key not in PAGE]
+    head = [*chosen, machine_name(run.device), commit()]
+    last = stored[PARTIAL].get(name, {})
+    if last.get("head") != head or head[-1].endswith(("+", "unknown")):
+        last = {"rows": {}, "seconds": 0.0}
+    run.rows, began = last["rows"], time.monotonic()
+
+    def seconds() -> float:
+        return float(last["seconds"]) + time.monotonic() - began
+
+    def store() -> None:
+        stored[PARTIAL][name] = {"head": head, "seconds": seconds(), "rows": run.rows}
+        _store(path, stored)
+
+    run.store = store
+    return seconds
+
+
 def _store(path: Path, stored: dict[str, Any]) -> None:
     """Write the JSON file, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".json.part")
-    part.write_text(json.dumps(stored, indent=1, allow_nan=True) + "\n", encoding="utf-8")
+    kept = {name: values for name, values in stored.items() if values}
+    part.write_text(json.dumps(kept, indent=1, allow_nan=True) + "\n", encoding="utf-8")
     part.replace(path)

@@ -153,6 +153,31 @@ def test_ctrl_c_keeps_the_parts_that_were_measured(page: Path) -> None:
     assert "## Size" not in text
 
 
+@pytest.mark.parametrize(("after", "measured"), [("1a2b", [2, 3]), ("1a2b+", [1, 2, 3])])
+def test_an_interrupted_part_goes_on_at_its_next_row_unless_code_has_changed(
+    after: str, measured: list[int], page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows: list[int] = []
+
+    def measure(run: Run, last: int = 3) -> list[int]:
+        for number in (1, 2, 3)[:last]:
+            run.once(f"row {number}", lambda number=number: rows.append(number) or 10 * number)
+        if last < 3:
+            raise KeyboardInterrupt
+        return [*run.rows.values()]
+
+    monkeypatch.setattr(report, "commit", lambda: "1a2b")
+    with pytest.raises(KeyboardInterrupt):
+        run(benchmark(lambda run: measure(run, 1)))
+    monkeypatch.setattr(report, "commit", lambda: after)
+    rows.clear()
+    assert run(benchmark(measure), "--only", "size") == 0
+    assert rows == measured
+    stored = json.loads(page.with_suffix(".json").read_text())
+    assert [*stored] == ["speed", "size"]
+    assert stored["size"]["results"] == [10, 20, 30]
+
+
 def test_only_parts_that_exist_can_be_measured(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         run(benchmark(), "--only", "colour")
@@ -162,7 +187,7 @@ def test_only_parts_that_exist_can_be_measured(capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, r"--draw: .*stores\.json: no such file"),
+        (None, r"--draw: .*stores\.json: no measured part"),
         ('{"speed"', r"stores\.json: not JSON: "),
         ("[]", r"stores\.json: not the measurements of a benchmark"),
         ('{"speed": {}}', r"stores\.json: speed\.command: missing or of another type"),
