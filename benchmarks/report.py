@@ -365,7 +365,7 @@ def _minutes(seconds: float) -> str:
 def _resume(run: Run, name: str, stored: dict[str, Any], path: Path) -> Callable[[], float]:
     """Give a run the rows of one interrupted with the same options, machine and commit.
 
-    Return the clock of both [s]. Code that differs from the commit begins anew.
+    Return the clock of both [s]. If code differs from the commit, no row is used.
     """
     chosen = [f"{key}={value}" for key, value in vars(run.options).items() if key not in PAGE]
     head = [*chosen, machine_name(run.device), commit()]

@@ -1,11 +1,11 @@
-"""The seven presses on which solvers are compared, each a list of scenes."""
+"""The six presses on which solvers are compared."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from sim.indenters import NAMES, Indenter, flat_punch, named, rounded_cone, sphere, tube
+from sim.indenters import flat_punch, rounded_cone, sphere, tube
 from sim.scene import Body, Effects, Friction, Scene, Viscosity, press
 
 MM = 1e-3
@@ -19,21 +19,13 @@ EDGE = 0.5 * MM
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One scene, or several whose errors are averaged."""
+    """One scene."""
 
     name: str
     title: str
-    scenes: tuple[Scene, ...]
-    """Scenes with the same body and set of effects, so that one launch can solve them all."""
+    scene: Scene
     fineness: float = FINENESS
     """Fineness of the reference's mesh."""
-    slow: bool = False
-    """True if only the fastest solvers can be measured on one CPU core."""
-
-
-def _edged(name: str) -> Indenter:
-    own = named(name)
-    return named(name, min(EDGE, own.edge_radius_max)) if own.edge_radius else own
 
 
 _BODY = Body()
@@ -43,52 +35,37 @@ _BALL = sphere(4 * MM)
 _RUB = Effects(friction=Friction(0.5))
 # Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45.
 CASES: tuple[Case, ...] = (
-    Case("sphere", "sphere R 4 mm", (Scene(_BALL, press(DEPTHS), body=_BODY),)),
+    Case("sphere", "sphere R 4 mm", Scene(_BALL, press(DEPTHS), body=_BODY)),
     Case(
         "punch",
         "punch R 3, edge 0.5; friction",
-        (Scene(flat_punch(3 * MM, EDGE), press(DEPTHS), effects=_RUB),),
+        Scene(flat_punch(3 * MM, EDGE), press(DEPTHS), effects=_RUB),
     ),
     Case(
         "cone",
         "cone 45 deg, tip R 0.5; friction",
-        (Scene(rounded_cone(math.radians(45), EDGE), press(DEPTHS), effects=_RUB),),
+        Scene(rounded_cone(math.radians(45), EDGE), press(DEPTHS), effects=_RUB),
     ),
     Case(
         "tube",
         "tube 3.5 / 2.5, edge 0.4; friction",
-        (Scene(tube(3.5 * MM, 2.5 * MM, 0.4 * MM), press(DEPTHS), effects=_RUB),),
-    ),
-    Case(
-        "indenters",
-        "the 18 indenters, mean; friction",
-        tuple(Scene(_edged(name), press((0.5 * MM, 1.0 * MM)), effects=_RUB) for name in NAMES),
-        fineness=1.5,  # 18 references take three times as long with 2
-        slow=True,
+        Scene(tube(3.5 * MM, 2.5 * MM, 0.4 * MM), press(DEPTHS), effects=_RUB),
     ),
     Case(
         "loop",
         "press, shear, return; friction",
-        (
-            Scene(
-                _BALL,
-                press([1.0 * MM], shear=1.0 * MM, steps=2),
-                effects=_RUB,
-            ),
-        ),
+        Scene(_BALL, press([1.0 * MM], shear=1.0 * MM, steps=2), effects=_RUB),
     ),
     Case(
         "hold",
         "viscous: ramp and hold",
-        (
-            Scene(
-                _BALL,
-                press([1.0 * MM], hold=1.0, steps=4, speed=1.0 * MM / 0.1),
-                effects=Effects(viscosity=Viscosity((0.5,), (0.2,))),
-            ),
+        Scene(
+            _BALL,
+            press([1.0 * MM], hold=1.0, steps=4, speed=1.0 * MM / 0.1),
+            effects=Effects(viscosity=Viscosity((0.5,), (0.2,))),
         ),
     ),
 )
 
 # Smallest of all, for quick runs.
-QUICK_CASE = Case("sphere", "sphere R 4 mm", (Scene(_BALL, press(DEPTHS[:1]), body=_BODY),), 0.8)
+QUICK_CASE = Case("sphere", "sphere R 4 mm", Scene(_BALL, press(DEPTHS[:1]), body=_BODY), 0.8)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Mark = Literal["o", "D", "<"]
 
 # Most panels in a row, and the columns of the legend.
-COLUMNS, LEGEND = 4, 3
+COLUMNS, LEGEND = 3, 3
 # Width and height of a panel [inch].
 PANEL = 2.4, 2.5
 
@@ -31,6 +31,8 @@ class Series:
     mark: Mark
     points: tuple[tuple[float, float], ...]
     """(seconds, value); 0 seconds is drawn at the left edge."""
+    joined: bool = True
+    """True if a line joins the points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +81,7 @@ def save_chart(
                     values,
                     color=one.colour,
                     marker=one.mark,
+                    linestyle="-" if one.joined else "",
                     transform=timed,
                     clip_on=False,
                 )

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.metrics import tolerance_of
 from sim.mpm import Mpm
 from sim.planning import plan
-from sim.result import Result
+from sim.result import Outcome
 from sim.scene import Scene
 from sim.tiers import simulate_many
 
-Outcomes = list[Result | SimulationDiverged]
-Outcome = TypeVar("Outcome")
+# Maps a scene and a device to the outcome.
+Solve = Callable[[Scene, str], Outcome]
 
 # Finenesses of `fem` on contact-adapted meshes, besides the default.
 FINENESS = (0.5, 1.0, 1.4)
@@ -38,8 +38,7 @@ class Competitor:
     """Name of its step on the ladder."""
     fineness: float
     """Fineness, which increases from coarse to fine."""
-    solve: Callable[[Sequence[Scene], str], Outcomes]
-    """Maps scenes and a device to their outcomes."""
+    solve: Solve
     cpu_only: bool = False
     cpu_cases: tuple[str, ...] | None = None
     """Cases that are measured on a CPU; None: all. The others would take hours there."""
@@ -50,53 +49,37 @@ class Competitor:
         return f"{self.ladder} {self.label}".strip()
 
 
-def in_launches(
-    solve: Callable[[Sequence[Scene], str], list[Outcome]], scenes: Sequence[Scene], device: str
-) -> list[Outcome]:
-    """Return the results of `solve` for `scenes`: one launch on a GPU, one by one on a CPU.
-
-    A CPU computes sequentially in any case, so a launch of many scenes only makes the fast ones
-    wait for the slow ones.
-    """
-    if device != "cpu":
-        return solve(scenes, device)
-    return [outcome for scene in scenes for outcome in solve([scene], device)]
+def _layer(scene: Scene, _device: str) -> Outcome:
+    return simulate_many([scene], Layer())[0]
 
 
-def _layer(scenes: Sequence[Scene], _device: str) -> Outcomes:
-    return simulate_many(scenes, Layer())
-
-
-def _fem(**chosen: Any) -> Callable[[Sequence[Scene], str], Outcomes]:
+def _fem(**chosen: Any) -> Solve:
     """Return a solver that calls `fem` with these fields of `Fem`."""
 
-    def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
+    def solve(scene: Scene, device: str) -> Outcome:
         from sim.fem import Fem
 
-        return simulate_many(scenes, Fem(**chosen), device=device)
+        return simulate_many([scene], Fem(**chosen), device=device)[0]
 
     return solve
 
 
-def _within(tolerance: str) -> Callable[[Sequence[Scene], str], Outcomes]:
-    def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
-        outcomes: Outcomes = []
-        for scene in scenes:
-            try:
-                outcomes.append(plan(scene, tolerance, device=device).run())
-            except SimulationDiverged as diverged:
-                outcomes.append(diverged)
-            except SceneError as rejected:  # not attainable: reported as no solution
-                outcomes.append(SimulationDiverged(str(rejected)))
-        return outcomes
+def _within(tolerance: str) -> Solve:
+    def solve(scene: Scene, device: str) -> Outcome:
+        try:
+            return plan(scene, tolerance, device=device).run()
+        except SimulationDiverged as diverged:
+            return diverged
+        except SceneError as rejected:  # not attainable: reported as no solution
+            return SimulationDiverged(str(rejected))
 
     return solve
 
 
-def _mpm(cell: float | None) -> Callable[[Sequence[Scene], str], Outcomes]:
-    def solve(scenes: Sequence[Scene], device: str) -> Outcomes:
+def _mpm(cell: float | None) -> Solve:
+    def solve(scene: Scene, device: str) -> Outcome:
         tier = Mpm.authors() if cell is None else Mpm(cell=cell)
-        return simulate_many(scenes, tier, device=device)
+        return simulate_many([scene], tier, device=device)[0]
 
     return solve
 

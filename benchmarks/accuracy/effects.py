@@ -217,8 +217,6 @@ def section(values: dict[str, Any], page: Page) -> str:
 {table(head, rows)}
 
 An effect that is off costs nothing: no number of its state is stored, none of the
-{values["kernels"]} kernels of a press without effects has its lines, and after presses with
-every effect that press has {after}. On, it costs its state, other kernels in place of the plain
-ones, and time: more steps where friction or relaxation need them, more iterations, and the
-arithmetic. One press of 0.5 mm and 0.15 mm aside into 576 elements in double precision, one CPU
-core; viscosity has two branches."""
+{values["kernels"]} kernels of a press without effects has its lines, and after presses with every
+effect that press has {after}. One press of 0.5 mm and 0.15 mm aside into 576
+elements in double precision, one CPU core; viscosity has two branches."""

@@ -7,7 +7,7 @@ ones on the same default mesh.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from benchmarks.accuracy.errors import worst_errors
 from benchmarks.accuracy.wording import percent, rounded, seconds
 from benchmarks.hard_cases.random_scenes.dice import Dice
 from benchmarks.hard_cases.random_scenes.scenes import drawn
-from benchmarks.processes import side_by_side
 from sim.fem import Fem
 from sim.fem.mesh import meshes_of
 from sim.fem.sizing import stages_of
@@ -36,12 +35,6 @@ STEPS_MAX, COARSE_MAX = 15, 700
 ELEMENTS_MAX = 6000
 # Offset of a scene's number, to draw its effects from a separate random stream.
 EFFECTS_STREAM = 1_000_000
-
-
-def rows(seed: int, first: int, count: int, folder: Path, processes: int) -> Iterator[Row]:
-    """Yield a row for `count` scenes from number `first` on, on `processes` cores of the CPU."""
-    chosen = scenes_of(seed, first, count, folder)
-    yield from side_by_side(compared, chosen, "cpu", min(processes, len(chosen)))
 
 
 def scenes_of(seed: int, first: int, count: int, folder: Path) -> list[tuple[str, Scene]]:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from benchmarks.accuracy.competitors import in_launches
 from benchmarks.accuracy.errors import compare, frames
-from recorder.processes import Workers
 from sim.errors import SimulationDiverged
 from sim.metrics import Outcome, outcome_of
-from sim.result import Result
 from sim.scene import Motion, Scene
 from sim.tiers import simulate_many
 
@@ -54,32 +50,14 @@ def reference_numerics(fineness: float) -> Fem:
     )
 
 
-def solve_references(
-    scenes: Sequence[Scene],
-    fineness: float,
-    device: str,
-    processes: int | Workers,
-) -> list[Outcome | SimulationDiverged]:
-    """Solve scenes that share a body; the outcomes have the frames of each scene.
-
-    `processes` beside a GPU are as in `simulate_many`.
-    """
-    parts = VISCOUS_PARTS if scenes[0].effects.viscosity is not None else 1
-    cut = [replace(scene, motion=finer(scene.motion, parts)) for scene in scenes]
-    numerics = reference_numerics(fineness)
-    outcomes: list[Outcome | SimulationDiverged] = []
-
-    def solve(some: Sequence[Scene], where: str) -> list[Result | SimulationDiverged]:
-        return simulate_many(some, numerics, device=where, processes=processes)
-
-    for scene, one in zip(scenes, in_launches(solve, cut, device), strict=True):
-        if isinstance(one, SimulationDiverged):
-            outcomes.append(one)
-        else:
-            outcomes.append(
-                frames(outcome_of(one), list(range(0, parts * len(scene.motion), parts)))
-            )
-    return outcomes
+def solve_reference(scene: Scene, fineness: float, device: str) -> Outcome | SimulationDiverged:
+    """Solve a scene; the outcome has its frames."""
+    parts = VISCOUS_PARTS if scene.effects.viscosity is not None else 1
+    cut = replace(scene, motion=finer(scene.motion, parts))
+    (one,) = simulate_many([cut], reference_numerics(fineness), device=device)
+    if isinstance(one, SimulationDiverged):
+        return one
+    return frames(outcome_of(one), list(range(0, parts * len(scene.motion), parts)))
 
 
 def finer(motion: Motion, parts: int) -> Motion:
@@ -95,21 +73,14 @@ def finer(motion: Motion, parts: int) -> Motion:
     return Motion(tip=tuple(tip), time=tuple(time))
 
 
-def references(case: Case, device: str, processes: int | Workers) -> list[Reference | None]:
-    """Return the references of a case's scenes, or None where there is no solution.
-
-    `processes` beside a GPU are as in `simulate_many`.
-    """
-    fine, coarse = (
-        solve_references(case.scenes, fineness, device, processes)
+def reference_of(case: Case, device: str) -> Reference | None:
+    """Return the reference of a case, or None if there is no solution."""
+    true, rough = (
+        solve_reference(case.scene, fineness, device)
         for fineness in (case.fineness, case.fineness / COARSER)
     )
-    answers: list[Reference | None] = []
-    for scene, true, rough in zip(case.scenes, fine, coarse, strict=True):
-        if isinstance(true, SimulationDiverged):
-            answers.append(None)
-        elif isinstance(rough, SimulationDiverged):
-            answers.append(Reference(true, {}))
-        else:
-            answers.append(Reference(true, compare(rough, true, scene.body).worst()))
-    return answers
+    if isinstance(true, SimulationDiverged):
+        return None
+    if isinstance(rough, SimulationDiverged):
+        return Reference(true, {})
+    return Reference(true, compare(rough, true, case.scene.body).worst())

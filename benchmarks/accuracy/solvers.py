@@ -1,4 +1,4 @@
-"""Error, time and memory of every solver on seven presses, on a GPU and on one CPU core."""
+"""Error, time and memory of every solver on six presses, on a GPU and on one CPU core."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,14 @@ import numpy as np
 from benchmarks.accuracy.cases import CASES, QUICK_CASE, Case
 from benchmarks.accuracy.chart import Mark, Panel, Series, save_chart
 from benchmarks.accuracy.closed_form import closed_form
-from benchmarks.accuracy.competitors import Competitor, in_launches, ladders
+from benchmarks.accuracy.competitors import Competitor, ladders
 from benchmarks.accuracy.errors import compare
-from benchmarks.accuracy.reference import COARSER, Reference, references
+from benchmarks.accuracy.reference import COARSER, Reference, reference_of
 from benchmarks.accuracy.spent import spent_by
 from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded, seconds
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT
-from recorder.processes import cores, environment, several
+from recorder.processes import cores, environment
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import outcome_of
@@ -54,59 +55,54 @@ COLOURS = {
     "mpm": ORANGE,
     "mpm as published": RED,
 }
-# Ladders of a quick run, and of a case that takes long, on a CPU.
-QUICK, SLOW = ("layer", "fem"), ("layer",)
+# Ladders of a quick run.
+QUICK = ("layer", "fem")
 
 
 def measure(run: Run) -> dict[str, Any]:
     """Return the rows of all cases and devices, and the uncertainty of each reference.
 
-    On a CPU each ladder has a process of its own, so that its memory is that of the press; on a
-    machine with many cores several ladders are measured side by side, after those of the GPU.
+    On a CPU each ladder has a process of its own, so that its memory is that of the press; beside
+    a GPU they run at the same time.
     """
     cases = (QUICK_CASE,) if run.quick else CASES
-    processes = run.options.processes or cores()
-    rows: list[Row] = []
-    floors: dict[str, dict[str, float | None]] = {}
-    waiting: list[tuple[Case, str, Sequence[Reference | None]]] = []
-    with several(1 if run.device == "cpu" else processes) as workers:
-        for number, case in enumerate(cases):
-            truth = references(case, run.device, workers or 1)
-            floors[case.name] = _floor(truth)
-            rows += _closed_form_rows(case, truth)
-            for device in devices_of(run.device):
-                for ladder in _ladders(case, device, run.quick):
-                    if device == "cpu":
-                        waiting.append((case, ladder, truth))
-                    else:
-                        rows += climb(case, ladder, device, truth)
-            run.progress((number + 1) / (2 * len(cases)))
-    # The longest first, so that none is left at the end.
-    waiting.sort(key=lambda one: one[1] != "mpm as published")
-    for number, climbed in enumerate(_on_cores(waiting)):
+    truths: dict[str, Reference | None] = {}
+    for number, case in enumerate(cases):
+        truths[case.name] = reference_of(case, run.device)
+        run.progress(0.3 * (number + 1) / len(cases))
+    climbs = [
+        (case, ladder, device)
+        for device in devices_of(run.device)
+        for ladder in _ladders(run.quick)
+        for case in cases
+        if _possible(case, ladder, device)
+    ]
+    rows = [row for case in cases for row in _closed_form_rows(case, truths[case.name])]
+    for number, climbed in enumerate(_climbed(run, climbs, truths)):
         rows += climbed
-        run.progress(0.5 + (number + 1) / (2 * len(waiting)))
+        run.progress(0.3 + 0.7 * (number + 1) / len(climbs))
     run.spread = "single run of each"
+    floors = {name: _floor(truth) for name, truth in truths.items()}
     return {"rows": rows, "floors": floors}
 
 
-def _ladders(case: Case, device: str, quick: bool) -> list[str]:
-    chosen = []
-    for name, steps in ladders().items():
-        on_cpu = device == "cpu"
-        if (steps[0].cpu_only and not on_cpu) or (quick and name not in QUICK):
-            continue
-        only = steps[0].cpu_cases
-        if on_cpu and ((only and case.name not in only) or (case.slow and name not in SLOW)):
-            continue
-        chosen.append(name)
-    return chosen
+def _ladders(quick: bool) -> list[str]:
+    """Return the names of the ladders, the slowest first, so that none is left at the end."""
+    names = [name for name in ladders() if not quick or name in QUICK]
+    return sorted(names, key=lambda name: name != "mpm as published")
 
 
-def _on_cores(
-    waiting: Sequence[tuple[Case, str, Sequence[Reference | None]]],
+def _possible(case: Case, ladder: str, device: str) -> bool:
+    first = ladders()[ladder][0]
+    if device != "cpu":
+        return not first.cpu_only
+    return first.cpu_cases is None or case.name in first.cpu_cases
+
+
+def _climbed(
+    run: Run, climbs: Sequence[tuple[Case, str, str]], truths: dict[str, Reference | None]
 ) -> Iterator[list[Row]]:
-    """Yield the rows of ladders on one core each; a quarter of the cores is used at once."""
+    """Yield the rows of each ladder: on a CPU on one core each, a quarter of them at once."""
     # Spawned: Warp's state does not survive a fork.
     context = multiprocessing.get_context("spawn")
     with (
@@ -115,36 +111,38 @@ def _on_cores(
             max(1, cores() // 4), mp_context=context, max_tasks_per_child=1
         ) as pool,
     ):
-        tasks: list[Future[list[Row]]] = [
-            pool.submit(climb, case, ladder, "cpu", truth) for case, ladder, truth in waiting
-        ]
+        tasks: dict[Future[list[Row]], str] = {}
+        for case, ladder, device in climbs:
+            name = f"{case.name}, {ladder}, {device}"
+            if device == "cpu" and name not in run.rows:
+                tasks[pool.submit(climb, case, ladder, device, truths[case.name])] = name
+        for case, ladder, device in climbs:
+            name = f"{case.name}, {ladder}, {device}"
+            if device != "cpu" or name in run.rows:
+                yield run.once(name, partial(climb, case, ladder, device, truths[case.name]))
         for task in as_completed(tasks):
-            yield task.result()
+            yield run.once(tasks[task], task.result)
 
 
-def climb(case: Case, ladder: str, device: str, truth: Sequence[Reference | None]) -> list[Row]:
+def climb(case: Case, ladder: str, device: str, truth: Reference | None) -> list[Row]:
     """Return the rows of one ladder, up to the step that is expected to take too long."""
     ready_device(device)
     rows: list[Row] = []
     for one in ladders()[ladder]:
-        if rows and _too_long(rows[-1], one.fineness, len(case.scenes)):
+        if rows and _too_long(rows[-1], one.fineness):
             break
         rows.append(measured(case, one, device, truth))
     return rows
 
 
-def _too_long(last: Row, fineness: float, scenes: int) -> bool:
+def _too_long(last: Row, fineness: float) -> bool:
     if not last.get("seconds"):
         return False
-    return bool(last["seconds"] * scenes * (fineness / last["fineness"]) ** GROWTH > SECONDS_MAX)
+    return bool(last["seconds"] * (fineness / last["fineness"]) ** GROWTH > SECONDS_MAX)
 
 
-def measured(case: Case, one: Competitor, device: str, truth: Sequence[Reference | None]) -> Row:
-    """Measure `one` on a case in this process and return the row.
-
-    `seconds` is the wall time of a press, kernels compiled before; for several scenes the mean.
-    Errors are the mean over the scenes of a case; `force_worst` is that of the worst scene.
-    """
+def measured(case: Case, one: Competitor, device: str, truth: Reference | None) -> Row:
+    """Measure `one` on a case in this process, kernels compiled before, and return the row."""
     row: Row = {
         "case": case.name,
         "ladder": one.ladder,
@@ -153,49 +151,42 @@ def measured(case: Case, one: Competitor, device: str, truth: Sequence[Reference
         "device": device,
     }
     try:
-        one.solve([replace(case.scenes[0], motion=press([WARM]))], device)
-        outcomes, spent = spent_by(lambda: in_launches(one.solve, case.scenes, device), device)
+        one.solve(replace(case.scene, motion=press([WARM])), device)
+        outcome, spent = spent_by(lambda: one.solve(case.scene, device), device)
     except SceneError as error:
         return row | {"note": f"rejected: {error}"}
-    errors = [
-        compare(outcome_of(outcome), true.outcome, scene.body)
-        for scene, outcome, true in zip(case.scenes, outcomes, truth, strict=True)
-        if isinstance(outcome, Result) and true is not None
-    ]
-    diverged = [str(each) for each in outcomes if isinstance(each, SimulationDiverged)]
+    failed = isinstance(outcome, SimulationDiverged)
     row |= {
-        "seconds": rounded(spent.wall / len(case.scenes)),
-        "cpu_seconds": rounded(spent.cpu / len(case.scenes)),
+        "seconds": rounded(spent.wall),
+        "cpu_seconds": rounded(spent.cpu),
         "memory": spent.memory,
-        "elements": next((_elements(each) for each in outcomes if isinstance(each, Result)), 0),
-        "failed": len(diverged),
-        "note": diverged[0] if diverged else "",
+        "elements": 0 if isinstance(outcome, SimulationDiverged) else _elements(outcome),
+        "failed": int(failed),
+        "note": str(outcome) if failed else "",
     }
-    if errors:
-        worst = [each.worst() for each in errors]
-        row |= {name: rounded(float(np.mean([one[name] for one in worst]))) for name in MEASURES}
-        row["force_worst"] = rounded(max(one["force_share"] for one in worst))
-        row["newtons"] = [rounded(float(n)) for n in np.max([e.force for e in errors], (0, 1))]
+    if not isinstance(outcome, SimulationDiverged) and truth is not None:
+        errors = compare(outcome_of(outcome), truth.outcome, case.scene.body)
+        row |= {name: rounded(errors.worst()[name]) for name in MEASURES}
+        row["newtons"] = [rounded(float(n)) for n in errors.force.max(axis=0)]
     return row
 
 
-def _closed_form_rows(case: Case, truth: Sequence[Reference | None]) -> list[Row]:
+def _closed_form_rows(case: Case, truth: Reference | None) -> list[Row]:
     """Return the row of the formula, or none without a common formula or a reference."""
-    force, true = closed_form(case.name, case.scenes[0]), truth[0]
-    if force is None or true is None:
+    force = closed_form(case.name, case.scene)
+    if force is None or truth is None:
         return []
-    size = np.linalg.norm(true.outcome.force, axis=1)
-    fraction = np.abs(force - true.outcome.force) / np.maximum(size, WEAK * size.max())[:, None]
+    size = np.linalg.norm(truth.outcome.force, axis=1)
+    fraction = np.abs(force - truth.outcome.force) / np.maximum(size, WEAK * size.max())[:, None]
     row = {"case": case.name, "ladder": CLOSED_FORM, "label": "", "fineness": 0.0, "device": "none"}
     errors = {"force_share": float(fraction.max()), "force_last": float(fraction[-1].max())}
     return [row | {"seconds": 0.0, "failed": 0} | errors]
 
 
-def _floor(truth: Sequence[Reference | None]) -> dict[str, float | None]:
-    known = [one.uncertainty for one in truth if one is not None and one.uncertainty]
-    if not known:
-        return {}
-    return {name: rounded(float(np.mean([one[name] for one in known]))) for name in MEASURES}
+def _floor(truth: Reference | None) -> dict[str, float | None]:
+    """Return the difference of the two finest meshes by error; empty: not known."""
+    known = truth.uncertainty if truth is not None else {}
+    return {name: rounded(known[name]) for name in MEASURES} if known else {}
 
 
 def _elements(result: Result) -> int:
@@ -259,8 +250,7 @@ def summary(values: dict[str, Any]) -> str:
     head = ["press", "on", *(f"{100 * goal:g} %" for goal in GOALS), f"error in {WITHIN:g} s"]
     return (
         "**Shortest time to an error of the force, and the solver; and the smallest error in "
-        f"{WITHIN:g} s.** CPU is one core. Errors are those of the worst frame and axis; of the 18 "
-        "indenters error and time are means.\n\n"
+        f"{WITHIN:g} s.** CPU is one core. Errors are those of the worst frame and axis.\n\n"
         f"{table(head, lines)}\n\n{_in_one_second(rows)}"
     )
 
@@ -305,29 +295,21 @@ def section(values: dict[str, Any], page: Page) -> str:
 
 {page.link("solvers", "Error of the force against time, for every solver and press")}
 
-Every solver on the {cases[0].title}; the other presses are in the JSON file.
+The finest of every solver, and the default, on the {cases[0].title}; the JSON file has all of them
+on all presses.
 
 {_table(rows, cases[0].name)}
 
-- **Presses**: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45, pressed 0.5, 1.0 and 1.5 mm
-  deep (the 18 indenters 0.5 and 1.0); the loop goes 1 mm down and 1 mm aside; the viscous press
-  goes 1 mm down in 0.1 s and is held for 1 s. Friction is 0.5: without it skin creases under an
-  edge, in one of many ways, and there is no unique solution.
-- **Force**: the difference along an axis over the force of the frame, or over a tenth of the
-  largest force where that is more. **Surface**: root of the mean square distance between
-  positions of the top's points, worst frame. **Markers**: the same of 14 x 14 points of the top
-  as the paper's camera sees them; a pixel is 33.9 um.
-- **Seconds**: from scene to result, kernels compiled; the 18 indenters one by one on a CPU and
-  in one launch on a GPU. **Memory**: on a CPU the peak of the process with Python and libraries
-  (about 220 MiB), on a GPU that of its arrays.
-- **fem** adapts its mesh to the contact; **fem even** has elements of one size. **tolerance**
-  refines until its own estimate of the error is met, and its seconds include every attempt.
-  **mpm** has two particles a cell and dimension; **mpm as published** is the lattice, contact,
-  time step and mass of Tacchi and GenForce. **Closed forms** are Hertz and Sneddon on a
-  half-space; they are at the left edge.
-- **Reference**: `fem` in float64 with fineness 2 (the 18 indenters: 1.5), 5 augmentations,
-  tolerance 1e-5, viscous motions in steps a third as long. The grey band is its difference from
-  a mesh with elements {COARSER:g} times as large: smaller errors are not known."""
+The paper's gel, 20 x 20 x 4 mm, is pressed 0.5, 1.0 and 1.5 mm deep; the loop goes 1 mm down and
+1 mm aside; the viscous press takes 0.1 s for 1 mm and is held for 1 s. **Force**: difference along
+an axis over the frame's force, or over a tenth of the largest. **Surface**, **markers**: root of
+the mean square distance between points of the top, and in the image (33.9 um a pixel).
+**Memory**: on a CPU the process with Python and libraries (220 MiB), on a GPU the arrays. **fem**
+adapts its mesh, **fem even** does not; **tolerance** refines until its own estimate of the error is
+met. **mpm** has two particles a cell and dimension, **as published** the lattice, contact, time
+step and mass of Tacchi and GenForce. **Closed forms**: Hertz and Sneddon on a half-space.
+Reference: `fem` in float64, fineness 2, tolerance 1e-5; grey: its difference from elements
+{COARSER:g} times as large."""
 
 
 def _table(rows: Sequence[Row], case: str) -> str:
@@ -337,7 +319,10 @@ def _table(rows: Sequence[Row], case: str) -> str:
     by_fineness = sorted(
         names.values(), key=lambda row: (order.index(row["ladder"]), row["fineness"])
     )
+    finest = {steps[-1].name for steps in ladders().values()}
     for name in map(name_of, by_fineness):
+        if name not in {*finest, CLOSED_FORM, "fem default"}:
+            continue
         same = [row for row in rows if row["case"] == case and name_of(row) == name]
         first = same[0]
         cpu, gpu = (

@@ -8,9 +8,9 @@ error only; other errors are covered by `hard-cases` and `independent`.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ from sim.tiers import simulate
 from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
 
 Row = dict[str, Any]
+Item = TypeVar("Item")
 Outcome = Literal["kept", "missed", "refused", "diverged", "timeout", "no truth"]
 
 # Number of scenes of each tolerance, and of those from which effects are left out; `--scenes` may
@@ -58,7 +59,6 @@ FAMILY = "sensible"
 def measure(run: Run) -> dict[str, Any]:
     """Return a row for every scene of every tolerance, and for every scene without effects."""
     counts = QUICK_SCENES if run.quick else SCENES
-    processes = run.options.processes or cores()
     values: dict[str, Any] = {"tolerances": {}}
     ready_device(run.device)
     before = 0.0
@@ -67,8 +67,9 @@ def measure(run: Run) -> dict[str, Any]:
         chosen = chosen[: run.options.scenes or default]
         coarsest = QUICK_COARSEST if run.quick else COARSEST
         compare = partial(compared, tolerance=tolerance, coarsest=coarsest, device=run.device)
+        named = [(one.name, one) for one in chosen]
         rows: list[Row] = []
-        for row in side_by_side(compare, chosen, run.device, min(processes, len(chosen))):
+        for row in _once_each(run, tolerance, compare, named, run.device):
             rows.append(row)
             run.progress(before + 0.4 * len(rows) / len(chosen))
         before += 0.4
@@ -79,11 +80,29 @@ def measure(run: Run) -> dict[str, Any]:
     count = 1 if run.quick else min(run.options.scenes or NEEDED, NEEDED)
     first = QUICK_NEEDED if run.quick else 0
     values["needed"] = []
-    for row in needed.rows(NEEDED_SEED, first, count, run.folder, processes):
+    some = needed.scenes_of(NEEDED_SEED, first, count, run.folder)
+    named_pairs = [(name, (name, scene)) for name, scene in some]
+    for row in _once_each(run, "needed", needed.compared, named_pairs, "cpu"):
         values["needed"].append(row)
         run.progress(before + (1 - before) * len(values["needed"]) / count)
     run.seeds, run.spread = [SEED, NEEDED_SEED], "single run of each scene"
     return values
+
+
+def _once_each(
+    run: Run,
+    prefix: str,
+    work: Callable[[Item], Row],
+    named: Sequence[tuple[str, Item]],
+    device: str,
+) -> Iterator[Row]:
+    """Yield the rows of scenes, first those that an interrupted run has stored."""
+    stored = [name for name, _ in named if f"{prefix}: {name}" in run.rows]
+    yield from (run.rows[f"{prefix}: {name}"] for name in stored)
+    left = [item for name, item in named if name not in stored]
+    processes = min(run.options.processes or cores(), max(1, len(left)))
+    for row in side_by_side(work, left, device, processes):
+        yield run.once(f"{prefix}: {row['scene']}", partial(dict, row))
 
 
 def scenes(count: int, seed: int) -> list[Drawn]:
@@ -187,11 +206,10 @@ def section(values: dict[str, Any], page: Page) -> str:
 
 {table([*head, "refused", "median time"], lines)}
 
-Scenes are drawn: shapes, tilts, places, gels, friction, effects, motions. Each is solved by
-`plan(scene, tolerance).run()`, and again on two finer meshes, extrapolated, by the same solver.
-*Kept* are those of the answers whose error is known. {_exceeded(values["tolerances"])} Scenes
-without a converged state nearly all slide over, or press with, edges that are sharp for their
-depth, with little friction or none: there the equations have no smooth solution
+Each drawn scene is solved by `plan(scene, tolerance).run()`, and again on two finer meshes,
+extrapolated, by the same solver. *Kept* are those of the answers whose error is known.
+{_exceeded(values["tolerances"])} Without a converged state are nearly only edges that are sharp for
+their depth, with little friction or none, which have no smooth solution
 ([independent](independent.md)).
 
 {needed.section(values.get("needed", []))}"""
