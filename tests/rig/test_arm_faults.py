@@ -28,8 +28,8 @@ from support.arms import (
     moving,
     stands_still,
     started,
-    wait_until,
 )
+from support.waiting import until
 
 from rig.core.clock import FakeClock
 from rig.core.errors import DeviceLost, SafetyStop
@@ -81,7 +81,7 @@ def test_a_killed_child_is_device_lost_the_watchdog_stops_the_arm_and_it_recover
     with pytest.raises(DeviceLost, match="crashed"):
         arm.halt()
     assert not arm.retract()
-    wait_until(lambda: "watchdog" in inject()["reason"])
+    until(lambda: "watchdog" in inject()["reason"])
     assert stands_still()
     before = height()
     assert 0.001 < before < 0.03
@@ -95,7 +95,7 @@ def test_a_hanging_child_is_ended_in_bounded_time(arm, monkeypatch):
     with pytest.raises(DeviceLost, match="did not answer"):
         arm.halt()
     assert not arm.alive
-    wait_until(lambda: "watchdog" in inject()["reason"])
+    until(lambda: "watchdog" in inject()["reason"])
 
 
 def test_a_killed_controller_is_device_lost_in_bounded_time(arm, emulator):
@@ -114,13 +114,13 @@ def test_a_killed_controller_is_device_lost_in_bounded_time(arm, emulator):
 def test_a_controller_that_falls_silent_is_device_lost_in_bounded_time(arm):
     with pytest.raises(DeviceLost, match=HOST):
         arm.move(at(0, 0, 0), on_wait=Once(lambda: inject("freeze", seconds=5.0)))
-    wait_until(lambda: not moving())
+    until(lambda: not moving())
 
 
 def test_dropped_connections_are_device_lost_not_a_crash_of_ours(arm):
     with pytest.raises(DeviceLost, match=HOST):
         arm.move(at(0, 0, 0), on_wait=Once(lambda: inject("drop")))
-    wait_until(lambda: not moving())
+    until(lambda: not moving())
     assert arm.recover_and_retract()
 
 
@@ -163,7 +163,7 @@ def test_a_program_stopped_at_the_pendant_is_device_lost_and_recovers(arm):
 
 def test_a_program_that_ended_between_two_commands_is_named(arm):
     inject("stop_program")
-    wait_until(lambda: not arm.alive)
+    until(lambda: not arm.alive)
     with pytest.raises(DeviceLost, match="program stopped"):
         arm.move(at(0, 0, 0))
     assert arm.recover_and_retract()
@@ -238,10 +238,10 @@ def test_a_dead_parent_leaves_an_arm_that_halts_retracts_and_lets_go(emulator, t
     ) as parent:
         assert parent.stdout is not None
         pid = int(parent.stdout.readline())
-        wait_until(moving)
+        until(moving)
         parent.send_signal(how)
         assert parent.wait(240) == -how
-    wait_until(lambda: gone(pid))
+    until(lambda: gone(pid))
     state = inject()
     assert state["reason"] == "end of program"
     # It moved down for a while, and up by the retract distance.

@@ -18,8 +18,8 @@ from support.arms import (
     height,
     stands_still,
     started,
-    wait_until,
 )
+from support.waiting import until
 
 from rig.core.clock import SECOND_NS
 from rig.core.errors import DeviceLost, SafetyStop
@@ -108,4 +108,4 @@ def test_a_load_that_comes_while_the_arm_rests_is_told_by_check(feeling, force):
             return "hard limit" in str(error)
         return False
 
-    wait_until(alarmed)
+    until(alarmed)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -35,18 +37,25 @@ writes = st.builds(
 bytes_ = st.integers(0, 255)
 
 
-def test_closing_is_the_frame_the_manual_prints() -> None:
-    command = GripperCommand(go=True, position=255, speed=255, force=255)
-    request = ModbusRequest(9, robotiq_wire.WRITE, 0x03E8, 3, emit_command(command))
-    frame = robotiq_wire.emit_request(request)
-    assert frame.hex(" ") == "09 10 03 e8 00 03 06 09 00 00 ff ff ff 42 29"
+READ = ModbusRequest(9, 3, 0x07D0, 3)
+CLOSE = GripperCommand(go=True, position=255, speed=255, force=255)
 
 
-def test_reading_the_status_is_the_frame_the_manual_prints() -> None:
-    assert (
-        robotiq_wire.emit_request(ModbusRequest(9, 3, 0x07D0, 3)).hex(" ")
-        == "09 03 07 d0 00 03 04 0e"
-    )
+@pytest.mark.parametrize(
+    ("request_sent", "frame"),
+    [
+        (
+            ModbusRequest(9, robotiq_wire.WRITE, 0x03E8, 3, emit_command(CLOSE)),
+            "09 10 03 e8 00 03 06 09 00 00 ff ff ff 42 29",
+        ),
+        (READ, "09 03 07 d0 00 03 04 0e"),
+    ],
+    ids=["closing", "reading the status"],
+)
+def test_requests_are_the_frames_that_the_manual_prints(
+    request_sent: ModbusRequest, frame: str
+) -> None:
+    assert robotiq_wire.emit_request(request_sent).hex(" ") == frame
 
 
 def test_the_status_bytes_of_the_manual_mean_what_it_says() -> None:
@@ -66,91 +75,61 @@ def test_a_request_is_read_back_as_it_was_sent(request_sent: ModbusRequest) -> N
     assert robotiq_wire.parse_request(frame) == request_sent
 
 
-@given(reads, st.data())
-def test_a_reply_is_read_back_as_it_was_sent(
-    request_sent: ModbusRequest, data: st.DataObject
+@given(reads, writes, st.data())
+def test_a_reply_is_read_back_as_it_was_sent_and_that_to_a_write_holds_nothing(
+    read: ModbusRequest, write: ModbusRequest, data: st.DataObject
 ) -> None:
-    values = data.draw(st.lists(words, min_size=request_sent.count, max_size=request_sent.count))
-    frame = robotiq_wire.emit_reply(request_sent, values)
-    assert len(frame) == robotiq_wire.reply_length(request_sent)
-    assert robotiq_wire.parse_reply(frame, request_sent) == tuple(values)
+    values = data.draw(st.lists(words, min_size=read.count, max_size=read.count))
+    frame = robotiq_wire.emit_reply(read, values)
+    assert len(frame) == robotiq_wire.reply_length(read)
+    assert robotiq_wire.parse_reply(frame, read) == tuple(values)
+    assert robotiq_wire.parse_reply(robotiq_wire.emit_reply(write), write) == ()
 
 
-@given(writes)
-def test_the_reply_to_a_write_holds_nothing(request_sent: ModbusRequest) -> None:
-    assert robotiq_wire.parse_reply(robotiq_wire.emit_reply(request_sent), request_sent) == ()
-
-
-@given(reads, st.data())
-def test_one_flipped_bit_is_always_noticed(
-    request_sent: ModbusRequest, data: st.DataObject
+@given(reads, st.binary(max_size=64), st.data())
+def test_garbage_and_one_flipped_bit_are_always_noticed(
+    request_sent: ModbusRequest, garbage: bytes, data: st.DataObject
 ) -> None:
     frame = bytearray(robotiq_wire.emit_reply(request_sent, [0] * request_sent.count))
     bit = data.draw(st.integers(0, 8 * len(frame) - 1))
     frame[bit // 8] ^= 1 << bit % 8
-    with pytest.raises(FrameError):
-        robotiq_wire.parse_reply(bytes(frame), request_sent)
-
-
-@given(st.binary(max_size=64))
-def test_garbage_is_no_reply(garbage: bytes) -> None:
-    with pytest.raises(FrameError):
-        robotiq_wire.parse_reply(garbage, ModbusRequest(9, 4, 0x07D0, 3))
-
-
-def test_an_answer_to_something_else_is_refused() -> None:
-    asked = ModbusRequest(9, 4, 0x07D0, 3)
-    for other in (
-        ModbusRequest(8, 4, 0x07D0, 3),
-        ModbusRequest(9, 3, 0x07D0, 3),
-        ModbusRequest(9, 4, 0x07D0, 2),
-    ):
+    for wrong in (bytes(frame), garbage):
         with pytest.raises(FrameError):
-            robotiq_wire.parse_reply(robotiq_wire.emit_reply(other, [0] * other.count), asked)
+            robotiq_wire.parse_reply(wrong, request_sent)
+
+
+@pytest.mark.parametrize("change", [{"slave": 8}, {"function": 3}, {"count": 2}], ids=str)
+def test_an_answer_to_something_else_is_refused(change: dict[str, int]) -> None:
+    asked = ModbusRequest(9, 4, 0x07D0, 3)
+    other = dataclasses.replace(asked, **change)
+    with pytest.raises(FrameError):
+        robotiq_wire.parse_reply(robotiq_wire.emit_reply(other, [0] * other.count), asked)
+
+
+def test_an_answer_to_another_write_and_a_refusal_say_so() -> None:
     wrote = ModbusRequest(9, 16, 0x03E8, 3, (0, 0, 0))
+    other = dataclasses.replace(wrote, address=0x03E9)
     with pytest.raises(FrameError, match="another write"):
-        robotiq_wire.parse_reply(
-            robotiq_wire.emit_reply(ModbusRequest(9, 16, 0x03E9, 3, (0, 0, 0))), wrote
-        )
-
-
-def test_a_refusal_says_why() -> None:
-    asked = ModbusRequest(9, 4, 0x0001, 3)
+        robotiq_wire.parse_reply(robotiq_wire.emit_reply(other), wrote)
+    refusal = robotiq_wire.emit_refusal(READ, robotiq_wire.ILLEGAL_ADDRESS)
     with pytest.raises(RefusedError, match="illegal register address"):
-        robotiq_wire.parse_reply(
-            robotiq_wire.emit_refusal(asked, robotiq_wire.ILLEGAL_ADDRESS), asked
-        )
+        robotiq_wire.parse_reply(refusal, READ)
 
 
-@given(st.booleans(), st.booleans(), bytes_, bytes_, bytes_)
-def test_a_command_survives_its_registers(
-    activate: bool, go: bool, position: int, speed: int, force: int
-) -> None:
-    command = GripperCommand(activate, go, position, speed, force)
-    assert parse_command(emit_command(command)) == command
-
-
-@given(
-    st.booleans(),
-    st.booleans(),
-    st.integers(0, 3),
-    st.integers(0, 3),
-    st.integers(0, 15),
-    bytes_,
-    bytes_,
-    bytes_,
+flags, two_bits = st.booleans(), st.integers(0, 3)
+hundredths = bytes_.map(lambda count: count * 0.01)
+commands = st.builds(GripperCommand, flags, flags, bytes_, bytes_, bytes_)
+statuses = st.builds(
+    *(GripperStatus, flags, flags, two_bits, two_bits, st.integers(0, 15)),
+    *(bytes_, bytes_, hundredths),
 )
-def test_a_status_survives_its_registers(
-    active: bool,
-    going: bool,
-    state: int,
-    found: int,
-    fault: int,
-    requested: int,
-    position: int,
-    current: int,
+
+
+@given(commands, statuses)
+def test_a_command_and_a_status_survive_their_registers(
+    command: GripperCommand, status: GripperStatus
 ) -> None:
-    status = GripperStatus(active, going, state, found, fault, requested, position, current * 0.01)
+    assert parse_command(emit_command(command)) == command
     assert parse_status(emit_status(status)) == status
 
 

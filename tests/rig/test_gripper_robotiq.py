@@ -8,6 +8,7 @@ from pathlib import Path
 import minimalmodbus
 import pytest
 import serial
+from support.waiting import until
 
 from rig.core.clock import FakeClock, SystemClock
 from rig.core.config import build
@@ -22,6 +23,7 @@ from rig.devices.gripper.robotiq_wire import (
     SILENT_FAULT,
     STOPPED_CLOSING,
     GripperCommand,
+    GripperStatus,
     parse_status,
 )
 from rig.devices.gripper.settings import RobotiqConfig
@@ -63,49 +65,32 @@ def public_client(emulator: RobotiqEmulator) -> Iterator[minimalmodbus.Instrumen
 # The fingers, with simulated time.
 
 
-def test_activation_takes_its_time_and_opens_the_fingers() -> None:
+def test_fingers_are_activated_move_hold_lose_what_they_held_and_open() -> None:
     clock = FakeClock()
-    fingers = Fingers(clock, object_at=None)
+    fingers = Fingers(clock, object_at=120)
+
+    def after(seconds: float) -> tuple[int, int]:
+        clock.advance(seconds)
+        return fingers.status().object, fingers.status().position
+
     fingers.obey(GripperCommand())
-    assert fingers.status().state == ACTIVATING
+    fingers.obey(CLOSE)  # before the activation, which is a fault and moves nothing
+    assert (fingers.status().fault, fingers.status().position) == (5, 3)
+    fingers.obey(GripperCommand())
     clock.advance(0.99 * ACTIVATION)
     assert fingers.status().state == ACTIVATING
     clock.advance(0.02 * ACTIVATION)
     assert fingers.status().state == ACTIVE
-
-
-def test_a_command_before_the_activation_is_a_fault_and_moves_nothing() -> None:
-    fingers = Fingers(FakeClock(), object_at=None)
-    fingers.obey(GripperCommand())
     fingers.obey(CLOSE)
-    assert fingers.status().fault == 5
-    assert fingers.status().position == 3
-
-
-def test_fingers_move_then_hold_then_find_nothing_when_the_object_is_gone() -> None:
-    clock = FakeClock()
-    fingers = Fingers(clock, object_at=120)
-    fingers.obey(GripperCommand())
-    clock.advance(2.0)
-    fingers.status()
-    fingers.obey(CLOSE)
-    clock.advance(0.1)
-    assert (fingers.status().object, fingers.status().position) == (MOVING, 48)
-    clock.advance(0.5)
-    assert (fingers.status().object, fingers.status().position) == (STOPPED_CLOSING, 120)
+    assert after(0.1) == (MOVING, 48)
+    assert after(0.5) == (STOPPED_CLOSING, 120)
     fingers.lose_grip()
-    clock.advance(0.1)
-    assert fingers.status().object == MOVING
-    clock.advance(0.5)
-    assert (fingers.status().object, fingers.status().position) == (AT_POSITION, 230)
-
-
-def test_fingers_open_away_from_what_they_held() -> None:
-    clock = FakeClock()
-    fingers = Fingers(clock, object_at=120, holding=True)
-    fingers.obey(GripperCommand(go=True, position=0, speed=255))
+    assert after(0.1)[0] == MOVING
+    assert after(0.5) == (AT_POSITION, 230)
+    held = Fingers(clock, object_at=120, holding=True)
+    held.obey(GripperCommand(go=True, position=0, speed=255))
     clock.advance(1.0)
-    assert (fingers.status().object, fingers.status().position) == (AT_POSITION, 3)
+    assert (held.status().object, held.status().position) == (AT_POSITION, 3)
 
 
 def test_a_silence_of_more_than_a_second_is_told_once() -> None:
@@ -123,42 +108,31 @@ def test_a_silence_of_more_than_a_second_is_told_once() -> None:
 # A third-party client: the emulator must not agree only with our own driver.
 
 
-def test_minimalmodbus_reads_the_grip_by_both_functions(
-    public: minimalmodbus.Instrument,
-) -> None:
+def test_minimalmodbus_reads_the_grip_by_both_functions(public: minimalmodbus.Instrument) -> None:
     for function in (3, 4):
         status = parse_status(public.read_registers(0x07D0, 3, functioncode=function))
-        assert status.holding
-        assert status.position == 120
+        assert (status.holding, status.position) == (True, 120)
 
 
-def test_minimalmodbus_opens_and_closes_the_fingers(
-    public: minimalmodbus.Instrument, emulator: RobotiqEmulator
-) -> None:
+def test_minimalmodbus_opens_and_closes_the_fingers(public: minimalmodbus.Instrument) -> None:
+    def status() -> GripperStatus:
+        return parse_status(public.read_registers(0x07D0, 3))
+
     public.write_registers(0x03E8, [0x0900, 0x0000, 0xFFFF])
-    clock = SystemClock()
-    limit_ns = clock.now_ns() + 240_000_000_000
-    while parse_status(public.read_registers(0x07D0, 3)).object != AT_POSITION:
-        assert clock.now_ns() < limit_ns
+    until(lambda: status().object == AT_POSITION)
     public.write_registers(0x03E8, [0x0900, 0x00FF, 0xFFFF])
-    while not parse_status(public.read_registers(0x07D0, 3)).holding:
-        assert clock.now_ns() < limit_ns
+    until(lambda: status().holding)
 
 
-@pytest.mark.parametrize(
-    ("ask", "error"),
-    [
-        (lambda public: public.read_registers(0x0000, 3), minimalmodbus.IllegalRequestError),
-        (lambda public: public.read_registers(0x07D0, 4), minimalmodbus.IllegalRequestError),
-        (lambda public: public.write_registers(0x03E8, [0]), minimalmodbus.IllegalRequestError),
-        (lambda public: public.read_bit(0), minimalmodbus.IllegalRequestError),
-    ],
-)
-def test_minimalmodbus_understands_the_refusals(
-    ask, error: type[Exception], public: minimalmodbus.Instrument
-) -> None:
-    with pytest.raises(error):
-        ask(public)
+def test_minimalmodbus_understands_the_refusals(public: minimalmodbus.Instrument) -> None:
+    for refused in (
+        lambda: public.read_registers(0x0000, 3),
+        lambda: public.read_registers(0x07D0, 4),
+        lambda: public.write_registers(0x03E8, [0]),
+        lambda: public.read_bit(0),
+    ):
+        with pytest.raises(minimalmodbus.IllegalRequestError):
+            refused()
 
 
 def test_another_slave_address_is_met_with_silence(public: minimalmodbus.Instrument) -> None:
@@ -207,54 +181,30 @@ def test_the_driver_activates_a_gripper_that_is_reset(tmp_path: Path) -> None:
         emulator.close()
 
 
-def test_opening_moves_nothing_and_forgets_an_old_silence(
-    emulator: RobotiqEmulator,
-) -> None:
+def test_opening_moves_nothing_and_forgets_an_old_silence(emulator: RobotiqEmulator) -> None:
     emulator.fingers.fail(SILENT_FAULT)
     with RobotiqDriver(RobotiqConfig(emulator.address), SystemClock()) as driver:
         driver.open(1.0)
         status = driver.status()
-    assert status.fault == 0
-    assert status.holding
+    assert (status.fault, status.holding) == (0, True)
 
 
 @pytest.mark.parametrize(
-    ("fault", "values", "word"),
-    [
-        ("freeze", {}, "no answer in 500 ms"),
-        ("garbage", {}, "gripper at"),
-        ("unplug", {}, "cable"),
-    ],
+    ("fault", "word"),
+    [("freeze", "no answer in 500 ms"), ("garbage", "gripper at"), ("unplug", "cable")],
 )
 def test_a_broken_line_is_a_lost_device_and_a_mended_one_is_not(
-    fault: str,
-    values: dict[str, float],
-    word: str,
-    emulator: RobotiqEmulator,
-    driver: RobotiqDriver,
+    fault: str, word: str, emulator: RobotiqEmulator, driver: RobotiqDriver
 ) -> None:
-    emulator.inject(fault, **values)
+    emulator.inject(fault)
     with pytest.raises(DeviceLost, match=word):
-        ask_often(driver)
+        # The pty closes shortly after the fault was requested.
+        until(lambda: driver.status() is None, 0.0)
     emulator.inject("clear")
     if fault == "unplug":
-        wait_for(Path(emulator.address))
+        until(Path(emulator.address).exists)
         driver.open(1.0)
     assert driver.status().holding
-
-
-def ask_often(driver: RobotiqDriver) -> None:
-    """Poll until the device is lost: the pty closes shortly after the fault was requested."""
-    for _ in range(200):
-        driver.status()
-
-
-def wait_for(path: Path) -> None:
-    clock = SystemClock()
-    limit_ns = clock.now_ns() + 240_000_000_000
-    while not path.exists():
-        assert clock.now_ns() < limit_ns
-        clock.sleep_until(clock.now_ns() + 5_000_000)
 
 
 def test_a_reply_that_trickles_in_has_one_time_limit(
@@ -276,16 +226,14 @@ def test_a_reply_that_trickles_in_has_one_time_limit(
             driver.status()
 
 
-def test_a_port_that_is_not_there_is_a_lost_device_that_says_where_to_look(tmp_path: Path) -> None:
-    driver = RobotiqDriver(RobotiqConfig(str(tmp_path / "none")), SystemClock())
-    with pytest.raises(DeviceLost, match="/dev/serial/by-id"):
-        driver.open(0.1)
-
-
-def test_nobody_at_the_address_is_a_lost_device(emulator: RobotiqEmulator) -> None:
+def test_nobody_at_the_address_or_the_port_is_a_lost_device(
+    emulator: RobotiqEmulator, tmp_path: Path
+) -> None:
+    nowhere = RobotiqDriver(RobotiqConfig(str(tmp_path / "none")), SystemClock())
     driver = RobotiqDriver(RobotiqConfig(emulator.address, slave=8), SystemClock())
-    with pytest.raises(DeviceLost, match="address 8"):
-        driver.open(0.1)
+    for each, where in ((nowhere, "/dev/serial/by-id"), (driver, "address 8")):
+        with pytest.raises(DeviceLost, match=where):
+            each.open(0.1)
     with pytest.raises(DeviceLost, match="not open"):
         driver.status()
 
@@ -293,16 +241,12 @@ def test_nobody_at_the_address_is_a_lost_device(emulator: RobotiqEmulator) -> No
 def test_a_fault_of_the_gripper_ends_a_movement_with_its_meaning(
     emulator: RobotiqEmulator, driver: RobotiqDriver
 ) -> None:
+    for fault, error in (("explode", ValueError), ("slip", KeyError)):
+        with pytest.raises(error):
+            emulator.inject(fault)
     emulator.inject("fail", code=14)
     with pytest.raises(DeviceLost, match="overcurrent"):
         driver.open_fingers()
-
-
-def test_an_unknown_fault_or_a_missing_value_is_refused(emulator: RobotiqEmulator) -> None:
-    with pytest.raises(ValueError, match="known"):
-        emulator.inject("explode")
-    with pytest.raises(KeyError):
-        emulator.inject("slip")
 
 
 def test_a_bench_file_that_makes_no_sense_is_refused() -> None:
@@ -327,13 +271,9 @@ def test_a_swap_waits_until_something_is_between_the_fingers(
             emulator.inject("insert", at=60)
 
     status = swap_held(driver, "indenter prism", SystemClock(), say, pause=0.01, speed=255)
-    assert status.holding
-    assert status.position == 60
+    assert (status.holding, status.position) == (True, 60)
     assert reported[0].startswith("gripper: opens in")
-    assert [line.startswith("gripper: put indenter prism between") for line in reported[1:3]] == [
-        True,
-        True,
-    ]
+    assert all(line.startswith("gripper: put indenter prism between") for line in reported[1:3])
 
 
 def test_a_swap_nobody_comes_for_is_device_lost(

@@ -9,17 +9,20 @@ from pathlib import Path
 import pytest
 from support import hidraw_nodes
 
+from rig.core.errors import DeviceLost
+from rig.devices.hid.drivers import HidDevice
+
 PEDAL = """
 import json, sys
 from pathlib import Path
+from tests.support.waiting import until
 from rig.core.clock import SystemClock
 from rig.core.errors import DeviceLost
 from rig.devices.hid.settings import PedalConfig
 from rig.devices.hid.hid_emulator import HidEmulator
 from rig.devices.hid.drivers import PedalDriver
 
-clock = SystemClock()
-emulator = HidEmulator("pedal", Path(sys.argv[1]), clock)
+emulator = HidEmulator("pedal", Path(sys.argv[1]), SystemClock())
 emulator.start()
 driver = PedalDriver(PedalConfig(sys.argv[2]))
 seen, lost = [], []
@@ -27,8 +30,13 @@ def when(fault, **values):
     emulator.inject(fault, **values)
     seen.append(driver.read(60.0))
 def until_connected():
-    while not emulator.inject("state")["clients"]:
-        clock.sleep_until(clock.now_ns() + 5_000_000)
+    until(lambda: emulator.inject("state")["clients"])
+def opens():
+    try:
+        driver.open()
+    except DeviceLost:
+        return False
+    return True
 try:
     driver.open()
     path = driver.describe()["path"]
@@ -46,12 +54,7 @@ try:
         except DeviceLost as error:
             lost.append(str(error))
     emulator.inject("replug")
-    while True:
-        try:
-            driver.open()
-            break
-        except DeviceLost:
-            clock.sleep_until(clock.now_ns() + 20_000_000)
+    until(opens)
     until_connected()
     when("press")
 finally:
@@ -64,6 +67,7 @@ print(json.dumps({"seen": seen, "lost": lost, "path": path, "garbage": driver.ga
 SPACEMOUSE = """
 import json, sys
 from pathlib import Path
+from tests.support.waiting import until
 from rig.core.clock import SystemClock
 from rig.devices.hid.settings import SpaceMouseConfig
 from rig.devices.hid.hid_emulator import HidEmulator
@@ -76,8 +80,7 @@ driver = SpaceMouseDriver(SpaceMouseConfig("256f:c635"), clock)
 found = {"pushed": [], "pressed": []}
 try:
     driver.open()
-    while not emulator.inject("state")["clients"]:
-        clock.sleep_until(clock.now_ns() + 5_000_000)
+    until(lambda: emulator.inject("state")["clients"])
     emulator.inject("push", x=1.0, z=-0.54, rx=0.05, seconds=1.0)
     shifts = []
     while [1.0, 0.0, -0.5] not in shifts or shifts[-1] != [0.0, 0.0, 0.0]:
@@ -150,37 +153,23 @@ def test_a_device_that_is_not_there_is_lost_and_the_error_says_what_is(
     assert "/dev/hidraw99 is not there" in second
 
 
-def test_a_node_without_the_right_names_the_udev_rule(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize(
+    ("name", "allowed", "text"),
+    [
+        ("hidraw0", False, r'KERNEL=="hidraw\*".*MODE="0660"'),
+        ("hidraw0", True, "not a HID device"),
+        ("pedal.hidraw", True, r"LD_PRELOAD=\$\(python -m rig.devices.hid.shim\)"),
+    ],
+    ids=["without the right", "another file", "without the shim"],
+)
+def test_a_node_that_cannot_be_opened_is_lost_with_the_cure(
+    name: str, allowed: bool, text: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from rig.core.errors import DeviceLost
-    from rig.devices.hid.drivers import HidDevice
-
-    node = tmp_path / "hidraw0"
-    node.touch()
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    pedal = HidDevice(str(node), "foot pedal", (1, 6))
-    with pytest.raises(DeviceLost, match=r'KERNEL=="hidraw\*".*MODE="0660"'):
-        pedal.open()
-
-
-def test_a_file_that_is_no_hid_device_is_lost(tmp_path: Path) -> None:
-    from rig.core.errors import DeviceLost
-    from rig.devices.hid.drivers import HidDevice
-
-    node = tmp_path / "hidraw0"
-    node.touch()
-    pedal = HidDevice(str(node), "foot pedal", (1, 6))
-    with pytest.raises(DeviceLost, match="not a HID device"):
+    (tmp_path / "hidraw0").touch()
+    if not allowed:
+        monkeypatch.setattr(os, "access", lambda *_: False)
+    pedal = HidDevice(str(tmp_path / name), "foot pedal", (1, 6))
+    with pytest.raises(DeviceLost, match=text):
         pedal.open()
     with pytest.raises(DeviceLost, match="not open"):
         pedal.report(0.1)
-
-
-def test_an_emulated_node_without_the_shim_says_how_to_get_it(tmp_path: Path) -> None:
-    from rig.core.errors import DeviceLost
-    from rig.devices.hid.drivers import HidDevice
-
-    pedal = HidDevice(str(tmp_path / "pedal.hidraw"), "foot pedal", (1, 6))
-    with pytest.raises(DeviceLost, match=r"LD_PRELOAD=\$\(python -m rig.devices.hid.shim\)"):
-        pedal.open()

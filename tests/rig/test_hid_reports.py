@@ -21,24 +21,19 @@ def test_keys_are_read_back_as_they_were_pressed(keys: set[int], modifiers: set[
     assert parse_keys(emit_keys([*keys, *modifiers])) == keys | modifiers
 
 
-def test_the_letter_b_of_a_pedal_as_delivered_is_a_key_and_its_release_none() -> None:
-    assert parse_keys(bytes.fromhex("0000050000000000")) == {5}
-    assert parse_keys(bytes(8)) == frozenset()
-
-
-def test_a_report_with_its_number_before_it_is_understood() -> None:
-    assert parse_keys(bytes.fromhex("010000050000000000")) == {5}
+@pytest.mark.parametrize(
+    ("report", "keys"),
+    [("0000050000000000", {5}), ("0000000000000000", set()), ("010000050000000000", {5})],
+    ids=["the letter b of a pedal as delivered", "its release", "with its number before it"],
+)
+def test_reports_of_a_pedal_are_keys(report: str, keys: set[int]) -> None:
+    assert parse_keys(bytes.fromhex(report)) == keys
 
 
 @pytest.mark.parametrize("report", ["", "0000", "00" * 12, "0000010101010101", "0007050000000000"])
 def test_what_is_no_keyboard_report_or_an_error_is_refused(report: str) -> None:
     with pytest.raises(ValueError, match=r"keyboard"):
         parse_keys(bytes.fromhex(report))
-
-
-def test_more_keys_than_a_report_holds_are_refused() -> None:
-    with pytest.raises(ValueError, match="up to 6"):
-        emit_keys(list(range(4, 11)))
 
 
 @given(axes, axes)
@@ -51,20 +46,19 @@ def test_a_cap_is_read_back_as_it_was_pushed(shift, turn) -> None:
         )
 
 
-def test_the_cap_pushed_right_away_and_up_is_positive_in_all_axes() -> None:
-    # In the raw report, y points towards the user and z down.
-    report = bytes([1]) + (175).to_bytes(2, "little") + b"\x51\xff" + b"\xa2\xfe"
-    assert parse_cap(report).shift == (0.5, 0.5, 1.0)
-
-
-def test_wireless_models_send_all_six_in_one_report() -> None:
-    found = parse_cap(bytes([1]) + bytes(6) + (350).to_bytes(2, "little") + bytes(4))
-    assert found.shift == (0.0, 0.0, 0.0)
-    assert found.turn == (1.0, 0.0, 0.0)
-
-
-def test_beyond_full_scale_is_full_scale() -> None:
-    assert parse_cap(bytes([2]) + (500).to_bytes(2, "little") + bytes(4)).turn == (1.0, 0.0, 0.0)
+@pytest.mark.parametrize(
+    ("report", "shift", "turn"),
+    [
+        # In the raw report, y points towards the user and z down.
+        ("01 af00 51ff a2fe", (0.5, 0.5, 1.0), None),
+        ("01 0000 0000 0000 5e01 0000 0000", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        ("02 f401 0000 0000", None, (1.0, 0.0, 0.0)),
+    ],
+    ids=["right, away and up", "all six of a wireless model", "beyond full scale"],
+)
+def test_reports_of_a_cap_are_shift_and_turn(report: str, shift: object, turn: object) -> None:
+    found = parse_cap(bytes.fromhex(report))
+    assert (found.shift, found.turn) == (shift, turn)
 
 
 @given(st.frozensets(st.integers(0, 15)))
@@ -82,6 +76,8 @@ def test_a_report_that_says_nothing_or_too_much_cannot_be_sent() -> None:
     for report in (CapReport(), CapReport(shift=(0, 0, 0), buttons=frozenset())):
         with pytest.raises(ValueError, match="allowed"):
             emit_cap(report)
+    with pytest.raises(ValueError, match="up to 6"):
+        emit_keys(list(range(4, 11)))
 
 
 # The dead-man pedal.
@@ -90,24 +86,14 @@ UP = PedalState()
 DOWN = UP.reported(True)
 
 
-def test_a_press_arms_and_a_release_disarms() -> None:
-    dead_man = DeadMan()
+def test_a_press_arms_a_release_disarms_and_pressed_again_it_is_armed_again() -> None:
+    dead_man, up = DeadMan(), DOWN.reported(False)
     assert not dead_man.armed(UP)
     assert dead_man.armed(DOWN)
     assert dead_man.held(DOWN)
-    assert not dead_man.held(DOWN.reported(False))
-
-
-def test_a_release_and_press_too_quick_to_be_seen_disarms_too() -> None:
-    dead_man = DeadMan()
-    dead_man.armed(DOWN)
-    assert not dead_man.held(DOWN.reported(False).reported(True))
-
-
-def test_pressed_again_between_two_targets_it_is_armed_again() -> None:
-    dead_man = DeadMan()
-    dead_man.armed(DOWN)
-    up = DOWN.reported(False)
+    assert not dead_man.held(up)
+    # A release and a press that were too quick to be seen.
+    assert not dead_man.held(up.reported(True))
     assert not dead_man.armed(up)
     assert not dead_man.armed(up)
     assert dead_man.armed(up.reported(True))

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from support.collecting import ROOT
+from support.collecting import tactile
 
-from recorder import Session
+from benchmarks.faults.collection_run import quick_bench
+from recorder import Session, SessionWriter, StreamWriter, force_spec, pose_spec
 from rig.acquire.calibration import home, store
 from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
 from rig.acquire.calibration.store import Calibration, HomeCalibration, LatencyCalibration
@@ -81,16 +80,12 @@ def test_a_threshold_would_have_found_a_deeper_place() -> None:
     assert z[np.flatnonzero(force > 0.1)[0]] < -0.1e-3
 
 
-def test_noise_alone_is_no_contact() -> None:
+def test_noise_alone_is_no_contact_and_values_that_are_no_numbers_are_refused() -> None:
     rng = np.random.default_rng(0)
     z = np.linspace(1e-3, -1e-3, 2000)
     assert find_onset(z, rng.normal(0, 0.01, 2000)) is None
     assert find_onset(z, np.zeros(2000)) is None
     assert find_onset(z, -np.maximum(-z, 0) * 300 + rng.normal(0, 0.01, 2000)) is None
-
-
-def test_values_that_are_no_numbers_are_refused() -> None:
-    z = np.linspace(1e-3, -1e-3, 2000)
     with pytest.raises(ValueError, match="finite"):
         find_onset(z, np.full(2000, np.nan))
     with pytest.raises(ValueError, match="at least 20"):
@@ -165,15 +160,15 @@ def test_what_is_stored_is_read_again_and_shifts_the_frame(tmp_path: Path) -> No
     # A second indenter is stored next to the first.
     store.store(tmp_path, "gelsight", home={"sphere": _home(bench, shift=1e-4)})
     assert store.load(tmp_path, bench, "prism")[0].home == found.home
-
-
-def test_another_indenters_surface_is_not_used_and_that_is_said(tmp_path: Path) -> None:
-    bench = _bench("gelsight")
-    store.store(tmp_path, "gelsight", home={"prism": _home(bench)})
-    found, warnings = store.load(tmp_path, bench, "moon")
-    assert found.home is None
+    # That of another indenter is not used, and that is said; an old one is, with a warning.
+    other, warnings = store.load(tmp_path, bench, "moon")
+    assert other.home is None
     assert "not for moon" in warnings[0]
-    assert found.applied(bench) is bench
+    assert other.applied(bench) is bench
+    store.store(tmp_path, "gelsight", home={"prism": _home(bench, date_utc="2020-01-01T00:00:00Z")})
+    old, warnings = store.load(tmp_path, bench, "prism")
+    assert old.home is not None
+    assert "days old" in warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -208,14 +203,6 @@ def test_a_file_of_another_sensor_or_a_torn_one_is_refused(tmp_path: Path) -> No
             store.load(tmp_path, bench, "prism")
 
 
-def test_an_old_calibration_is_used_with_a_warning(tmp_path: Path) -> None:
-    bench = _bench("gelsight")
-    store.store(tmp_path, "gelsight", home={"prism": _home(bench, date_utc="2020-01-01T00:00:00Z")})
-    found, warnings = store.load(tmp_path, bench, "prism")
-    assert found.home is not None
-    assert "days old" in warnings[0]
-
-
 def test_a_latency_becomes_the_attributes_of_its_stream(tmp_path: Path) -> None:
     bench = _bench("gelsight")
     measured = LatencyCalibration(
@@ -244,22 +231,20 @@ def test_a_latency_becomes_the_attributes_of_its_stream(tmp_path: Path) -> None:
         store.load(tmp_path, bench, "prism")
 
 
+def _wrong_bench(folder: Path, height: float) -> list[str]:
+    """Return the options of a bench whose surface is at a height [mm], and of its folder."""
+    frame = f"world_frame: {{position_mm: [-120.0, -430.0, {height}]}}"
+    bench = quick_bench(folder, "gelsight", more=frame)
+    return ["--bench", str(bench), "--calibrations", str(folder)]
+
+
 @pytest.mark.serial
 @pytest.mark.slow
 def test_home_finds_a_surface_that_the_bench_file_has_wrong_and_collect_goes_there(
     tmp_path: Path,
 ) -> None:
-    bench = tmp_path / "bench.yaml"
-    bench.write_text(
-        f"""
-extends: {BENCHES / "gelsight.yaml"}
-preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
-arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
-world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
-"""
-    )
-    kept = ["--bench", str(bench), "--calibrations", str(tmp_path)]
-    ran = _rig("home", *kept, "--out", str(tmp_path / "h.zarr"))
+    kept = _wrong_bench(tmp_path, 159.7)
+    ran = tactile("home", *kept, "--out", tmp_path / "h.zarr")
     assert ran.returncode == 0, ran.stdout + ran.stderr
     stored = yaml.safe_load((tmp_path / "gelsight.yaml").read_text())["home"]["cylinder"]
     low, high = stored["interval_mm"]
@@ -267,7 +252,7 @@ world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
     assert high - low < 0.05
     assert "difference" in ran.stdout
 
-    ran = _rig("collect", *kept, "--targets", "1", "--out", str(tmp_path / "s.zarr"))
+    ran = tactile("collect", *kept, "--targets", "1", "--out", tmp_path / "s.zarr")
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert any(line.startswith("home ") for line in ran.stdout.splitlines()[:4])
     session = Session(tmp_path / "s.zarr")
@@ -280,33 +265,13 @@ world_frame: {{position_mm: [-120.0, -430.0, 159.7]}}
 @pytest.mark.serial
 @pytest.mark.slow
 def test_home_refuses_when_there_is_nothing_to_touch(tmp_path: Path) -> None:
-    bench = tmp_path / "bench.yaml"
-    bench.write_text(
-        f"""
-extends: {BENCHES / "gelsight.yaml"}
-preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
-arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
-world_frame: {{position_mm: [-120.0, -430.0, 155.0]}}
-"""
-    )
-    ran = _rig(
-        *("home", "--bench", str(bench), "--calibrations", str(tmp_path), "--repeats", "1"),
-        *("--travel-mm", "0.5", "--out", str(tmp_path / "h.zarr")),
+    ran = tactile(
+        *("home", *_wrong_bench(tmp_path, 155.0), "--repeats", "1", "--travel-mm", "0.5"),
+        *("--out", tmp_path / "h.zarr"),
     )
     assert ran.returncode == 4, ran.stdout + ran.stderr
     assert "no contact at point 1 down to -0.50 mm" in ran.stdout
     assert not (tmp_path / "gelsight.yaml").exists()
-
-
-def _rig(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "tactile", *arguments],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
 
 
 def test_too_wide_an_interval_is_refused_with_its_width(tmp_path: Path) -> None:
@@ -320,8 +285,6 @@ def test_too_wide_an_interval_is_refused_with_its_width(tmp_path: Path) -> None:
 
 def _touched(folder: Path, *, noise: float) -> Session:
     """Return a session of one approach to the TacPalm's World, without a bench."""
-    from recorder import SessionWriter, StreamWriter, force_spec, pose_spec
-
     spec = _bench("tacpalm").world
     assert spec is not None
     heights, forces = _approach(spec, 0, noise=noise)

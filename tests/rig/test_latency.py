@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from support.collecting import ROOT
+from support.collecting import tactile
 
+from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 from rig.acquire.calibration import latency
 from rig.acquire.calibration.latency import Lag, find_lag
@@ -65,11 +64,11 @@ def test_55_ms_come_back_within_a_millisecond_over_20_seeds(rate_hz: float) -> N
     covered = 0
     for seed in range(20):
         t_ns, force, arrived, motion, _ = _tapped(seed, rate_hz)
-        lag = find_lag(t_ns, force, arrived, motion)
-        assert abs(lag.value - TRUE) < 1e-3
-        assert lag.width < 2e-3
-        assert lag.ratio > 5
-        covered += lag.interval[0] <= TRUE <= lag.interval[1]
+        found = find_lag(t_ns, force, arrived, motion)
+        assert abs(found.value - TRUE) < 1e-3
+        assert found.width < 2e-3
+        assert found.ratio > 5
+        covered += found.interval[0] <= TRUE <= found.interval[1]
     assert covered >= 16
 
 
@@ -94,33 +93,43 @@ def test_a_regular_rhythm_has_many_peaks() -> None:
     assert find_lag(t_ns, force, arrived, motion).ratio < latency.RATIO_MIN
 
 
+def lag(value: float = TRUE, half: float = 1e-4, ratio: float = 9.0) -> Lag:
+    return Lag(value, (value - half, value + half), 0.9, ratio, 12)
+
+
+STILL = Lag(0.0, (0.0, 0.0), 1.0, 99.0, 12)
+
+
 def test_images_that_show_something_else_are_refused_by_number() -> None:
     t_ns, force, arrived, motion, _ = _tapped(1, 40.0)
     noise = np.random.default_rng(2).normal(0, 1, len(motion))
-    lag = find_lag(t_ns, force, arrived, noise)
-    found = latency.Latency("camera", lag, _still(), lag, 0.0)
+    by_noise = find_lag(t_ns, force, arrived, noise)
+    found = latency.Latency("camera", by_noise, STILL, by_noise, 0.0)
     assert "ms wide; allowed: 2.0 ms" in str(latency.refusal(found))
     wide = latency.refusal(found, width_max=2 * found.half)
     assert "ms wide" not in str(wide)
 
 
-def _still() -> Lag:
-    return Lag(0.0, (0.0, 0.0), 1.0, 99.0, 12)
+@pytest.mark.parametrize(
+    ("by_force", "by_pose", "words"),
+    [
+        (lag(), lag(), "None"),
+        (lag(ratio=1.1), lag(ratio=1.1), "1.10 times the second"),
+        (lag(), lag(TRUE - 3e-3), "+3.00 ms later"),
+    ],
+    ids=["clear", "an ambiguous peak", "two ways that disagree"],
+)
+def test_a_latency_that_is_not_certain_is_refused_by_number(
+    by_force: Lag, by_pose: Lag, words: str
+) -> None:
+    found = latency.Latency("camera", by_force, STILL, by_pose, 0.0)
+    assert words in str(latency.refusal(found))
 
 
-def test_an_ambiguous_peak_is_refused_by_number() -> None:
-    sharp = Lag(TRUE, (TRUE - 1e-4, TRUE + 1e-4), 0.9, 1.1, 12)
-    found = latency.Latency("camera", sharp, _still(), sharp, 0.0)
-    assert "1.10 times the second" in str(latency.refusal(found))
-    good = Lag(TRUE, (TRUE - 1e-4, TRUE + 1e-4), 0.9, 9.0, 12)
-    assert latency.refusal(latency.Latency("camera", good, _still(), good, 0.0)) is None
-
-
-def test_two_ways_that_disagree_are_refused_by_number() -> None:
-    by_force = Lag(TRUE, (TRUE - 1e-4, TRUE + 1e-4), 0.9, 9.0, 12)
-    by_pose = Lag(TRUE - 3e-3, (TRUE - 3.1e-3, TRUE - 2.9e-3), 0.9, 9.0, 12)
-    found = latency.Latency("camera", by_force, _still(), by_pose, 0.0)
-    assert "+3.00 ms later" in str(latency.refusal(found))
+def test_the_latency_is_counted_from_the_end_of_the_exposure() -> None:
+    found = latency.Latency("camera", lag(), STILL, lag(), 0.01)
+    assert found.lag == pytest.approx(TRUE)
+    assert found.latency == pytest.approx(TRUE - 0.005)
 
 
 @pytest.mark.parametrize(
@@ -137,13 +146,6 @@ def test_what_cannot_be_measured_is_an_error(spoil: object, words: str) -> None:
     t_ns, force, arrived, motion, _ = _tapped(3, 40.0)
     with pytest.raises(ValueError, match=words):
         find_lag(*spoil(t_ns, force, arrived, motion))  # type: ignore[operator]
-
-
-def test_the_latency_is_counted_from_the_end_of_the_exposure() -> None:
-    image = Lag(TRUE, (TRUE - 5e-4, TRUE + 5e-4), 0.9, 9.0, 12)
-    found = latency.Latency("camera", image, _still(), image, 0.01)
-    assert found.lag == pytest.approx(TRUE)
-    assert found.latency == pytest.approx(TRUE - 0.005)
 
 
 def test_taps_are_light_irregular_and_the_same_again() -> None:
@@ -167,26 +169,12 @@ def test_taps_are_light_irregular_and_the_same_again() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("delay_ms", [0.0, 55.0])
 def test_the_emulated_cameras_lag_is_found(tmp_path: Path, delay_ms: float) -> None:
-    bench = tmp_path / "bench.yaml"
-    bench.write_text(
-        f"""
-extends: {BENCHES / "tacpalm.yaml"}
-preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
-arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
-world: {{markers: {{delay_ms: {delay_ms}}}}}
-"""
-    )
+    world = f"world: {{markers: {{delay_ms: {delay_ms}}}}}"
+    bench = quick_bench(tmp_path, "tacpalm", more=world)
     session_path = tmp_path / "l.zarr"
-    ran = subprocess.run(
-        [
-            *(sys.executable, "-m", "tactile", "calibrate-latency", "--bench", str(bench)),
-            *("--calibrations", str(tmp_path), "--out", str(session_path)),
-        ],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
+    ran = tactile(
+        *("calibrate-latency", "--bench", bench, "--calibrations", tmp_path),
+        *("--out", session_path),
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     session = Session(session_path)

@@ -20,13 +20,14 @@ import pytest
 import simplejpeg
 from support.learning_sessions import altered
 from support.sessions import make_session
+from support.waiting import until
 from support.watching import next_state
 from support.watching import watch as connected
 
 from learning.force.live import LiveForce, LivePredictor
 from recorder import Session, SessionError
 from recorder.command_line.options import Parser
-from rig.bench.bench import BenchFile, find_bench
+from rig.bench.bench import BenchFile
 from rig.cli import live
 from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
@@ -40,10 +41,6 @@ from tactile.__main__ import main
 
 # Time that the stub needs for a frame.
 WORK_NS = 5_000_000
-
-
-def reading(force: tuple[float, float, float], *, contact: bool = True, **others: Any) -> LiveForce:
-    return LiveForce(force, contact, 0.0, **others)
 
 
 @dataclass
@@ -76,8 +73,10 @@ class Stub(LivePredictor):
             return None
         x, y, z = 0.0, 0.5, -float(np.mean(frame))
         interval = ((x - 1, y - 1, z - 1), (x + 1, y + 1, z + 1))
-        return reading(
+        return LiveForce(
             (x, y, z),
+            True,
+            0.0,
             interval=interval if self.with_intervals else None,
             outside=self.with_intervals and z < -3.5,
             before=(x, y, 2 * z) if self.with_before else None,
@@ -190,9 +189,7 @@ def test_forces_before_and_after_stand_beside_the_gauge_in_a_table_and_on_a_page
     assert rows[0]["gauge_Fz_N"] == "0.0"
 
 
-def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(
-    tmp_path: Path,
-) -> None:
+def test_it_ends_when_time_is_up_when_it_is_over_and_when_it_is_asked_to(tmp_path: Path) -> None:
     clock = FakeClock()
     many = [[scan(1)] for _ in range(100)]
     watched = Watched("uskin", "taxels", Drops(clock, many, dropped=2))
@@ -225,9 +222,10 @@ def test_a_damaged_picture_is_counted_and_left_out() -> None:
 
 def test_the_summary_says_rate_latency_and_how_far_it_was_from_the_truth() -> None:
     summary = Summary(skipped=3, lost=1)
+    force = LiveForce((0.0, 0.0, -1.0), True, 0.0)
     for number in range(101):
         now_ns = number * SECOND_NS // 100
-        summary.add(reading((0.0, 0.0, -1.0)), now_ns - number * 100_000, now_ns, now_ns)
+        summary.add(force, now_ns - number * 100_000, now_ns, now_ns)
     wrench = np.zeros((101, 6))
     wrench[:, 2] = -1.5
     wrench[0] = np.nan
@@ -247,7 +245,7 @@ def test_forces_are_shown_no_more_often_than_they_can_be_read() -> None:
     for out, every in ((Terminal(), 10), (io.StringIO(), 1)):
         line = ForceLine(clock, out)
         for _ in range(200):
-            line(reading((0.1, -0.2, -3.0)), 0.008)
+            line(LiveForce((0.1, -0.2, -3.0), True, 0.0), 0.008)
             clock.advance(0.01)
         line.close()
         line.close()
@@ -258,11 +256,9 @@ def test_forces_are_shown_no_more_often_than_they_can_be_read() -> None:
 def test_the_finger_of_a_mock_bench_presses_once_the_sensor_was_seen_without_contact(
     tmp_path: Path,
 ) -> None:
-    path = find_bench("uskin", BENCHES)
-    clock = SystemClock()
-    predictor = Stub(first=20)
-    summary = Summary()
-    with mock_bench(BenchFile.read(path), tmp_path, clock, rate_hz=100.0) as watched:
+    file = BenchFile.read(BENCHES / "uskin.yaml")
+    clock, predictor, summary = SystemClock(), Stub(first=20), Summary()
+    with mock_bench(file, tmp_path, clock, rate_hz=100.0) as watched:
         assert watched.driver.describe()["rate_hz"] in (None, 100.0)
         watch(watched, predictor, clock, summary=summary, seconds=1.2)
         assert watched.wrench is not None
@@ -298,7 +294,7 @@ def test_a_session_is_watched_at_its_recorded_times(tmp_path: Path) -> None:
     assert np.isfinite(wrench).all(axis=1).sum() > 0.8 * summary.frames
 
 
-def test_pictures_stored_as_pixels_can_be_watched(tmp_path: Path) -> None:
+def test_pixels_can_be_watched_and_a_session_without_a_signal_cannot(tmp_path: Path) -> None:
     source = make_session(tmp_path / "s.zarr", seconds=0.3, names=("camera",), codec="zstd")
     clock, predictor, summary = SystemClock(), Stub(first=0), Summary()
     with replayed(source, clock) as watched:
@@ -306,38 +302,28 @@ def test_pictures_stored_as_pixels_can_be_watched(tmp_path: Path) -> None:
     stream = Session(source).streams["camera"]
     assert summary.frames + summary.skipped == len(stream)
     assert np.array_equal(predictor.seen[-1], stream.images([len(stream) - 1])[0])
-
-
-def test_a_session_without_a_signal_cannot_be_watched(tmp_path: Path) -> None:
-    source = make_session(tmp_path / "s.zarr", seconds=0.2, names=("force", "pose"))
-    with (
-        pytest.raises(SessionError, match="neither camera nor taxels"),
-        replayed(source, SystemClock()),
-    ):
+    blind = make_session(tmp_path / "blind.zarr", seconds=0.2, names=("force", "pose"))
+    with pytest.raises(SessionError, match="neither camera nor taxels"), replayed(blind, clock):
         pass
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--sensor", "uskin", "--session", "x.zarr"], "--session: not allowed with"),
-        (
-            ["--sensor", "uskin", "--seconds", "0"],
-            "--seconds: found '0'; allowed: a number",
-        ),
-        (["--sensor", "uskin", "--rate-hz", "-1"], "--rate-hz: found '-1'"),
-        (["--sensor", "uskin", "--page", "x"], "--page: found 'x'; allowed: PORT or HOST:PORT"),
-        (["--sensor", "uskin"], "found no config.yaml; allowed: the folder of a training run"),
-        (["--sensor", "nothing"], "--sensor: found 'nothing'"),
-        (["--session", "x.zarr", "--indenter", "cone"], "--indenter: x.zarr is no mock bench"),
-        ([], "--sensor, --bench: both missing"),
+        ("--sensor uskin --session x.zarr", "--session: not allowed with"),
+        ("--sensor uskin --seconds 0", "--seconds: found '0'; allowed: a number"),
+        ("--sensor uskin --rate-hz -1", "--rate-hz: found '-1'"),
+        ("--sensor uskin --page x", "--page: found 'x'; allowed: PORT or HOST:PORT"),
+        ("--sensor uskin", "found no config.yaml; allowed: the folder of a training run"),
+        ("--sensor nothing", "--sensor: found 'nothing'"),
+        ("--session x.zarr --indenter cone", "--indenter: x.zarr is no mock bench"),
+        ("", "--sensor, --bench: both missing"),
     ],
 )
 def test_wrong_options_end_before_anything_is_started(
-    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["live", "--model", str(tmp_path), *options]
-    assert main(arguments) == 2
+    assert main(["live", "--model", str(tmp_path), *options.split()]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -387,12 +373,11 @@ def test_a_model_says_forces_of_a_mock_bench_until_ctrl_c(tmp_path: Path) -> Non
         stderr=subprocess.STDOUT,
         text=True,
     )
-    clock = SystemClock()
-    deadline_ns = clock.now_ns() + 240 * SECOND_NS
-    while not (out.exists() and len(out.read_text().splitlines()) > 100):
-        assert process.poll() is None
-        assert clock.now_ns() < deadline_ns
-        clock.sleep_until(clock.now_ns() + SECOND_NS // 10)
+
+    def hundred() -> bool:
+        return out.exists() and out.read_text().count("\n") > 100
+
+    until(lambda: process.poll() is not None or hundred(), 0.1)
     process.send_signal(signal.SIGINT)
     printed, _ = process.communicate(timeout=240)
     assert process.returncode == 0, printed

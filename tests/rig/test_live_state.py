@@ -26,36 +26,34 @@ from rig.monitor.collection import (
     Picture,
 )
 
+GAUGE = {"kind": "netft", "host": "loopback", "rate_hz": 100.0}
+
 
 def bench_with(cameras: int, gauges: int, taxels: int, arms: int) -> Bench:
-    streams: dict[str, Any] = {}
-    for k in range(cameras):
-        address = f"http://loopback:{8100 + k}/"
-        streams[f"eye_{k}"] = {"kind": "camera", "address": address, "rate_hz": 10.0}
-    for k in range(gauges):
-        ports = {"http_port": 8200 + k, "udp_port": 49200 + k}
-        streams[f"gauge_{k}"] = {"kind": "netft", "host": "loopback", "rate_hz": 100.0, **ports}
-    for k in range(taxels):
-        address = f"ws://loopback:{5000 + k}"
-        streams[f"skin_{k}"] = {"kind": "xela", "address": address, "rate_hz": 20.0}
-    for k in range(arms):
-        streams[f"arm_{k}"] = {"kind": "ur_pose", "host": "loopback", "rate_hz": 25.0}
-    return bench_from(
-        {**read_yaml(BENCHES / "tacpalm.yaml", BENCHES), "streams": streams}, "b.yaml"
-    )
+    kinds: dict[str, tuple[int, Any]] = {
+        "eye": (cameras, lambda k: {"kind": "camera", "address": f"http://loopback:{8100 + k}/"}),
+        "gauge": (gauges, lambda k: {"http_port": 8200 + k, "udp_port": 49200 + k} | GAUGE),
+        "skin": (taxels, lambda k: {"kind": "xela", "address": f"ws://loopback:{5000 + k}"}),
+        "arm": (arms, lambda k: {"kind": "ur_pose", "host": "loopback"}),
+    }
+    streams = {
+        f"{name}_{k}": {"rate_hz": 20.0, **settings(k)}
+        for name, (count, settings) in kinds.items()
+        for k in range(count)
+    }
+    content = read_yaml(BENCHES / "tacpalm.yaml", BENCHES)
+    return bench_from({**content, "streams": streams}, "b.yaml")
 
 
 @contextlib.contextmanager
 def seen(bench: Bench, folder: Path) -> Iterator[tuple[CollectionView, dict[str, SharedLatest]]]:
     with contextlib.ExitStack() as stack:
         records = {
-            name: stack.enter_context(
-                contextlib.closing(
-                    SharedLatest.create(folder / f"{name}.latest", bench.row(name).latest)
-                )
-            )
-            for name in (row.name for row in bench.rows)
+            row.name: SharedLatest.create(folder / f"{row.name}.latest", row.latest)
+            for row in bench.rows
         }
+        for record in records.values():
+            stack.callback(record.close)
         job = CollectionJob(bench, folder, folder / "s.zarr", (), 1, 0.0)
         yield stack.enter_context(contextlib.closing(CollectionView(job, FakeClock()))), records
 
@@ -74,19 +72,12 @@ def test_every_gauge_arm_and_taxel_array_has_its_own_values(tmp_path: Path) -> N
         records["skin_0"].write((2, np.full((16, 3), 9)))
         state.sample()
         forces = state.forces()
-        assert {name: force["wrench"][0] for name, force in forces.items()} == {
-            "force": 1.0,
-            "gauge_0": 2.0,
-            "gauge_1": 3.0,
-        }
+        assert list(forces) == ["force", "gauge_0", "gauge_1"]
+        assert [force["wrench"][0] for force in forces.values()] == [1.0, 2.0, 3.0]
         assert {name: tip[0] for name, tip in state.tips().items()} == {"pose": 1.0, "arm_0": 2.0}
         assert state.taxels()["skin_0"][3] == [2, 2, 2]
         newest = [trace.news(Counter(), "")[0][1] for trace in state.traces.values()]
-        assert newest == [
-            1.0,
-            2.0,
-            3.0,
-        ]
+        assert newest == [1.0, 2.0, 3.0]
         assert set(state.streams(5)) == {row.name for row in bench.rows}
 
 

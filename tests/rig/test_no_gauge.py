@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import math
 import multiprocessing
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -45,8 +45,7 @@ from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.core.stand_in_guards import CrashGuard, SignalGuard
 from rig.devices.arm.emulated_arm import Wrist
-
-ROOT = Path(__file__).parents[2]
+from tactile.__main__ import main
 
 
 def content_of(sensor: str, **more: Any) -> dict[str, Any]:
@@ -232,26 +231,20 @@ def test_the_delay_of_the_signal_cancels_between_in_and_out() -> None:
     assert onset_of(*ways(-1.0e-3, 0.0)) is None
 
 
-def touches(*heights: float) -> Any:
-    """Return a surface touched twice at each point, at these heights [m]."""
+def touches(*onsets: list[tuple[float, float]]) -> Any:
+    """Return a surface touched twice at each point: onsets and half their intervals [m]."""
     places = [(0.0, 0.0), (-3e-3, 4e-3), (-3e-3, -4e-3), (3e-3, -4e-3), (3e-3, 4e-3)]
-    onset = Onset(0.0, (-1e-6, 1e-6), 1.0, 1.0, 0.0)
     approaches = {
-        point: [(dataclasses.replace(onset, z=z + off), 0.0) for off in (-1e-6, 1e-6)]
-        for point, z in enumerate(heights, 1)
+        point: [(Onset(z, (z - half, z + half), 1.0, 1.0, 0.0), 0.0) for z, half in each]
+        for point, each in enumerate(onsets, 1)
     }
     return surface_of(approaches, dict(enumerate(places, 1)))
 
 
 def test_a_point_at_which_the_signal_is_weak_counts_little() -> None:
     # As a sphere touched a simulated lattice of markers: two vague onsets under the first point.
-    places = [(0.0, 0.0), (-3e-3, 4e-3), (-3e-3, -4e-3), (3e-3, -4e-3), (3e-3, 4e-3)]
-    onsets = [(91e-6, 37e-6), (84e-6, 30e-6)], *[[(8e-6, 10e-6), (4e-6, 13e-6)]] * 4
-    approaches = {
-        point: [(Onset(z, (z - half, z + half), 1.0, 1.0, 0.0), 0.0) for z, half in found]
-        for point, found in enumerate(onsets, 1)
-    }
-    surface = surface_of(approaches, dict(enumerate(places, 1))).surface
+    vague, sharp = [(91e-6, 37e-6), (84e-6, 30e-6)], [(8e-6, 10e-6), (4e-6, 13e-6)]
+    surface = touches(vague, *[sharp] * 4).surface
     assert surface.interval[0] < 0.0 < surface.interval[1]
     assert surface.width < SURFACE_WIDTH
 
@@ -267,7 +260,7 @@ def test_a_point_at_which_the_signal_is_weak_counts_little() -> None:
 def test_a_surface_that_is_uneven_or_elsewhere_is_refused(
     heights: tuple[float, ...], shift: float, text: str | None
 ) -> None:
-    found = touches(*heights)
+    found = touches(*([(z + off, 1e-6) for off in (-1e-6, 1e-6)] for z in heights))
     assert found.surface.width < 30e-6
     if text is None:
         no_gauge.check_surface(found, shift)
@@ -367,39 +360,36 @@ def test_a_zero_is_for_the_guard_and_not_for_what_is_averaged(tmp_path: Path) ->
         np.testing.assert_array_equal(record["value"], np.zeros(6))
 
 
-def collect(*options: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "tactile", "collect", *options],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-def lab_bench(folder: Path, force: str) -> Path:
-    path = folder / "lab.yaml"
+@pytest.mark.parametrize(
+    ("force", "words", "text"),
+    [
+        (
+            "{kind: netft, host: 192.0.2.2}",
+            ["--force", "none"],
+            "is a lab bench; allowed: a mock bench; a lab bench states `force: none`",
+        ),
+        ("none", [], "no terminal to ask on"),
+    ],
+    ids=["no single word takes the gauge away", "none is left to a terminal"],
+)
+def test_a_lab_bench_is_used_without_gauge_by_its_file_and_at_a_terminal_only(
+    force: str,
+    words: list[str],
+    text: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "lab.yaml"
     path.write_text(
         f"extends: {BENCHES / 'gelsight.yaml'}\nmock: false\nworld: null\nsimulated: null\n"
         f"force: {force}\ncamera: {{kind: camera, address: /dev/video9, rate_hz: 30.0}}\n"
         "arm: {host: 192.0.2.1}\n"
     )
-    return path
-
-
-def test_no_single_word_takes_the_gauge_from_a_lab_bench(tmp_path: Path) -> None:
-    path = lab_bench(tmp_path, "{kind: netft, host: 192.0.2.2}")
-    found = collect("--bench", str(path), "--force", "none", "--out", str(tmp_path / "s.zarr"))
-    assert found.returncode == 2
-    assert "is a lab bench; allowed: a mock bench; a lab bench states `force: none`" in found.stderr
-
-
-def test_a_lab_bench_without_gauge_needs_a_terminal(tmp_path: Path) -> None:
-    path = lab_bench(tmp_path, "none")
-    found = collect("--bench", str(path), "--out", str(tmp_path / "s.zarr"))
-    assert found.returncode == 2
-    assert "no terminal to ask on" in found.stderr
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    out = str(tmp_path / "s.zarr")
+    assert main(["collect", "--bench", str(path), *words, "--out", out]) == 2
+    assert text in capsys.readouterr().err
 
 
 def test_the_emulated_wrist_has_bias_drift_and_a_wrong_gain() -> None:

@@ -51,13 +51,8 @@ class Site:
     monkeypatch: pytest.MonkeyPatch
 
     def changed(self, **sections: Any) -> Bench:
-        return replace(
-            self.bench,
-            **{
-                name: replace(getattr(self.bench, name), **values)
-                for name, values in sections.items()
-            },
-        )
+        parts = {key: replace(getattr(self.bench, key), **new) for key, new in sections.items()}
+        return replace(self.bench, **parts)
 
     def inject(self, fault: str, **values: Any) -> None:
         inject_arm(fault, **values)
@@ -213,170 +208,110 @@ UP, TENFOLD, POUNDS = np.diag([1, 1, -1]), 10 * np.eye(3), np.eye(3) / 4.448
 LYING = [[0, 0, 1], [0, 1, 0], [1, 0, 0]]
 SWAPPED, TURNED = [[0, 1, 0], [1, 0, 0], [0, 0, 1]], [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
 
-# Name of the fault, its findings, the part that is named, and words of text and cures.
-FAULTS: list[tuple[str, Callable[[Site], Any], str, str, str]] = [
-    (
-        "wrong IP of the arm",
+# By the name of the fault: its findings, and the part named with words of its text and a cure.
+FAULTS: dict[str, tuple[Callable[[Site], Any], tuple[str, str, str]]] = {
+    "wrong IP of the arm": (
         lambda s: checks.network(s.changed(arm={"host": NOBODY})),
-        "arm",
-        f"{NOBODY}:29999: ",
-        "arm.host must be",
+        ("arm", f"{NOBODY}:29999: ", "arm.host must be"),
     ),
-    (
-        "wrong IP of the gauge",
+    "wrong IP of the gauge": (
         lambda s: checks.network(s.changed(force={"host": NOBODY})),
-        "force",
-        f"{NOBODY}:8080: ",
-        "force.host must be",
+        ("force", f"{NOBODY}:8080: ", "force.host must be"),
     ),
-    (
-        "arm and gauge at one IP",
+    "arm and gauge at one IP": (
         lambda s: checks.network(
             s.changed(arm={"host": "192.0.2.7"}, force={"host": "192.0.2.7"}), 0.01
         ),
-        "force",
-        "arm has this address too",
-        "its own address: force.host, arm.host",
+        ("force", "arm has this address too", "its own address: force.host, arm.host"),
     ),
-    ("controller off", lambda s: checks.arm(NOBODY, 1.0), "arm", "refused", "switch the contr"),
-    (
-        "old firmware",
+    "controller off": (lambda s: checks.arm(NOBODY, 1.0), ("arm", "refused", "switch the contr")),
+    "old firmware": (
         arm_after("version", parts=[5, 3, 1, 0]),
-        "software",
-        "5.3.1",
-        "update PolyScope to 5.6",
+        ("software", "5.3.1", "update PolyScope to 5.6"),
     ),
-    (
-        "local mode",
+    "local mode": (
         arm_after("remote_control", on=False),
-        "remote",
-        "no remote control",
-        "Local > Remote Control",
+        ("remote", "no remote control", "Local > Remote Control"),
     ),
-    ("brakes on", arm_after("emergency_stop"), "power", "POWER_OFF", "releases the brakes"),
-    ("protective stop", arm_after("protective_stop"), "safety", "PROTECTIVE", "at the pendant"),
-    (
-        "wrong TCP in the bench file",
+    "brakes on": (arm_after("emergency_stop"), ("power", "POWER_OFF", "releases the brakes")),
+    "protective stop": (arm_after("protective_stop"), ("safety", "PROTECTIVE", "at the pendant")),
+    "wrong TCP in the bench file": (
         lambda s: tool(s, s.changed(arm={"tcp": (0, 0, 0.09, 0, 0, 0)})),
-        "TCP",
-        "bench file z 90.0 mm, pendant 100.0 mm",
-        "arm.tcp",
+        ("TCP", "bench file z 90.0 mm, pendant 100.0 mm", "arm.tcp"),
     ),
-    (
-        "another tool than that of the file",
+    "another tool than that of the file": (
         lambda s: tool(s, length=0.112),
-        "TCP",
-        "caliper 112.0 mm",
-        "measure flange to tip",
+        ("TCP", "caliper 112.0 mm", "measure flange to tip"),
     ),
-    (
-        "wrong payload in the bench file",
+    "wrong payload in the bench file": (
         lambda s: tool(s, s.changed(arm={"payload": 1.0})),
-        "payload",
-        "bench file 1.00 kg, pendant 0.50 kg",
-        "arm.payload_kg",
+        ("payload", "bench file 1.00 kg, pendant 0.50 kg", "arm.payload_kg"),
     ),
-    ("heavier tool", heavy, "payload", "the arm feels 11.8 N", "about 1.70 kg"),
-    (
-        "weight off",
+    "heavier tool": (heavy, ("payload", "the arm feels 11.8 N", "about 1.70 kg")),
+    "weight off": (
         lambda s: s.weighed(np.eye(3), laid=0),
-        "force weight",
-        "nothing",
-        "is the weight on the sensor",
+        ("force weight", "nothing", "is the weight on the sensor"),
     ),
-    ("wrong sign", lambda s: s.weighed(UP), "force weight", "wrong sign", "by 180 degrees about x"),
-    (
-        "10x unit",
+    "wrong sign": (
+        lambda s: s.weighed(UP),
+        ("force weight", "wrong sign", "by 180 degrees about x"),
+    ),
+    "10x unit": (
         lambda s: s.weighed(TENFOLD),
-        "force weight",
-        "10 times too large",
-        "10 times too small: another calibration",
+        ("force weight", "10 times too large", "10 times too small: another calibration"),
     ),
-    (
-        "gauge in pounds-force",
+    "gauge in pounds-force": (
         lambda s: s.weighed(POUNDS),
-        "force weight",
-        "0.225 times too small",
-        "counts in pounds-force",
+        ("force weight", "0.225 times too small", "counts in pounds-force"),
     ),
-    (
-        "gauge lying on its side",
+    "gauge lying on its side": (
         lambda s: s.weighed(LYING),
-        "force weight",
-        "along Fx",
-        "channels or cables",
+        ("force weight", "along Fx", "channels or cables"),
     ),
-    (
-        "wrong answer: another weight",
+    "wrong answer: another weight": (
         lambda s: s.weighed(np.eye(3), mass=0.2),
-        "force weight",
-        "0.5 times too small",
-        "100 g would fit",
+        ("force weight", "0.5 times too small", "100 g would fit"),
     ),
-    ("swapped axes", lambda s: s.pushed(SWAPPED), "force axes", "+x appears as +y", "swapped"),
-    (
-        "turned gauge",
+    "swapped axes": (lambda s: s.pushed(SWAPPED), ("force axes", "+x appears as +y", "swapped")),
+    "turned gauge": (
         lambda s: s.pushed(TURNED),
-        "force axes",
-        "+x appears as +y, +y as -x",
-        "turned by 90 degrees",
+        ("force axes", "+x appears as +y, +y as -x", "turned by 90 degrees"),
     ),
-    (
-        "exposure too long",
+    "exposure too long": (
         lambda s: s.filmed(2.5, 0),
-        "camera exposure",
-        "saturated",
-        "a shorter camera.exposure_ms",
+        ("camera exposure", "saturated", "a shorter camera.exposure_ms"),
     ),
-    (
-        "exposure too short",
+    "exposure too short": (
         lambda s: s.filmed(0.2, 0),
-        "camera exposure",
-        "brightest parts",
-        "a longer camera.exposure_ms",
+        ("camera exposure", "brightest parts", "a longer camera.exposure_ms"),
     ),
-    ("defocused", lambda s: s.filmed(1, 5), "camera focus", "px wide", "turn the lens"),
-    (
-        "camera by a number",
+    "defocused": (lambda s: s.filmed(1, 5), ("camera focus", "px wide", "turn the lens")),
+    "camera by a number": (
         shifted_camera,
-        "camera name",
-        "after the next start",
-        "usb-046d_C270-video-index0",
+        ("camera name", "after the next start", "usb-046d_C270-video-index0"),
     ),
-    (
-        "camera at half rate",
+    "camera at half rate": (
         lambda s: s.measured("camera", rate_hz=15.0),
-        "camera",
-        "50% too slow",
-        "lock the exposure",
+        ("camera", "50% too slow", "lock the exposure"),
     ),
-    (
-        "gauge unplugged",
+    "gauge unplugged": (
         lambda s: s.measured("force", "force: no record for 0.6 s", rate_hz=0.0),
-        "force",
-        "no record",
-        f"ping {HOST}",
+        ("force", "no record", f"ping {HOST}"),
     ),
-    (
-        "swapped gauge port",
+    "swapped gauge port": (
         swapped_port,
-        "force",
-        "no reading of a kern",
-        "A name of /dev/serial/by-id stays the same",
+        ("force", "no reading of a kern", "A name of /dev/serial/by-id stays the same"),
     ),
-    ("contact frame elsewhere", elsewhere, "contact", "x -20.00", "position_mm: [-120.000, -430"),
-    ("no rights", no_rights, "real time", "no rights", "rtprio 60"),
-    ("full disk", full_disk, "disk", "0 GB free", "free some space"),
-    ("clock never set", unset_clock, "clock", "1970", "timedatectl"),
-]
+    "contact frame elsewhere": (elsewhere, ("contact", "x -20.00", "position_mm: [-120.000, -430")),
+    "no rights": (no_rights, ("real time", "no rights", "rtprio 60")),
+    "full disk": (full_disk, ("disk", "0 GB free", "free some space")),
+    "clock never set": (unset_clock, ("clock", "1970", "timedatectl")),
+}
 
 
-@pytest.mark.parametrize(
-    ("found", "part", "words", "cure"), [each[1:] for each in FAULTS], ids=[e[0] for e in FAULTS]
-)
-def test_each_fault_is_named_with_its_cure(
-    site: Site, found: Callable[[Site], Any], part: str, words: str, cure: str
-) -> None:
+@pytest.mark.parametrize("name", FAULTS)
+def test_each_fault_is_named_with_its_cure(site: Site, name: str) -> None:
+    found, (part, words, cure) = FAULTS[name]
     findings = found(site)
     findings = [findings] if isinstance(findings, Finding) else list(findings)
     named = next(each for each in findings if each.part == part)

@@ -75,6 +75,8 @@ def test_a_writer_that_starts_after_its_readers_leaves_their_mapping_alone(tmp_p
     reader = SharedLatest.attach(path, PAIR)
     with pytest.raises(FileExistsError):
         SharedLatest.create(path, PAIR)
+    with pytest.raises(ValueError, match="expected"):
+        SharedLatest.attach(path, np.dtype([("a", "<i8", (100,))]))
     writer = SharedLatest.publish(path, PAIR)
     writer.write((7, np.zeros(40)))
     found = reader.read()
@@ -84,44 +86,36 @@ def test_a_writer_that_starts_after_its_readers_leaves_their_mapping_alone(tmp_p
     assert fresh.count == 0
 
 
-def test_a_file_of_another_layout_is_refused(tmp_path: Path) -> None:
-    SharedLatest.create(tmp_path / "x", PAIR).close()
-    with pytest.raises(ValueError, match="expected"):
-        SharedLatest.attach(tmp_path / "x", np.dtype([("a", "<i8", (100,))]))
-
-
-def test_a_reader_gets_every_record_since_its_last_look(tmp_path: Path) -> None:
-    writer = SharedLatest.create(tmp_path / "x", PAIR, 64)
+@pytest.mark.parametrize(
+    ("places", "written", "unread", "missed"),
+    [
+        (64, 5, [1, 2, 3, 4, 5], 0),
+        (64, 20, list(range(1, 21)), 0),
+        (8, 20, list(range(14, 21)), 13),
+    ],
+    ids=["as many as there are places for", "more than there are places for"],
+)
+def test_a_reader_gets_every_record_since_its_last_look_or_the_number_of_those_it_missed(
+    places: int, written: int, unread: list[int], missed: int, tmp_path: Path
+) -> None:
+    writer = SharedLatest.create(tmp_path / "x", PAIR, places)
     reader = AwaitedRecord(tmp_path / "x", PAIR)
-    assert reader.unread() is None
-    for k in range(5):
-        writer.write((k, np.full(40, k)))
-    first = reader.unread()
-    assert first is not None
-    assert first["a"].tolist() == [4], "what came before the first look is not the reader's"
-    for k in range(5, 25):
-        writer.write((k, np.full(40, k)))
-    unread = reader.unread()
-    assert unread is not None
-    assert unread["a"].tolist() == list(range(5, 25))
-    assert (unread["value"] == unread["a"][:, None]).all()
-    again = reader.unread()
-    assert again is not None
-    assert again["a"].tolist() == [24]
-    assert reader.missed == 0
 
+    def look() -> list[int] | None:
+        records = reader.unread()
+        if records is None:
+            return None
+        assert (records["value"] == records["a"][:, None]).all()
+        numbers: list[int] = records["a"].tolist()
+        return numbers
 
-def test_records_that_were_overwritten_before_a_look_are_counted(tmp_path: Path) -> None:
-    writer = SharedLatest.create(tmp_path / "x", PAIR, 8)
-    reader = AwaitedRecord(tmp_path / "x", PAIR)
-    writer.write((0, np.zeros(40)))
-    reader.unread()
-    for k in range(1, 21):
+    assert look() is None
+    for k in (-1, 0):
         writer.write((k, np.full(40, k)))
-    unread = reader.unread()
-    assert unread is not None
-    assert unread["a"].tolist() == list(range(14, 21))
-    assert reader.missed == 13
-    writer.write((21, np.zeros(40)))
-    assert reader.unread() is not None
-    assert reader.missed == 0
+    assert look() == [0], "what came before the first look is not the reader's"
+    for k in range(1, written + 1):
+        writer.write((k, np.full(40, k)))
+    assert (look(), reader.missed) == (unread, missed)
+    assert (look(), reader.missed) == ([written], missed)
+    writer.write((-2, np.full(40, -2)))
+    assert (look(), reader.missed) == ([-2], 0)

@@ -77,11 +77,8 @@ def test_parsing_a_scan_undoes_emitting_it(
     assert scan.counts.reshape(-1).tolist() == counts
 
 
-def test_the_welcome_is_no_scan() -> None:
+def test_a_message_of_the_old_layout_is_understood_and_the_welcome_is_no_scan() -> None:
     assert parse('{"message": "Welcome"}', "1", 16) is None
-
-
-def test_a_message_of_the_old_layout_is_understood() -> None:
     text = (
         '{"message":786,"time":1619157045.62,"sensors":1,"1":{"data":"FA00,FB00,7,0A,a,FFFF",'
         '"sensor":"1","taxels":2,"model":"XR1944","calibrated":null}}'
@@ -92,17 +89,7 @@ def test_a_message_of_the_old_layout_is_understood() -> None:
     assert scan.device_t == 1619157045.62
 
 
-def test_the_time_of_the_sensor_goes_before_the_time_of_the_message() -> None:
-    message = {"message": 1, "time": 5.0, "1": {"time": 4.5, "data": "0,0,0", "calibrated": [0]}}
-    scan = parse(json.dumps(message), "1", 1)
-    assert scan is not None
-    assert scan.device_t == 4.5
-
-
-def test_a_message_without_any_time_has_device_time_nan() -> None:
-    scan = parse('{"message": 1, "1": {"data": "0,0,0"}}', "1", 1)
-    assert scan is not None
-    assert math.isnan(scan.device_t)
+UPDATE = "update the XELA suite"
 
 
 @pytest.mark.parametrize(
@@ -117,6 +104,16 @@ def test_a_message_without_any_time_has_device_time_nan() -> None:
         ('{"message": 1, "1": {"data": "0,0,xyz"}}', "xyz"),
         ('{"message": 1, "1": {"data": "0,0,10000"}}', "outside"),
         ('{"message": 1, "1": {"data": "0,0,-1"}}', "outside"),
+        # Messages of the old suite.
+        ('42["sensor_1",{"data":"..."}]', UPDATE),
+        ('0{"sid":"abc","upgrades":["websocket"]}', UPDATE),
+        ('{"time": 1, "sensor_1": [[1, 2, 3]]}', UPDATE),
+        ('{"xyz": "0,0,0"}', UPDATE),
+        # Python takes these for numbers, or nearly, and the server never sends them.
+        *(
+            (f'{{"message": 1, "1": {{"data": "{word},0,0"}}}}', "outside")
+            for word in ("", " 7", "+7", "0x7", "1_0", "1.5", "1FFFF", "٣")
+        ),
     ],
 )
 def test_anything_else_is_refused_with_a_reason(text: str, complaint: str) -> None:
@@ -124,13 +121,18 @@ def test_anything_else_is_refused_with_a_reason(text: str, complaint: str) -> No
         parse(text, "1", 1)
 
 
-@pytest.mark.parametrize("layout", ["1.7", "1.8"])
-def test_the_worlds_taxels_arrive_rounded(host: str, layout: str) -> None:
+@pytest.mark.parametrize(("layout", "rate_hz"), [("1.7", None), ("1.8", 200.0)])
+def test_the_worlds_taxels_arrive_rounded_with_the_facts_of_the_sensor(
+    host: str, layout: str, rate_hz: float | None
+) -> None:
     with emulated(host, layout=layout), opened(host) as driver:
         sample = collect(driver, 1)[0]
         assert sample["value"].tolist() == (48000 + np.arange(48).reshape(16, 3)).tolist()
-        assert driver.describe()["layout"] == layout
-        assert driver.describe()["rate_hz"] == (None if layout == "1.7" else 200.0)
+        facts = driver.describe()
+        assert (facts["layout"], facts["rate_hz"]) == (layout, rate_hz)
+        if layout == "1.8":
+            assert (facts["model"], facts["vendor_calibration"]) == ("uSPa44", False)
+            assert math.isfinite(sample["device_t"])
 
 
 def test_lost_messages_are_counted_exactly(host: str) -> None:
@@ -169,28 +171,26 @@ def test_a_sensor_that_is_not_there_is_device_lost_with_what_is(
         pass
 
 
-def test_an_address_that_is_none_is_a_config_error() -> None:
-    with pytest.raises(ConfigError, match="ws://host:port"):
-        XelaDriver(XelaConfig("http://127.0.0.1:5000"), CLOCK).open(0.5)
-
-
-def test_a_server_of_something_else_is_device_lost(host: str) -> None:
+def test_a_server_of_something_else_is_device_lost_and_an_address_that_is_none_is_refused(
+    host: str,
+) -> None:
     with emulated(host) as emulator:
         emulator.fault = lambda number, text: ()
         with pytest.raises(DeviceLost, match="no scan of sensor '1'"), opened(host, timeout=0.5):
             pass
+    with pytest.raises(ConfigError, match="ws://host:port"):
+        XelaDriver(XelaConfig("http://127.0.0.1:5000"), CLOCK).open(0.5)
 
 
-def test_a_log_is_played_in_a_loop(host: str, tmp_path: Path) -> None:
+def test_a_log_is_played_in_a_loop_and_one_of_another_shape_refused(
+    host: str, tmp_path: Path
+) -> None:
     log = 30000.3 + np.arange(4 * 48).reshape(4, 48)
     np.save(tmp_path / "log.npy", log.astype(np.float32))
     with emulated(host, source=load_log(tmp_path / "log.npy")), opened(host) as driver:
         for sample in collect(driver, 12):
             row = np.rint(log[(sample["seq"] - 1) % 4]).reshape(16, 3)
             assert (sample["value"] == row).all()
-
-
-def test_a_log_of_another_shape_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "log.npy", np.zeros((4, 47)))
     with pytest.raises(ValueError, match="expected"):
         load_log(tmp_path / "log.npy")
@@ -250,12 +250,6 @@ def test_leading_zeros_may_be_there_or_not(word: str) -> None:
     assert scan.counts.tolist() == [[int(word, 16), 0, int(word, 16)]]
 
 
-@pytest.mark.parametrize("word", ["", " 7", "+7", "0x7", "1_0", "1.5", "1FFFF", "٣"])
-def test_what_python_takes_for_a_number_and_the_server_never_sends_is_refused(word: str) -> None:
-    with pytest.raises(ValueError, match="outside"):
-        parse(f'{{"message": 1, "1": {{"data": "{word},0,0"}}}}', "1", 1)
-
-
 def test_of_several_sensors_in_one_message_the_bench_files_is_taken() -> None:
     other = {"data": ",".join(["1"] * 72), "sensor": "2", "taxels": 24, "model": "uSPa46"}
     text = json.dumps(json.loads(frame(time=5.0)) | {"sensors": 2, "2": other})
@@ -267,48 +261,18 @@ def test_of_several_sensors_in_one_message_the_bench_files_is_taken() -> None:
     assert (one.device_t, two.device_t) == (5.0, 5.0)
 
 
-def test_a_4_by_6_patch_on_a_4_by_4_bench_is_refused_by_its_model() -> None:
-    text = frame({"data": ",".join(["7A00"] * 72), "taxels": 24, "model": "XR1946"})
-    with pytest.raises(ValueError, match="72 values; expected 3 x 16 taxels; it is a XR1946"):
-        parse(text, "1", 16)
-
-
-def test_a_4_by_6_patch_is_read_but_no_world_of_a_mock_bench_has_one() -> None:
+def test_a_4_by_6_patch_is_read_by_a_bench_of_one_and_no_mock_bench_has_one() -> None:
     assert XelaConfig(taxels=24).shape == (4, 6, 3)
     scan = parse(frame({"data": ",".join(["7A00"] * 72), "taxels": 24}), "1", 24)
     assert scan is not None
     assert scan.counts.shape == (24, 3)
+    text = frame({"data": ",".join(["7A00"] * 72), "taxels": 24, "model": "XR1946"})
+    with pytest.raises(ValueError, match="72 values; expected 3 x 16 taxels; it is a XR1946"):
+        parse(text, "1", 16)
     with pytest.raises(ValueError, match=r"taxels: 20; allowed: 16 \(4 x 4\), 24 \(4 x 6\)"):
         XelaConfig(taxels=20)
     with pytest.raises(ValueError, match="taxels: 24; allowed on a mock bench: 16"):
         XelaConfig(taxels=24).check_mock()
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        '42["sensor_1",{"data":"..."}]',
-        '0{"sid":"abc","upgrades":["websocket"]}',
-        '{"time": 1, "sensor_1": [[1, 2, 3]]}',
-        '{"xyz": "0,0,0"}',
-    ],
-)
-def test_the_old_suites_messages_are_refused_with_words(text: str) -> None:
-    with pytest.raises(ValueError, match="update the XELA suite"):
-        parse(text, "1", 16)
-
-
-def test_temperatures_updates_and_times_of_1_8_are_facts_of_the_sensor(host: str) -> None:
-    with emulated(host, layout="1.8"), opened(host) as driver:
-        description = driver.describe()
-        assert (description["model"], description["rate_hz"], description["layout"]) == (
-            "uSPa44",
-            200.0,
-            "1.8",
-        )
-        assert description["vendor_calibration"] is False
-        sample = collect(driver, 1)[0]
-        assert math.isfinite(sample["device_t"])
 
 
 def test_values_that_all_jump_are_refused_and_ten_in_a_row_are_device_lost(host: str) -> None:

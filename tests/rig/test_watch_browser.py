@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ from support.collecting import Collection
 from support.layout import OVERFLOW
 from support.live_quality import GELSIGHT, PLACES, picture, recording
 
+from benchmarks.faults.collection_run import quick_bench
 from rig.acquire.collector import CollectRequest
 from rig.acquire.control import Control
 from rig.core.packaged import BENCHES
@@ -53,17 +53,8 @@ SUM = """(() => {
 
 def bench(folder: Path) -> Path:
     """Write a fast bench with a soft force limit that the deeper presses reach."""
-    path = folder / "bench.yaml"
-    path.write_text(
-        f"""
-extends: {BENCHES / "tacpalm.yaml"}
-preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
-arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
-trajectory: {{depth_step_mm: 2.25}}
-limits: {{force_rating_n: [12.0, 12.0, 1.1], stiffness_n_per_mm: 0.1}}
-"""
-    )
-    return path
+    limits = "{force_rating_n: [12.0, 12.0, 1.1], stiffness_n_per_mm: 0.1}"
+    return quick_bench(folder, "tacpalm", limits=limits, more="trajectory: {depth_step_mm: 2.25}")
 
 
 @contextmanager
@@ -74,15 +65,9 @@ def watched(folder: Path, *arguments: str) -> Iterator[tuple[Collection, Chromiu
             folder / "s.zarr", "--bench", str(bench(folder)), "--watch", "0", *arguments
         )
         try:
-            assert collection.process.stdout is not None
-            for line in collection.process.stdout:
-                collection.lines.append(line.rstrip())
-                if found := re.search(r"watch it at (\S+)", line):
-                    browser.resize(1440, 900)
-                    browser.open(found[1])
-                    break
-            else:
-                raise AssertionError(f"no address was printed:\n{collection.text}")
+            address = collection.page()
+            browser.resize(1440, 900)
+            browser.open(address)
             yield collection, browser
         finally:
             collection.end()
@@ -94,6 +79,19 @@ def text(name: str) -> str:
 
 def count(name: str) -> str:
     return f"Number(document.getElementById('n-{name}').textContent)"
+
+
+def fits(browser: Chromium) -> None:
+    """Nothing overflows at any size, and a wide screen shows all at once."""
+    for width, height in SIZES:
+        browser.resize(width, height, dark=width > 800)
+        assert browser.eval(OVERFLOW) == [], f"at {width} x {height}"
+        header = browser.eval("document.querySelector('header').clientHeight")
+        assert header < 0.25 * height, f"a header of {header} px at {width} x {height}"
+        browser.eval("document.getElementById('reason').hidden = true")
+        if width > 1100:
+            high = browser.eval("document.documentElement.scrollHeight")
+            assert high <= height, f"{high} px high on a screen of {height} px"
 
 
 def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
@@ -129,15 +127,7 @@ def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
         assert browser.eval("document.getElementById('abort').disabled") is True
         assert collection.wait() == 0, collection.text
         # A large page takes the cores of the bench, so it is looked at after the collection.
-        for width, height in SIZES:
-            browser.resize(width, height, dark=width > 800)
-            assert browser.eval(OVERFLOW) == [], f"at {width} x {height}"
-            header = browser.eval("document.querySelector('header').clientHeight")
-            assert header < 0.25 * height, f"a header of {header} px at {width} x {height}"
-            browser.eval("document.getElementById('reason').hidden = true")
-            if width > 1100:
-                high = browser.eval("document.documentElement.scrollHeight")
-                assert high <= height, f"{high} px high on a screen of {height} px"
+        fits(browser)
         complaints = [line for line in browser.console if "ERR_CONNECTION_REFUSED" not in line]
         assert complaints == []
 
@@ -166,11 +156,7 @@ def test_a_fault_of_the_recording_is_seen_by_words_and_colour(tmp_path: Path) ->
             assert "x spike" in words
             assert browser.eval(COLOURS)[0] != calm[0]
             assert browser.eval(COLOURS)[1] == calm[1]
-            for width, height in SIZES:
-                browser.resize(width, height, dark=width > 800)
-                assert browser.eval(OVERFLOW) == [], f"at {width} x {height}"
-                if width == 1280:
-                    assert browser.eval("document.documentElement.scrollHeight") <= height
+            fits(browser)
             if QUALITY_PICTURE is not None:
                 browser.resize(1280, 800)
                 browser.screenshot(Path(QUALITY_PICTURE))

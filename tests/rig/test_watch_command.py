@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import ipaddress
 import re
 import urllib.parse
@@ -17,7 +16,7 @@ from recorder.command_line.errors import CommandError
 from recorder.command_line.options import Parser
 from rig.acquire.collector import CollectRequest
 from rig.cli.options import add_page, benches_option, calibration_options, opened_page
-from rig.monitor.collection import CollectionJob, CollectionPage
+from rig.monitor.collection import CollectionJob
 from trajectories import ForceDepth
 
 
@@ -29,19 +28,8 @@ def parse(*words: str) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def opened(
-    options: argparse.Namespace, folder: Path, stack: contextlib.ExitStack
-) -> CollectionPage:
-    request = CollectRequest(folder / "s.zarr", BENCH.trajectory, TARGETS)
-    page = opened_page(options.watch, options.calibrations, BENCH, folder, request)
-    return stack.enter_context(page)
-
-
-def test_nothing_is_served_unless_asked_for() -> None:
+def test_nothing_is_served_unless_asked_for_and_the_port_has_a_default() -> None:
     assert parse().watch is None
-
-
-def test_the_port_has_a_default() -> None:
     for words, address in (
         (("--watch",), ("127.0.0.1", 8765)),
         (("--watch", "9000"), ("127.0.0.1", 9000)),
@@ -65,33 +53,28 @@ def test_what_cannot_be_is_refused(words: tuple[str, ...], message: str) -> None
         parse(*words)
 
 
-def test_a_page_for_all_networks_prints_addresses_that_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_addresses_that_answer_are_printed_and_a_remote_one_has_the_token(
+    host: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A tablet resolves no name of this machine, so the addresses are numbers."""
-    with contextlib.ExitStack() as stack:
-        opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
-        printed = re.findall(r"watch it at (\S+)", capsys.readouterr().out)
-        assert printed
-        for url in printed:
-            host = urllib.parse.urlsplit(url).hostname
-            assert host is not None
-            assert not ipaddress.ip_address(host).is_unspecified
+    options = parse("--watch", f"{host}:0")
+    request = CollectRequest(tmp_path / "s.zarr", BENCH.trajectory, TARGETS)
+    with opened_page(options.watch, options.calibrations, BENCH, tmp_path, request) as page:
+        printed = capsys.readouterr().out
+        urls = re.findall(r"watch it at (\S+)", printed)
+        assert urls
+        for url in urls:
+            name = urllib.parse.urlsplit(url).hostname
+            assert name is not None
+            assert not ipaddress.ip_address(name).is_unspecified
             with urllib.request.urlopen(url, timeout=240) as answer:
                 assert answer.status == 200
-
-
-def test_the_address_is_printed_and_a_remote_one_has_the_token(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with contextlib.ExitStack() as stack:
-        page = opened(parse("--watch", "0"), tmp_path, stack)
-        assert capsys.readouterr().out == f"watch it at http://127.0.0.1:{page.port}/\n"
-    with contextlib.ExitStack() as stack:
-        page = opened(parse("--watch", "0.0.0.0:0"), tmp_path, stack)
-        printed = capsys.readouterr().out
-        assert f":{page.port}/?token=" in printed
-        assert "not encrypted" in printed
+        if host == "127.0.0.1":
+            assert printed == f"watch it at http://127.0.0.1:{page.port}/\n"
+        else:
+            assert f":{page.port}/?token=" in printed
+            assert "not encrypted" in printed
 
 
 def test_the_map_of_a_press_without_shear_has_one_direction(tmp_path: Path) -> None:

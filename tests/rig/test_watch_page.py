@@ -7,11 +7,11 @@ import multiprocessing
 import os
 import signal
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.waiting import until
 from support.watching import TARGETS, WatchedBench, next_state, watch
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
@@ -28,13 +28,6 @@ def watched_bench(tmp_path: Path) -> Iterator[WatchedBench]:
     made = WatchedBench(tmp_path)
     yield made
     made.close()
-
-
-def until(condition: Callable[[], bool], timeout: float = 240.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "it did not come so far"
-        time.sleep(0.01)
 
 
 def test_the_end_is_shown_before_the_server_goes(watched_bench: WatchedBench) -> None:
@@ -72,19 +65,7 @@ def test_log_lines_reach_the_page_and_the_token_is_in_none(
     assert not any(access.token in line for line in ours)
 
 
-def test_a_killed_page_is_mentioned_once_and_nothing_else(
-    watched_bench: WatchedBench, caplog: pytest.LogCaptureFixture
-) -> None:
-    with watched_bench.page() as page:
-        page.begin(Control(), dict, watched_bench.session, 0)
-        os.kill(child(), signal.SIGKILL)
-        until(lambda: "the monitoring page is gone" in caplog.text)
-        page.say("ending")
-        page.say("complete")
-    assert caplog.text.count("is gone") == 1
-
-
-def test_a_pause_outlives_the_page_that_asked_for_it(
+def test_a_killed_page_is_mentioned_once_and_the_pause_it_asked_for_stays(
     watched_bench: WatchedBench, caplog: pytest.LogCaptureFixture
 ) -> None:
     access, control = AccessPolicy(port=0), Control()
@@ -95,35 +76,35 @@ def test_a_pause_outlives_the_page_that_asked_for_it(
             until(lambda: control.paused_by == ("page",))
         os.kill(child(), signal.SIGKILL)
         until(lambda: "the pause it requested stays" in caplog.text)
+        page.say("ending")
+        page.say("complete")
+    assert caplog.text.count("the monitoring page is gone") == 1
     assert control.paused_by == ("page",)
 
 
 def test_a_frozen_page_holds_nobody_up(watched_bench: WatchedBench) -> None:
-    page = watched_bench.page()
-    with page:
-        page.begin(Control(), lambda: {"phase": "x" * 200_000}, watched_bench.session, 0)
-        pid = child()
-        os.kill(pid, signal.SIGSTOP)
-        time.sleep(0.6)
-        # Handed over, not delivered.
-        page.say("ending")
-    assert not Path(f"/proc/{pid}").exists()
+    frozen: list[int] = []
+
+    def progress() -> dict[str, str]:
+        frozen.append(child())
+        os.kill(frozen[0], signal.SIGSTOP)
+        return {"phase": "x" * 2_000_000}
+
+    with watched_bench.page() as page:
+        page.begin(Control(), progress, watched_bench.session, 0)
+        until(lambda: frozen)
+        page.say("ending")  # handed over, not delivered
+    assert not Path(f"/proc/{frozen[0]}").exists()
 
 
-def test_a_port_in_use_is_wrong_input(watched_bench: WatchedBench) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with (
-            pytest.raises(ConfigError, match=rf"--watch: found 127\.0\.0\.1:{port}: .*in use"),
-            watched_bench.page(AccessPolicy(port=port)),
-        ):
-            pass
-
-
-def test_an_address_that_is_not_ours_is_wrong_input(watched_bench: WatchedBench) -> None:
-    access = AccessPolicy(host="192.0.2.7", port=0)
-    with pytest.raises(ConfigError, match="--watch"), watched_bench.page(access):
-        pass
+def test_an_address_in_use_or_not_ours_is_wrong_input(watched_bench: WatchedBench) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        used = rf"--watch: found 127\.0\.0\.1:{port}: .*in use"
+        for host, text in (("127.0.0.1", used), ("192.0.2.7", "--watch")):
+            page = watched_bench.page(AccessPolicy(host, port))
+            with pytest.raises(ConfigError, match=text), page:
+                pass
 
 
 def test_a_collecting_process_that_vanishes_is_shown_and_the_page_ends(

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from support.waiting import until
 
 from rig.core import emulation
-from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.clock import SystemClock
 from rig.core.geometry import compose
 from rig.core.guard import GuardLimits
 from rig.core.mock_names import PORTS
@@ -53,13 +54,6 @@ def height() -> float:
     return inject()["pose"][2] - FRAME[2]
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 240.0) -> None:
-    deadline_ns = CLOCK.now_ns() + round(seconds * SECOND_NS)
-    while not condition():
-        assert CLOCK.now_ns() < deadline_ns, "did not come about"
-        CLOCK.sleep_until(CLOCK.now_ns() + 10_000_000)
-
-
 def moving() -> bool:
     return any(abs(speed) > 1e-3 for speed in inject()["speed"])
 
@@ -67,7 +61,7 @@ def moving() -> bool:
 def stands_still() -> bool:
     """Return True if the pose is constant over at least 50 controller cycles."""
     before = inject()
-    wait_until(lambda: inject()["tick"] >= before["tick"] + 50)
+    until(lambda: inject()["tick"] >= before["tick"] + 50)
     return inject()["pose"] == before["pose"]
 
 

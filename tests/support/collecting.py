@@ -42,6 +42,19 @@ def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
     ]
 
 
+def tactile(*words: object) -> subprocess.CompletedProcess[str]:
+    """Run a command without a terminal, as a user does, to its end."""
+    return subprocess.run(
+        [sys.executable, "-m", "tactile", *map(str, words)],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+
+
 @contextlib.contextmanager
 def move_typed() -> Iterator[int]:
     """Yield a terminal to use as standard input, on which `move` is typed until it is read."""
@@ -91,6 +104,15 @@ class Collection:
             start_new_session=True,
         )
         return cls(session, process)
+
+    def page(self) -> str:
+        """Return the address of its page, once it is printed."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+            if address := re.search(r"watch it at (\S+)", line):
+                return address[1]
+        raise AssertionError(f"no address was printed:\n{self.text}")
 
     def wait(self, timeout: float = 240.0) -> int:
         """Return its exit code, with all printed lines in `lines`."""
@@ -164,10 +186,8 @@ class Collection:
         """Send SIGKILL to every process, children first, main process last."""
         pids = sorted(self.processes(), key=lambda pid: pid == self.process.pid)
         for pid in pids:
-            try:
+            with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-            except ProcessLookupError:
-                continue
         deadline = time.monotonic() + 10
         while any(Path(f"/proc/{pid}").exists() for pid in pids if pid != self.process.pid):
             if time.monotonic() > deadline:

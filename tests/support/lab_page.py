@@ -84,11 +84,36 @@ class LabPage:
             return answer
 
 
+SERVER = """
+import asyncio
+from pathlib import Path
+from rig.core.clock import SystemClock
+from rig.monitor.access import AccessPolicy
+from rig.monitor.lab import Folders
+from rig.monitor.server import PageServer
+page = PageServer(AccessPolicy(port=0), Folders(Path("sessions")), SystemClock())
+asyncio.run(page.run(lambda port: print(f"watch it at http://127.0.0.1:{port}/", flush=True)))
+"""
+
+
+@contextmanager
+def serving(folder: Path) -> Iterator[LabPage]:
+    """Serve the page of a lab with the priority of a test; `tactile page` has a lower one."""
+    with _served(folder, "-c", SERVER) as page:
+        yield page
+
+
 @contextmanager
 def running(folder: Path, *options: str) -> Iterator[LabPage]:
     """Run `tactile page` in a folder."""
+    with _served(folder, "-m", "tactile", "page", "--port", "0", *options) as page:
+        yield page
+
+
+@contextmanager
+def _served(folder: Path, *arguments: str) -> Iterator[LabPage]:
     process = subprocess.Popen(
-        [sys.executable, "-m", "tactile", "page", "--port", "0", *options],
+        [sys.executable, *arguments],
         cwd=folder,
         env={"PYTHONPATH": str(ROOT), "PATH": ""},
         stdout=subprocess.PIPE,
