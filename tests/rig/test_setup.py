@@ -19,7 +19,8 @@ from recorder import Session
 from rig.acquire.calibration import store
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.doctor import Finding
-from rig.bench.bench import BenchFile
+from rig.bench.bench import BenchFile, bench_from
+from rig.bench.guards import without_gauge
 from rig.cli import setup
 from rig.cli.home import find_by_force
 from rig.core.errors import ConfigError, DeviceLost
@@ -41,6 +42,7 @@ class Steps:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.run: list[Any] = []
+        self.monkeypatch = monkeypatch
         self.state = "well"
         self.lost = False
 
@@ -60,6 +62,18 @@ class Steps:
         weight = setup.Question("weight_g", "mass [g]", lambda bench: 100.0)
         steps = (setup.Step(first, ("force",), (weight,)), setup.Step(second, ("camera",)))
         monkeypatch.setattr(setup, "STEPS", steps)
+
+    def answers(self, *typed: str) -> list[str]:
+        """Find a fault in the second step, and type these answers; return what is asked."""
+        self.state = "FAULT"
+        left, asked = list(typed), list[str]()
+
+        def answer(prompt: str) -> str:
+            asked.append(prompt.strip())
+            return left.pop(0)
+
+        self.monkeypatch.setattr(setup, "answer", answer)
+        return asked
 
 
 @pytest.fixture
@@ -118,46 +132,29 @@ def test_a_step_is_repeated_once_its_part_of_the_bench_file_changes(
         assert len(steps.run) == run
 
 
-def test_the_person_may_measure_again_or_accept_a_fault(
-    steps: Steps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    steps.state = "FAULT"
-    answers = iter(["heavy", "50", "", "accept"])
-    asked: list[str] = []
-
-    def answer(prompt: str) -> str:
-        asked.append(prompt.strip())
-        return next(answers)
-
-    monkeypatch.setattr(setup, "answer", answer)
+def test_the_person_may_measure_again_or_accept_a_fault(steps: Steps, tmp_path: Path) -> None:
+    asked = steps.answers("heavy", "50", "", "accept")
     assert setup.run(parsed(tmp_path)) == 0
     assert steps.run == [("first", 50.0), "second", "second"]
     assert asked[:2] == ["mass [g] [100]:"] * 2
-    bench = BenchFile.read(BENCH).bench
-    accepted = store.acceptance_of(tmp_path, bench)
+    accepted = store.acceptance_of(tmp_path, BenchFile.read(BENCH).bench)
     assert accepted is not None
     assert accepted["result"] == "accepted with faults: second"
 
 
 @pytest.mark.parametrize("typed", ["a", " accept it", "accept\naccept"])
-def test_only_the_word_accepts_a_fault(
-    steps: Steps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str
-) -> None:
-    steps.state = "FAULT"
-    answers = iter(["50", typed])
-    monkeypatch.setattr(setup, "answer", lambda prompt: next(answers))
+def test_only_the_word_accepts_a_fault(steps: Steps, tmp_path: Path, typed: str) -> None:
+    steps.answers("50", typed)
     assert setup.run(parsed(tmp_path)) == 3
     assert store.acceptance_of(tmp_path, BenchFile.read(BENCH).bench) is None
 
 
 WIZARD = """
 import sys
-from pathlib import Path
 from rig.cli.options import answer
 print("ready", flush=True)
 sys.stdin.readline()
-typed = answer("a fault was found; accept: accept it: ")
-print(f"typed {typed!r}", flush=True)
+print(f"typed {answer('a fault was found; accept: accept it: ')!r}", flush=True)
 """
 
 
@@ -166,19 +163,15 @@ def test_an_answer_typed_before_its_question_is_dropped() -> None:
     if process == 0:
         os.execv(sys.executable, [sys.executable, "-c", WIZARD])
     output = ""
-
-    def read_until(text: str) -> None:
-        nonlocal output
-        while text not in output:
-            assert select.select([terminal], [], [], 60.0)[0], output
+    for words, answer in (
+        ("ready", b"go\naccept\n"),
+        ("accept it: ", b"no\n"),
+        ("\ntyped 'no'", b""),
+    ):
+        while words not in output:
+            assert select.select([terminal], [], [], 240.0)[0], output
             output += os.read(terminal, 4096).decode()
-
-    read_until("ready")
-    os.write(terminal, b"go\naccept\n")
-    read_until("accept it: ")
-    os.write(terminal, b"no\n")
-    read_until("typed ")
-    read_until("\n" + "typed 'no'")
+        os.write(terminal, answer)
     os.close(terminal)
     os.waitpid(process, 0)
 
@@ -211,9 +204,6 @@ def test_a_lost_device_and_wrong_input_are_named(
 
 
 def test_steps_of_benches_with_and_without_a_gauge() -> None:
-    from rig.bench.bench import bench_from
-    from rig.bench.guards import without_gauge
-
     file = BenchFile.read(BENCH)
     bench, content = file.bench, file.content
     bare = bench_from(without_gauge(content, "bench"), "bench")
@@ -228,12 +218,7 @@ def test_a_command_that_stopped_is_a_fault_with_a_cure_by_its_exit_code(
     code: int, cure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ran: list[tuple[Any, ...]] = []
-
-    def apart(*called: Any) -> int:
-        ran.append(called)
-        return code
-
-    monkeypatch.setattr(setup, "apart", apart)
+    monkeypatch.setattr(setup, "apart", lambda *called: ran.append(called) or code)
     at = setup.AtBench(parsed(tmp_path, "--yes", "--indenter", "sphere"), {})
     (found,) = setup.home(at, {})
     assert found.state == "FAULT"
