@@ -32,6 +32,8 @@ SLIP = 1e-5
 LAST_DIGITS = 2e-5
 # Two paths to one elastic state, relative force: each is accepted with a residual of 1e-4.
 SAME = 5e-4
+# Words of `smooth`.
+KINK = "largest second difference / largest force"
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +166,12 @@ def rises(says: str, values: Sequence[float] | Array, least: float = 0.0) -> Law
     """Return the law that values increase: smallest increase over the largest value."""
     curve = np.asarray(values, float)
     return at_least(says, np.diff(curve).min() / np.abs(curve).max(), least)
+
+
+def straight(result: Result, limit: float) -> Law:
+    """Return the law that the indenter pushes straight down."""
+    aside = np.abs(result.force[:, :2]).max() / push(result).max()
+    return at_most("force aside / force", aside, limit)
 
 
 def push(result: Result) -> Array:

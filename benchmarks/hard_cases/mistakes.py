@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmarks.hard_cases.cases import CASES
@@ -64,65 +64,52 @@ def _skipping(result: Result) -> Result:
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A wrong solver, and the case that notices it."""
+    """A wrong solver, and the fastest case that notices it."""
 
     what: str
     case: str
-    """The fastest case that fails with it."""
-    arguments: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments of the solver that make it wrong."""
-
-    def solver(self, device: str) -> Solver:
-        """Return the wrong solver."""
-        return Solver(device, **self.arguments)
+    solver: Solver
 
 
+def _wrong(what: str, case: str, **arguments: Any) -> Mistake:
+    return Mistake(what, case, Solver(**arguments))
+
+
+def _unsettled(what: str, case: str, **settings: Any) -> Mistake:
+    return Mistake(what, case, Solver(settings=settings))
+
+
+PUNCH, RELOAD, SAG = "flat-punch-between-bounds", "reload-after-unload", "sags-under-gravity"
+TIGHT = "tighter-tolerance"
 MISTAKES = {
-    "force-scaled": Mistake(
-        "forces of 1.1 times the right ones", "flat-punch-between-bounds", {"answers": _scaled}
+    "force-scaled": _wrong("forces of 1.1 times the right ones", PUNCH, answers=_scaled),
+    "locking": _wrong(
+        "forces of elements that lock near nu = 0.5", "poisson-0-49", answers=_locking
     ),
-    "locking": Mistake(
-        "forces of elements that lock near nu = 0.5", "poisson-0-49", {"answers": _locking}
+    "pushes-outwards": _wrong("the force along x has the other sign", "rim-10-mm", answers=_aside),
+    "frames-skipped": _wrong("each second frame repeats the one before", RELOAD, answers=_skipping),
+    "poisson-0-3": _wrong("every gel has Poisson's ratio 0.3", SAG, solves=_compressible),
+    "friction-ignored": _wrong(
+        "no friction", "full-stick-stiffens", solves=_effects(friction=None)
     ),
-    "pushes-outwards": Mistake(
-        "the force along x has the other sign", "rim-10-mm", {"answers": _aside}
+    "friction-doubled": _wrong(
+        "twice the coefficient of friction", "shear-friction-0-3", solves=_rougher
     ),
-    "frames-skipped": Mistake(
-        "each second frame repeats the one before", "reload-after-unload", {"answers": _skipping}
+    "viscosity-ignored": _wrong(
+        "no viscosity", "fast-and-slow-presses", solves=_effects(viscosity=None)
     ),
-    "poisson-0-3": Mistake(
-        "every gel has Poisson's ratio 0.3", "sags-under-gravity", {"solves": _compressible}
+    "inertia-ignored": _wrong("no inertia", "fast-press-with-mass", solves=_effects(inertia=None)),
+    "gravity-upwards": _wrong("gravity with the other sign", SAG, solves=_upside_down),
+    "loose-tolerance": _unsettled(
+        "a tenth of the force may be out of balance", TIGHT, tolerance=0.1
     ),
-    "friction-ignored": Mistake(
-        "no friction", "full-stick-stiffens", {"solves": _effects(friction=None)}
-    ),
-    "friction-doubled": Mistake(
-        "twice the coefficient of friction", "shear-friction-0-3", {"solves": _rougher}
-    ),
-    "viscosity-ignored": Mistake(
-        "no viscosity", "fast-and-slow-presses", {"solves": _effects(viscosity=None)}
-    ),
-    "inertia-ignored": Mistake(
-        "no inertia", "fast-press-with-mass", {"solves": _effects(inertia=None)}
-    ),
-    "gravity-upwards": Mistake(
-        "gravity with the other sign", "sags-under-gravity", {"solves": _upside_down}
-    ),
-    "loose-tolerance": Mistake(
-        "a tenth of the force may be out of balance",
-        "tighter-tolerance",
-        {"settings": {"tolerance": 0.1}},
-    ),
-    "soft-contact": Mistake(
+    "soft-contact": _unsettled(
         "contact a 25th as stiff, without updates of its multipliers",
-        "flat-punch-between-bounds",
-        {"settings": {"penalty": 8.0, "augmentations": 0}},
+        PUNCH,
+        penalty=8.0,
+        augmentations=0,
     ),
-    "float32-only": Mistake(
-        "never more digits than float32",
-        "tighter-tolerance",
-        {"settings": {"precision": "float32"}},
-    ),
+    "float32-only": _unsettled("never more digits than float32", TIGHT, precision="float32"),
 }
 # Those of a quick run.
 QUICK = ("force-scaled", "gravity-upwards", "loose-tolerance")
@@ -134,7 +121,7 @@ def measure(run: Run) -> dict[str, Any]:
     noticed = {}
     for done, name in enumerate(names, start=1):
         mistake = MISTAKES[name]
-        report = judge(CASES[mistake.case], mistake.solver(run.device))
+        report = judge(CASES[mistake.case], replace(mistake.solver, device=run.device))
         noticed[name] = report["failures"]
         if not report["failures"]:
             run.failures.append(f"{name}: not noticed by {mistake.case}")

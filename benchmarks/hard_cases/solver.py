@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from benchmarks.hard_cases.laws import Law
+from benchmarks.hard_cases.laws import Law, validity_laws
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.result import Outcome, Result
@@ -46,11 +46,7 @@ class Solver:
         ]
 
     def one(self, scene: Scene, **numerics: Any) -> Result:
-        """Return the result of one scene, as `many`.
-
-        Raises:
-            SimulationDiverged: No solution.
-        """
+        """Return the result of one scene, as `many`."""
         return self.many([scene], **numerics)[0]
 
     def many(
@@ -72,5 +68,32 @@ class Solver:
         return results
 
 
-# A case: its name and docstring say what it asserts.
+# A case: its docstring says what it asserts.
 Case = Callable[[Solver], list[Law]]
+
+
+def case(
+    says: str,
+    scenes: Sequence[Scene],
+    laws: Callable[..., list[Law]],
+    *,
+    variants: Sequence[Mapping[str, Any]] = ({},),
+    det_f: float | None = 0.5,
+    pull: float = 1e-6,
+    **numerics: Any,
+) -> Case:
+    """Return the case that scenes, solved in one call for each variant of numerics, obey laws.
+
+    `laws` gets the results in this order. The laws of every press are added, with `det_f` and
+    `pull` as their limits, unless `det_f` is None.
+    """
+
+    def judged(solver: Solver) -> list[Law]:
+        results = [
+            result for variant in variants for result in solver.many(scenes, **numerics, **variant)
+        ]
+        valid = [] if det_f is None else validity_laws(*results, det_f=det_f, pull=pull)
+        return [*valid, *laws(*results)]
+
+    judged.__doc__ = says
+    return judged

@@ -5,10 +5,8 @@ import math
 from pathlib import Path
 
 import pytest
-from support.few import few
 
 from benchmarks.__main__ import main
-from benchmarks.hard_cases import named_cases
 from benchmarks.hard_cases.cases import CASES, QUICK, asserts, chosen
 from benchmarks.hard_cases.laws import (
     Law,
@@ -21,33 +19,36 @@ from benchmarks.hard_cases.laws import (
 )
 from benchmarks.hard_cases.mistakes import MISTAKES
 from benchmarks.hard_cases.named_cases import judge
-from benchmarks.hard_cases.solver import Solver
+from benchmarks.hard_cases.solver import Case, Solver
 from sim.errors import SimulationDiverged
 
+# In less than a second or so; the others are slow.
+FAST = (
+    "poisson-0-3", "never-touches", "inertia-of-no-mass", "fast-press-with-mass", "repeats",
+    "phases-without-time", "metres-and-millimetres", "stays-elastic-when-rested",
+    "sags-under-gravity", "diverges-in-a-batch",
+)  # fmt: skip
 
-@pytest.mark.parametrize("name", few(QUICK, 4))
-def test_quick_cases_pass(name: str) -> None:
-    assert judge(CASES[name], Solver())["failures"] == []
 
-
-@pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("name", sorted(set(CASES) - set(QUICK)))
-def test_every_other_case_passes(name: str) -> None:
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in CASES]
+)
+def test_every_case_passes(name: str) -> None:
     assert judge(CASES[name], Solver())["failures"] == []
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=() if name in ("force-scaled",) else pytest.mark.slow)
+        pytest.param(name, marks=() if name == "force-scaled" else pytest.mark.slow)
         for name in MISTAKES
     ],
 )
 def test_a_wrong_solver_is_noticed_by_its_case(name: str) -> None:
     """The right one passes: see above."""
     mistake = MISTAKES[name]
-    assert judge(CASES[mistake.case], mistake.solver("cpu"))["failures"]
+    assert judge(CASES[mistake.case], mistake.solver)["failures"]
 
 
 def test_there_are_cases_of_each_family_and_each_says_what_it_asserts() -> None:
@@ -122,7 +123,7 @@ def _breaks_a_law(_solver: Solver) -> list[Law]:
     ],
 )
 def test_the_command_fails_with_a_case_and_says_why(
-    case: named_cases.Case,
+    case: Case,
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -114,27 +115,41 @@ def test_forces_that_fall_with_depth_or_differ_between_twins_may_do_so_within_th
         assert law.holds == holds
 
 
-def test_a_force_at_first_touch_is_caught(good: Result) -> None:
+def _first_touch(good: Result) -> Result:
     wrench = good.wrench.copy()
     wrench[0, 2] = wrench[-1, 2] / 2
-    assert "lets-go" in _broken(replace(good, wrench=wrench))
+    return replace(good, wrench=wrench)
 
 
-def test_a_force_aside_that_passes_by_the_centre_is_caught(good: Result) -> None:
+def _aside(good: Result) -> Result:
     wrench = good.wrench.copy()
     wrench[:, 0] = wrench[:, 2] / 5
-    assert "through-centre" in _broken(replace(good, wrench=wrench))
+    return replace(good, wrench=wrench)
 
 
-def test_an_indenter_that_went_through_is_caught(good: Result) -> None:
-    no_contact = replace(good, surface=np.zeros_like(good.surface))
-    assert {"no-overlap", "not-through"} <= _broken(no_contact)
-
-
-def test_a_skin_below_the_base_is_caught(good: Result) -> None:
+def _below_the_base(good: Result) -> Result:
     surface = good.surface.copy()
     surface[-1, 0, 0, 2] = -4.1 * MM
-    assert _broken(replace(good, surface=surface)) == {"above-base"}
+    return replace(good, surface=surface)
+
+
+def _went_through(good: Result) -> Result:
+    return replace(good, surface=np.zeros_like(good.surface))
+
+
+@pytest.mark.parametrize(
+    ("doctored", "laws"),
+    [
+        (_first_touch, {"lets-go"}),
+        (_aside, {"through-centre"}),
+        (_went_through, {"no-overlap", "not-through"}),
+        (_below_the_base, {"above-base"}),
+    ],
+)
+def test_a_doctored_answer_is_caught(
+    good: Result, doctored: Callable[[Result], Result], laws: set[str]
+) -> None:
+    assert laws <= _broken(doctored(good))
 
 
 def test_a_blade_between_two_rows_of_nodes_is_seen() -> None:
@@ -393,6 +408,7 @@ def test_a_silent_scene_is_stored_fails_the_run_and_is_on_the_page(
     (stored,) = tmp_path.glob("0-2-*.json")
     assert "no-pull" in load(stored)[1]
     text = page.read_text()
+    assert all((law.__doc__ or "").strip() for law in LAWS.values())
     assert "| silent | laws are broken, without a warning | 1 |" in text
     assert "| no-pull | Contact does not pull," in text
     assert "| 0/3 | timeout | trap, x | no \\| answer |" in text
@@ -430,7 +446,7 @@ SLIDE = Scene(
     ],
 )
 def test_the_referee_notices_a_wrong_solver(mistake: str, scene: Scene, law: str) -> None:
-    solver = MISTAKES[mistake].solver("cpu")
+    solver = MISTAKES[mistake].solver
     assert law in judge_scene(scene, Settings(solver, 300.0)).failure
 
 
@@ -440,7 +456,3 @@ def test_the_referee_notices_a_wrong_solver(mistake: str, scene: Scene, law: str
 def test_the_referee_accepts_the_right_solver(scene: Scene) -> None:
     outcome = judge_scene(scene, Settings(seconds=300.0))
     assert outcome.kind == "right", outcome.why
-
-
-def test_laws_have_words_for_the_page() -> None:
-    assert all((law.__doc__ or "").strip() for law in LAWS.values())

@@ -1,9 +1,8 @@
-"""Hard cases, by family: each function of a family's file is one, in the order of the page."""
+"""Hard cases, by family: a table in each family's file, in the order of the page."""
 
 from __future__ import annotations
 
 from fnmatch import fnmatch
-from types import ModuleType
 
 from benchmarks.hard_cases.cases import (
     edges,
@@ -17,18 +16,7 @@ from benchmarks.hard_cases.cases import (
 from benchmarks.hard_cases.solver import Case
 
 FAMILIES = (pressing, edges, friction, steps, precision, in_time, wrong_input)
-
-
-def _cases(family: ModuleType) -> dict[str, Case]:
-    """Return the public functions that the module itself defines."""
-    return {
-        name.replace("_", "-"): value
-        for name, value in vars(family).items()
-        if getattr(value, "__module__", "") == family.__name__ and not name.startswith("_")
-    }
-
-
-BY_FAMILY = {(family.__doc__ or "").split(":")[0]: _cases(family) for family in FAMILIES}
+BY_FAMILY = {(family.__doc__ or "").split(":")[0]: family.CASES for family in FAMILIES}
 CASES: dict[str, Case] = {
     name: case for cases in BY_FAMILY.values() for name, case in cases.items()
 }

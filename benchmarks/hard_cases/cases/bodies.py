@@ -1,9 +1,11 @@
-"""Bodies and indenters of most cases."""
+"""Bodies, indenters and motions of most cases."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from sim.indenters import shapes
-from sim.scene import Body
+from sim.scene import Body, Effects, Motion, Scene, through
 
 MM = 1e-3
 
@@ -19,3 +21,18 @@ DOME = Body(size_x=30 * MM, size_y=30 * MM, thickness=12 * MM, modulus=30e3, dom
 SLAB = Body(size_x=30 * MM, size_y=30 * MM, thickness=12 * MM, modulus=30e3)
 
 SPHERE = shapes.sphere(4 * MM)
+
+
+def ball(motion: Motion, body: Body = GEL, **effects: Any) -> Scene:
+    """Return a scene of the sphere of 4 mm, with these effects."""
+    return Scene(SPHERE, motion, body, Effects(**effects))
+
+
+def way(*points: tuple[float, float, float], speed: float = 10 * MM) -> Motion:
+    """Return the motion through these points [mm]."""
+    return through([(x * MM, y * MM, z * MM) for x, y, z in points], speed=speed)
+
+
+def even(depth: float, steps: int) -> list[float]:
+    """Return equal steps down to `depth`."""
+    return [depth * step / steps for step in range(1, steps + 1)]

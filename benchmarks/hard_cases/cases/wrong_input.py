@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.hard_cases.cases.bodies import MM, PAD, SPHERE
 from benchmarks.hard_cases.laws import Law, alike, at_least, at_most, difference, evidence
-from benchmarks.hard_cases.solver import Solver
+from benchmarks.hard_cases.solver import Case, Solver
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import Part, named, shapes
@@ -77,23 +77,23 @@ def _refusals(fields: Iterable[tuple[str, Make]], value: float) -> list[Law]:
     ]
 
 
-def not_a_number(_solver: Solver) -> list[Law]:
+def _not_a_number(_solver: Solver) -> list[Law]:
     """NaN in any number of a scene is rejected by the field's name; no scene is created."""
     return _refusals(_fields(), math.nan)
 
 
-def infinite(_solver: Solver) -> list[Law]:
+def _infinite(_solver: Solver) -> list[Law]:
     """Infinity likewise, except for the widest wall, where it means none."""
     return _refusals([field for field in _fields() if field[0] != "narrowest"], math.inf)
 
 
-def below_zero(_solver: Solver) -> list[Law]:
+def _below_zero(_solver: Solver) -> list[Law]:
     """Negative lengths, moduli, coefficients and times are rejected."""
     signed = ("acceleration", "tip", "depths", "motion.at", "shear", "values", "axis", "cosine")
     return _refusals([field for field in _fields() if not field[0].startswith(signed)], -1.0)
 
 
-def millimetres_for_metres(_solver: Solver) -> list[Law]:
+def _millimetres_for_metres(_solver: Solver) -> list[Law]:
     """A body or a depth in millimetres is rejected; the message asks about the units."""
     fields: list[tuple[str, Make]] = [
         ("size_x", lambda value: Body(size_x=20 * value, size_y=20 * value, thickness=4 * value)),
@@ -103,7 +103,7 @@ def millimetres_for_metres(_solver: Solver) -> list[Law]:
     return _refusals(fields, 1.0)
 
 
-def phases_without_time(_solver: Solver) -> list[Law]:
+def _phases_without_time(_solver: Solver) -> list[Law]:
     """Phases of zero length (the same depth twice, the same time twice) are rejected: no time."""
     fields: list[tuple[str, Make]] = [
         ("depths", lambda value: press([1 * MM, 1 * MM + value])),
@@ -112,7 +112,7 @@ def phases_without_time(_solver: Solver) -> list[Law]:
     return _refusals(fields, 0.0)
 
 
-def numerics_not_a_number(solver: Solver) -> list[Law]:
+def _numerics_not_a_number(solver: Solver) -> list[Law]:
     """NaN in the solver's settings is rejected by name, before a step is taken."""
     steps: list[float] = []
     scene = Scene(SPHERE, press([0.2 * MM]), Body(4 * MM, 4 * MM, 3 * MM))
@@ -126,7 +126,7 @@ def numerics_not_a_number(solver: Solver) -> list[Law]:
     return [*laws, at_most("steps that were taken", len(steps), 0)]
 
 
-def unlike_bodies_in_a_batch(solver: Solver) -> list[Law]:
+def _unlike_bodies_in_a_batch(solver: Solver) -> list[Law]:
     """Bodies of different size, or effects, in one call: each gets the same result as alone."""
     base = Scene(SPHERE, press([0.5 * MM]), PAD)
     scenes = [
@@ -149,17 +149,17 @@ def _gives_up(solver: Solver, **numerics: object) -> list[Law]:
     return [at_least("refused", 0, 1)]
 
 
-def one_newton_iteration(solver: Solver) -> list[Law]:
+def _one_newton_iteration(solver: Solver) -> list[Law]:
     """Limited to one Newton iteration and one halving, it reports this and its last state."""
     return _gives_up(solver, newton_max=1, halvings=1)
 
 
-def out_of_reach(solver: Solver) -> list[Law]:
+def _out_of_reach(solver: Solver) -> list[Law]:
     """A tolerance below float32's digits is rejected in float32, not ignored."""
     return _gives_up(solver, precision="float32", tolerance=1e-9, halvings=2)
 
 
-def diverges_in_a_batch(solver: Solver) -> list[Law]:
+def _diverges_in_a_batch(solver: Solver) -> list[Law]:
     """A press that does not converge does not affect another in the same batch."""
     good = Scene(SPHERE, press([0.5 * MM]), PAD)
     bad = Scene(named("prism"), press([3.4 * MM]), PAD)
@@ -171,3 +171,13 @@ def diverges_in_a_batch(solver: Solver) -> list[Law]:
     if not isinstance(rejected, SimulationDiverged):
         return [at_least("the bad press refused", 0, 1)]
     return [*alike(alone, beside), *evidence(rejected)]
+
+
+CASES: dict[str, Case] = {
+    case.__name__.strip("_").replace("_", "-"): case
+    for case in (
+        _not_a_number, _infinite, _below_zero, _millimetres_for_metres, _phases_without_time,
+        _numerics_not_a_number, _unlike_bodies_in_a_batch, _one_newton_iteration, _out_of_reach,
+        _diverges_in_a_batch,
+    )
+}  # fmt: skip

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
 from sim.indenters import NAMES, Indenter, Part, from_stl, named, shapes
@@ -132,29 +133,11 @@ def _solid(dice: Dice, folder: Path) -> Indenter:
     below, above = dice.even(2.0, 6.0), dice.even(5.0, 9.0)
     sides = dice.whole(3, 8)
     edge = dice.one_of([0.32, 0.5]) * MM
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"frustum-{sides}-{below:g}-{above:g}.stl"
     if not path.exists():
-        path.write_bytes(frustum(sides, below, above, 8.0))
+        folder.mkdir(parents=True, exist_ok=True)
+        angle = np.arange(sides) / sides * math.tau
+        ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
+        corners = np.concatenate([below * ring, above * ring + [0.0, 0.0, 8.0]])
+        trimesh.convex.convex_hull(corners).export(path)
     return from_stl(path, edge_radius=edge, spacing=0.2 * MM, axis="file")
-
-
-def frustum(sides: int, below: float, above: float, height: float) -> bytes:
-    """Return a binary STL file of a frustum, from its radii below and above, and its height."""
-    angle = np.arange(sides) / sides * math.tau
-    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
-    top = np.array([0.0, 0.0, height])
-    low, high = below * ring, above * ring + top
-    following = np.roll(np.arange(sides), -1)
-    corners = np.concatenate(
-        [
-            np.stack([low, low[following], high[following]], axis=1),
-            np.stack([low, high[following], high], axis=1),
-            np.stack([0 * low, low[following], low], axis=1),
-            np.stack([0 * high + top, high, high[following]], axis=1),
-        ]
-    )
-    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    records = np.zeros(len(corners), record)
-    records["corners"] = corners
-    return bytes(80) + len(corners).to_bytes(4, "little") + records.tobytes()
