@@ -150,22 +150,13 @@ def test_the_slope_is_that_of_the_right_hand_side_along_the_solution(
     matrices = np.stack([_symmetric(values, seed) for seed, values in enumerate(spread)])
     right = _right(len(spread))
     solved = Solved(matrices, right, np.ones(len(spread)), 1e-5, real, most)
+    assert max(solved.count) <= most
     expected = -(right.reshape(len(spread), SIZE) * solved.solution).sum(1)
     assert solved.slope == pytest.approx(expected, rel=error)
     # The last one follows the preconditioned right-hand side; its inverse blocks are -1.
     assert (solved.slope[:3] < 0).all()
     assert solved.concave[3]
     assert solved.concave[2] or most < 400
-
-
-def test_the_slope_of_a_zero_right_hand_side_is_zero() -> None:
-    matrices = np.stack([_symmetric(np.linspace(1, 9, SIZE), seed) for seed in (1, 2)])
-    right = _right(2)
-    right[1] = 0.0
-    solved = Solved(matrices, right, np.ones(2), 1e-8, wp.float64, 200)
-    assert solved.slope[0] < 0
-    assert solved.slope[1] == 0
-    assert not solved.concave.any()
 
 
 def test_as_many_iterations_as_different_eigenvalues_suffice() -> None:
@@ -188,6 +179,9 @@ def test_an_environment_that_is_off_costs_nothing_and_a_zero_right_hand_side_end
     assert solved.count[0] > 0
     assert solved.count[1] == solved.count[2] == 0
     assert not solved.solution[1:].any()
+    assert solved.slope[0] < 0
+    assert solved.slope[2] == 0
+    assert not solved.concave.any()
 
 
 def test_a_batch_gives_each_system_what_it_gets_alone_bit_for_bit() -> None:
@@ -210,12 +204,6 @@ def test_a_direction_that_is_not_convex_is_said_and_ends_the_solve() -> None:
     assert solved.concave.tolist() == [True, False]
     assert np.isfinite(solved.solution).all()
     assert _right(2)[0].ravel() @ solved.solution[0] > 0, "what was found still leads downhill"
-
-
-def test_the_most_iterations_are_kept() -> None:
-    matrices = _symmetric(np.linspace(1, 1e4, SIZE), 1)[None]
-    solved = Solved(matrices, _right(1), np.ones(1), 1e-14, wp.float64, 7)
-    assert solved.count[0] == 7
 
 
 def test_rows_that_are_gathered_change_nothing() -> None:

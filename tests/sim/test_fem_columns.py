@@ -8,7 +8,16 @@ import pytest
 import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array
-from support.fem_tangents import COUNT, FILLED, GRID, Tangents, columns_of, flat_tangent, spread_out
+from support.fem_tangents import (
+    COUNT,
+    FILLED,
+    GRID,
+    Tangents,
+    applied,
+    columns_of,
+    flat_tangent,
+    spread_out,
+)
 from support.few import few
 
 from sim.fem.multigrid import Multigrid
@@ -20,19 +29,6 @@ REALS = [
 ]
 
 
-def _apply(columns: Multigrid, active: Any, r: Array, real: Any) -> Array:
-    """Return the preconditioner times r (B, N, 3), from a step of zero length."""
-    count = len(r)
-    nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
-    scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
-    sums = wp.zeros((count, columns.parts, 2), dtype=wp.float64, device="cpu")
-    residual = oracle.vectors(r, real)
-    columns.advance(
-        oracle.rows(active.numpy()), scalars, (nothing, nothing), (nothing, residual, z), sums
-    )
-    return np.array(z.numpy())
-
-
 def _inverse(tangents: Tangents, real: Any, env: int) -> Array:
     """Return the preconditioner as a dense matrix, by applying it to unit vectors."""
     columns = Multigrid([GRID], np.zeros(3, int), real, "cpu")
@@ -41,7 +37,7 @@ def _inverse(tangents: Tangents, real: Any, env: int) -> Array:
     dense = np.empty((3 * COUNT, 3 * COUNT))
     for unit, row in zip(np.eye(3 * COUNT), dense, strict=True):
         r = np.broadcast_to(unit.reshape(COUNT, 3), (3, COUNT, 3))
-        row[:] = _apply(columns, active, r, real)[env].ravel()
+        row[:] = applied(columns, active.numpy(), r, real)[0][env].ravel()
     return dense.T
 
 
@@ -56,7 +52,7 @@ def test_columns_are_solved_as_a_dense_matrix_would_be(
     active = oracle.integers(tangents.active)
     columns.factor(active, block_matrix.matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
-    z = _apply(columns, active, r, real)
+    z = applied(columns, active.numpy(), r, real)[0]
     for env in np.flatnonzero(tangents.active):
         kept = columns_of(tangents.dense(env))
         assert np.linalg.eigvalsh(kept).min() > 0
@@ -95,7 +91,7 @@ def test_lifting_a_pivot_keeps_its_size() -> None:
     r = np.zeros((3, COUNT, 3))
     r[0, :levels] = np.random.default_rng(4).normal(0, 1, (levels, 3))
     r[0, 0] = 0.0
-    z = _apply(columns, active, r, wp.float64)
+    z = applied(columns, active.numpy(), r, wp.float64)[0]
     expected = np.linalg.solve(kept, r[0, :levels].ravel())
     assert oracle.relative(z[0, :levels].ravel(), expected) < 1e-9
 
@@ -111,7 +107,7 @@ def test_flat_elements_need_less_than_half_the_iterations_of_single_nodes() -> N
     nodes[GRID.free] = np.linalg.inv(np.einsum("ninj->nij", dense)[GRID.free])
 
     def along(r: Array) -> Array:
-        return np.array(_apply(columns, active, r[None], wp.float64)[0])
+        return np.array(applied(columns, active.numpy(), r[None], wp.float64)[0][0])
 
     by_node = _iterations(dense, lambda r: np.einsum("nij,nj->ni", nodes, r))
     assert _iterations(dense, along) < 0.5 * by_node

@@ -182,21 +182,33 @@ def test_contact_is_that_of_the_hosts_distance_and_a_return_map(
     assert not rubs or 0.1 < slips / touches < 0.9, "nearly all stick, or nearly all slip"
 
 
+def _slope(contact: Contact, name: str, u: Array, v: Array, step: float) -> Array:
+    """Return the central difference along `v` of what is evaluated."""
+    ahead, behind = (contact.evaluate(u + move * v)[name] for move in (step, -step))
+    return np.asarray((ahead - behind) / (2 * step))
+
+
 @AUGMENTED
-def test_frictionless_contact_tangent_is_the_derivative_of_the_force(augmented: bool) -> None:
-    """For points that stay in or out: the normal turns on a sphere, but not on a plane."""
+@pytest.mark.parametrize(
+    ("rubs", "indenter", "step", "error"),
+    [(False, 0, 1e-7, 1e-4), (False, 3, 1e-7, 1e-8), (True, 3, 1e-8, 1e-6)],
+    ids=["sphere", "plane", "plane with friction"],
+)
+def test_the_contact_tangent_is_the_derivative_of_the_force(
+    rubs: bool, indenter: int, step: float, error: float, augmented: bool
+) -> None:
+    """For points that stay in or out, stick or slip: the normal turns on a sphere, not on a plane.
+
+    The limit of friction is given, as by the Newton loop.
+    """
+    friction = _rubbing(4) if rubs else None
     u = _displacements()
-    contact = Contact(wp.float64, None, multiplier=_multiplier(4) * augmented)
+    contact = Contact(wp.float64, friction, multiplier=_multiplier(4) * augmented)
     v = np.random.default_rng(1).normal(0, 1, u.shape)
-    step = 1e-7
-    slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
-        2 * step
-    )
-    state = contact.evaluate(u)
+    slope = _slope(contact, "force", u, v, step)
+    touched = contact.evaluate(u)["touched"][indenter] > 0
     product = contact.tangent(v)
-    for env, name, error in ((0, "sphere", 1e-4), (3, "plane", 1e-8)):
-        touched = state["touched"][env] > 0
-        assert oracle.relative(-product[env][touched], slope[env][touched]) < error, name
+    assert oracle.relative(-product[indenter][touched], slope[indenter][touched]) < error
 
 
 def test_a_convex_contact_tangent_has_no_negative_stiffness() -> None:
@@ -211,25 +223,6 @@ def test_a_convex_contact_tangent_has_no_negative_stiffness() -> None:
 
 
 @AUGMENTED
-def test_friction_tangent_is_the_derivative_of_the_force_sticking_and_slipping(
-    augmented: bool,
-) -> None:
-    """On a plane, whose normal is constant; the limit is given, as by the Newton loop."""
-    friction = _rubbing(4)
-    u = _displacements()
-    contact = Contact(wp.float64, friction, multiplier=_multiplier(4) * augmented)
-    v = np.random.default_rng(1).normal(0, 1, u.shape)
-    step = 1e-8
-    slope = (contact.evaluate(u + step * v)["force"] - contact.evaluate(u - step * v)["force"]) / (
-        2 * step
-    )
-    state = contact.evaluate(u)
-    product = contact.tangent(v)
-    touched = state["touched"][3] > 0
-    assert oracle.relative(-product[3][touched], slope[3][touched]) < 1e-6
-
-
-@AUGMENTED
 @RUBS
 def test_contact_force_is_the_slope_of_the_energy(rubs: bool, augmented: bool) -> None:
     """Normal springs and the Huber potential of friction, on a plane, whose normal is constant."""
@@ -238,11 +231,8 @@ def test_contact_force_is_the_slope_of_the_energy(rubs: bool, augmented: bool) -
         wp.float64, _rubbing(4) if rubs else None, multiplier=_multiplier(4) * augmented
     )
     v = np.random.default_rng(6).normal(0, 1, u.shape)
-    step = 1e-6
-    ahead = contact.evaluate(u + step * v)["energy"]
-    behind = contact.evaluate(u - step * v)["energy"]
+    slope = _slope(contact, "energy", u, v, 1e-6).sum(1)
     force = contact.evaluate(u)["force"]
-    slope = (ahead - behind).sum(1) / (2 * step)
     work = -np.einsum("bsai,bsai->b", force, v[:, MESH.faces])
     assert slope[3] == pytest.approx(work[3], rel=1e-6)
     if not rubs:

@@ -22,7 +22,6 @@ from sim import (
     Viscosity,
     press,
     simulate,
-    simulate_many,
 )
 from sim.fem import Fem, Precision
 from sim.fem.newton import PATIENT, PATIENT_IN_ALL, Newton
@@ -73,17 +72,6 @@ def test_a_press_with_a_sharp_edge_that_diverges_is_told_of_it(edge: float, advi
     with pytest.raises(SimulationDiverged) as caught:
         simulate(scene, CRIPPLED)
     assert ("at an edge of 0.05 mm, sharp for a depth of 0.5 mm" in str(caught.value)) == advised
-
-
-def test_one_press_that_diverges_does_not_take_the_others_with_it() -> None:
-    light = Scene(sphere(3e-3), press([2e-6]), BODY)
-    numerics = replace(CRIPPLED, newton_max=3, halvings=0)
-    alone = simulate(light, numerics)
-    fine, diverged, also_fine = simulate_many([light, SCENE, light], numerics)
-    assert isinstance(diverged, SimulationDiverged)
-    for result in (fine, also_fine):
-        assert isinstance(result, Result)
-        np.testing.assert_array_equal(result.wrench, alone.wrench)
 
 
 def test_nothing_unconverged_is_returned() -> None:

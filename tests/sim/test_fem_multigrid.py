@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from support import fem_oracles as oracle
 from support.fem_oracles import Array
-from support.fem_tangents import COUNT, FILLED, GRID, MESHES, Tangents
+from support.fem_tangents import COUNT, FILLED, GRID, MESHES, Tangents, applied
 from support.few import few
 
 from sim import simulate
@@ -41,22 +41,10 @@ def _made(tangents: Tangents, real: Any, *, parallel: bool = False) -> Multigrid
     return made
 
 
-def _apply(one: Any, active: Array, r: Array, real: Any) -> tuple[Array, Array]:
-    """Return the preconditioner times r (B, N, 3), from a step of zero length, and r.z (B,)."""
-    count = len(r)
-    nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
-    scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
-    sums = wp.zeros((count, one.parts, 2), dtype=wp.float64, device="cpu")
-    one.choose(np.flatnonzero(active))
-    vectors = nothing, oracle.vectors(r, real), z
-    one.advance(oracle.rows(active), scalars, (nothing, nothing), vectors, sums)
-    return np.array(z.numpy()), sums.numpy().sum(1)[:, 0]
-
-
 def _dense(one: Multigrid, active: Array, real: Any) -> Array:
     """Return the first environment's preconditioner, by applying it to unit vectors."""
     found = [
-        _apply(one, active, np.broadcast_to(unit.reshape(COUNT, 3), (3, COUNT, 3)), real)[0][0]
+        applied(one, active, np.broadcast_to(unit.reshape(COUNT, 3), (3, COUNT, 3)), real)[0][0]
         for unit in np.eye(3 * COUNT)[FREE]
     ]
     return np.array(found).reshape(len(found), -1)[:, FREE]
@@ -91,7 +79,7 @@ def test_it_is_the_cycle_of_dense_matrices(real: Any, error: float, parallel: bo
     tangents = Tangents(strain=0.005, contact=0.0)
     made = _made(tangents, real, parallel=parallel)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
-    z, rz = _apply(made, tangents.active, r, real)
+    z, rz = applied(made, tangents.active, r, real)
     # The grids are chosen on the first body; the first environment's is the second.
     counts = grid_counts(GRID.x, GRID.y)
     assert counts, "the grid can be coarsened"
@@ -110,7 +98,7 @@ def test_an_environment_that_is_not_hard_has_columns_alone() -> None:
     columns.factor(oracle.integers(tangents.active), tangents.block_matrix(wp.float64).matrix)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
     (z, rz), (alone, alone_rz) = (
-        _apply(one, tangents.active, r, wp.float64) for one in (made, columns)
+        applied(one, tangents.active, r, wp.float64) for one in (made, columns)
     )
     np.testing.assert_array_equal(z[1:], alone[1:])
     np.testing.assert_array_equal(rz[1:], alone_rz[1:])
@@ -134,14 +122,14 @@ def test_grids_are_made_again_only_when_solves_slow_down() -> None:
     tangents = Tangents(strain=0.005, contact=0.0)
     made = _made(tangents, wp.float64)
     r = np.random.default_rng(4).normal(0, 1, (3, COUNT, 3))
-    first = _apply(made, tangents.active, r, wp.float64)[0][0]
+    first = applied(made, tangents.active, r, wp.float64)[0][0]
     tangents.shift[0] = 3.0
     stiffer, active = tangents.block_matrix(wp.float64).matrix, oracle.integers(tangents.active)
     found = []
     for used in (10, 12, 40):
         made.learn(np.array([used, 0, 0]), np.full(3, 1e-2))
         made.factor(active, stiffer)
-        found.append(_apply(made, tangents.active, r, wp.float64)[0][0])
+        found.append(applied(made, tangents.active, r, wp.float64)[0][0])
     dense = tangents.dense(0).reshape(3 * COUNT, -1)
     mesh = MESHES[tangents.body[0]]
     cycle = _cycle(dense, mesh.x, mesh.y, grid_counts(GRID.x, GRID.y))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -102,7 +103,7 @@ def test_the_test_on_a_gpu_says_no_only_where_nothing_overlaps(
     assembly = Assembly([mesh] * 2, [scene] * 2, Fem(), precision, "cpu")
     assembly.crossing = Crossing(assembly.real, 2, mesh.faces, "cpu")
     looked, overlaps = [], []
-    for degrees in (-9, 0, 8, 9, 10, 12, 14, 20):
+    for degrees in (-9, 8, 10, 14):
         u = _rolled(mesh, math.radians(degrees)) - mesh.nodes
         # The second environment is at rest.
         assembly.state.u.assign(np.stack([u, 0 * u]).astype(np.float32))
@@ -112,7 +113,7 @@ def test_the_test_on_a_gpu_says_no_only_where_nothing_overlaps(
         overlaps.append(self_overlap(mesh, u)[1] >= 0)
     assert all(look for look, crossed in zip(looked, overlaps, strict=True) if crossed)
     assert any(overlaps)
-    assert not any(looked[:3])
+    assert not any(looked[:2])
 
 
 def test_a_lip_folded_over_onto_flat_skin_overlaps_it() -> None:
@@ -208,11 +209,9 @@ def test_a_deep_press_and_shear_turns_the_skin_but_does_not_fold_it() -> None:
     assert result.record["self_overlap"] == {"metres": [0.0, 0.0]}
 
 
-def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The measured overlap is replaced: 5 % of the contact width, then 30 %."""
-    scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
-    numerics = Fem(spacing=4e-3 / 3)
-    depth = 0.5e-3 / SMALL.thickness
+@pytest.fixture
+def folding(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Return a function after which every state is folded, by this depth [thicknesses]."""
     overlap = Assembly.overlap
 
     def folded(assembly: Assembly, *given: Any, **named: Any) -> Array:
@@ -220,35 +219,36 @@ def test_what_folds_is_a_warning_or_no_result(monkeypatch: pytest.MonkeyPatch) -
         found[:, 3] = 1.0
         return found
 
-    monkeypatch.setattr(Assembly, "overlap", folded)
-    monkeypatch.setattr("sim.fem.self_overlap.self_overlap", lambda *_given: (0.05 * depth, 10))
-    result = simulate(scene, numerics)
+    def fold(depth: float) -> None:
+        monkeypatch.setattr(Assembly, "overlap", folded)
+        monkeypatch.setattr("sim.fem.self_overlap.self_overlap", lambda *_given: (depth, 10))
+
+    return fold
+
+
+def test_what_folds_is_a_warning_or_no_result(folding: Callable[[float], None]) -> None:
+    """By 5 % of the contact width, then by 30 %."""
+    scene = Scene(sphere(3e-3), press([0.5e-3]), SMALL)
+    depth = 0.5e-3 / SMALL.thickness
+    folding(0.05 * depth)
+    result = simulate(scene, Fem(spacing=4e-3 / 3))
     assert result.record["self_overlap"]["metres"][1] == pytest.approx(25e-6)
     message = "25 um inside the skin beside it at waypoint 1, 5 %"
     assert [one for one in result.record["warnings"] if message in one]
-    monkeypatch.setattr("sim.fem.self_overlap.self_overlap", lambda *_given: (0.3 * depth, 10))
+    folding(0.3 * depth)
     with pytest.raises(SimulationDiverged, match=r"folds and passes through itself: .*150 um"):
-        simulate(scene, numerics)
+        simulate(scene, Fem(spacing=4e-3 / 3))
 
 
 def test_a_fold_above_the_limit_ends_the_path_where_it_grows(
-    monkeypatch: pytest.MonkeyPatch,
+    folding: Callable[[float], None],
 ) -> None:
-    """The measured overlap is replaced: large in every state; shorter steps are tried first."""
-    scene = Scene(sphere(3e-3), press([0.3e-3, 0.6e-3]), SMALL)
-    overlap = Assembly.overlap
-
-    def folded(assembly: Assembly, *given: Any, **named: Any) -> Array:
-        found = overlap(assembly, *given, **named)
-        found[:, 3] = 1.0
-        return found
-
-    monkeypatch.setattr(Assembly, "overlap", folded)
-    monkeypatch.setattr("sim.fem.self_overlap.self_overlap", lambda *_given: (0.2, 10))
-    with pytest.raises(SimulationDiverged, match=r"folds and passes through itself") as told:
-        simulate(scene, Fem(spacing=4e-3 / 3))
-    assert len(told.value.tried) <= 3
-    assert all("overlaps itself" in one for one in told.value.tried)
+    """Large in every state; shorter steps are tried first."""
+    folding(0.2)
+    with pytest.raises(SimulationDiverged, match=r"folds and passes through itself") as caught:
+        simulate(Scene(sphere(3e-3), press([0.3e-3, 0.6e-3]), SMALL), Fem(spacing=4e-3 / 3))
+    assert len(caught.value.tried) <= 3
+    assert all("overlaps itself" in one for one in caught.value.tried)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.independent.formulas import compression_frequency, hereditary, layer_sag
+from benchmarks.independent.formulas import compression_frequency, hereditary
 from sim import (
     Body,
     Effects,
@@ -96,13 +96,6 @@ def test_a_skin_that_has_not_come_back_lets_go_of_a_lifted_tip() -> None:
             raise outcome_of_path(*tips)  # type: ignore[misc]
 
 
-def test_a_slow_press_feels_the_modulus_at_rest() -> None:
-    elastic = simulate(Scene(sphere(3e-3), press([0.5e-3]), SMALL), EXACT)
-    motion = press([0.5e-3], speed=1e-6)
-    slow = simulate(Scene(sphere(3e-3), motion, SMALL, _viscous()), EXACT)
-    assert slow.force[-1, 2] == pytest.approx(elastic.force[-1, 2], rel=5e-4)
-
-
 @pytest.mark.slow
 def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
     """Force of the elastic press on the same mesh, passed through the hereditary integral."""
@@ -117,20 +110,6 @@ def test_a_shallow_ramp_and_hold_relaxes_as_lee_and_radok_say() -> None:
     assert found[5:] == pytest.approx(expected[5:], rel=5e-3)
     assert (np.diff(found[4:]) < 0).all(), "it relaxes all the while"
     assert viscous.quality.energy_gap[-1] > elastic.quality.energy_gap[-1]
-
-
-def test_gravity_sags_a_wide_layer_by_the_closed_form() -> None:
-    """12 thicknesses wide, nu = 0.3, so that the edges do not affect the middle."""
-    wide = Body(size_x=48e-3, size_y=48e-3, thickness=4e-3, poisson=0.3)
-    acceleration = 30.0, 0.0, -50.0
-    away = Motion(((0.0, 0.0, 1e-3),), (0.0,))
-    scene = Scene(sphere(3e-3), away, wide, Effects(gravity=Gravity(acceleration)))
-    result = simulate(scene, COARSE)
-    expected = layer_sag(0.0, acceleration, 4e-3, wide.density, wide.modulus, wide.poisson)
-    middle = len(result.surface_x) // 2, len(result.surface_y) // 2
-    assert result.surface[0, *middle] == pytest.approx(expected, rel=0.005, abs=1e-12)
-    assert not result.wrench.any()
-    assert result.quality.balance[0] < 1e-4, "the base carries the weight"
 
 
 @pytest.mark.slow
@@ -158,24 +137,6 @@ def test_a_body_let_go_swings_at_the_frequency_of_its_thickness() -> None:
     assert (crossings[1] - crossings[0]) * step == pytest.approx(period / 2, rel=0.04)
     assert crossings[0] * step == pytest.approx(period / 4, rel=0.06)
     assert 0.3 < height.max() / 40e-6 < 1.0, "it swings to the other side, damped"
-
-
-def test_a_slow_press_with_mass_is_the_press_without() -> None:
-    motion = press([0.3e-3, 0.6e-3], speed=1e-3)
-    exact = Fem(spacing=SPACING, precision="float64", tolerance=1e-8)
-    still = simulate(Scene(sphere(3e-3), motion, SMALL), exact)
-    heavy = simulate(Scene(sphere(3e-3), motion, SMALL, Effects(inertia=Inertia())), exact)
-    assert heavy.force[1:, 2] == pytest.approx(still.force[1:, 2], rel=1e-5)
-
-
-def test_a_fast_press_with_mass_needs_more_force_than_a_slow_one() -> None:
-    """10 m/s is 0.4 of the speed of pressure waves: the body cannot yield."""
-    effects = Effects(inertia=Inertia())
-    slow, fast = (
-        simulate(Scene(sphere(3e-3), press([0.6e-3], speed=speed), SMALL, effects), COARSE)
-        for speed in (1e-3, 10.0)
-    )
-    assert -fast.force[-1, 2] > 1.1 * -slow.force[-1, 2]
 
 
 @pytest.mark.parametrize("speed", [20e-3, 2e-3])

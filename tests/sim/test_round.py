@@ -27,7 +27,7 @@ from sim import (
     simulate,
 )
 from sim.error_estimate import unknown_at_side
-from sim.fem import Fem
+from sim.fem import Fem, Precision
 from sim.fem.mesh import SHARE_LEAST, build_mesh
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Pattern, Renderer, named
@@ -199,6 +199,17 @@ def test_a_plate_on_a_disc_comes_near_to_axisymmetric_elements_as_elements_shrin
 
 
 @pytest.mark.slow
+def test_forces_beside_the_rim_settle_as_elements_shrink_there() -> None:
+    scene = Scene(BALL, press((1 * MM,), at=(3 * MM, 2 * MM)), DISC)
+    results = [simulate(scene, Fem(fineness=fineness)) for fineness in (0.75, 1.2, 1.8)]
+    forces = [_push(result) for result in results]
+    assert abs(forces[2] - forces[1]) < abs(forces[1] - forces[0])
+    assert forces[0] == pytest.approx(forces[2], rel=0.02)
+    beside = [np.diff(result.surface_x)[result.surface_x[:-1] > 4 * MM].min() for result in results]
+    assert beside[0] > beside[1] > beside[2]
+
+
+@pytest.mark.slow
 def test_a_disc_answers_alike_whichever_way_it_is_turned() -> None:
     pushes, asides = [], []
     for degrees in (0, 30):
@@ -229,7 +240,10 @@ def test_a_thin_rim_is_pressed_and_sheared() -> None:
     place = 12 * MM
     top = THIN.height(place, 0.0)
     low = top - 0.2 * (THIN.thickness + top)
-    motion = through([(place, 0, top), (place, 0, low), (place, 0.3 * MM, low)], speed=10 * MM)
+    way = [(place, 0, top), (place, 0, low), (place, 0.3 * MM, low)]
+    plain = simulate(Scene(BALL, through(way[:2], speed=10 * MM), THIN))
+    assert abs(plain.quality.energy_gap[-1]) < 0.01
+    motion = through(way, speed=10 * MM)
     result = simulate(Scene(BALL, motion, THIN, Effects(friction=Friction(0.5))))
     pressed, sheared = result.force[1], result.force[2]
     assert pressed[0] < 0 < -pressed[2]  # towards the apex, since the surface is inclined
@@ -252,14 +266,17 @@ def test_what_lies_beside_a_disc_neither_feels_nor_bends_anything() -> None:
     assert np.abs(corner).max() <= np.abs(inside).max()
 
 
-def test_round_and_square_bodies_are_solved_side_by_side_as_alone() -> None:
-    square = replace(DISC, footprint="rectangle")
-    scenes = [Scene(BALL, press((0.5 * MM,)), body) for body in (DISC, square)]
-    numerics = replace(COARSE, graded=False)
-    both = simulate_many(scenes, numerics)
-    for scene, found in zip(scenes, both, strict=True):
+@pytest.mark.parametrize("precision", ["auto", "float64"])
+def test_round_square_and_domed_bodies_are_solved_side_by_side_as_alone(
+    precision: Precision,
+) -> None:
+    dome = replace(DISC, dome_radius=12 * MM)
+    bodies = (DISC, replace(DISC, footprint="rectangle"), dome, replace(dome, dome_radius=15 * MM))
+    scenes = [Scene(BALL, press((0.5 * MM,)), body) for body in bodies]
+    numerics = replace(COARSE, graded=False, precision=precision)
+    for scene, found in zip(scenes, simulate_many(scenes, numerics), strict=True):
         assert isinstance(found, Result)
-        assert found.record["environments"] == 2
+        assert found.record["environments"] == 4
         assert (found.wrench == simulate(scene, numerics).wrench).all()
 
 

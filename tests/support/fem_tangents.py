@@ -159,3 +159,15 @@ def columns_of(dense: Array) -> Array:
     kept = dense * (column[:, None] == column)[:, None, :, None]
     kept = kept.reshape(3 * COUNT, 3 * COUNT)
     return kept + np.diag(np.repeat(~GRID.free, 3).astype(float))
+
+
+def applied(one: Any, active: Array, r: Array, real: Any) -> tuple[Array, Array]:
+    """Return the preconditioner times r (B, N, 3), from a step of zero length, and r.z (B,)."""
+    count = len(r)
+    nothing, z = (oracle.vectors(np.full(r.shape, value), real) for value in (0.0, FILLED))
+    scalars = wp.zeros((count, 3), dtype=wp.float64, device="cpu")
+    sums = wp.zeros((count, one.parts, 2), dtype=wp.float64, device="cpu")
+    one.choose(np.flatnonzero(active))
+    vectors = nothing, oracle.vectors(r, real), z
+    one.advance(oracle.rows(active), scalars, (nothing, nothing), vectors, sums)
+    return np.array(z.numpy()), sums.numpy().sum(1)[:, 0]
