@@ -65,7 +65,7 @@ def public_client(emulator: RobotiqEmulator) -> Iterator[minimalmodbus.Instrumen
 # The fingers, with simulated time.
 
 
-def test_fingers_are_activated_move_hold_lose_what_they_held_and_open() -> None:
+def test_fingers_are_activated_move_hold_lose_what_they_held_and_notice_a_silence() -> None:
     clock = FakeClock()
     fingers = Fingers(clock, object_at=120)
 
@@ -88,21 +88,14 @@ def test_fingers_are_activated_move_hold_lose_what_they_held_and_open() -> None:
     assert after(0.1)[0] == MOVING
     assert after(0.5) == (AT_POSITION, 230)
     held = Fingers(clock, object_at=120, holding=True)
+    # A silence of more than a second is a fault once.
+    for silence, faults in ((1.0, (0, 0)), (1.1, (SILENT_FAULT, 0))):
+        clock.advance(silence)
+        held.heard()
+        assert (held.status().fault, held.status().fault) == faults
     held.obey(GripperCommand(go=True, position=0, speed=255))
     clock.advance(1.0)
     assert (held.status().object, held.status().position) == (AT_POSITION, 3)
-
-
-def test_a_silence_of_more_than_a_second_is_told_once() -> None:
-    clock = FakeClock()
-    fingers = Fingers(clock, object_at=120, holding=True)
-    clock.advance(1.0)
-    fingers.heard()
-    assert fingers.status().fault == 0
-    clock.advance(1.1)
-    fingers.heard()
-    assert fingers.status().fault == SILENT_FAULT
-    assert fingers.status().fault == 0
 
 
 # A third-party client: the emulator must not agree only with our own driver.

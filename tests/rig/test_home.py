@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 import yaml
 from support.collecting import tactile
+from support.sessions import CONTACT_FRAME, T0, Columns, make_session
 
 from benchmarks.faults.collection_run import quick_bench
-from recorder import Session, SessionWriter, StreamWriter, force_spec, pose_spec
+from recorder import Session
 from rig.acquire.calibration import home, store
 from rig.acquire.calibration.onset import Onset, combine, find_onset, tilt
 from rig.acquire.calibration.store import Calibration, HomeCalibration, LatencyCalibration
@@ -71,13 +72,6 @@ def test_the_onset_is_found_whatever_presses_on_whatever_relaxes(
         inside += onset.interval[0] - 3e-6 <= 0.2e-3 <= onset.interval[1] + 3e-6
     assert np.abs(errors).max() < 15e-6
     assert inside >= 3
-
-
-def test_a_threshold_would_have_found_a_deeper_place() -> None:
-    spec = _bench("tacpalm").world
-    assert spec is not None
-    z, force = _approach(spec, 0)
-    assert z[np.flatnonzero(force > 0.1)[0]] < -0.1e-3
 
 
 def test_noise_alone_is_no_contact_and_values_that_are_no_numbers_are_refused() -> None:
@@ -288,27 +282,19 @@ def _touched(folder: Path, *, noise: float) -> Session:
     spec = _bench("tacpalm").world
     assert spec is not None
     heights, forces = _approach(spec, 0, noise=noise)
-    targets = {
-        "point": np.ones(1, np.int16),
-        "depth": np.zeros(1),
-        "direction": np.full(1, -1, np.int16),
-        "planned": np.zeros((1, 3)),
-    }
-    path = folder / "touch.zarr"
-    attrs = {"contact_frame": [0.0] * 6}
-    specs = [force_spec(1000.0), pose_spec(1000.0)]
-    with SessionWriter.create(path, attrs=attrs, streams=specs, targets=targets) as writer:
-        writer.begin_run({"t0_ns": 0})
-        force = StreamWriter.open(writer.stream_path("force"))
-        pose = StreamWriter.open(writer.stream_path("pose"))
-        with force, pose:
-            for number, (z, pressed) in enumerate(zip(heights, forces, strict=True)):
-                t_ns = (number + 1) * 1_000_000
-                wrench = np.array([0, 0, -pressed, 0, 0, 0])
-                force.append(value=wrench, seq=number, status=0, t_ns=t_ns)
-                place = np.array([0, 0, z, 0, 0, 0])
-                pose.append(value=place, device_t=1e-9 * t_ns, speed_scaling=1.0, t_ns=t_ns)
-        end_ns = (len(heights) + 1) * 1_000_000
-        writer.segments.append(target=0, phase=0, outcome=1, run=0, start_ns=1, end_ns=end_ns)
-        writer.finish("complete", rate_hz=40.0)
-    return Session(path)
+    numbers = np.arange(len(heights))
+    t_ns = T0 + (numbers + 1) * 1_000_000
+
+    def approach(name: str, columns: Columns) -> Columns:
+        if name == "segments":
+            ends = {"start_ns": [T0 + 1], "end_ns": [t_ns[-1] + 1]}
+            return {"target": [0], "phase": [0], "outcome": [1], "run": [0], **ends}
+        value = np.zeros((len(numbers), 6))
+        value[:, 2] = -forces if name == "force" else heights + CONTACT_FRAME[2]
+        if name == "force":
+            return {"t_ns": t_ns, "value": value, "seq": numbers, "status": 0 * numbers}
+        value[:, :2] = CONTACT_FRAME[:2]
+        ones = np.ones(len(numbers))
+        return {"t_ns": t_ns, "value": value, "device_t": 1e-9 * t_ns, "speed_scaling": ones}
+
+    return Session(make_session(folder / "touch.zarr", names=("force", "pose"), change=approach))

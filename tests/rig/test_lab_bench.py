@@ -16,7 +16,6 @@ import signal
 import subprocess
 import sys
 import termios
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -58,13 +57,6 @@ class LabBench:
             record = arm.read()
         assert record is not None
         return 1e3 * float(transform(self._to_contact, record["pose"][:3])[2])
-
-
-@pytest.fixture(name="lab")
-def lab_bench(tmp_path: Path) -> Iterator[LabBench]:
-    lab = LabBench(tmp_path)
-    with lab.mock:
-        yield lab
 
 
 class Terminal:
@@ -126,14 +118,11 @@ class Terminal:
 
 
 @pytest.mark.serial
-def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
-    lab: LabBench, tmp_path: Path
-) -> None:
-    session = tmp_path / "s.zarr"
-    with Terminal(
-        *("collect", "--bench", str(lab.file), "--out", str(session), "--targets", "4"),
-        *("--calibrations", str(tmp_path / "none")),
-    ) as terminal:
+def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(tmp_path: Path) -> None:
+    session, lab = tmp_path / "s.zarr", LabBench(tmp_path)
+    words = ("collect", "--bench", str(lab.file), "--out", str(session), "--targets", "4")
+    none = str(tmp_path / "none")
+    with lab.mock, Terminal(*words, "--calibrations", none) as terminal:
         terminal.read_until("to start, anything")
         # The first four targets are the shallowest of the plan.
         for word in (
@@ -147,7 +136,7 @@ def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(
         until(lambda: lab.tip() < -0.2 or terminal.process.poll() is not None)
         terminal.close()
         assert terminal.process.wait(240) == 130
-    assert lab.tip() > RETRACTED
+        assert lab.tip() > RETRACTED
     found = Session(session)
     assert found.status == "stopped"
     assert found.attrs["reason"] == "the terminal was closed"

@@ -49,40 +49,39 @@ def pressed(most: float, limit: float = 1.0) -> Part:
     return lambda ms, load: (0.0, 0.0, -RATING * min(most * load, limit))
 
 
-@pytest.mark.parametrize(
-    ("fault", "state", "text"),
-    [
-        (
-            {"force": lambda ms, load: (1.5 * (ms == 300), 0.0, -3.0 * load)},
-            "watch",
-            "1 x spike, the last at 0:02, Fx by +1.5",
-        ),
-        ({"force": pressed(0.95)}, "watch", "x sample near the rating, the last at 0:02, Fz of -"),
-        ({"force": pressed(1.1)}, "fault", "x sample beyond the rating, the last at 0:02, Fz of -"),
-        (
-            {"force": pressed(1.5, limit=0.9), "noise": 0.0},
-            "fault",
-            f"1 x saturation, the last at 0:02, Fz stays at {-0.9 * RATING:+.3f} N",
-        ),
-        (
-            {"force": lambda ms, load: (0.0, 1.0 - load, 0.0)},
-            "fault",
-            "1 x force without contact, the last at 0:02, Fy of 1.0",
-        ),
-        ({"status": -1}, "fault", "1000 x invalid sample, the last at 0:02, status 0x"),
-        (
-            {
-                "force": lambda ms, load: (0.9, 0.0, 0.0),
-                "tip": lambda ms, load: (1.01 * USKIN.limits.box_x[1], 0.0),
-            },
-            "fault",
-            "N with the tip outside of the box",
-        ),
-    ],
-    ids=["spike", "near", "beyond", "saturation", "no-contact", "status", "outside"],
-)
+ODD: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "spike": (
+        "watch",
+        "1 x spike, the last at 0:02, Fx by +1.5",
+        {"force": lambda ms, load: (1.5 * (ms == 300), 0.0, -3.0 * load)},
+    ),
+    "near": ("watch", "x sample near the rating, the last at 0:02, Fz", {"force": pressed(0.95)}),
+    "beyond": ("fault", "sample beyond the rating, the last at 0:02, Fz", {"force": pressed(1.1)}),
+    "saturation": (
+        "fault",
+        f"1 x saturation, the last at 0:02, Fz stays at {-0.9 * RATING:+.3f} N",
+        {"force": pressed(1.5, limit=0.9), "noise": 0.0},
+    ),
+    "no contact": (
+        "fault",
+        "1 x force without contact, the last at 0:02, Fy of 1.0",
+        {"force": lambda ms, load: (0.0, 1.0 - load, 0.0)},
+    ),
+    "status": ("fault", "1000 x invalid sample, the last at 0:02, status 0x", {"status": -1}),
+    "outside": (
+        "fault",
+        "N with the tip outside of the box",
+        {
+            "force": lambda ms, load: (0.9, 0.0, 0.0),
+            "tip": lambda ms, load: (1.01 * USKIN.limits.box_x[1], 0.0),
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize(("state", "text", "fault"), ODD.values(), ids=ODD)
 def test_an_odd_force_is_found(
-    fault: dict[str, Any], state: str, text: str, tmp_path: Path
+    state: str, text: str, fault: dict[str, Any], tmp_path: Path
 ) -> None:
     with recording(USKIN, tmp_path) as made:
         made.second()

@@ -14,19 +14,14 @@ import pytest
 from rig.acquire.control import Interrupted, apart
 from rig.core.errors import DeviceLost
 
-ASKS = """
+SCRIPT = """
+import sys
 from rig.acquire.control import apart
-from tests.rig.test_own_process import reads
+from tests.rig import test_own_process as functions
 
 if __name__ == "__main__":
-    print("code", apart(reads, 7))
-"""
-WAITS = """
-from rig.acquire.control import apart
-from tests.rig.test_own_process import waits
-
-if __name__ == "__main__":
-    raise SystemExit(apart(waits))
+    name, *numbers = sys.argv[1:]
+    raise SystemExit(apart(getattr(functions, name), *map(int, numbers)))
 """
 
 
@@ -55,26 +50,26 @@ def stops() -> int:
     raise Interrupted("the answer was another")
 
 
-def started(tmp_path: Path, text: str) -> subprocess.Popen[str]:
+def started(tmp_path: Path, *function: str) -> subprocess.Popen[str]:
     script = tmp_path / "script.py"
-    script.write_text(text)
-    root = Path(__file__).parents[2]
+    script.write_text(SCRIPT)
     return subprocess.Popen(
-        [sys.executable, str(script)],
+        [sys.executable, str(script), *function],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": str(root)},
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
     )
 
 
 def test_the_function_reads_what_is_typed_and_its_code_comes_back(tmp_path: Path) -> None:
-    process = started(tmp_path, ASKS)
-    assert process.communicate("move\n", timeout=240)[0] == "read 'move\\n'\ncode 7\n"
+    process = started(tmp_path, "reads", "7")
+    assert process.communicate("move\n", timeout=240)[0] == "read 'move\\n'\n"
+    assert process.returncode == 7
 
 
 def test_sigterm_is_passed_on_and_waited_for(tmp_path: Path) -> None:
-    process = started(tmp_path, WAITS)
+    process = started(tmp_path, "waits")
     assert process.stdout is not None
     assert process.stdout.readline() == "waiting\n"
     process.terminate()

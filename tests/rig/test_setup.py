@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import pty
-import select
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -147,33 +144,6 @@ def test_only_the_word_accepts_a_fault(steps: Steps, tmp_path: Path, typed: str)
     steps.answers("50", typed)
     assert setup.run(parsed(tmp_path)) == 3
     assert store.acceptance_of(tmp_path, BenchFile.read(BENCH).bench) is None
-
-
-WIZARD = """
-import sys
-from rig.cli.options import answer
-print("ready", flush=True)
-sys.stdin.readline()
-print(f"typed {answer('a fault was found; accept: accept it: ')!r}", flush=True)
-"""
-
-
-def test_an_answer_typed_before_its_question_is_dropped() -> None:
-    process, terminal = pty.fork()
-    if process == 0:
-        os.execv(sys.executable, [sys.executable, "-c", WIZARD])
-    output = ""
-    for words, answer in (
-        ("ready", b"go\naccept\n"),
-        ("accept it: ", b"no\n"),
-        ("\ntyped 'no'", b""),
-    ):
-        while words not in output:
-            assert select.select([terminal], [], [], 240.0)[0], output
-            output += os.read(terminal, 4096).decode()
-        os.write(terminal, answer)
-    os.close(terminal)
-    os.waitpid(process, 0)
 
 
 def test_a_lost_device_and_wrong_input_are_named(

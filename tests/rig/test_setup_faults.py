@@ -54,9 +54,6 @@ class Site:
         parts = {key: replace(getattr(self.bench, key), **new) for key, new in sections.items()}
         return replace(self.bench, **parts)
 
-    def inject(self, fault: str, **values: Any) -> None:
-        inject_arm(fault, **values)
-
     def weighed(self, matrix: Any, mass: float = MASS, laid: float = MASS) -> Finding:
         """Lay a weight on the sensor, under a gauge that is mounted by a matrix."""
         world = self.world()
@@ -139,7 +136,7 @@ def site(arm: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 
 def arm_after(fault: str, **values: Any) -> Callable[[Site], Iterable[Finding]]:
     def found(site: Site) -> Iterable[Finding]:
-        site.inject(fault, **values)
+        inject_arm(fault, **values)
         return checks.arm(HOST, 60.0)
 
     return found
@@ -150,7 +147,7 @@ def tool(site: Site, bench: Bench | None = None, length: float = 0.1) -> Iterabl
 
 
 def heavy(site: Site) -> Iterable[Finding]:
-    site.inject("tool", mass=1.7)
+    inject_arm("tool", mass=1.7)
     return tool(site)
 
 

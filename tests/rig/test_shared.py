@@ -2,56 +2,31 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import textwrap
+import itertools
+import multiprocessing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.waiting import until
 
 from rig.core.shared_memory import AwaitedRecord, SharedLatest
 
 PAIR = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
 
 
-def test_the_latest_record_is_read_whole(tmp_path: Path) -> None:
-    writer = SharedLatest.create(tmp_path / "x", PAIR)
-    reader = SharedLatest.attach(tmp_path / "x", PAIR)
-    assert reader.read() is None
-    for k in range(30):
-        writer.write((k, np.full(40, k)))
-        found = reader.read()
-        assert found is not None
-        assert reader.count == k + 1
-        assert int(found["a"]) == k
-        assert (found["value"] == k).all()
-    reader.close()
-    writer.close()
-    writer.close()
+def writes(path: Path) -> None:
+    record = SharedLatest.attach(path, PAIR, writable=True)
+    for k in itertools.count(1):
+        record.write((k, np.full(40, k)))
 
 
 def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> None:
-    path = tmp_path / "x"
-    writer = SharedLatest.create(path, PAIR)
-    code = textwrap.dedent(
-        f"""
-        import sys
-        import numpy as np
-        from pathlib import Path
-        from rig.core.shared_memory import AwaitedRecord, SharedLatest
-        dtype = np.dtype([("a", "<i8"), ("value", "<f8", (40,))])
-        record = SharedLatest.attach(Path({str(path)!r}), dtype, writable=True)
-        k = 0
-        while True:
-            k += 1
-            record.write((k, np.full(40, k)))
-        """
-    )
-    process = subprocess.Popen([sys.executable, "-c", code])
+    writer = SharedLatest.create(tmp_path / "x", PAIR)
+    process = multiprocessing.get_context("spawn").Process(target=writes, args=(tmp_path / "x",))
+    process.start()
     try:
-        while writer.count == 0:
-            assert process.poll() is None
+        until(lambda: writer.count or not process.is_alive())
         last = 0
         for _ in range(20_000):
             found = writer.read()
@@ -61,7 +36,7 @@ def test_a_reader_never_sees_half_a_record_of_a_busy_writer(tmp_path: Path) -> N
             last = int(found["a"])
     finally:
         process.kill()
-        process.wait()
+        process.join()
     # If killed anywhere in a write, the previous record stays readable.
     found = writer.read()
     assert found is not None
@@ -77,11 +52,16 @@ def test_a_writer_that_starts_after_its_readers_leaves_their_mapping_alone(tmp_p
         SharedLatest.create(path, PAIR)
     with pytest.raises(ValueError, match="expected"):
         SharedLatest.attach(path, np.dtype([("a", "<i8", (100,))]))
+    assert reader.read() is None
     writer = SharedLatest.publish(path, PAIR)
-    writer.write((7, np.zeros(40)))
-    found = reader.read()
-    assert found is not None
-    assert int(found["a"]) == 7
+    for k in range(30):
+        writer.write((k, np.full(40, k)))
+        found = reader.read()
+        assert found is not None
+        assert (int(found["a"]), reader.count) == (k, k + 1)
+    reader.close()
+    writer.close()
+    writer.close()
     fresh = SharedLatest.publish(tmp_path / "y", PAIR)
     assert fresh.count == 0
 

@@ -18,7 +18,6 @@ from rig.acquire.streams import take_tares
 from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError
-from rig.core.guard import Violation, most_serious
 from rig.core.packaged import BENCHES
 from rig.mock.bench import MockBench
 
@@ -153,14 +152,6 @@ def test_every_device_has_an_emulator_and_a_fault_port_of_its_own(
     ports = [document["fault_port"] for name, (_, document) in documents.items() if name != "world"]
     assert len(set(ports)) == len(ports)
     assert documents["side.device"][1]["view"].endswith("world.json")
-
-
-def test_of_several_guards_the_most_serious_reason_stops_the_arm() -> None:
-    soft, stale = Violation("force_soft", "left"), Violation("stale_force", "right")
-    hard = Violation("force_hard", "top")
-    assert most_serious([]) is None
-    assert most_serious([soft, stale]) is stale
-    assert most_serious([stale, hard, soft]) is hard
 
 
 class Measured:

@@ -21,7 +21,7 @@ from rig.core.errors import ConfigError, DeviceLost
 from rig.devices.taxels.settings import XelaConfig
 from rig.devices.taxels.xela import XelaDriver
 from rig.devices.taxels.xela_emulator import XelaEmulator, XelaEmulatorConfig, emit, load_log
-from rig.devices.taxels.xela_wire import parse
+from rig.devices.taxels.xela_wire import Scan, parse
 
 CLOCK = SystemClock()
 
@@ -61,6 +61,12 @@ def opened(host: str, timeout: float = 60.0, **options: Any) -> AbstractContextM
     return opening(driver, timeout)
 
 
+def scanned(text: str, sensor: str = "1", taxels: int = 16) -> Scan:
+    scan = parse(text, sensor, taxels)
+    assert scan is not None
+    return scan
+
+
 @given(
     number=st.integers(0, 2**40),
     seconds=st.floats(0, 2e9),
@@ -70,8 +76,7 @@ def opened(host: str, timeout: float = 60.0, **options: Any) -> AbstractContextM
 def test_parsing_a_scan_undoes_emitting_it(
     number: int, seconds: float, counts: list[int], layout: str
 ) -> None:
-    scan = parse(emit(number, seconds, counts, layout=layout, ups=60.0), "1", 16)
-    assert scan is not None
+    scan = scanned(emit(number, seconds, counts, layout=layout, ups=60.0))
     assert (scan.message, scan.device_t) == (number, seconds)
     assert scan.counts.dtype == np.int32
     assert scan.counts.reshape(-1).tolist() == counts
@@ -83,8 +88,7 @@ def test_a_message_of_the_old_layout_is_understood_and_the_welcome_is_no_scan() 
         '{"message":786,"time":1619157045.62,"sensors":1,"1":{"data":"FA00,FB00,7,0A,a,FFFF",'
         '"sensor":"1","taxels":2,"model":"XR1944","calibrated":null}}'
     )
-    scan = parse(text, "1", 2)
-    assert scan is not None
+    scan = scanned(text, "1", 2)
     assert scan.counts.tolist() == [[0xFA00, 0xFB00, 7], [10, 10, 0xFFFF]]
     assert scan.device_t == 1619157045.62
 
@@ -217,8 +221,7 @@ def frame(sensor: dict[str, Any] | None = None, **top: Any) -> str:
 def test_calibrated_may_be_null_or_ints_or_floats_and_raw_counts_are_read_all_the_same(
     calibrated: Any,
 ) -> None:
-    scan = parse(frame({"calibrated": calibrated}, time=1.5), "1", 16)
-    assert scan is not None
+    scan = scanned(frame({"calibrated": calibrated}, time=1.5))
     assert scan.counts.reshape(-1).tolist() == COUNTS
     assert scan.description["calibrated"] == calibrated
 
@@ -238,24 +241,20 @@ def test_calibrated_may_be_null_or_ints_or_floats_and_raw_counts_are_read_all_th
 def test_device_time_is_when_the_sensor_was_scanned_never_when_it_was_sent(
     sensor: dict[str, Any], top: dict[str, Any], device_t: float
 ) -> None:
-    scan = parse(frame(sensor, **top), "1", 16)
-    assert scan is not None
+    scan = scanned(frame(sensor, **top))
     assert scan.device_t == pytest.approx(device_t, nan_ok=True)
 
 
 @pytest.mark.parametrize("word", ["7", "07", "007", "0007", "a", "0A", "fa00", "FA00", "0", "FFFF"])
 def test_leading_zeros_may_be_there_or_not(word: str) -> None:
-    scan = parse(f'{{"message": 1, "1": {{"data": "{word},0,{word}"}}}}', "1", 1)
-    assert scan is not None
+    scan = scanned(f'{{"message": 1, "1": {{"data": "{word},0,{word}"}}}}', "1", 1)
     assert scan.counts.tolist() == [[int(word, 16), 0, int(word, 16)]]
 
 
 def test_of_several_sensors_in_one_message_the_bench_files_is_taken() -> None:
     other = {"data": ",".join(["1"] * 72), "sensor": "2", "taxels": 24, "model": "uSPa46"}
     text = json.dumps(json.loads(frame(time=5.0)) | {"sensors": 2, "2": other})
-    one, two = parse(text, "1", 16), parse(text, "2", 24)
-    assert one is not None
-    assert two is not None
+    one, two = scanned(text), scanned(text, "2", 24)
     assert one.counts.reshape(-1).tolist() == COUNTS
     assert two.counts.shape == (24, 3)
     assert (one.device_t, two.device_t) == (5.0, 5.0)
@@ -263,8 +262,7 @@ def test_of_several_sensors_in_one_message_the_bench_files_is_taken() -> None:
 
 def test_a_4_by_6_patch_is_read_by_a_bench_of_one_and_no_mock_bench_has_one() -> None:
     assert XelaConfig(taxels=24).shape == (4, 6, 3)
-    scan = parse(frame({"data": ",".join(["7A00"] * 72), "taxels": 24}), "1", 24)
-    assert scan is not None
+    scan = scanned(frame({"data": ",".join(["7A00"] * 72), "taxels": 24}), "1", 24)
     assert scan.counts.shape == (24, 3)
     text = frame({"data": ",".join(["7A00"] * 72), "taxels": 24, "model": "XR1946"})
     with pytest.raises(ValueError, match="72 values; expected 3 x 16 taxels; it is a XR1946"):

@@ -96,13 +96,13 @@ def fits(browser: Chromium) -> None:
 
 def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
     with watched(tmp_path, "--targets", "11") as (collection, browser):
-        browser.until(f"{STATUS} == 'collecting' && {SHOWN} > 2", 60)
+        browser.until(f"{STATUS} == 'collecting' && {SHOWN} > 2")
         first = browser.eval(SUM)
         browser.until(f"{SHOWN} > 8")
         assert browser.eval(INK % "image") > 100
         browser.until(f"({SUM}) != {first}")
         browser.until(f"({INK % 'traces'}) > 20")
-        browser.until(f"{count('done')} >= 2", 60)
+        browser.until(f"{count('done')} >= 2")
         assert browser.eval("document.querySelectorAll('#map path.done').length") >= 2
         assert browser.eval("document.querySelectorAll('#map path.current').length") == 1
         rates = browser.eval("document.getElementById('streams').innerText")
@@ -110,19 +110,19 @@ def test_a_collection_can_be_watched_paused_and_resumed(tmp_path: Path) -> None:
         assert "camera" in rates
 
         browser.click("#pause")
-        browser.until(f"{STATUS} == 'paused'", 30)
+        browser.until(f"{STATUS} == 'paused'")
         assert browser.eval("document.getElementById('pause').textContent") == "Resume"
         held = browser.eval(count("done"))
         browser.eval("new Promise((wait) => setTimeout(wait, 1500))")
         assert browser.eval(count("done")) == held
         browser.click("#pause")
-        browser.until(f"{STATUS} == 'collecting'", 30)
+        browser.until(f"{STATUS} == 'collecting'")
 
         judged = "[...document.querySelectorAll('#quality li')].map((row) => row.innerText)"
-        browser.until(f"{judged}.every((row) => row.startsWith('good'))", 30)
+        browser.until(f"{judged}.every((row) => row.startsWith('good'))")
         assert len(browser.eval(judged)) == 4
-        browser.until(f"{count('limited')} >= 1", 90)
-        browser.until(f"{STATUS} == 'complete'", 120)
+        browser.until(f"{count('limited')} >= 1")
+        browser.until(f"{STATUS} == 'complete'")
         assert "11 of 11 targets" in browser.eval("document.getElementById('reason').textContent")
         assert browser.eval("document.getElementById('abort').disabled") is True
         assert collection.wait() == 0, collection.text
@@ -164,9 +164,9 @@ def test_a_fault_of_the_recording_is_seen_by_words_and_colour(tmp_path: Path) ->
 
 def test_abort_asks_first_and_then_ends_the_collection(tmp_path: Path) -> None:
     with watched(tmp_path) as (collection, browser):
-        browser.until(f"{count('done')} >= 1", 90)
+        browser.until(f"{count('done')} >= 1")
         if PICTURE is not None:
-            browser.until(f"{count('limited')} >= 4", 90)
+            browser.until(f"{count('limited')} >= 4")
             browser.screenshot(Path(PICTURE))
         browser.click("#abort")
         browser.until("document.getElementById('confirm').open")
@@ -175,16 +175,16 @@ def test_abort_asks_first_and_then_ends_the_collection(tmp_path: Path) -> None:
         assert browser.eval(STATUS) == "collecting"
         browser.click("#abort")
         browser.click("#abort-now")
-        browser.until(f"{STATUS} == 'stopped'", 60)
+        browser.until(f"{STATUS} == 'stopped'")
         assert "aborted by the page" in browser.eval("document.getElementById('reason').innerText")
         assert collection.wait() == 130, collection.text
 
 
 def test_a_lost_connection_shows_at_once_and_the_next_collection_by_itself(tmp_path: Path) -> None:
     with watched(tmp_path, "--targets", "1") as (collection, browser):
-        browser.until(f"{STATUS} == 'collecting'", 60)
+        browser.until(f"{STATUS} == 'collecting'")
         collection.kill_all()
-        browser.until("!document.getElementById('lost').hidden", 10)
+        browser.until("!document.getElementById('lost').hidden")
         collection.process.communicate()
         port = browser.eval("location.port")
         folder = tmp_path / "next"
@@ -193,7 +193,7 @@ def test_a_lost_connection_shows_at_once_and_the_next_collection_by_itself(tmp_p
             folder / "s.zarr", "--bench", str(bench(folder)), "--watch", port, "--targets", "1"
         )
         try:
-            browser.until(f"{STATUS} == 'complete'", 90)
+            browser.until(f"{STATUS} == 'complete'")
             assert browser.eval("document.getElementById('lost').hidden") is True
             assert following.wait() == 0, following.text
         finally:

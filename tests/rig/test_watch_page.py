@@ -30,24 +30,23 @@ def watched_bench(tmp_path: Path) -> Iterator[WatchedBench]:
     made.close()
 
 
-def test_the_end_is_shown_before_the_server_goes(watched_bench: WatchedBench) -> None:
-    access = AccessPolicy(port=0)
-    with watched_bench.page(access) as page:
-        page.begin(Control(), dict, watched_bench.session, 0)
-        with watch(access, page.port) as client:
-            until(lambda: next_state(client)["status"] == "collecting")
-            page.say("complete", "160 of 160 targets")
-            page.close()
-            assert last_words(client) == ("complete: 160 of 160 targets", 1001)
-
-
-def test_an_error_before_recording_is_shown_as_the_end(watched_bench: WatchedBench) -> None:
+@pytest.mark.parametrize("recording", [True, False], ids=["the end", "an error before recording"])
+def test_the_end_is_shown_before_the_server_goes(
+    recording: bool, watched_bench: WatchedBench
+) -> None:
     access = AccessPolicy(port=0)
     page = watched_bench.page(access).__enter__()
     with watch(access, page.port) as client:
         assert next_state(client)["status"] == "preparing"
-        page.__exit__(ConfigError, ConfigError("force: not there"), None)
-        assert last_words(client) == ("stopped: force: not there", 1001)
+        if recording:
+            page.begin(Control(), dict, watched_bench.session, 0)
+            until(lambda: next_state(client)["status"] == "collecting")
+            page.say("complete", "160 of 160 targets")
+            page.close()
+            assert last_words(client) == ("complete: 160 of 160 targets", 1001)
+        else:
+            page.__exit__(ConfigError, ConfigError("force: not there"), None)
+            assert last_words(client) == ("stopped: force: not there", 1001)
 
 
 def test_log_lines_reach_the_page_and_the_token_is_in_none(
@@ -139,15 +138,6 @@ def test_earlier_runs_are_on_the_map_of_a_resumed_session(watched_bench: Watched
         page.begin(Control(), dict, watched_bench.session, 3)
         with watch(access, page.port) as client:
             until(lambda: next_state(client)["outcomes"].startswith("dld."))
-
-
-def test_an_ipv6_address_is_printed_as_one(watched_bench: WatchedBench) -> None:
-    page = watched_bench.page(AccessPolicy(host="::1", port=0))
-    try:
-        with page:
-            assert page.urls == [f"http://[::1]:{page.port}/"]
-    except ConfigError as error:
-        pytest.skip(f"no IPv6 here: {error}")
 
 
 def last_words(client: ClientConnection) -> tuple[str, int | None]:

@@ -138,7 +138,7 @@ class Chromium:
             raise RuntimeError(json.dumps(answer["exceptionDetails"]))
         return answer["result"].get("value")
 
-    def until(self, script: str, timeout: float = 120.0) -> Any:
+    def until(self, script: str, timeout: float = 240.0) -> Any:
         """Wait until a JavaScript expression is true; return its value."""
         deadline = time.monotonic() + timeout
         while not (value := self.eval(script)):

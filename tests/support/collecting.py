@@ -7,7 +7,6 @@ import json
 import os
 import pty
 import re
-import signal
 import subprocess
 import sys
 import threading
@@ -16,7 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from benchmarks.faults.processes import family, stream_process
+from benchmarks.faults.processes import family, kill, stream_process, wait_gone
 from recorder import check, faults
 
 ROOT = Path(__file__).parents[2]
@@ -28,10 +27,7 @@ def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
     The emulators share this machine's cores: a delay of 50 ms in one causes a gap, and so does an
     emulated controller whose clock stops in the meantime. Frames and poses that an emulator was too
     late for are never sent: they are lost by arrival or by the controller's clock, never by number.
-
-    Args:
-        session: Session to check.
-        stopped: True if streams may end before the session does.
+    The streams of a session that was `stopped` may end before it does.
     """
     excused = {"gap", "clock-step"} | ({"truncated"} if stopped else set())
     return [
@@ -135,20 +131,13 @@ class Collection:
 
     def emulator(self, name: str) -> int:
         """Return the pid of the emulator of a device, of the World, or of a replayed stream."""
-        return self._emulator(name)[0]
+        commands = self.processes()
+        return next(pid for pid in commands if f"/{name}.json" in commands[pid])
 
     def host(self) -> str:
         """Return the loopback address of the mock bench."""
-        return str(json.loads(self._emulator("arm")[1].read_text())["host"])
-
-    def _emulator(self, name: str) -> tuple[int, Path]:
-        """Return the pid of an emulator and the file of its settings."""
-        pattern = re.compile(rf"-m rig\.mock\.emulate \w+ --file (\S+/{name}\.json)")
-        return next(
-            (pid, Path(found[1]))
-            for pid, command in self.processes().items()
-            if (found := pattern.search(command))
-        )
+        command = self.processes()[self.emulator("arm")].split()
+        return str(json.loads(Path(command[command.index("--file") + 1]).read_text())["host"])
 
     def stream(self, name: str) -> int:
         """Return the pid of the process that writes `<session>/streams/<name>`."""
@@ -185,11 +174,5 @@ class Collection:
     def kill_all(self) -> None:
         """Send SIGKILL to every process, children first, main process last."""
         pids = sorted(self.processes(), key=lambda pid: pid == self.process.pid)
-        for pid in pids:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        deadline = time.monotonic() + 10
-        while any(Path(f"/proc/{pid}").exists() for pid in pids if pid != self.process.pid):
-            if time.monotonic() > deadline:
-                break
-            time.sleep(0.01)
+        kill(pids)
+        wait_gone((pid for pid in pids if pid != self.process.pid), 10.0)

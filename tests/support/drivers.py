@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any, Protocol, TypeVar
+from contextlib import closing, contextmanager
+from typing import Any, TypeVar
 
 import numpy as np
 
-from rig.core.emulation import SharedWorld
+from rig.core.driver import Driver
+from rig.core.emulation import Emulator, SharedWorld
 from rig.core.samples import WORLD_STATE
 
-
-class _Emulator(Protocol):
-    def start(self) -> None: ...
-    def close(self) -> None: ...
-
-
-class _Driver(Protocol):
-    def open(self, timeout: float, /) -> None: ...
-    def read(self, timeout: float, /) -> list[dict[str, Any]]: ...
-    def close(self) -> None: ...
-
-
-E = TypeVar("E", bound=_Emulator)
-D = TypeVar("D", bound=_Driver)
+E = TypeVar("E", bound=Emulator)
+D = TypeVar("D", bound=Driver)
 
 
 class FixedWorld(SharedWorld):
@@ -43,24 +32,20 @@ class FixedWorld(SharedWorld):
 @contextmanager
 def running(emulator: E) -> Iterator[E]:
     """Start an emulator and close it at the end."""
-    emulator.start()
-    try:
+    with closing(emulator):
+        emulator.start()
         yield emulator
-    finally:
-        emulator.close()
 
 
 @contextmanager
 def opening(driver: D, timeout: float = 60.0) -> Iterator[D]:
-    """Open a driver and close it at the end."""
+    """Open a driver and close it at the end, if it could be opened."""
     driver.open(timeout)
-    try:
+    with closing(driver):
         yield driver
-    finally:
-        driver.close()
 
 
-def collect(driver: _Driver, count: int) -> list[dict[str, Any]]:
+def collect(driver: Driver, count: int) -> list[dict[str, Any]]:
     """Read until there are at least `count` samples."""
     samples: list[dict[str, Any]] = []
     while len(samples) < count:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -72,13 +72,8 @@ class Recording:
     ) -> None:
         """Record a rest, a press and its release, one second in all.
 
-        Args:
-            force: Returns Fx, Fy, Fz [N] at a time of this second [ms] and load (0 to 1).
-            noise: Noise of the gauge [N].
-            status: Status of the gauge.
-            tip: Returns x and y of the tip in the contact frame [m].
-            image: Returns the image at a load.
-            counts: Returns the counts of a taxel at a load.
+        Forces [N] and places of the tip in the contact frame [m] are those at a time of this
+        second [ms] and a load (0 to 1), images and counts those at a load.
         """
         for ms in range(1000):
             t_ns = (self.now_ms + ms) * MS
@@ -115,10 +110,5 @@ class Recording:
         self.session.close()
 
 
-@contextlib.contextmanager
-def recording(bench: Bench, folder: Path) -> Iterator[Recording]:
-    made = Recording(bench, folder / "s.zarr")
-    try:
-        yield made
-    finally:
-        made.close()
+def recording(bench: Bench, folder: Path) -> contextlib.closing[Recording]:
+    return contextlib.closing(Recording(bench, folder / "s.zarr"))

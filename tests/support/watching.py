@@ -46,13 +46,10 @@ class WatchedBench:
     def __post_init__(self) -> None:
         self.clock = SystemClock()
         self.session = self.folder / "s.zarr"
+        kinds = {"force": FORCE_LATEST, "pose": POSE_LATEST, "camera": CAMERA_LATEST}
         self.records = {
             name: SharedLatest.create(self.folder / f"{name}.latest", kind)
-            for name, kind in (
-                ("force", FORCE_LATEST),
-                ("pose", POSE_LATEST),
-                ("camera", CAMERA_LATEST),
-            )
+            for name, kind in kinds.items()
         }
         self.counters = {
             name: SharedLatest.create(self.folder / f"{name}.counters", COUNTERS)
