@@ -4,24 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import warp as wp
 from numpy.typing import NDArray
 from support import stl_files as files
+from support.devices import DEVICES
 
 from sim.indenters.nearest import SKIP, Nearest, misplaced_share
 from sim.indenters.solid import NodeGrid
 
 Array = NDArray[np.float64]
-DEVICES = [
-    "cpu",
-    pytest.param(
-        "cuda:0",
-        marks=[
-            pytest.mark.gpu,
-            pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device"),
-        ],
-    ),
-]
 # A body with a hole, made of long triangles.
 TUBE = files.revolved([(3, 0), (3, 4), (2, 4), (2, 0)], 12)
 

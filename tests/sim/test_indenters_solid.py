@@ -59,39 +59,46 @@ def _errors(found: Indenter, exact: Indenter) -> tuple[Array, Array]:
     return np.abs(other - gap), 2 * np.arcsin(np.linalg.norm(normal - other_normal, axis=1) / 2)
 
 
-@pytest.mark.slow
-def test_a_fine_sphere_is_a_sphere(make: Make) -> None:
-    gap, turn = _errors(make("ball", files.ball(1.5, 31), 0.0), sphere(1.5e-3))
-    # The file's chords are up to 0.9 um inside the sphere, and tilted by up to 1.6 degrees.
-    assert gap.max() < 1.5e-6
-    assert np.degrees(turn).max() < 1.0
-
-
-def test_a_block_with_sharp_edges_is_rounded_like_the_exact_one(make: Make) -> None:
-    found, exact = make("block", files.block(3, 4, 5)), box(3e-3, 4e-3, EDGE)
-    gap, turn = _errors(found, exact)
-    assert gap.max() < 5e-6
-    assert np.sqrt(np.mean(gap**2)) < 0.7e-6
-    assert np.degrees(np.sqrt(np.mean(turn**2))) < 0.6
-    assert np.degrees(turn).max() < 6
-    assert found.solid is not None
-    assert found.solid.notes == ()
-
-
-def test_a_block_drawn_with_round_edges_needs_no_rounding(make: Make) -> None:
-    found, exact = make("drawn", files.rounded_block(3, 4, 5, 0.4, 21), 0.0), box(3e-3, 4e-3, EDGE)
-    gap, turn = _errors(found, exact)
-    assert gap.max() < 5e-6
-    assert np.degrees(np.sqrt(np.mean(turn**2))) < 0.7
-
-
-def test_a_tube_keeps_its_hole(make: Make) -> None:
-    body = files.revolved([(2.5, 0), (2.5, 4), (1.5, 4), (1.5, 0)], 120)
-    found, exact = make("tube", body), tube(2.5e-3, 1.5e-3, EDGE)
-    gap, turn = _errors(found, exact)
-    assert gap.max() < 15e-6
-    assert np.sqrt(np.mean(gap**2)) < 1.5e-6
-    assert np.degrees(np.sqrt(np.mean(turn**2))) < 1.5
+@pytest.mark.parametrize(
+    ("body", "edge_radius", "exact", "most", "typical", "turned", "turned_most"),
+    [
+        # The file's chords are up to 0.9 um inside the sphere, and tilted by up to 1.6 degrees.
+        pytest.param(
+            files.ball(1.5, 31), 0.0, sphere(1.5e-3), 1.5, 1.5, 1.0, 1.0, marks=pytest.mark.slow
+        ),
+        (files.block(3, 4, 5), EDGE, box(3e-3, 4e-3, EDGE), 5, 0.7, 0.6, 6),
+        (files.rounded_block(3, 4, 5, 0.4, 21), 0.0, box(3e-3, 4e-3, EDGE), 5, 5, 0.7, 90),
+        (
+            files.revolved([(2.5, 0), (2.5, 4), (1.5, 4), (1.5, 0)], 120),
+            EDGE,
+            tube(2.5e-3, 1.5e-3, EDGE),
+            15,
+            1.5,
+            1.5,
+            90,
+        ),
+    ],
+    ids=["fine sphere", "sharp block, rounded", "block drawn round", "tube with its hole"],
+)
+def test_bodies_are_like_the_exact_ones(
+    make: Make,
+    body: files.Body,
+    edge_radius: float,
+    exact: Indenter,
+    most: float,
+    typical: float,
+    turned: float,
+    turned_most: float,
+) -> None:
+    """Errors of the gap [um] and of the normal [deg], the largest and their root mean squares."""
+    solid = make("body", body, edge_radius)
+    gap, turn = _errors(solid, exact)
+    assert 1e6 * gap.max() < most
+    assert 1e6 * np.sqrt(np.mean(gap**2)) < typical
+    assert np.degrees(np.sqrt(np.mean(turn**2))) < turned
+    assert np.degrees(turn).max() < turned_most
+    assert solid.solid is not None
+    assert solid.solid.notes == ()
 
 
 def test_a_pointed_tip_becomes_round_and_its_lowest_point_the_origin(make: Make) -> None:

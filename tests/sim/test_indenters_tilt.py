@@ -129,20 +129,6 @@ def test_mirrored_tilts_mirror_the_gap(name: str) -> None:
     np.testing.assert_allclose(in_y, gap, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["moon", "wave", "cone", "dotin"])
-def test_heights_are_where_the_distance_first_becomes_zero(name: str) -> None:
-    leaning, reach = named(name).tilted(*TILT), 3e-3
-    plan = _cloud(300, seed=3)[:, :2]
-    heights = leaning.heights(plan[:, 0], plan[:, 1], reach=reach)
-    hit = np.isfinite(heights)
-    assert hit.any()
-    on_surface = np.column_stack([plan[hit], heights[hit]])
-    assert np.abs(leaning.distance(on_surface)[0]).max() < 1e-9
-    for fraction in np.linspace(0, 0.999, 15):
-        below = np.column_stack([plan, fraction * np.where(hit, heights, reach)])
-        assert np.all(leaning.distance(below)[0] > -1e-9)
-
-
 @pytest.mark.parametrize("angle", [1e-7, 0.1, 0.3])
 def test_a_pin_between_the_columns_is_found(angle: float) -> None:
     # A plate at 2 mm, and a pin extending down from it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import warp as wp
+from support.devices import DEVICES
 
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, plane, sphere, torus
@@ -16,12 +16,6 @@ from sim.scene import Body, Effects, Friction, Motion, Scene, Viscosity, press
 from sim.tiers import simulate_many
 
 # Its kernels are compiled for a GPU or for the CPU, where one thread solves a press.
-DEVICES = [
-    "cpu",
-    pytest.param(
-        "cuda:0", marks=pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
-    ),
-]
 GRID = 32
 LOOP = press([0.8e-3], shear=0.5e-3, steps=2)
 SMOOTH = [

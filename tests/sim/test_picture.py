@@ -28,6 +28,13 @@ def pressed() -> Result:
     return simulate(Scene(sphere(4e-3), press([0.5e-3, 1e-3], at=(3e-3, -2e-3))), Layer())
 
 
+@pytest.fixture(scope="module")
+def rubbed() -> Result:
+    motion = press([0.8e-3], shear=0.5e-3, steps=2)
+    scene = Scene(flat_punch(2e-3, 0.3e-3), motion, effects=Effects(friction=Friction(1.0)))
+    return simulate(scene, Layer())
+
+
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """The figures that are drawn."""
@@ -92,18 +99,17 @@ def test_a_dome_is_drawn_with_its_own_height() -> None:
     assert surface.height[at, 0] == pytest.approx(body.height(x, -6e-3), abs=1e-5)
 
 
-def test_the_maps_show_the_frame_with_the_largest_force() -> None:
-    motion = press([0.8e-3], shear=0.5e-3, steps=2)
-    scene = Scene(flat_punch(2e-3, 0.3e-3), motion, effects=Effects(friction=Friction(1.0)))
-    result = simulate(scene, Layer())
-    assert shown_frame(result) == 4
-    x, label = abscissa(result)
+def test_the_maps_show_the_frame_with_the_largest_force(rubbed: Result) -> None:
+    assert shown_frame(rubbed) == 4
+
+
+def test_forces_are_drawn_over_depth_or_with_shear_over_the_path(
+    pressed: Result, rubbed: Result
+) -> None:
+    x, label = abscissa(rubbed)
     assert label == "path of the tip [mm]"
     assert x[-1] == pytest.approx(2.6)
     assert (np.diff(x) > 0).all()
-
-
-def test_the_force_of_a_press_is_drawn_over_depth(pressed: Result) -> None:
     x, label = abscissa(pressed)
     assert label == "depth [mm]"
     assert x == pytest.approx([0, 0.5, 1])
@@ -136,11 +142,9 @@ def pressed_most(result: Result) -> float:
 
 @pytest.mark.slow
 def test_every_axis_has_its_unit_and_shear_its_own_curve(
-    drawn: list[Figure], tmp_path: Path
+    rubbed: Result, drawn: list[Figure], tmp_path: Path
 ) -> None:
-    motion = press([0.8e-3], shear=0.5e-3, steps=2)
-    scene = Scene(flat_punch(2e-3, 0.3e-3), motion, effects=Effects(friction=Friction(1.0)))
-    save_picture(simulate(scene, Layer()), tmp_path / "x.png")
+    save_picture(rubbed, tmp_path / "x.png")
     axes = drawn[0].axes[:4]
     labels = [(one.get_xlabel(), one.get_ylabel()) for one in axes]
     assert labels[:2] == [("x [mm]", "y [mm]")] * 2

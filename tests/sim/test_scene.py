@@ -11,7 +11,7 @@ from sim.errors import SceneError
 from sim.indenters import sphere
 from sim.layer import Layer
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Scene, Viscosity, press
-from sim.tiers import simulate, simulate_many
+from sim.tiers import simulate_many
 
 
 def test_a_scene_is_a_value() -> None:
@@ -84,12 +84,6 @@ def test_every_number_of_an_effect_is_checked(make: object, value: object, messa
 def test_effects_that_mean_nothing_are_refused(make: object, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         make()
-
-
-def test_a_tier_that_is_not_there_is_refused() -> None:
-    for tier in ("mesh", Layer):
-        with pytest.raises(SceneError, match=r"^tier: .*; allowed: a Layer, a Fem or an Mpm$"):
-            simulate(Scene(sphere(4e-3), press([1e-3])), tier)  # type: ignore[arg-type]
 
 
 def test_many_scenes_give_many_results_in_their_order() -> None:

@@ -17,7 +17,6 @@ from sim.sensors import (
     CameraReadout,
     CameraSignal,
     DeviceVariation,
-    Segmentation,
     SimulatedSensor,
     SurfaceField,
     readout,
@@ -65,12 +64,6 @@ def test_an_undeformed_skin_is_the_renderers_reference(gelsight: CameraReadout) 
     np.testing.assert_array_equal(gelsight.masks(SurfaceField.undeformed(each.body)), expected)
 
 
-def test_a_mirrored_press_mirrors_the_image(gelsight: CameraReadout) -> None:
-    each = plain("gelsight")
-    here, there = (gelsight.masks(dent(each, (x, 1e-3)))[0, 0] for x in (2e-3, -2e-3))
-    assert (here != there[:, ::-1]).sum() < 0.002 * here.sum()
-
-
 def test_a_dent_pushes_the_markers_apart(gelsight: CameraReadout) -> None:
     each = plain("gelsight")
     still, moved = (
@@ -94,28 +87,6 @@ def test_a_skin_that_has_crept_shifts_its_reference(gelsight: CameraReadout) -> 
     inner = slice(100, 500)
     changed = np.roll(before, 10, axis=1)[:, inner] != after[:, inner]
     assert changed.sum() < 0.01 * before.sum()
-
-
-def test_the_displacement_lattice_says_how_far_the_image_moved(gelsight: CameraReadout) -> None:
-    each = plain("gelsight")
-    still = SurfaceField.undeformed(each.body)
-    field = gelsight.displacement(still.crept(np.array([0.0249e-3, -2 * 0.0249e-3])))
-    assert field.shape == (1, 57, 73, 2)
-    np.testing.assert_allclose(field[0, 28, 36], [1.0, 2.0], atol=2e-3)
-
-
-def test_parameters_of_nothing_give_the_plain_image() -> None:
-    each = plain("gelsight")
-    # Jitter below a hundredth of a pixel, and zero probabilities.
-    quiet = replace(each, variation=DeviceVariation(segmentation=Segmentation()))
-    top = dent(each)
-    np.testing.assert_array_equal(
-        camera_readout(quiet, seed=0).coverage(top)[0, 0] >= 128,
-        camera_readout(quiet, seed=0).masks(top)[0, 0],
-    )
-    lively = sensor("array-i")
-    alike = camera_readout(replace(each, signal=lively.signal))
-    np.testing.assert_array_equal(camera_readout(lively).masks(top), alike.masks(top))
 
 
 def test_lives_differ_between_sensors_and_come_back_the_same() -> None:

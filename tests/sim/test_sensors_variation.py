@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,19 +40,28 @@ def test_a_negative_seed_is_refused() -> None:
         generator(-1, "a")
 
 
-def test_mounts_are_drawn_evenly_within_their_limits() -> None:
-    mount = Mount(shift=0.3e-3, turn=math.radians(2), height=30e-6)
-    placed = [mount.drawn(0, name) for name in MANY]
-    assert placed[0] == mount.drawn(0, MANY[0])
-    for values, most in (
-        ([each.shift_x for each in placed], 0.3e-3),
-        ([each.shift_y for each in placed], 0.3e-3),
-        ([each.turn for each in placed], math.radians(2)),
-        ([each.height for each in placed], 30e-6),
-    ):
-        assert max(map(abs, values)) <= most
-        assert np.std(values) == pytest.approx(most / math.sqrt(3), rel=0.1)
-        assert abs(np.mean(values)) < 0.1 * most
+@pytest.mark.parametrize(
+    ("drawn", "most"),
+    [
+        (
+            lambda name: astuple(Mount(0.3e-3, math.radians(2), height=30e-6).drawn(0, name)),
+            [0.3e-3, 0.3e-3, math.radians(2), 30e-6],
+        ),
+        (
+            lambda name: Grip(math.radians(1.5)).drawn(3, "array-i", name),
+            [math.radians(1.5)] * 2,
+        ),
+        (lambda name: Framing(4.0, 0.01).drawn(0, name), [4.0, 4.0, 0.01]),
+    ],
+    ids=["mounts", "grips, of each indenter", "framings"],
+)
+def test_lives_are_drawn_evenly_within_their_limits(drawn: Any, most: list[float]) -> None:
+    values = np.array([drawn(name) for name in MANY])
+    assert tuple(drawn(MANY[0])) == tuple(values[0])
+    assert (np.abs(values).max(axis=0) <= most).all()
+    np.testing.assert_allclose(values.std(axis=0) * math.sqrt(3), most, rtol=0.1)
+    assert (np.abs(values.mean(axis=0)) < 0.1 * np.array(most)).all()
+    assert len(np.unique(values[:, 0])) == len(MANY)
 
 
 def test_a_placement_moves_the_press_on_the_gel_against_the_sensors_shift() -> None:
@@ -64,20 +75,6 @@ def test_a_mount_without_an_error_of_height_is_stored_and_drawn_as_ever() -> Non
     assert to_json(mount) == {"shift": 0.3e-3, "turn": 0.0}
     x, y, _ = generator(3, "mount", "a").uniform(-1.0, 1.0, 3).tolist()
     assert mount.drawn(3, "a") == Placement(0.3e-3 * x, 0.3e-3 * y)
-
-
-def test_grips_lean_within_their_limit_and_differ_between_indenters() -> None:
-    grip = Grip(tilt=math.radians(1.5))
-    leans = np.array([grip.drawn(3, "array-i", name) for name in MANY])
-    assert np.abs(leans).max() <= math.radians(1.5)
-    np.testing.assert_allclose(leans.std(axis=0), math.radians(1.5) / math.sqrt(3), rtol=0.1)
-    assert len(np.unique(leans[:, 0])) == len(MANY)
-
-
-def test_framings_are_drawn_evenly_within_their_limits() -> None:
-    drawn = np.array([Framing(4.0, 0.01).drawn(0, name) for name in MANY])
-    assert (np.abs(drawn).max(axis=0) <= [4.0, 4.0, 0.01]).all()
-    np.testing.assert_allclose(drawn.std(axis=0) * math.sqrt(3), [4.0, 4.0, 0.01], rtol=0.1)
 
 
 def test_a_skin_creeps_as_a_random_walk_that_begins_at_home() -> None:

@@ -30,6 +30,14 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module._Meshes, "solved", rejected)
 
 
+@pytest.fixture
+def meshes_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mesh(*_arguments: Any, **_options: Any) -> Any:
+        raise SimulationDiverged("a mesh was tried")
+
+    monkeypatch.setattr(module._Meshes, "solved", mesh)
+
+
 @pytest.mark.usefixtures("no_meshes")
 def test_layer_is_taken_where_its_estimate_is_below_and_says_why() -> None:
     result = plan(WIDE, "8 %").run()
@@ -106,6 +114,7 @@ def test_meshes_go_on_where_its_estimate_is_above_and_the_look_is_counted() -> N
     assert told["seconds"] > sum(value for value in parts.values() if isinstance(value, float))
 
 
+@pytest.mark.usefixtures("meshes_tried")
 @pytest.mark.parametrize(
     "scene",
     [
@@ -125,16 +134,13 @@ def test_scenes_that_it_was_not_held_against_are_not_tried(
     def solved(*_arguments: Any, **_options: Any) -> Any:
         raise AssertionError("layer was solved")
 
-    def mesh(*_arguments: Any, **_options: Any) -> Any:
-        raise SimulationDiverged("a mesh was tried")
-
     monkeypatch.setattr(module, "_of_layer", solved)
-    monkeypatch.setattr(module._Meshes, "solved", mesh)
     tolerance = "30 %" if scene.motion.depth_max > 1e-3 else "8 %"
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
         plan(scene, tolerance).run()
 
 
+@pytest.mark.usefixtures("meshes_tried")
 @pytest.mark.parametrize(
     ("scene", "tolerance", "tried"),
     [
@@ -159,11 +165,7 @@ def test_answers_that_are_no_such_thing_are_left_to_meshes(
         reported.extend(arguments[3])
         return found
 
-    def mesh(*_arguments: Any, **_options: Any) -> Any:
-        raise SimulationDiverged("a mesh was tried")
-
     monkeypatch.setattr(module, "_of_layer", kept)
-    monkeypatch.setattr(module._Meshes, "solved", mesh)
     with pytest.raises(SimulationDiverged, match="a mesh was tried"):
         plan(scene, tolerance).run()
     assert len(reported) == 1

@@ -11,7 +11,6 @@ import pytest
 from sim import (
     Body,
     Effects,
-    Friction,
     Gravity,
     Motion,
     Scene,
@@ -49,7 +48,6 @@ WRONG: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
     "motion.time: 0; allowed: a sequence": (Motion, (((0, 0, 0),), 0), {}),
     "motion.time: ('0',)...; allowed": (Motion, (((0, 0, 0),), ("0",)), {}),
     "body.thickness: '4e-3' m; allowed": (Body, (), {"thickness": "4e-3"}),
-    "friction.coefficient: '0.5'; allowed": (Friction, ("0.5",), {}),
     "effects.friction: 0.5; allowed: a Friction, or None": (Effects, (0.5,), {}),
     "gravity.acceleration: 9.81; allowed: 3 numbers": (Gravity, (9.81,), {}),
     "viscosity.ratios: 0.5; allowed: a tuple": (Viscosity, (0.5, 1.0), {}),

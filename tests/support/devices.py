@@ -1,0 +1,17 @@
+"""Devices on which kernels are tested: the CPU, and a GPU where there is one."""
+
+from __future__ import annotations
+
+import pytest
+import warp as wp
+
+DEVICES = [
+    "cpu",
+    pytest.param(
+        "cuda:0",
+        marks=[
+            pytest.mark.gpu,
+            pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device"),
+        ],
+    ),
+]
