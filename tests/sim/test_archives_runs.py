@@ -123,14 +123,7 @@ def test_the_command_tells_the_contents_before_and_the_sum_after_and_a_sheet_is_
 ) -> None:
     monkeypatch.setattr("sim.dataset.run.make_in_processes", _here)
     path = tmp_path / "a.markers.zarr"
-    begun = (
-        "archive",
-        "states:Array3",
-        "--indenters",
-        "sphere",
-        "--tier",
-        "layer",
-    )
+    begun = ("archive", "states:Array3", "--indenters", "sphere", "--tier", "layer")
     assert main(["sim", *begun, "--out", str(path)]) == 0
     reported = capsys.readouterr().out
     assert "9 presses (layer (small strain)), 45 frames, 45 images, about" in reported
@@ -217,16 +210,7 @@ def test_a_process_that_is_killed_is_told_of_and_loses_its_unit_alone(
 
 def _verb(path: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "tactile",
-            "sim",
-            "archive",
-            *OPTIONS,
-            "--out",
-            str(path),
-        ],
+        [sys.executable, "-m", "tactile", "sim", "archive", *OPTIONS, "--out", str(path)],
         cwd=ROOT,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         stdout=subprocess.PIPE,

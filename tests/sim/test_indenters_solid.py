@@ -126,8 +126,10 @@ def test_heights_are_where_the_distance_first_becomes_zero(make: Make) -> None:
     np.testing.assert_allclose(heights, box(3e-3, 4e-3, EDGE).heights(x, y, reach=2e-3), atol=40e-6)
 
 
-def test_bounds_hold_the_body_and_end_where_it_does(make: Make) -> None:
-    x, y, z = make("block", files.block(3, 4, 5)).bounds
+def test_bounds_hold_the_body_and_end_where_it_does_and_its_edge_is_known(make: Make) -> None:
+    block = make("block", files.block(3, 4, 5))
+    assert block.sharpest == pytest.approx(EDGE)
+    x, y, z = block.bounds
     np.testing.assert_allclose([x, y], [(-1.5e-3, 1.5e-3), (-2e-3, 2e-3)], atol=1e-9)
     assert z == (0.0, np.inf)
     assert make("low", files.block(3, 4, 2)).bounds[2] == pytest.approx((0.0, 2e-3), abs=1e-8)

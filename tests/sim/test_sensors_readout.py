@@ -89,6 +89,20 @@ def test_a_skin_that_has_crept_shifts_its_reference(gelsight: CameraReadout) -> 
     assert changed.sum() < 0.01 * before.sum()
 
 
+def test_the_displacement_lattice_says_how_far_the_image_moved(gelsight: CameraReadout) -> None:
+    each = plain("gelsight")
+    still = SurfaceField.undeformed(each.body)
+    field = gelsight.displacement(still.crept(np.array([0.0249e-3, -2 * 0.0249e-3])))
+    assert field.shape == (1, 57, 73, 2)
+    np.testing.assert_allclose(field[0, 28, 36], [1.0, 2.0], atol=2e-3)
+
+
+def test_without_a_seed_nothing_varies() -> None:
+    lively, each = sensor("array-i"), plain("gelsight")
+    alike, top = camera_readout(replace(each, signal=lively.signal)), dent(each)
+    np.testing.assert_array_equal(camera_readout(lively).masks(top), alike.masks(top))
+
+
 def test_lives_differ_between_sensors_and_come_back_the_same() -> None:
     first, second = sensor("array-i"), replace(sensor("array-i"), name="other")
     top = dent(first, (1e-3, 0.5e-3))
