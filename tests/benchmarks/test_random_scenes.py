@@ -330,13 +330,6 @@ def test_every_exception_has_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _of(OutOfTime("1 s")).kind == "timeout"
 
 
-def test_a_solve_that_takes_too_long_is_ended() -> None:
-    began = time.perf_counter()
-    with pytest.raises(OutOfTime, match=r"within 0.05 s"), time_limit(0.05):
-        time.sleep(5)
-    assert time.perf_counter() < began + 2
-
-
 def test_a_solve_is_ended_although_the_first_call_comes_within_a_destructor(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -352,7 +345,7 @@ def test_a_solve_is_ended_although_the_first_call_comes_within_a_destructor(
     monkeypatch.setattr(judgement, "AGAIN", 0.3)
     monkeypatch.setattr(sys, "unraisablehook", lambda _told: None)
     began = time.perf_counter()
-    with pytest.raises(OutOfTime), time_limit(0.05):
+    with pytest.raises(OutOfTime, match=r"within 0.05 s"), time_limit(0.05):
         solve()
     assert time.perf_counter() < began + 2
 

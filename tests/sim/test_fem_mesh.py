@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,31 +16,24 @@ GROWTH, COARSEST = Grading().growth, Grading().coarsest
 WINDOWS = [(-1e-3, 1e-3), (2e-3, 5e-3), (-10e-3, -9e-3), (-10e-3, 10e-3), (0.31e-3, 0.31e-3)]
 
 
-def _flat() -> Mesh:
-    return build_mesh(FLAT, 1e-3)
+EVEN = build_mesh(FLAT, 1e-3)
+DOME = build_mesh(DOMED, 1e-3)
+# Finer than `COARSEST` in the middle, up to 3 times as wide outside.
+GRADED = build_mesh(FLAT, 0.25e-3, ((-0.5e-3, 0.5e-3), (0.0, 1e-3)))
+OF_FLAT = pytest.mark.parametrize("mesh", [EVEN, GRADED], ids=["even", "graded"])
+ANY = pytest.mark.parametrize("mesh", [EVEN, GRADED, DOME], ids=["even", "graded", "domed"])
 
 
-def _domed() -> Mesh:
-    return build_mesh(DOMED, 1e-3)
-
-
-def _graded() -> Mesh:
-    """Return a mesh finer than `COARSEST` in the middle, up to 3 times as wide outside."""
-    return build_mesh(FLAT, 0.25e-3, ((-0.5e-3, 0.5e-3), (0.0, 1e-3)))
-
-
-@pytest.mark.parametrize("make", [_flat, _graded, _domed])
-def test_inverse_jacobians_and_volumes_are_numpys(make: Callable[[], Mesh]) -> None:
-    mesh = make()
+@ANY
+def test_inverse_jacobians_and_volumes_are_numpys(mesh: Mesh) -> None:
     expected = oracle.with_nodes(mesh, mesh.nodes)
     np.testing.assert_allclose(mesh.weight, expected.weight, rtol=1e-11)
     size = np.abs(expected.inverse).max()
     np.testing.assert_allclose(mesh.inverse, expected.inverse, atol=1e-12 * size)
 
 
-@pytest.mark.parametrize("make", [_flat, _graded, _domed])
-def test_volumes_of_nodes_and_areas_of_faces_are_the_elements(make: Callable[[], Mesh]) -> None:
-    mesh = make()
+@ANY
+def test_volumes_of_nodes_and_areas_of_faces_are_the_elements(mesh: Mesh) -> None:
     eighth = np.repeat(mesh.weight.sum(axis=1) / 8, 8)
     expected = np.bincount(mesh.elements.ravel(), eighth, len(mesh.nodes))
     np.testing.assert_allclose(mesh.node_volume, expected, rtol=1e-11)
@@ -49,18 +41,17 @@ def test_volumes_of_nodes_and_areas_of_faces_are_the_elements(make: Callable[[],
     one, other = corners[:, 3] - corners[:, 0], corners[:, 2] - corners[:, 1]
     area = np.linalg.norm(np.cross(one, other), axis=1) / 2
     # A dome's faces are two triangles that are not exactly coplanar.
-    np.testing.assert_allclose(4 * mesh.face_area, area, rtol=1e-3 if make is _domed else 1e-11)
+    np.testing.assert_allclose(4 * mesh.face_area, area, rtol=1e-3 if mesh is DOME else 1e-11)
 
 
 def test_elements_of_one_size_fill_the_body_as_asked() -> None:
-    mesh = _flat()
+    mesh = EVEN
     assert mesh.cells == (6, 5, 3)
     assert mesh.finest == pytest.approx(1 / 3)
 
 
-@pytest.mark.parametrize("make", [_flat, _graded])
-def test_volumes_and_areas_are_the_bodys(make: Callable[[], Mesh]) -> None:
-    mesh = make()
+@OF_FLAT
+def test_volumes_and_areas_are_the_bodys(mesh: Mesh) -> None:
     unit = FLAT.thickness
     volume = FLAT.size_x * FLAT.size_y * FLAT.thickness / unit**3
     assert mesh.weight.sum() == pytest.approx(volume)
@@ -82,13 +73,11 @@ def test_a_domes_volume_comes_close_to_the_integral_of_its_height() -> None:
     ]
     assert errors[0] < 0.01
     assert errors[1] < errors[0]
-    apex = build_mesh(DOMED, 1e-3)
-    assert apex.nodes[apex.top[3, 3]] == pytest.approx([0, 0, 0], abs=1e-12)
+    assert DOME.nodes[DOME.top[3, 3]] == pytest.approx([0, 0, 0], abs=1e-12)
 
 
-@pytest.mark.parametrize("make", [_flat, _graded])
-def test_nodes_know_the_elements_and_faces_around_them(make: Callable[[], Mesh]) -> None:
-    mesh = make()
+@OF_FLAT
+def test_nodes_know_the_elements_and_faces_around_them(mesh: Mesh) -> None:
     for around, cells in ((mesh.node_elements, mesh.elements), (mesh.node_faces, mesh.faces)):
         corners = cells.shape[1]
         listed = around[around >= 0]
@@ -98,9 +87,8 @@ def test_nodes_know_the_elements_and_faces_around_them(make: Callable[[], Mesh])
                 assert cells[place // corners, place % corners] == node
 
 
-@pytest.mark.parametrize("make", [_flat, _graded])
-def test_x_and_y_say_where_the_columns_of_nodes_stand(make: Callable[[], Mesh]) -> None:
-    mesh = make()
+@OF_FLAT
+def test_x_and_y_say_where_the_columns_of_nodes_stand(mesh: Mesh) -> None:
     place = mesh.nodes.reshape(len(mesh.x), len(mesh.y), -1, 3)
     assert np.ptp(place[..., 0] - mesh.x[:, None, None]) == 0
     assert np.ptp(place[..., 1] - mesh.y[None, :, None]) == 0
@@ -170,7 +158,7 @@ def test_an_axis_about_a_window_in_the_middle_is_its_own_mirror_image() -> None:
 
 
 def test_only_the_base_is_held_and_only_it_is_not_a_face() -> None:
-    mesh = _flat()
+    mesh = EVEN
     np.testing.assert_array_equal(~mesh.free, mesh.nodes[:, 2] == -1)
     on_base = (mesh.nodes[mesh.faces][:, :, 2] == -1).all(axis=1)
     assert not on_base.any()
@@ -185,7 +173,7 @@ def test_only_the_base_is_held_and_only_it_is_not_a_face() -> None:
 
 
 def test_the_mesh_is_a_mirror_image_of_itself() -> None:
-    for mesh in (_flat(), build_mesh(DOMED, 1e-3)):
+    for mesh in (EVEN, DOME):
         places = {tuple(np.round(node, 9)) for node in mesh.nodes}
         for x, y in itertools.product((1, -1), repeat=2):
             turned = mesh.nodes * [x, y, 1]

@@ -13,7 +13,7 @@ from benchmarks.independent.formulas import LinearLayer, layer_punch, layer_sphe
 from sim.indenters import flat_punch, named, plane, sphere
 from sim.layer import Layer
 from sim.layer import solver as press_module
-from sim.layer.contact import solve_frictionless
+from sim.layer.contact import Problem, descend, solve_frictionless
 from sim.layer.solver import simulate_layer
 from sim.layer.spectral import Convolutions, PixelGrid
 from sim.result import Result
@@ -143,3 +143,22 @@ def test_work_put_in_is_held_in_the_body() -> None:
     scene = Scene(sphere(4e-3), press(np.linspace(0.05e-3, 1.5e-3, 30)))
     result = simulate_layer(scene, Layer(grid=64))
     assert np.abs(result.quality.energy_gap[-20:]).max() < 5e-3
+
+
+COMPLIANCE = np.array([1e-4, 2e-4, 5e-4], np.float32)
+
+
+def _descended(load: float) -> np.ndarray:
+    """Return the result of projected descent in single precision."""
+    problem = Problem(
+        apply=lambda x: COMPLIANCE * x, project=lambda x: np.maximum(x, 0), local=2e-4
+    )
+    slope = np.full(3, -load, np.float32)
+    found = descend(problem, np.zeros(3, np.float32), slope, tolerance=1e-5, iterations=50)
+    return found.x
+
+
+def test_descent_finds_answers_and_divides_by_nothing_where_squares_of_loads_vanish() -> None:
+    np.testing.assert_allclose(_descended(1.0), 1 / COMPLIANCE, rtol=1e-4)
+    for exponent in range(-18, -30, -1):
+        assert (_descended(10.0**exponent) >= 0).all()

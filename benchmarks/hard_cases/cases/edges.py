@@ -45,11 +45,7 @@ def _sharp_cone(solver: Solver) -> list[Law]:
         result = solver.one(Scene(CONE, press(even(1 * MM, 20)), PAD), spacing=0.5 * MM)
     except SimulationDiverged as diverged:
         return law.evidence(diverged)
-    return [
-        *law.validity_laws(result),
-        law.straight(result, 0.01),
-        law.conserves(result, 0.02),
-    ]
+    return [*law.validity_laws(result), law.straight(result, 0.01), law.conserves(result, 0.02)]
 
 
 def _between_bounds(result: Result) -> list[Law]:
@@ -95,10 +91,7 @@ def _falls_smoothly(*results: Result) -> list[Law]:
     force = [push(result)[-1] for result in results]
     # Elements of 1 mm make the force ripple by 2 % from node to node, which is up to four times as
     # much in a second difference. A sudden loss of contact (a third of it) would be 30 %.
-    return [
-        law.rises("force falls outwards", -np.asarray(force)),
-        law.smooth(law.KINK, force, 0.1),
-    ]
+    return [law.rises("force falls outwards", -np.asarray(force)), law.smooth(law.KINK, force, 0.1)]
 
 
 CASES: dict[str, Case] = {

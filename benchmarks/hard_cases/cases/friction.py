@@ -167,13 +167,7 @@ CASES: dict[str, Case] = {
     ),
     "light-press-long-slide": case(
         "Pressed 0.15 mm and dragged 3 mm, it slips everywhere, and shear over push becomes mu.",
-        [
-            _rubbed(
-                0.4,
-                way((-1.5, 0, 0), *((x / 2, 0, -0.15) for x in range(-3, 4))),
-                PAD,
-            )
-        ],
+        [_rubbed(0.4, way((-1.5, 0, 0), *((x / 2, 0, -0.15) for x in range(-3, 4))), PAD)],
         # A light press ploughs little: its flank is 0.15 mm high on a contact of 0.7 mm, and points
         # enter in front and leave behind, which tilts the mean normal by a few degrees.
         lambda result: [

@@ -226,10 +226,7 @@ CASES: dict[str, Case] = {
         "Friction, viscosity, inertia and gravity together, pressed, sheared and released.",
         [
             ball(ALL_AT_ONCE, PAD, friction=Friction(0.5), **others)
-            for others in (
-                {"viscosity": VISCOUS, "inertia": Inertia(), "gravity": Gravity()},
-                {},
-            )
+            for others in ({"viscosity": VISCOUS, "inertia": Inertia(), "gravity": Gravity()}, {})
         ],
         lambda every, rubbed: [
             law.slides(every),
