@@ -5,62 +5,16 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from support.arms import MOVE_L, SCRIPT, START, STOP_L, TCP, Client
 
 from rig.core import emulation
 from rig.core.clock import SystemClock
 from rig.core.geometry import compose, rotation_between
-from rig.devices.arm.emulated_arm import CYCLE, POSTURE, flange_pose
+from rig.devices.arm.emulated_arm import CYCLE, flange_pose
 from rig.devices.arm.emulated_controller import PLAYING, STOPPED, Controller, dashboard_answer
 from rig.devices.arm.emulator import ArmEmulator
 
-TCP = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
-START = compose(flange_pose(np.array(POSTURE)), TCP)
-SCRIPT = "def rtde_control():\n  x\nend\n"
-MOVE_L, SET_TCP, STOP_L, WATCHDOG, IN_LIMITS = 3, 29, 33, 35, 36
-RUNNING = 0x8000
-
-
-class Client:
-    """Emulates ur_rtde's use of the registers, one controller cycle at a time."""
-
-    def __init__(self, controller: Controller) -> None:
-        self.controller = controller
-        controller.start_program(SCRIPT)
-        self.run(2)
-
-    def run(self, cycles: int) -> None:
-        for _ in range(cycles):
-            self.controller.cycle()
-
-    def write(self, command: int, doubles=(), flag: int = 0) -> None:
-        names = ["input_int_register_0", "input_int_register_1"]
-        names += [f"input_double_register_{k}" for k in range(len(doubles))]
-        self.controller.write_inputs(names, [command, flag, *map(float, doubles)])
-
-    def command(self, command: int, doubles=(), flag: int = 0, *, cycles: int = 5000) -> int:
-        """Run a command to its end, and return the number of cycles."""
-        self.write(command, doubles, flag)
-        for took in range(cycles):
-            self.controller.cycle()
-            if self.state == 2:
-                self.write(0)
-                self.run(1)
-                assert self.state == 1
-                return took + 1
-        raise AssertionError(f"command {command} not done in {cycles} cycles")
-
-    @property
-    def state(self) -> int:
-        return self.controller.source("output_int_register_0")()
-
-    @property
-    def result(self) -> int:
-        return self.controller.source("output_int_register_1")()
-
-    @property
-    def word(self) -> tuple[int, int, bool]:
-        word = self.controller.source("output_int_register_2")()
-        return word >> 24, word >> 16 & 0x7F, bool(word & RUNNING)
+SET_TCP, WATCHDOG, IN_LIMITS = 29, 35, 36
 
 
 @pytest.fixture

@@ -1,16 +1,24 @@
-"""Reactions of an arm to the force that its guard sees; all tests here share one arm."""
+"""Reactions of an arm to the force that its guard sees: one arm for all tests, and a simulated."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.arms import (
     CLOCK,
     CONFIG,
+    FRAME,
     LIMITS,
+    MOVE_L,
+    START,
+    STOP_L,
+    TCP,
+    Client,
     Once,
     at,
     back_at_start,
@@ -21,12 +29,16 @@ from support.arms import (
 )
 from support.waiting import until
 
-from rig.core.clock import SECOND_NS
+from rig.core.clock import SECOND_NS, FakeClock
 from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.guard import ForceGuard
 from rig.core.samples import FORCE_LATEST
 from rig.core.shared_memory import SharedLatest
 from rig.devices.arm.arm import Arm
+from rig.devices.arm.emulated_arm import CYCLE
+from rig.devices.arm.emulated_controller import Controller
+from rig.devices.arm.messages import Move, Setup
+from rig.devices.arm.mover import Mover, Watch
 
 pytest.importorskip("rtde_control", reason="ur-rtde is not installed: pip install -e '.[rig]'")
 
@@ -109,3 +121,77 @@ def test_a_load_that_comes_while_the_arm_rests_is_told_by_check(feeling, force):
         return False
 
     until(alarmed)
+
+
+class Simulated(FakeClock):
+    """An arm, its controller and a spring under its tip, on a clock that only waiting moves.
+
+    It is what a mover and its watch ask of the control program and the pose link.
+    """
+
+    def __init__(self, stiffness: float, path: Path) -> None:
+        super().__init__(SECOND_NS)
+        self.controller = Controller(START, TCP)
+        self.client = Client(self.controller)
+        self.force = SharedLatest.create(path, FORCE_LATEST)
+        self.stiffness, self.most = stiffness, 0.0
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        while self.now_ns() < deadline_ns:
+            self.advance(CYCLE)
+            self.controller.cycle()
+            load = self.stiffness * max(0.0, FRAME[2] - self.controller.robot.pose[2])
+            self.most = max(self.most, load)
+            self.force.write((self.now_ns(), 0, (0, 0, -load, 0, 0, 0)))
+
+    def receive(self, timeout: float) -> list[dict[str, Any]]:
+        robot = self.controller.robot
+        value, speed = tuple(robot.pose), tuple(robot.speed)
+        sample = {"value": value, "speed": speed, "speed_fraction": 1.0, "safety_status": 1}
+        return [{**sample, "t_ns": self.now_ns()}]
+
+    def connected(self) -> bool:
+        return True
+
+    kick = connected
+
+    def reaches(self, pose: list[float]) -> bool:
+        return True
+
+    def operation(self) -> tuple[int, bool]:
+        number, _, running = self.client.word
+        return number, running
+
+    def start_move(self, pose: list[float], speed: float, acceleration: float) -> bool:
+        self.client.command(MOVE_L, [*pose, speed, acceleration], 1)
+        return True
+
+    def start_stop(self, deceleration: float) -> None:
+        self.client.command(STOP_L, [deceleration], 1)
+
+
+@pytest.mark.parametrize(
+    ("soft", "outcome", "limit"), [(0.8, "safety_stop", 0.8), (0.5, "force_limited", 0.5)]
+)
+def test_a_press_ends_at_its_limit_and_the_force_stays_below_the_rating(
+    soft: float, outcome: str, limit: float, tmp_path: Path
+) -> None:
+    limits = replace(
+        LIMITS,
+        force_rating=(12.0, 12.0, 0.3, 1.0, 1.0, 1.0),
+        **{"soft_fraction": soft, "hard_fraction": 0.8, "horizon": 0.0005},
+    )
+    path = tmp_path / "force"
+    arm: Any = Simulated(500.0, path)
+    setup = Setup(CONFIG, FRAME, limits, None, ((path, ForceGuard(limits)),))
+    mover = Mover(setup, arm, Watch(setup, arm, arm), arm, lambda: False)
+    mover.wait_for_pose(1.0)
+    speed, acceleration = 0.01, CONFIG.acceleration
+    press = Move(1, tuple(at(0, 0, -0.004)), speed, acceleration, "guarded")
+    reply = mover.move(press, lambda seconds: None)
+    assert reply.outcome == outcome
+    assert reply.reason.startswith("Fz: ")
+    # A cycle of the loop, one of the controller, and the way to a stop from 10 mm/s.
+    assert limit * 0.3 - 0.01 < arm.most < limit * 0.3 + 0.05
+    assert arm.most < 0.3
+    arm.force.close()

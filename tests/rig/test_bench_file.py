@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import rig
 from rig.bench import bench as bench_module
 from rig.bench.bench import Bench, BenchFile
 from rig.cli import recording
@@ -68,18 +66,3 @@ def test_an_indenter_is_in_content_and_bench_and_an_empty_name_is_that_of_the_fi
     assert file.with_indenter("").bench.indenter == file.bench.indenter
     with pytest.raises(ConfigError, match="did you mean prism"):
         file.with_indenter("prsm")
-
-
-def test_settings_of_a_bench_do_not_know_its_rules_nor_its_emulators_not_even_for_annotations() -> (
-    None
-):
-    folder = Path(rig.__file__).parent / "bench"
-    rooms = {"rig.bench.worlds", "rig.bench.indenter"}
-    for name, below in (("worlds", set()), ("bench", rooms)):
-        imported = {
-            node.module or ""
-            for node in ast.walk(ast.parse((folder / f"{name}.py").read_text()))
-            if isinstance(node, ast.ImportFrom)
-        }
-        above = {each for each in imported if each.startswith(("rig.bench", "rig.mock"))}
-        assert above <= below

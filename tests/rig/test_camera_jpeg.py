@@ -76,6 +76,7 @@ def test_a_stamped_picture_is_still_the_same_picture() -> None:
     whole = encoded()
     marked = stamped(whole, 7, 8)
     assert is_whole(marked)
+    assert jpeg_size(marked) == jpeg_size(whole)
     image = decoded(marked)
     assert image is not None
     assert (image == decoded(whole)).all()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import socket
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 import pytest
 from support.drivers import collect, opening, running
-from support.jpegs import without_stamp
+from support.jpegs import stripped, without_stamp
 
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.samples import WORLD_STATE
 from rig.devices.camera.camera import OpenCvDriver, V4l2Driver
-from rig.devices.camera.jpeg import frame_stamp, jpeg_size, stamped
+from rig.devices.camera.jpeg import frame_stamp, jpeg_size
 from rig.devices.camera.mjpeg_emulator import (
     FrameSource,
     MjpegEmulator,
@@ -32,8 +32,6 @@ from rig.devices.camera.settings import CameraConfig
 
 CLOCK = SystemClock()
 RNG = np.random.default_rng(0)
-
-Fault = Callable[[int, bytes], Iterable[bytes]]
 
 
 def encoded(value: int, width: int = 640, height: int = 480) -> bytes:
@@ -56,34 +54,16 @@ class CountingWorld:
         return int(self.record["t_ns"]) // 1_000_000, self.record
 
 
-class FaultyMjpeg(MjpegEmulator):
-    """Emulator that sends the frames that `fault` returns for each frame and its number."""
-
-    fault: Fault | None = None
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.faults.passed = self._frames
-
-    def _frames(self, jpeg: bytes) -> Iterable[bytes]:
-        stamp = frame_stamp(jpeg)
-        assert stamp is not None
-        return (jpeg,) if self.fault is None else self.fault(stamp[0], jpeg)
-
-
 def emulated(
-    host: str, source: FrameSource, fault: Fault | None = None, world: Any = None
-) -> AbstractContextManager[FaultyMjpeg]:
+    host: str, source: FrameSource, world: Any = None
+) -> AbstractContextManager[MjpegEmulator]:
     device = CameraConfig("http://loopback:8090/", rate_hz=100.0)
-    emulator = FaultyMjpeg(MjpegEmulatorConfig(device, host=host), source, world, CLOCK)
-    emulator.fault = fault
-    return running(emulator)
+    return running(MjpegEmulator(MjpegEmulatorConfig(device, host=host), source, world, CLOCK))
 
 
 def opened(host: str, **options: Any) -> AbstractContextManager[OpenCvDriver]:
     config = CameraConfig(f"http://{host}:8090/", **({"silence": 20.0} | options))
-    driver = OpenCvDriver(config, CLOCK)
-    return opening(driver)
+    return opening(OpenCvDriver(config, CLOCK))
 
 
 def test_the_cameras_own_bytes_arrive_unchanged(host: str) -> None:
@@ -118,10 +98,7 @@ def test_frames_come_in_order_and_are_not_held_back(host: str) -> None:
 
 
 def test_huffman_tables_are_put_into_frames_that_lack_them(host: str) -> None:
-    from support.jpegs import stripped
-
-    whole = encoded(90)
-    with emulated(host, one_image(stripped(whole))), opened(host) as driver:
+    with emulated(host, one_image(stripped(encoded(90)))), opened(host) as driver:
         value = collect(driver, 1)[0]["value"]
         image = cv2.imdecode(np.frombuffer(value, np.uint8), cv2.IMREAD_COLOR)
         assert image.shape == (480, 640, 3)
@@ -129,13 +106,15 @@ def test_huffman_tables_are_put_into_frames_that_lack_them(host: str) -> None:
 
 
 def test_torn_frames_are_counted_and_left_out(host: str) -> None:
-    def tear(number: int, jpeg: bytes) -> Iterable[bytes]:
-        return (jpeg,) if number % 3 else (jpeg[: len(jpeg) // 2], jpeg[2:])
+    def tear(jpeg: bytes) -> Iterable[bytes]:
+        return (jpeg,) if frame_stamp(jpeg)[0] % 3 else (jpeg[: len(jpeg) // 2], jpeg[2:])
 
-    with emulated(host, one_image(encoded(5)), tear), opened(host) as driver:
-        stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 20)]
-        assert all(stamp is not None and stamp[0] % 3 for stamp in stamps)
-        assert driver.rejected["corrupt"] >= 9
+    with emulated(host, one_image(encoded(5))) as emulator:
+        emulator.faults.passed = tear
+        with opened(host) as driver:
+            stamps = [frame_stamp(sample["value"]) for sample in collect(driver, 20)]
+            assert all(stamp is not None and stamp[0] % 3 for stamp in stamps)
+            assert driver.rejected["corrupt"] >= 9
 
 
 def test_another_size_than_the_bench_says_is_a_config_error(host: str) -> None:
@@ -147,15 +126,20 @@ def test_another_size_than_the_bench_says_is_a_config_error(host: str) -> None:
         pass
 
 
-@pytest.mark.parametrize("setting", ["exposure", "gain"])
-def test_a_network_camera_refuses_settings(host: str, setting: str) -> None:
-    with pytest.raises(ConfigError, match=setting), opened(host, **{setting: 0.01}):
-        pass
-
-
-def test_an_address_of_another_kind_is_a_config_error() -> None:
-    with pytest.raises(ConfigError, match="allowed"):
-        OpenCvDriver(CameraConfig("ftp://host/"), CLOCK).open(0.5)
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"exposure": 0.01}, "exposure"),
+        ({"gain": 12}, "gain"),
+        ({"address": "ftp://h/"}, "allowed"),
+    ],
+)
+def test_a_network_camera_refuses_settings_and_other_addresses(
+    host: str, options: dict[str, Any], words: str
+) -> None:
+    config = CameraConfig(**({"address": f"http://{host}:8090/"} | options))
+    with pytest.raises(ConfigError, match=words):
+        OpenCvDriver(config, CLOCK).open(0.5)
 
 
 def test_a_missing_v4l2_node_is_device_lost() -> None:
@@ -203,31 +187,24 @@ def test_frames_of_the_world_carry_the_time_of_its_state(host: str) -> None:
             assert abs(blue - stamp[1] // 1_000_000 % 100) < 6
 
 
-@pytest.fixture(name="any_state")
-def no_contact_state() -> Any:
-    return np.zeros(1, WORLD_STATE)[0]
+def played(source: FrameSource, count: int) -> list[bytes]:
+    return [source(np.zeros(1, WORLD_STATE)[0]) for _ in range(count)]
 
 
 def test_a_folder_is_played_in_natural_order_and_jpeg_of_the_right_size_as_it_is(
-    tmp_path: Path, any_state: Any
+    tmp_path: Path,
 ) -> None:
-    for k in (10, 2, 1):
-        (tmp_path / f"image_{k}.jpg").write_bytes(encoded(20 * k))
-    source = looped(tmp_path)
-    played = [source(any_state) for _ in range(6)]
-    assert played == [encoded(20), encoded(40), encoded(200)] * 2
+    images = [encoded(20), encoded(40), encoded(200)]
+    for number, image in zip((1, 2, 10), images, strict=True):
+        (tmp_path / f"image_{number}.jpg").write_bytes(image)
+    assert played(looped(tmp_path), 6) == images * 2
+    held = [image for image in images for _ in range(3)]
+    assert played(looped(tmp_path, hold=3), 9) == held
 
 
-def test_each_image_is_held_for_the_asked_ticks(tmp_path: Path, any_state: Any) -> None:
-    for k in range(2):
-        (tmp_path / f"{k}.jpg").write_bytes(encoded(50 * k))
-    source = looped(tmp_path, hold=3)
-    assert [source(any_state) for _ in range(6)] == [encoded(0)] * 3 + [encoded(50)] * 3
-
-
-def test_images_of_another_size_are_letterboxed(tmp_path: Path, any_state: Any) -> None:
+def test_images_of_another_size_are_letterboxed(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "wide.png"), np.full((100, 400, 3), 255, np.uint8))
-    jpeg = looped(tmp_path)(any_state)
+    (jpeg,) = played(looped(tmp_path), 1)
     assert jpeg_size(jpeg) == (640, 480)
     image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert image[240, 320] > 250
@@ -241,7 +218,7 @@ def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("size", "kept"), [((640, 480), True), ((320, 240), False)])
 def test_a_motion_jpeg_video_of_the_right_size_is_played_byte_for_byte(
-    tmp_path: Path, any_state: Any, size: tuple[int, int], kept: bool
+    tmp_path: Path, size: tuple[int, int], kept: bool
 ) -> None:
     path = tmp_path / "video.avi"
     writer = cv2.VideoWriter(
@@ -250,14 +227,8 @@ def test_a_motion_jpeg_video_of_the_right_size_is_played_byte_for_byte(
     for k in range(3):
         writer.write(np.full((size[1], size[0], 3), 80 * k, np.uint8))
     writer.release()
-    content = path.read_bytes()
-    source = looped(path)
-    played = [source(any_state) for _ in range(6)]
-    assert [jpeg_size(jpeg) for jpeg in played] == [(640, 480)] * 6
-    assert all((jpeg in content) == kept for jpeg in played)
-    assert played[:3] == played[3:]
-    assert len(set(played)) == 3
-
-
-def test_a_stamp_does_not_hide_the_size() -> None:
-    assert jpeg_size(stamped(encoded(1), 1, 1)) == (640, 480)
+    frames = played(looped(path), 6)
+    assert [jpeg_size(jpeg) for jpeg in frames] == [(640, 480)] * 6
+    assert all((jpeg in path.read_bytes()) == kept for jpeg in frames)
+    assert frames[:3] == frames[3:]
+    assert len(set(frames)) == 3

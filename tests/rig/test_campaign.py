@@ -6,17 +6,19 @@ import contextlib
 import dataclasses
 import io
 import json
-import subprocess
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, Collection, faults_of
+from support.collecting import ROOT, Collection, faults_of, pressed_session
 
-from recorder import OUTCOMES, Session, SessionWriter, force_spec
+from benchmarks.faults.collection_run import quick_bench
+from recorder import Session
 from recorder import catalogue as catalogue_module
+from recorder.session.press_curve import press_curves
 from rig.acquire import campaign as campaign_module
 from rig.acquire.campaign import (
     Campaign,
@@ -35,7 +37,6 @@ from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS
 from rig.devices.gripper.settings import RobotiqConfig
 from tactile.__main__ import main
-from trajectories import plan_to_json
 
 DAY = """
 out: {out}
@@ -54,37 +55,24 @@ def _campaign(folder: Path, text: str = DAY) -> Campaign:
 
 
 def _session(path: Path, item: Item, done: int, status: str, sensor: str = "") -> None:
-    """Write a session with `done` pressed targets, as a collection leaves it."""
-    attrs = {
-        "sensor": sensor or item.entry.sensor,
-        "indenter": item.entry.indenter,
-        "bench": {},
-        "plan": plan_to_json(item.plan),
-        "targets_wanted": item.total,
-    }
-    targets = {
-        "point": np.ones(item.total, np.int16),
-        "depth": np.zeros(item.total),
-        "direction": np.zeros(item.total, np.int16),
-        "planned": np.zeros((item.total, 3)),
-    }
-    path.parent.mkdir(exist_ok=True)
-    with SessionWriter.create(
-        path, attrs=attrs, streams=[force_spec(1000.0)], targets=targets
-    ) as writer:
-        writer.begin_run({"t0_ns": 0})
-        for target in list(item.plan.targets())[:done]:
-            for move in item.plan.moves(target):
-                start = 1 + move.phase
-                writer.segments.append(
-                    target=target.index,
-                    phase=move.phase,
-                    outcome=OUTCOMES.index("complete"),
-                    run=0,
-                    start_ns=start + 10 * target.index,
-                    end_ns=start + 1 + 10 * target.index,
-                )
-        writer.finish(status, rate_hz=40.0)
+    named = {"sensor": sensor or item.entry.sensor, "indenter": item.entry.indenter}
+    pressed_session(path, item.plan, item.total, done, status, **named)
+
+
+def _file(folder: Path, *entries: str) -> Campaign:
+    """Return the campaign of a file with these sessions, whose bench files lie beside it."""
+    file = folder / "plan.yaml"
+    file.write_text("\n".join(["sessions:", *(f"  - {{{entry}}}" for entry in entries)]))
+    return dataclasses.replace(load_campaign(file, folder), out=folder / "out")
+
+
+def _in_the_lab(campaign: Campaign, **bench: Any) -> Campaign:
+    lab = {"mock": False, "world": None, **bench}
+    items = tuple(
+        dataclasses.replace(item, bench=dataclasses.replace(item.bench, **lab))
+        for item in campaign.items
+    )
+    return dataclasses.replace(campaign, items=items)
 
 
 class _Bench:
@@ -148,10 +136,8 @@ def test_what_stopped_goes_on_from_where_it_was(tmp_path: Path, failure: int) ->
 
 
 def test_keep_going_passes_a_failure_but_not_ctrl_c(tmp_path: Path) -> None:
-    campaign = _campaign(tmp_path)
-    code, ran, _, _ = _run(campaign, [4, 130], keep_going=True)
-    assert code == 4
-    assert len(ran) == 2
+    code, ran, _, _ = _run(_campaign(tmp_path), [4, 130], keep_going=True)
+    assert (code, len(ran)) == (4, 2)
 
 
 def test_a_technician_who_says_no_ends_it_before_anything_moves(tmp_path: Path) -> None:
@@ -162,15 +148,7 @@ def test_a_technician_who_says_no_ends_it_before_anything_moves(tmp_path: Path) 
 
 
 def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(tmp_path: Path) -> None:
-    campaign = _campaign(tmp_path)
-    config = RobotiqConfig("/dev/none")
-    items = tuple(
-        dataclasses.replace(
-            item, bench=dataclasses.replace(item.bench, mock=False, world=None, gripper=config)
-        )
-        for item in campaign.items
-    )
-    campaign = dataclasses.replace(campaign, items=items)
+    campaign = _in_the_lab(_campaign(tmp_path), gripper=RobotiqConfig("/dev/none"))
     record = _Bench(campaign, [0, 0, 0])
     events: list[str] = []
 
@@ -182,15 +160,13 @@ def test_a_gripper_is_waited_for_and_only_the_sensor_asked_for(tmp_path: Path) -
         events.append(f"gripper: {item.entry.indenter}")
 
     assert run_campaign(campaign, record, ask, swap) == 0
-    entries = [item.entry for item in campaign.items]
-    expected, before = [], ("", "")
-    for number, entry in enumerate(entries, 1):
-        if entry.sensor != before[0]:
-            expected.append(f"{number} of {len(entries)}: mount sensor {entry.sensor}")
-        if (entry.sensor, entry.indenter) != before:
-            expected.append(f"gripper: {entry.indenter}")
-        before = (entry.sensor, entry.indenter)
-    assert [event.partition("\n")[0] for event in events] == expected
+    assert [event.partition("\n")[0] for event in events] == [
+        "1 of 3: mount sensor gelsight",
+        "gripper: prism",
+        "gripper: cylinder",
+        "3 of 3: mount sensor uskin",
+        "gripper: cylinder",
+    ]
     # The motion of a lab bench is stated before it is agreed to.
     assert "mm/s near the sensor" in events[0]
 
@@ -212,9 +188,7 @@ def test_benches_with_names_of_their_own_are_recorded_in_the_simulated_world_and
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "twin-1.yaml").write_text("extends: gelsight.yaml\nindenter: line\n")
-    file = tmp_path / "plan.yaml"
-    file.write_text("sessions:\n  - {sensor: twin-1, indenter: line, targets: 1}\n")
-    campaign = dataclasses.replace(load_campaign(file, tmp_path), out=tmp_path / "out")
+    campaign = _file(tmp_path, "sensor: twin-1, indenter: line, targets: 1")
     (item,) = campaign.items
 
     def collected(recording: Recording, *, targets: int | None) -> int:
@@ -240,30 +214,20 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
         (tmp_path / f"{name}.yaml").write_text(
             f"extends: gelsight.yaml\ntrajectory: {{depth_max_mm: {depth}}}\n"
         )
-    file = tmp_path / "plan.yaml"
-    entries = (("twin-1", "line"), ("twin-2", "line"), ("twin-3", "sphere"))
-    file.write_text(
-        "sessions:\n"
-        + "".join(f"  - {{sensor: {one}, indenter: {other}}}\n" for one, other in entries)
-    )
-    campaign = dataclasses.replace(load_campaign(file, tmp_path), out=tmp_path / "out")
-    lab = tuple(
-        dataclasses.replace(item, bench=dataclasses.replace(item.bench, mock=False, world=None))
-        for item in campaign.items
-    )
+    names = (("twin-1", "line"), ("twin-2", "line"), ("twin-3", "sphere"))
+    campaign = _file(tmp_path, *(f"sensor: {one}, indenter: {other}" for one, other in names))
 
-    def asked(items: tuple[Item, ...]) -> list[str]:
+    def asked(campaign: Campaign) -> list[str]:
         questions: list[str] = []
 
         def ask(question: str) -> bool:
             questions.append(question)
             return True
 
-        one = dataclasses.replace(campaign, items=items)
-        run_campaign(one, lambda _: 0, ask)
+        run_campaign(campaign, lambda _: 0, ask)
         return questions
 
-    told = asked(lab)
+    told = asked(_in_the_lab(campaign))
     assert [question.partition("\n")[0] for question in told] == [
         "1 of 3: mount sensor gelsight, indenter line (bench file twin-1)",
         "2 of 3: keep sensor gelsight, indenter line (bench file twin-2)",
@@ -271,7 +235,7 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
     ]
     # The same indenter goes deeper on the second bench; the campaign asks before it moves.
     assert told[0].partition("\n")[2] != told[1].partition("\n")[2]
-    assert [question.partition(" (")[0] for question in asked(campaign.items)] == [
+    assert [question.partition(" (")[0] for question in asked(campaign)] == [
         "1 of 3: mount sensor gelsight, indenter line",
         "3 of 3: mount sensor gelsight, indenter sphere",
     ]
@@ -279,9 +243,15 @@ def test_benches_of_one_sensor_ask_to_mount_the_sensor_and_indenter_and_not_the_
 
 def test_a_simulated_world_is_refused_before_anything_is_asked(tmp_path: Path) -> None:
     (tmp_path / "bare.yaml").write_text("extends: gelsight.yaml\nsimulated: null\n")
-    file = tmp_path / "day.yaml"
-    file.write_text("sessions:\n  - {sensor: bare, indenter: line, targets: 1}\n")
-    words = ["--file", str(file), "--benches", str(tmp_path), "--out", str(tmp_path / "out")]
+    _file(tmp_path, "sensor: bare, indenter: line, targets: 1")
+    words = [
+        "--file",
+        str(tmp_path / "plan.yaml"),
+        "--benches",
+        str(tmp_path),
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main(["campaign", *words, "--world", "sim", "--yes"]) == 2
     assert not (tmp_path / "out").exists()
 
@@ -390,21 +360,13 @@ def test_the_example_is_runnable_and_listing_records_nothing(
 
 
 def test_without_a_terminal_it_does_not_guess_that_something_is_mounted(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "day.yaml"
-    path.write_text(DAY.format(out=tmp_path / "out"))
-    ran = subprocess.run(
-        [sys.executable, "-m", "tactile", "campaign", "--file", str(path)],
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-    )
-    assert ran.returncode == 2
-    assert "no terminal to ask on" in ran.stderr
+    _campaign(tmp_path)
+    with open(os.devnull) as nothing:
+        monkeypatch.setattr(sys, "stdin", nothing)
+        assert main(["campaign", "--file", str(tmp_path / "day.yaml")]) == 2
+    assert "no terminal to ask on" in capsys.readouterr().err
 
 
 def test_an_entry_is_recorded_with_its_bench_session_and_operator_or_resumed(
@@ -434,37 +396,21 @@ def test_an_entry_is_recorded_with_its_bench_session_and_operator_or_resumed(
 
 @pytest.mark.slow
 def test_a_campaign_killed_in_the_middle_goes_on_and_loses_nothing(tmp_path: Path) -> None:
-    benches = tmp_path / "benches"
-    benches.mkdir()
     for sensor in ("gelsight", "uskin"):
-        (benches / f"{sensor}.yaml").write_text(
-            f"""
-extends: {BENCHES / f"{sensor}.yaml"}
-preflight: {{rate_window: 0.4, tare_window: 0.2, point_window: 0.1}}
-arm: {{travel_speed_mm_s: 100.0, travel_acceleration_mm_s2: 1000.0}}
-force_depth: {{kind: force_depth, depth_max_mm: 1.0, repeats: 3}}
-"""
-        )
-    day = tmp_path / "day.yaml"
-    day.write_text(
-        f"""
-out: {tmp_path / "out"}
-sessions:
-  - {{sensor: gelsight, indenter: prism, plan: force_depth}}
-  - {{sensor: uskin, indenter: cylinder, targets: 1}}
-"""
+        more = "force_depth: {kind: force_depth, depth_max_mm: 1.0, repeats: 3}"
+        quick_bench(tmp_path, sensor, more=more).rename(tmp_path / f"{sensor}.yaml")
+    _campaign(
+        tmp_path, DAY.replace("  - {{sensor: gelsight, indenter: cylinder, targets: 2}}\n", "")
     )
-    arguments = [
-        *(sys.executable, "-u", "-m", "tactile", "campaign", "--file", str(day), "--yes"),
-        *("--benches", str(benches), "--calibrations", str(tmp_path)),
-    ]
+    words = ("campaign", "--file", str(tmp_path / "day.yaml"), "--yes")
+    words += ("--benches", str(tmp_path), "--calibrations", str(tmp_path))
     first = tmp_path / "out" / "gelsight-prism-force-depth.zarr"
-    run = Collection(first, _start(arguments))
+    run = Collection.of_command(first, *words)
     run.until(lambda: run.segments() > 0)
     run.kill_all()
     run.process.communicate()
 
-    again = Collection(first, _start(arguments))
+    again = Collection.of_command(first, *words)
     assert again.wait(240) == 0, again.text
     assert "2 of 2 sessions done" in again.text
     session = Session(first)
@@ -472,20 +418,6 @@ sessions:
     assert len(session.runs) == 2
     assert faults_of(first) == []
     assert set(np.asarray(session.segments["target"])) == {0, 1, 2}
-    from recorder.session.press_curve import press_curves
-
     curves = press_curves(session)
     # Hysteresis: unloading returns only part of the work done by loading.
     assert (curves.work(curves.loading) > curves.work(curves.unloading)).all()
-
-
-def _start(arguments: list[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        arguments,
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import re
 import subprocess
@@ -84,22 +83,3 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
     assert not sorted(name for name in loaded if STANDS_IN.search(name))
     # The contact sheet after it is drawn by Pillow alone.
     assert "matplotlib" not in loaded
-
-
-def test_the_collector_and_the_drivers_import_neither_mock_nor_page() -> None:
-    wrong = []
-    for room in ("core", "devices", "bench", "acquire"):
-        for path in sorted((ROOT / "rig" / room).rglob("*.py")):
-            text = path.read_text()
-            names = {
-                node.module or ""
-                for node in ast.walk(ast.parse(text))
-                if isinstance(node, ast.ImportFrom)
-            }
-            wrong += [
-                f"{path.relative_to(ROOT)}: {name}"
-                for name in names
-                if re.match(r"rig\.(mock|monitor|replay|cli)\b", name)
-            ]
-    # The emulated camera draws the World.
-    assert wrong == ["rig/devices/camera/mjpeg_emulator.py: rig.mock.world"]

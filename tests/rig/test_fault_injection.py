@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.drivers import FixedWorld, collect
+from support.drivers import FixedWorld, collect, opening, running
 
 from rig.core import emulation
 from rig.core.clock import FakeClock, SystemClock
@@ -54,31 +54,34 @@ def sent(line: FaultInjector[str], clock: FakeClock, count: int) -> list[str]:
     return out
 
 
-def names(*numbers: int) -> list[str]:
-    return [f"m{number}" for number in numbers]
-
-
-def test_nothing_wrong_changes_nothing(clock: FakeClock) -> None:
+@pytest.mark.parametrize(
+    ("fault", "values", "count", "numbers", "touched", "on"),
+    [
+        ("clear", {}, 3, [1, 2, 3], 0, False),
+        ("freeze", {"seconds": 0.25}, 5, [4, 5], 3, False),
+        ("slow", {"fraction": 0.25}, 12, [4, 8, 12], 9, True),
+        ("reorder", {"every": 3}, 7, [1, 2, 4, 3, 5, 7, 6], 2, True),
+        ("reorder", {"every": 2, "seconds": 0.15}, 4, [1, 3, 2, 4], 1, False),
+        ("duplicate", {"every": 2}, 4, [1, 2, 2, 3, 4, 4], 2, True),
+    ],
+    ids=[
+        "nothing wrong changes nothing",
+        "a frozen line is mute for its time and then goes on",
+        "a slow line lets a part through",
+        "every third message leaves after the next",
+        "a message held back leaves even after the fault",
+        "every other message leaves twice",
+    ],
+)
+def test_messages_leave_as_the_fault_says(
+    clock: FakeClock, fault: str, values: Any, count: int, numbers: Any, touched: int, on: bool
+) -> None:
     line = text_line(clock)
-    assert sent(line, clock, 3) == names(1, 2, 3)
-    assert not line.on
-    assert line.touched == 0
-
-
-def test_a_frozen_line_is_mute_for_its_time_and_then_goes_on(clock: FakeClock) -> None:
-    line = text_line(clock)
-    line.inject("freeze", seconds=0.25)
-    assert sent(line, clock, 5) == names(4, 5)
-    assert line.touched == 3
-    assert not line.on
-
-
-def test_a_slow_line_lets_a_part_through(clock: FakeClock) -> None:
-    line = text_line(clock)
-    line.inject("slow", fraction=0.25)
-    assert len(sent(line, clock, 100)) == 25
+    line.inject(fault, **values)
+    assert sent(line, clock, count) == [f"m{number}" for number in numbers]
+    assert (line.touched, line.on) == (touched, on)
     line.inject("clear")
-    assert sent(line, clock, 2) == names(1, 2)
+    assert sent(line, clock, 2)[-2:] == ["m1", "m2"]
 
 
 def test_garbage_is_as_long_as_what_it_replaces(clock: FakeClock) -> None:
@@ -90,27 +93,6 @@ def test_garbage_is_as_long_as_what_it_replaces(clock: FakeClock) -> None:
     assert [messages[0] == message for messages in out] == [False] * 3 + [True] * 2
     assert all(len(messages[0]) == 36 for messages in out)
     assert line.touched == 3
-
-
-def test_every_other_message_can_leave_after_the_next(clock: FakeClock) -> None:
-    line = text_line(clock)
-    line.inject("reorder", every=3)
-    assert sent(line, clock, 7) == names(1, 2, 4, 3, 5, 7, 6)
-    assert line.touched == 2
-
-
-def test_a_message_held_back_leaves_even_after_the_fault(clock: FakeClock) -> None:
-    line = text_line(clock)
-    line.inject("reorder", every=2, seconds=0.15)
-    assert sent(line, clock, 4) == names(1, 3, 2, 4)
-    assert not line.on
-
-
-def test_messages_can_leave_twice(clock: FakeClock) -> None:
-    line = text_line(clock)
-    line.inject("duplicate", every=2)
-    assert sent(line, clock, 4) == names(1, 2, 2, 3, 4, 4)
-    assert line.touched == 2
 
 
 def test_units_are_the_devices_own_affair(clock: FakeClock) -> None:
@@ -169,8 +151,8 @@ def test_the_fault_port_takes_faults_and_survives_nonsense(host: str, clock: Fak
             emulation.inject(host, 31001, "melt")
         with socket.create_connection((host, 31001), 5.0) as raw:
             raw.sendall(b'{"fault": \n[]\n{"fault": "clear"}\n')
-            lines = _three_lines(raw)
-        assert [b'"ok": true' in line for line in lines] == [False, False, True]
+            answers = raw.makefile("rb")
+            assert [b'"ok": true' in answers.readline() for _ in range(3)] == [False, False, True]
         with socket.create_connection((host, 31001), 5.0) as flood:
             flood.sendall(b"x" * (1 << 18))
         assert emulation.inject(host, 31001, "state")["active"] == []
@@ -179,13 +161,6 @@ def test_the_fault_port_takes_faults_and_survives_nonsense(host: str, clock: Fak
         port.close()
     with pytest.raises(OSError, match="refused"):
         emulation.inject(host, 31001, "state")
-
-
-def _three_lines(connection: socket.socket) -> list[bytes]:
-    received = b""
-    while received.count(b"\n") < 3:
-        received += connection.recv(4096)
-    return received.splitlines()
 
 
 def _fixed_world() -> FixedWorld:
@@ -218,11 +193,8 @@ def _mjpeg(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
 def _arm(host: str, silence: float) -> tuple[Any, Any, Callable[..., Any]]:
     controller = Controller(flange_pose(np.array(POSTURE)), np.zeros(6))
     emulator = ArmEmulator(host, controller, CLOCK)
-    return (
-        emulator,
-        RtdePoseDriver(ArmConfig(host=host, rate_hz=500.0), CLOCK),
-        emulator.apply,
-    )
+    driver = RtdePoseDriver(ArmConfig(host=host, rate_hz=500.0), CLOCK)
+    return emulator, driver, emulator.apply
 
 
 DEVICES = {"force": _netft, "taxels": _xela, "camera": _mjpeg, "arm": _arm}
@@ -233,14 +205,9 @@ def streaming(
     device: str, host: str, silence: float = 60.0
 ) -> Iterator[tuple[Any, Callable[..., Any]]]:
     emulator, driver, inject = DEVICES[device](host, silence)
-    emulator.start()
-    try:
-        driver.open(60.0)
+    with running(emulator), opening(driver):
         collect(driver, 3)
         yield driver, inject
-    finally:
-        driver.close()
-        emulator.close()
 
 
 def until_lost(driver: Any) -> list[dict[str, Any]]:
@@ -328,14 +295,10 @@ def test_an_unplugged_device_refuses_everybody_until_it_is_plugged_in_again(
     device: str, host: str
 ) -> None:
     emulator, driver, inject = DEVICES[device](host, 60.0)
-    emulator.start()
-    try:
+    with running(emulator):
         inject("unplug")
-        with pytest.raises(DeviceLost):
-            driver.open(0.5)
+        with pytest.raises(DeviceLost), opening(driver, 0.5):
+            pass
         inject("replug")
-        driver.open(60.0)
-        assert collect(driver, 3)
-    finally:
-        driver.close()
-        emulator.close()
+        with opening(driver):
+            assert collect(driver, 3)

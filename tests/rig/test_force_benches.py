@@ -19,6 +19,7 @@ from rig.cli.options import motion_lines
 from rig.core.clock import FakeClock
 from rig.core.config import READER
 from rig.core.errors import ConfigError
+from rig.core.guard import ForceGuard
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST
 from rig.devices.force.netft import NetFtDriver
@@ -48,21 +49,16 @@ def bench_with(folder: Path, force: str) -> Path:
 
 
 def loaded(folder: Path, force: str) -> Bench:
-    bench = BenchFile.read(bench_with(folder, force)).bench
-    return bench
+    return BenchFile.read(bench_with(folder, force)).bench
 
 
 def mock_bench(folder: Path, force: str) -> MockBench:
-    path = bench_with(folder, force)
-    return MockBench(BenchFile.read(path), folder)
+    return MockBench(BenchFile.read(bench_with(folder, force)), folder)
 
 
 @pytest.mark.parametrize(
     ("kind", "config", "driver"),
-    [
-        ("netft", NetFtConfig, NetFtDriver),
-        ("nidaq", NidaqConfig, NidaqDriver),
-    ],
+    [("netft", NetFtConfig, NetFtDriver), ("nidaq", NidaqConfig, NidaqDriver)],
 )
 def test_one_word_picks_the_device(tmp_path: Path, kind: str, config: type, driver: type) -> None:
     bench = loaded(tmp_path, FORCES[kind])
@@ -85,14 +81,17 @@ def test_every_kind_has_an_emulator_for_the_mock_bench(tmp_path: Path, kind: str
     assert (settings.host, settings.noise) == (bench.host, 0.01)
 
 
-def test_a_word_that_picks_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"force\.kind: found 'axia'; allowed: .*nidaq"):
-        loaded(tmp_path, "{kind: axia}")
-
-
-def test_a_key_of_another_kind_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"force: unknown http_port"):
-        loaded(tmp_path, f"{NIDAQ[:-1]}, http_port: 80}}")
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        ("{kind: axia}", r"force\.kind: found 'axia'; allowed: .*nidaq"),
+        (f"{NIDAQ[:-1]}, http_port: 80}}", r"force: unknown http_port"),
+    ],
+    ids=["a word that picks nothing", "a key of another kind"],
+)
+def test_what_no_kind_has_is_refused(tmp_path: Path, force: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        loaded(tmp_path, force)
 
 
 def test_a_mock_bench_without_a_device_server_is_refused(tmp_path: Path) -> None:
@@ -149,8 +148,6 @@ def test_the_lowest_rating_of_sensor_gauge_and_bench_bounds_every_press(
 def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
     tmp_path: Path, kind: str, status: int, stops: bool
 ) -> None:
-    from rig.core.guard import ForceGuard
-
     bench = loaded(tmp_path, FORCES[kind])
     (gauge,) = bench.gauges
     guard = ForceGuard(guard_limits(bench, gauge))
@@ -162,8 +159,6 @@ def test_the_guard_stops_at_what_the_device_itself_does_not_trust(
 
 @pytest.mark.parametrize("rate_hz", [85.0, 200.0, 1000.0])
 def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz: float) -> None:
-    from rig.core.guard import ForceGuard
-
     bench = loaded(tmp_path, NIDAQ)
     limits = guard_limits(bench, *bench.gauges)
     guard = ForceGuard(limits)
@@ -181,31 +176,20 @@ def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz
     assert soft - 2.0 - speed / rate_hz < speed * t < soft
 
 
-def collected(folder: Path, kind: str) -> tuple[Session, Truth]:
-    bench, truth = bench_with(folder, FORCES[kind]), folder / "truth"
-    run = Collection.start(
-        folder / "s.zarr", "--bench", str(bench), "--targets", "2", "--truth", str(truth)
-    )
+@pytest.mark.serial
+@pytest.mark.slow
+def test_two_targets_through_the_ni_card_have_the_true_wrench(tmp_path: Path) -> None:
+    bench, path = bench_with(tmp_path, NIDAQ), tmp_path / "truth"
+    words = ("--bench", str(bench), "--targets", "2", "--truth", str(path))
+    run = Collection.start(tmp_path / "s.zarr", *words)
     assert run.wait(240) == 0, run.text
     assert faults_of(run.session) == []
-    return Session(run.session), Truth(truth)
-
-
-def check_against_truth(session: Session, truth: Truth) -> None:
-    """Check that the stored wrench is the ground truth at the times of the samples."""
-    force = session.streams["force"]
+    force, truth = Session(run.session).streams["force"], Truth(path)
+    assert force.attrs["device"]["transducer"] == "FT00000"
+    assert set(np.diff(np.asarray(force.array("seq")))) == {1}
     inside = force.t_ns < truth.records["t_ns"][-1]
     raw = np.asarray(force.array("value"))[inside] + np.asarray(force.attrs["bias"])
     error = raw - truth.wrench(force.t_ns[inside])
     assert raw[:, 2].min() < -0.3
     # 0.01 N of noise, and a few milliseconds at a few N/s; robust to a stalled machine.
     assert np.median(np.abs(error[:, :3])) < 0.02
-
-
-@pytest.mark.serial
-@pytest.mark.slow
-def test_two_targets_through_the_ni_card(tmp_path: Path) -> None:
-    session, truth = collected(tmp_path, "nidaq")
-    check_against_truth(session, truth)
-    assert session.streams["force"].attrs["device"]["transducer"] == "FT00000"
-    assert set(np.diff(np.asarray(session.streams["force"].array("seq")))) == {1}

@@ -49,20 +49,13 @@ def user_axis(root: ET.Element, name: str) -> ET.Element:
     return next(row for row in calibration_of(root).findall("UserAxis") if row.get("Name") == name)
 
 
-def singular(root: ET.Element) -> None:
-    user_axis(root, "Fy").set("values", user_axis(root, "Fx").get("values", ""))
+UNITS = [("force_unit", name) for name in FORCE_UNITS]
+UNITS += [("torque_unit", name) for name in TORQUE_UNITS]
 
 
-@pytest.mark.parametrize("force_unit", FORCE_UNITS)
-def test_every_force_unit_reads_as_newton(force_unit: str) -> None:
-    found = parse_calibration(emit_calibration(synthetic(), force_unit=force_unit), "x.cal")
-    np.testing.assert_allclose(found.matrix, synthetic().matrix, rtol=1e-9)
-    np.testing.assert_allclose(found.rated, RATED, rtol=1e-9)
-
-
-@pytest.mark.parametrize("torque_unit", TORQUE_UNITS)
-def test_every_torque_unit_reads_as_newton_metre(torque_unit: str) -> None:
-    found = parse_calibration(emit_calibration(synthetic(), torque_unit=torque_unit), "x.cal")
+@pytest.mark.parametrize(("kind", "unit"), UNITS)
+def test_every_unit_reads_as_newton_and_newton_metre(kind: str, unit: str) -> None:
+    found = parse_calibration(emit_calibration(synthetic(), **{kind: unit}), "x.cal")
     np.testing.assert_allclose(found.matrix, synthetic().matrix, rtol=1e-9)
     np.testing.assert_allclose(found.rated, RATED, rtol=1e-9)
 
@@ -84,12 +77,27 @@ def test_the_user_axes_count_and_not_the_factory_axes() -> None:
 
 
 def test_a_unipolar_output_ranges_from_zero() -> None:
-    def unipolar(root: ET.Element) -> None:
-        calibration_of(root).set("OutputRange", "5")
-        calibration_of(root).set("OutputBipolar", "False")
-
-    assert parse_calibration(edited(unipolar), "x.cal").volts_range == (0.0, 5.0)
+    unipolar = edited(calibration(OutputRange="5", OutputBipolar="False"))
+    assert parse_calibration(unipolar, "x.cal").volts_range == (0.0, 5.0)
     assert parse_calibration(emit_calibration(synthetic()), "x.cal").volts_range == (-10.0, 10.0)
+
+
+def calibration(**attributes: str) -> Edit:
+    """Return an edit that sets attributes of the calibration."""
+    return lambda root: calibration_of(root).attrib.update(attributes)
+
+
+def axis(name: str, **attributes: str) -> Edit:
+    """Return an edit that sets attributes of a user axis."""
+    return lambda root: user_axis(root, name).attrib.update(attributes)
+
+
+def one_row_twice(root: ET.Element) -> None:
+    axis("Fy", values=user_axis(root, "Fx").get("values", ""))(root)
+
+
+def without_ty(root: ET.Element) -> None:
+    calibration_of(root).remove(user_axis(root, "Ty"))
 
 
 REFUSED: dict[str, tuple[Edit, str]] = {
@@ -97,44 +105,17 @@ REFUSED: dict[str, tuple[Edit, str]] = {
     "five gauges": (lambda root: root.set("NumGages", "5"), r"NumGages: found '5'; allowed: '6'"),
     "no calibration": (lambda root: root.remove(calibration_of(root)), r"found 0; allowed: 1"),
     "two calibrations": (lambda root: root.append(calibration_of(root)), r"found 2; allowed: 1"),
-    "unknown unit": (
-        lambda root: calibration_of(root).set("TorqueUnits", "stone-ft"),
-        r"TorqueUnits: found 'stone-ft'; allowed: .*N-mm",
-    ),
-    "axis missing": (
-        lambda root: calibration_of(root).remove(user_axis(root, "Ty")),
-        r"UserAxis: missing \['Ty'\]",
-    ),
-    "axis twice": (
-        lambda root: user_axis(root, "Ty").set("Name", "Tx"),
-        r"UserAxis\[Tx\]: found 'Tx'; allowed: each of Fx.*once",
-    ),
+    "unknown unit": (calibration(TorqueUnits="stone-ft"), r"found 'stone-ft'; allowed: .*N-mm"),
+    "axis missing": (without_ty, r"UserAxis: missing \['Ty'\]"),
+    "axis twice": (axis("Ty", Name="Tx"), r"UserAxis\[Tx\]: found 'Tx'; allowed: each of Fx.*once"),
     "unnamed axis": (lambda root: user_axis(root, "Ty").attrib.pop("Name"), r"missing 'Name'"),
-    "five values": (
-        lambda root: user_axis(root, "Fz").set("values", "1 2 3 4 5"),
-        r"UserAxis\[Fz\].values: found 5; allowed: 6",
-    ),
-    "not a number": (
-        lambda root: user_axis(root, "Fz").set("values", "1 2 3 4 5 nan"),
-        r"values: found 'nan'; allowed: a finite number",
-    ),
-    "decimal comma": (
-        lambda root: user_axis(root, "Fz").set("values", "1,5 2 3 4 5 6"),
-        r"values: found '1,5'",
-    ),
-    "rated at nothing": (
-        lambda root: user_axis(root, "Fz").set("max", "0"),
-        r"max: found 0; allowed: above 0",
-    ),
-    "one row twice": (singular, r"do not determine six components"),
-    "no output range": (
-        lambda root: calibration_of(root).set("OutputRange", "-1"),
-        r"OutputRange: found -1; allowed: above 0",
-    ),
-    "odd polarity": (
-        lambda root: calibration_of(root).set("OutputBipolar", "perhaps"),
-        r"OutputBipolar: found 'perhaps'",
-    ),
+    "five values": (axis("Fz", values="1 2 3 4 5"), r"UserAxis\[Fz\].values: found 5; allowed: 6"),
+    "not a number": (axis("Fz", values="1 2 3 4 5 nan"), r"found 'nan'; allowed: a finite number"),
+    "decimal comma": (axis("Fz", values="1,5 2 3 4 5 6"), r"values: found '1,5'"),
+    "rated at nothing": (axis("Fz", max="0"), r"max: found 0; allowed: above 0"),
+    "one row twice": (one_row_twice, r"do not determine six components"),
+    "no output range": (calibration(OutputRange="-1"), r"OutputRange: found -1; allowed: above 0"),
+    "odd polarity": (calibration(OutputBipolar="perhaps"), r"OutputBipolar: found 'perhaps'"),
 }
 
 
@@ -169,16 +150,13 @@ def test_a_document_type_is_refused_before_anything_is_expanded_or_fetched(conte
         parse_calibration(content, "x.cal")
 
 
-def test_a_huge_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "huge.cal"
+def test_a_huge_file_is_refused_and_one_that_is_not_there_named(tmp_path: Path) -> None:
+    path = tmp_path / "FT9.cal"
+    with pytest.raises(ConfigError, match=r"FT9\.cal: No such file.*allowed"):
+        read_calibration(path)
     path.write_bytes(b" " * (1 << 21))
     with pytest.raises(ConfigError, match="more than"):
         read_calibration(path)
-
-
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"FT9\.cal: No such file.*allowed"):
-        read_calibration(tmp_path / "FT9.cal")
 
 
 def test_the_benches_own_calibration_is_whole_and_says_that_it_is_made_up() -> None:
@@ -216,19 +194,24 @@ def test_beyond_the_rating_is_told_axis_by_axis() -> None:
     assert synthetic().beyond_rating(wrenches).tolist() == [False, True, True]
 
 
-def test_a_tool_away_from_the_transducer_feels_the_lever() -> None:
-    calibration = synthetic()
-    moved = calibration.moved(ToolTransform(displacement=(0.0, 0.0, 0.02)))
-    volts = calibration.volts([1.0, 0.0, 0.0, 0.0, 0.02, 0.0])
-    # 1 N along x at a height of 20 mm gives 20 N mm about y: about that point there is none.
-    np.testing.assert_allclose(moved.wrench(volts), [1, 0, 0, 0, 0, 0], atol=1e-12)
-
-
-def test_a_turned_tool_sees_the_force_turned_the_other_way() -> None:
-    calibration = synthetic()
-    moved = calibration.moved(ToolTransform(rotation=(0.0, 0.0, math.pi / 2)))
-    volts = calibration.volts([1.0, 0.0, 2.0, 0.03, 0.0, 0.0])
-    np.testing.assert_allclose(moved.wrench(volts), [0, -1, 2, 0, -0.03, 0], atol=1e-12)
+@pytest.mark.parametrize(
+    ("tool", "wrench", "felt"),
+    [
+        # 1 N along x at a height of 20 mm gives 20 N mm about y: about that point there is none.
+        (ToolTransform((0.0, 0.0, 0.02)), [1, 0, 0, 0, 0.02, 0], [1, 0, 0, 0, 0, 0]),
+        (
+            ToolTransform(rotation=(0.0, 0.0, math.pi / 2)),
+            [1, 0, 2, 0.03, 0, 0],
+            [0, -1, 2, 0, -0.03, 0],
+        ),
+    ],
+    ids=["away from the transducer: the lever", "turned: the force turned the other way"],
+)
+def test_a_tool_feels_the_wrench_in_its_own_frame(
+    tool: ToolTransform, wrench: list[float], felt: list[float]
+) -> None:
+    volts = synthetic().volts(wrench)
+    np.testing.assert_allclose(synthetic().moved(tool).wrench(volts), felt, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import sys
 import threading
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -13,16 +12,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support.cal_files import emit_calibration
 from support.drivers import FixedWorld, collect, opening, running
 
 from rig.bench.bench import BenchStream
-from rig.core.clock import SystemClock
+from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
 from rig.devices.force import nidaq
 from rig.devices.force.calibration import ToolTransform, read_calibration
-from rig.devices.force.nidaq import NidaqDriver
+from rig.devices.force.nidaq import NidaqDriver, SampleTimeline
 from rig.devices.force.nidaq_emulator import NidaqEmulator, NidaqEmulatorConfig
 from rig.devices.force.settings import BEYOND_RATING, LOST_BEFORE, SATURATED, NidaqConfig
 
@@ -31,41 +32,26 @@ PORT = 31763
 CALIBRATION = BENCHES / "mock-nano17.cal"
 WRENCH = (1.0, -2.0, -3.5, 0.01, -0.02, 0.03)
 
-Fault = Callable[[np.ndarray], np.ndarray]
-
-
-class FaultyNidaq(NidaqEmulator):
-    """Emulator that passes the converted samples to `fault`."""
-
-    fault: Fault | None = None
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._passed = self.faults.passed
-        self.faults.passed = self._samples
-
-    def _samples(self, volts: np.ndarray) -> tuple[np.ndarray, ...]:
-        return self._passed(volts if self.fault is None else self.fault(volts))
-
 
 def emulated(
     host: str, wrench: tuple[float, ...] = WRENCH, **options: Any
-) -> AbstractContextManager[FaultyNidaq]:
+) -> AbstractContextManager[NidaqEmulator]:
     config = NidaqEmulatorConfig(NidaqConfig(str(CALIBRATION)), host=host, **options)
-    emulator = FaultyNidaq(config, FixedWorld(wrench=wrench), CLOCK)
-    return running(emulator)
+    return running(NidaqEmulator(config, FixedWorld(wrench=wrench), CLOCK))
 
 
-def opened(host: str, **options: Any) -> AbstractContextManager[NidaqDriver]:
+def opened(
+    host: str, calibration: Path = CALIBRATION, **options: Any
+) -> AbstractContextManager[NidaqDriver]:
     options = {"grpc": f"{host}:{PORT}", "silence": 20.0, **options}
-    driver = NidaqDriver(NidaqConfig(str(CALIBRATION), **options), CLOCK)
-    return opening(driver)
+    return opening(NidaqDriver(NidaqConfig(str(calibration), **options), CLOCK))
 
 
-def rejected(host: str, **options: Any) -> str:
-    with pytest.raises(ConfigError) as caught, opened(host, **options):
-        pass
-    return str(caught.value)
+def clock_of(emulator: NidaqEmulator) -> threading.Event:
+    """Return an event that stops the card's sample clock while it is set."""
+    stopped, passed = threading.Event(), emulator.faults.passed
+    emulator.faults.passed = lambda volts: passed(volts[:0] if stopped.is_set() else volts)
+    return stopped
 
 
 def test_the_wrench_comes_back_within_what_sixteen_bits_resolve(host: str) -> None:
@@ -104,20 +90,17 @@ def test_the_settings_are_read_back_and_described(host: str) -> None:
         np.testing.assert_allclose(description["matrix"], read_calibration(CALIBRATION).matrix)
 
 
-def test_a_saturated_gauge_is_flagged_and_the_wrench_is_wrong_then(host: str) -> None:
-    overload = (0.0, 0.0, -100.0, 0.0, 0.0, 0.0)
-    with emulated(host, overload), opened(host) as driver:
+@pytest.mark.parametrize(
+    ("fz", "status", "trusted"), [(-100.0, SATURATED, False), (-20.0, BEYOND_RATING, True)]
+)
+def test_a_saturated_gauge_is_not_trusted_and_beyond_the_rating_is_a_warning(
+    host: str, fz: float, status: int, trusted: bool
+) -> None:
+    with emulated(host, (0.0, 0.0, fz, 0.0, 0.0, 0.0)), opened(host) as driver:
         sample = collect(driver, 1)[0]
-        assert sample["status"] & SATURATED
-        assert abs(sample["value"][2] + 100) > 1
-        assert NidaqConfig.UNTRUSTED_MASK & sample["status"]
-
-
-def test_beyond_the_rating_is_a_warning(host: str) -> None:
-    with emulated(host, (0.0, 0.0, -20.0, 0.0, 0.0, 0.0)), opened(host) as driver:
-        sample = collect(driver, 1)[0]
-        assert sample["status"] == BEYOND_RATING
-        assert not NidaqConfig.UNTRUSTED_MASK & sample["status"]
+        assert sample["status"] & (SATURATED | status) == status
+        assert bool(NidaqConfig.UNTRUSTED_MASK & sample["status"]) is not trusted
+        assert bool(sample["value"][2] == pytest.approx(fz, abs=0.01)) is trusted
 
 
 def test_the_gauges_own_offset_is_part_of_what_is_measured(host: str) -> None:
@@ -128,9 +111,8 @@ def test_the_gauges_own_offset_is_part_of_what_is_measured(host: str) -> None:
 
 
 def test_a_stopped_sample_clock_leaves_a_gap_as_long_as_it_stood(host: str) -> None:
-    stopped = threading.Event()
     with emulated(host) as emulator:
-        emulator.fault = lambda volts: volts[:0] if stopped.is_set() else volts
+        stopped = clock_of(emulator)
         with opened(host) as driver:
             collect(driver, 50)
             stopped.set()
@@ -142,9 +124,8 @@ def test_a_stopped_sample_clock_leaves_a_gap_as_long_as_it_stood(host: str) -> N
             assert first is after[0]
             # Stopped for at least 0.3 s.
             assert driver.dropped >= 250
-            assert [sample["seq"] for sample in after] == list(
-                range(first["seq"], first["seq"] + len(after))
-            )
+            expected = range(first["seq"], first["seq"] + len(after))
+            assert [sample["seq"] for sample in after] == list(expected)
 
 
 def test_an_overrun_starts_anew_and_counts_what_was_lost(
@@ -154,14 +135,13 @@ def test_an_overrun_starts_anew_and_counts_what_was_lost(
     monkeypatch.setattr(nidaq, "_BUFFER_SECONDS", 0.1)
     burst = threading.Event()
 
-    def flood(volts: np.ndarray) -> np.ndarray:
-        if burst.is_set():
-            burst.clear()
-            return np.repeat(volts, 5000, axis=0)
-        return volts
+    def flood(volts: np.ndarray) -> tuple[np.ndarray]:
+        repeats = 5000 if burst.is_set() else 1
+        burst.clear()
+        return (np.repeat(volts, repeats, axis=0),)
 
     with emulated(host) as emulator:
-        emulator.fault = flood
+        emulator.faults.passed = flood
         with opened(host) as driver:
             before = collect(driver, 50)[-1]["seq"]
             burst.set()
@@ -169,17 +149,15 @@ def test_an_overrun_starts_anew_and_counts_what_was_lost(
             while not any(sample["status"] & LOST_BEFORE for sample in samples):
                 samples += collect(driver, 20)
             assert driver.overruns == 1
-            numbers = [sample["seq"] for sample in samples]
-            assert numbers[0] > before
-            assert all(a < b for a, b in itertools.pairwise(numbers))
-            times = [sample["t_ns"] for sample in samples]
-            assert all(a < b for a, b in itertools.pairwise(times))
+            assert samples[0]["seq"] > before
+            for a, b in itertools.pairwise(samples):
+                assert a["seq"] < b["seq"]
+                assert a["t_ns"] < b["t_ns"]
 
 
 def test_silence_is_device_lost(host: str) -> None:
-    stopped = threading.Event()
     with emulated(host) as emulator:
-        emulator.fault = lambda volts: volts[:0] if stopped.is_set() else volts
+        stopped = clock_of(emulator)
         with opened(host, silence=0.3) as driver:
             stopped.set()
             with pytest.raises(DeviceLost, match=r"no sample for 0\.3 s"):
@@ -209,61 +187,44 @@ def test_a_name_that_no_card_has_is_device_lost(host: str) -> None:
         pass
 
 
-def test_inputs_that_the_card_does_not_have_are_refused(host: str) -> None:
-    with emulated(host):
-        assert "Physical channel" in rejected(host, channels="ai12:17")
-        assert "Physical channel" in rejected(host, channels="strain0")
-
-
-def test_other_than_six_inputs_are_refused(host: str) -> None:
-    with emulated(host):
-        assert "channels: found 5; allowed: 6" in rejected(host, channels="ai0:4")
-
-
-def test_a_rate_the_card_does_not_have_is_refused(host: str) -> None:
-    with emulated(host, rate_max_hz=500.0):
-        assert "not a supported value" in rejected(host)
-
-
-class CoercingNidaq(NidaqEmulator):
-    """A card that accepts any rate and range, and uses its own."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        service: Any = self._service
-        configure, create = service.CfgSampClkTiming, service.CreateAIVoltageChan
-        self.rate_hz: float | None = None
-        self.high: float | None = None
-
-        def clocked(request: Any, context: Any) -> Any:
-            request.rate = self.rate_hz or request.rate
-            return configure(request, context)
-
-        def created(request: Any, context: Any) -> Any:
-            request.max_val = self.high or request.max_val
-            return create(request, context)
-
-        service.CfgSampClkTiming, service.CreateAIVoltageChan = clocked, created
+@pytest.mark.parametrize(
+    ("card", "options", "message"),
+    [
+        ({}, {"channels": "ai12:17"}, "Physical channel"),
+        ({}, {"channels": "strain0"}, "Physical channel"),
+        ({}, {"channels": "ai0:4"}, "channels: found 5; allowed: 6"),
+        ({"rate_max_hz": 500.0}, {}, "not a supported value"),
+    ],
+)
+def test_what_the_card_does_not_have_is_refused(
+    host: str, card: dict[str, Any], options: dict[str, Any], message: str
+) -> None:
+    with emulated(host, **card), pytest.raises(ConfigError, match=message), opened(host, **options):
+        pass
 
 
 @pytest.mark.parametrize(
-    ("setting", "value", "message"),
+    ("call", "field", "value", "message"),
     [
-        ("rate_hz", 800.0, "rate_hz: asked 1000 Hz, got 800 Hz"),
-        ("high", 5.0, "asked -10 to 10 V, got -10 to 5 V"),
+        ("CfgSampClkTiming", "rate", 800.0, "rate_hz: asked 1000 Hz, got 800 Hz"),
+        ("CreateAIVoltageChan", "max_val", 5.0, "asked -10 to 10 V, got -10 to 5 V"),
     ],
 )
 def test_a_setting_that_reads_back_otherwise_is_refused(
-    host: str, setting: str, value: float, message: str
+    host: str, call: str, field: str, value: float, message: str
 ) -> None:
     config = NidaqEmulatorConfig(NidaqConfig(str(CALIBRATION)), host=host)
-    emulator = CoercingNidaq(config, FixedWorld(wrench=WRENCH), CLOCK)
-    setattr(emulator, setting, value)
-    emulator.start()
-    try:
-        assert message in rejected(host)
-    finally:
-        emulator.close()
+    emulator = NidaqEmulator(config, FixedWorld(wrench=WRENCH), CLOCK)
+    service: Any = emulator._service
+    served = getattr(service, call)
+
+    def coerced(request: Any, context: Any) -> Any:
+        setattr(request, field, value)
+        return served(request, context)
+
+    setattr(service, call, coerced)
+    with running(emulator), pytest.raises(ConfigError, match=message), opened(host):
+        pass
 
 
 def test_without_the_library_the_extra_is_named(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,9 +248,8 @@ def test_without_the_driver_of_the_card_it_is_said_so() -> None:
 def test_a_calibration_that_is_not_there_is_refused_before_anything_is_opened(
     host: str, tmp_path: Path
 ) -> None:
-    driver = NidaqDriver(NidaqConfig(str(tmp_path / "FT1.cal"), grpc=f"{host}:{PORT}"), CLOCK)
-    with pytest.raises(ConfigError, match=r"FT1\.cal"):
-        driver.open(1.0)
+    with pytest.raises(ConfigError, match=r"FT1\.cal"), opened(host, tmp_path / "FT1.cal"):
+        pass
 
 
 def test_a_calibration_of_another_range_sets_the_card_to_it(host: str, tmp_path: Path) -> None:
@@ -297,15 +257,9 @@ def test_a_calibration_of_another_range_sets_the_card_to_it(host: str, tmp_path:
     path.write_bytes(
         emit_calibration(replace(read_calibration(CALIBRATION), volts_range=(-5.0, 5.0)))
     )
-    config = NidaqConfig(str(path), grpc=f"{host}:{PORT}", silence=20.0)
-    with emulated(host, (0.0, 0.0, -60.0, 0.0, 0.0, 0.0)):
-        driver = NidaqDriver(config, CLOCK)
-        driver.open(60.0)
-        try:
-            assert driver.describe()["volts_range"] == [-5.0, 5.0]
-            assert collect(driver, 1)[0]["status"] & SATURATED
-        finally:
-            driver.close()
+    with emulated(host, (0.0, 0.0, -60.0, 0.0, 0.0, 0.0)), opened(host, path) as driver:
+        assert driver.describe()["volts_range"] == [-5.0, 5.0]
+        assert collect(driver, 1)[0]["status"] & SATURATED
 
 
 def test_software_timed_reading_works_against_the_emulator_as_in_public_code(host: str) -> None:
@@ -329,3 +283,58 @@ def test_noise_has_the_asked_spread(host: str) -> None:
         values = np.array([sample["value"] for sample in collect(driver, 400)])
         assert values[:, 2].std() == pytest.approx(0.1, rel=0.3)
         assert values[:, 5].std() == pytest.approx(0.0005, rel=0.3)
+
+
+# Sample times, from the lower envelope of the times at which the host received them.
+
+RATE = 1000.0
+PERIOD = SECOND_NS // 1000
+
+
+def polled(
+    delays_ns: list[int], every: int = 10, start_ns: int = 5 * SECOND_NS, drift: float = 0.0
+) -> np.ndarray:
+    """Return the times of all samples; the host receives the end of each block `delays_ns` late."""
+    timeline = SampleTimeline(RATE)
+    times = []
+    for k, delay_ns in enumerate(delays_ns, start=1):
+        newest = k * every - 1
+        taken_ns = start_ns + round(newest * PERIOD * (1 + drift))
+        timeline.observe(newest, taken_ns + delay_ns)
+        times.append(timeline.take(newest - every + 1, every))
+    return np.concatenate(times)
+
+
+def test_samples_of_one_block_lie_a_period_apart() -> None:
+    times = polled([300_000] * 20)
+    assert set(np.diff(times).tolist()) == {PERIOD}
+    assert times[0] == 5 * SECOND_NS + 300_000
+
+
+def test_one_late_answer_moves_nothing() -> None:
+    delays = [200_000] * 50
+    delays[20] = 80_000_000
+    assert set(np.diff(polled(delays)).tolist()) == {PERIOD}
+
+
+def test_the_quickest_answer_counts() -> None:
+    times = polled([2_000_000, 100_000, 2_000_000, 2_000_000])
+    ideal = 5 * SECOND_NS + np.arange(40) * PERIOD
+    assert np.all(times[20:] - ideal[20:] == 100_000)
+
+
+@given(delays=st.lists(st.integers(0, 50_000_000), min_size=1, max_size=60))
+def test_times_strictly_increase_and_never_lie_ahead_of_the_answer(delays: list[int]) -> None:
+    times = polled(delays)
+    assert all(a < b for a, b in itertools.pairwise(times.tolist()))
+    newest = 5 * SECOND_NS + (np.arange(1, len(delays) + 1) * 10 - 1) * PERIOD + np.array(delays)
+    # Ahead only where a quicker answer came later, by a nanosecond each.
+    assert np.all(times[9::10] <= np.maximum.accumulate(newest) + 600)
+
+
+@pytest.mark.parametrize("drift", [-100e-6, 100e-6])
+def test_a_card_whose_clock_drifts_is_followed(drift: float) -> None:
+    times = polled([100_000] * 3000, drift=drift)
+    taken = 5 * SECOND_NS + np.round(np.arange(30_000) * PERIOD * (1 + drift))
+    # 100 ppm over the seconds for which the smallest delay is valid.
+    assert np.abs(times - taken - 100_000).max() < 500_000

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.drivers import FixedWorld, opening, running
 
 from recorder import Session, SessionWriter, StreamWriter, check, faults
 from rig.bench.bench import bench_from
@@ -13,10 +14,11 @@ from rig.core.clock import SECOND_NS, FakeClock, SystemClock
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.packaged import BENCHES
-from rig.core.samples import WORLD_STATE
 from rig.devices.force.scale import GRAVITY, UNSETTLED, Reading, ScaleDriver, parse
 from rig.devices.force.scale_emulator import ScaleEmulator, ScaleEmulatorConfig
 from rig.devices.force.settings import ScaleConfig
+
+CLOCK = SystemClock()
 
 
 @pytest.mark.parametrize(
@@ -43,41 +45,22 @@ def test_lines_of_scales_are_read_or_refused(line: str, found: Reading | None) -
         assert parse(line) == found
 
 
-class Weight:
-    """World whose force on the sensor is set by the test."""
-
-    def __init__(self) -> None:
-        self.force = 0.0
-
-    def state(self) -> tuple[int, np.void]:
-        state = np.zeros(1, WORLD_STATE)[0]
-        state["wrench"][2] = -self.force
-        return 1, state
-
-
 @pytest.mark.parametrize(
     ("protocol", "counts"), [("kern", None), ("sartorius", None), ("hx711", None), ("hx711", 5e4)]
 )
 def test_every_protocol_weighs_a_press_as_negative_fz(
     tmp_path: Path, protocol: str, counts: float | None
 ) -> None:
-    clock = SystemClock()
     config = ScaleConfig(
         protocol, str(tmp_path / "scale"), rate_hz=50.0, counts_per_n=counts, settle=0.1
     )
-    world = Weight()
-    world.force = 2.0
-    emulator = ScaleEmulator(ScaleEmulatorConfig(device=config, lag=0.02), world, clock)
-    emulator.start()
-    driver = ScaleDriver(config, clock)
-    try:
-        driver.open(60.0)
-        samples: list[dict[str, object]] = []
+    settings, world = ScaleEmulatorConfig(device=config, lag=0.02), FixedWorld()
+    world.record["wrench"][2] = -2.0
+    emulator, driver = ScaleEmulator(settings, world, CLOCK), ScaleDriver(config, CLOCK)
+    samples: list[dict[str, object]] = []
+    with running(emulator), opening(driver):
         while not (samples and samples[-1]["settled"]):
             samples += driver.read(1.0)
-    finally:
-        driver.close()
-        emulator.close()
     value = np.asarray(samples[-1]["value"])
     assert value[2] == pytest.approx(-2.0, abs=0.01)
     assert np.isnan(np.delete(value, 2)).all()

@@ -1,4 +1,4 @@
-"""Arms with the real ur_rtde in its supervised child, against the emulator in a process."""
+"""Arms for tests: simulated ones, and the real ur_rtde in its child against an emulator."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from rig.core.guard import GuardLimits
 from rig.core.mock_names import PORTS
 from rig.devices.arm.arm import Arm
 from rig.devices.arm.emulated_arm import POSTURE, flange_pose
+from rig.devices.arm.emulated_controller import Controller
 from rig.devices.arm.settings import ArmConfig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,6 +40,10 @@ LIMITS = GuardLimits(
 # A child that is delayed by a quarter of a second must not count as dead here.
 CONFIG = ArmConfig(host=HOST, tcp=TCP, payload=0.7, retract=0.01, watchdog_hz=2.0)
 CLOCK = SystemClock()
+# What ur_rtde uploads, and numbers and flags in the registers.
+SCRIPT = "def rtde_control():\n  x\nend\n"
+MOVE_L, STOP_L = 3, 33
+RUNNING = 0x8000
 
 
 def inject(fault: str = "state", **values: Any) -> dict[str, Any]:
@@ -119,3 +124,46 @@ class Once:
         if not self.done and moving():
             self.done = True
             self._action()
+
+
+class Client:
+    """Emulates ur_rtde's use of the registers, one controller cycle at a time."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller = controller
+        controller.start_program(SCRIPT)
+        self.run(2)
+
+    def run(self, cycles: int) -> None:
+        for _ in range(cycles):
+            self.controller.cycle()
+
+    def write(self, command: int, doubles=(), flag: int = 0) -> None:
+        names = ["input_int_register_0", "input_int_register_1"]
+        names += [f"input_double_register_{k}" for k in range(len(doubles))]
+        self.controller.write_inputs(names, [command, flag, *map(float, doubles)])
+
+    def command(self, command: int, doubles=(), flag: int = 0, *, cycles: int = 5000) -> int:
+        """Run a command to its end, and return the number of cycles."""
+        self.write(command, doubles, flag)
+        for took in range(cycles):
+            self.controller.cycle()
+            if self.state == 2:
+                self.write(0)
+                self.run(1)
+                assert self.state == 1
+                return took + 1
+        raise AssertionError(f"command {command} not done in {cycles} cycles")
+
+    @property
+    def state(self) -> int:
+        return self.controller.source("output_int_register_0")()
+
+    @property
+    def result(self) -> int:
+        return self.controller.source("output_int_register_1")()
+
+    @property
+    def word(self) -> tuple[int, int, bool]:
+        word = self.controller.source("output_int_register_2")()
+        return word >> 24, word >> 16 & 0x7F, bool(word & RUNNING)

@@ -15,8 +15,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+from support.sessions import specs
+
 from benchmarks.faults.processes import family, kill, stream_process, wait_gone
-from recorder import check, faults
+from recorder import OUTCOMES, SessionWriter, check, faults
+from trajectories import Plan, plan_to_json
 
 ROOT = Path(__file__).parents[2]
 
@@ -49,6 +53,39 @@ def tactile(*words: object) -> subprocess.CompletedProcess[str]:
         timeout=280,
         check=False,
     )
+
+
+def pressed_session(
+    path: Path, plan: Plan, total: int, done: int, status: str, **attrs: object
+) -> None:
+    """Write a session with `done` of `total` targets pressed, as a collection leaves it.
+
+    Args:
+        path: The session.
+        plan: Its plan.
+        total: Number of the plan's targets that it is to have.
+        done: Number of those pressed.
+        status: Status that it ends with.
+        attrs: Its other attributes, as `sensor`.
+    """
+    targets = {
+        "point": np.ones(total, np.int16),
+        "depth": np.zeros(total),
+        "direction": np.zeros(total, np.int16),
+        "planned": np.zeros((total, 3)),
+    }
+    attrs = {"bench": {}, "plan": plan_to_json(plan), "targets_wanted": total, **attrs}
+    streams = specs(("force", "pose", "camera"), (48, 64), "jpeg")
+    path.parent.mkdir(exist_ok=True)
+    with SessionWriter.create(path, attrs=attrs, streams=streams, targets=targets) as writer:
+        writer.begin_run({"t0_ns": 0})
+        for target in list(plan.targets())[:done]:
+            for move in plan.moves(target):
+                start_ns = 1 + move.phase + 10 * target.index
+                row = {"target": target.index, "phase": move.phase, "run": 0}
+                row |= {"outcome": OUTCOMES.index("complete")}
+                writer.segments.append(**row, start_ns=start_ns, end_ns=start_ns + 1)
+        writer.finish(status, rate_hz=40.0)
 
 
 @contextlib.contextmanager
@@ -90,8 +127,13 @@ class Collection:
             where += ["--sensor", sensor]
         # Ignore calibrations of mock benches that were measured on this machine.
         where += ["--calibrations", str(session.parent / "none-measured")]
+        return cls.of_command(session, "collect", *where, *arguments, stdin=stdin)
+
+    @classmethod
+    def of_command(cls, session: Path, *words: str, stdin: int | None = None) -> Collection:
+        """Start a command that records `session`."""
         process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "tactile", "collect", *where, *arguments],
+            [sys.executable, "-u", "-m", "tactile", *words],
             cwd=ROOT,
             stdin=stdin,
             stdout=subprocess.PIPE,

@@ -17,6 +17,7 @@ from rig.core.geometry import (
     turn,
     vector_from_matrix,
 )
+from rig.devices.arm.emulated_arm import POSTURE, find_joints, flange_pose, solve_joints
 
 unit = st.floats(-1.0, 1.0).map(lambda x: round(x, 6))
 axes = (
@@ -37,11 +38,10 @@ poses = st.builds(
 )
 
 
-def same_pose(found, expected) -> None:
-    assert_allclose(found[..., :3], expected[..., :3], atol=1e-12)
-    assert_allclose(
-        matrix_from_vector(found[..., 3:]), matrix_from_vector(expected[..., 3:]), atol=1e-12
-    )
+def same_pose(found, expected, atol=1e-12) -> None:
+    assert_allclose(found[..., :3], expected[..., :3], atol=atol)
+    turns = matrix_from_vector(found[..., 3:]), matrix_from_vector(expected[..., 3:])
+    assert_allclose(*turns, atol=atol)
 
 
 @given(vectors)
@@ -101,3 +101,33 @@ def test_a_batch_is_its_members(members):
         compose(batch, batch[::-1]),
         np.stack([compose(a, b) for a, b in zip(members, members[::-1], strict=True)]),
     )
+
+
+nudges = st.tuples(*[st.floats(-0.3, 0.3)] * 6).map(np.array)
+
+
+def test_the_posture_points_the_tool_down():
+    pose = flange_pose(np.array(POSTURE))
+    assert_allclose(matrix_from_vector(pose[3:]) @ [0, 0, 1], [0, 0, -1], atol=1e-12)
+    assert np.linalg.norm(pose[3:]) == pytest.approx(math.pi)
+
+
+@given(nudges)
+def test_solving_undoes_forward_kinematics(nudge):
+    goal = flange_pose(np.array(POSTURE) + nudge)
+    joints = solve_joints(goal, np.array(POSTURE))
+    assert joints is not None
+    same_pose(flange_pose(joints), goal, 1e-8)
+
+
+@pytest.mark.parametrize("vector", [(math.pi, 0, 0), (0, math.pi, 0), (2.2214, 2.2214, 0)])
+@pytest.mark.parametrize("place", [(-0.4, -0.2, 0.3), (0.4, -0.1, 0.2), (0.3, 0.3, 0.15)])
+def test_a_tool_pointing_down_is_found_all_around(place, vector):
+    goal = np.array([*place, *vector], float)
+    joints = find_joints(goal)
+    assert joints is not None
+    assert_allclose(flange_pose(joints)[:3], place, atol=1e-8)
+
+
+def test_out_of_reach_is_none():
+    assert find_joints(np.array([1.5, 0.0, 0.3, math.pi, 0.0, 0.0])) is None
