@@ -377,7 +377,8 @@ def test_a_pedal_released_or_unplugged_in_mid_shear_halts_and_the_target_is_pres
     run.tell("pedal", "unplug")
     run.until_said("the foot pedal is unplugged: plug it in")
     run.tell("pedal", "replug")
-    run.until_said("the foot pedal is back")
+    run.until_said(WAITS, after="the foot pedal is back")
+    run.until(lambda: bool(run.tell("pedal", "state")["clients"]), "the pedal read again")
     run.tell("pedal", "press")
     assert run.wait(240) == 0, run.text
     session = Session(run.session)
