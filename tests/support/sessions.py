@@ -237,11 +237,23 @@ def _record(
             session.finish("complete", rate_hz=40)
 
 
+def edit_json(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change the metadata in a file, of which a manifest knows nothing."""
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def flip(path: Path, bit: int) -> None:
+    """Change one bit of a file."""
+    data = bytearray(path.read_bytes())
+    data[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(data)
+
+
 def set_attrs(path: Path, **attrs: Any) -> None:
     """Change the attributes of a group as if the session had been closed with them."""
-    document = json.loads((path / "zarr.json").read_text())
-    document["attributes"] |= attrs
-    (path / "zarr.json").write_text(json.dumps(document))
+    edit_json(path / "zarr.json", lambda document: document["attributes"].update(attrs))
     reseal(next(place for place in (path, *path.parents) if (place / "manifest").exists()))
 
 
