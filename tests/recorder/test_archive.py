@@ -22,6 +22,7 @@ import pytest
 import zarr
 from fsspec.asyn import get_loop
 from support.crashes import FailingCalls, Killed
+from support.sessions import edit_json, flip
 
 from recorder import MarkerArchive, Session, SessionError, check
 from recorder.archive import (
@@ -131,10 +132,6 @@ def copy(archive: Path, tmp_path: Path) -> Path:
 # ------------------------------------------------------------------------------------ reading
 
 
-def expected_table() -> dict[str, Any]:
-    return dict(unit_of(slice(0, ROWS))["table"])
-
-
 def test_what_was_written_is_read(archive: Path) -> None:
     opened = MarkerArchive(archive)
     assert (opened.status, opened.warning, opened.indenters) == ("complete", None, INDENTERS)
@@ -143,7 +140,7 @@ def test_what_was_written_is_read(archive: Path) -> None:
     assert (len(sensor), sensor.mm_per_px) == (ROWS, 0.0339)
     assert sensor.attrs["pattern"] == {"pitch": 1.5}
     np.testing.assert_array_equal(sensor.packed(slice(None)), PACKED)
-    for name, values in expected_table().items():
+    for name, values in unit_of(slice(0, ROWS))["table"].items():
         found = sensor.table[name]
         assert (found.dtype, found.shape[1:]) == (COLUMNS[name].dtype, COLUMNS[name].shape)
         np.testing.assert_array_equal(found, values)
@@ -229,27 +226,20 @@ def test_an_archive_behind_a_url_reads_alike(archive: Path) -> None:
 
 
 def test_a_newer_archive_and_what_is_none_are_refused(copy: Path, tmp_path: Path) -> None:
-    change_json(copy / "zarr.json", lambda attrs: attrs.update(format_version=2))
-    with pytest.raises(
-        SessionError, match="found format_version 2, this program reads 1; update it"
-    ):
+    with pytest.raises(SessionError, match="found format 'tactile-rig markers'"):
+        Session(copy)
+    set_attributes(copy, format_version=2)
+    with pytest.raises(SessionError, match="format_version 2, this program reads 1; update it"):
         MarkerArchive(copy)
-    change_json(copy / "zarr.json", lambda attrs: attrs.update(format="tactile-rig session"))
+    set_attributes(copy, format="tactile-rig session")
     with pytest.raises(SessionError, match="expected 'tactile-rig markers'"):
         MarkerArchive(copy)
     with pytest.raises(SessionError, match="no such archive"):
         MarkerArchive(tmp_path / "nowhere")
 
 
-def test_an_archive_is_no_session(archive: Path) -> None:
-    with pytest.raises(SessionError, match="found format 'tactile-rig markers'"):
-        Session(archive)
-
-
-def change_json(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
-    document = json.loads(path.read_text())
-    change(document["attributes"])
-    path.write_text(json.dumps(document))
+def set_attributes(group: Path, **attrs: Any) -> None:
+    edit_json(group / "zarr.json", lambda document: document["attributes"].update(attrs))
 
 
 @pytest.mark.parametrize("name", ["Array1/markers/c.1.0", "Array1/displacement/c.1.0.0.0"])
@@ -286,7 +276,9 @@ def test_changed_metadata_of_an_array_is_refused(copy: Path, key: str, value: ob
 # ------------------------------------------------------------------------------------ writing
 
 
-def test_an_archive_being_written_warns_and_shows_what_is_there(tmp_path: Path) -> None:
+def test_an_archive_being_written_warns_and_shows_what_is_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "a.markers.zarr"
     writer = ArchiveWriter.begin(path, PLAN)
     write_units(writer, "Array1", [2])
@@ -303,6 +295,10 @@ def test_an_archive_being_written_warns_and_shows_what_is_there(tmp_path: Path) 
     (finding,) = check(path)
     assert finding.code == "unfinished"
     assert "1 of 8 units are written" in finding.message
+    assert main(["session", "info", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert "status writing" in out
+    assert "warning:" in out
 
 
 def test_order_repetition_and_many_writers_do_not_matter(archive: Path, tmp_path: Path) -> None:
@@ -379,26 +375,20 @@ def test_dying_in_front_of_any_file_operation_changes_no_byte(step: int, tmp_pat
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        (ArchivePlan(PLAN.sensors[:1], INDENTERS, PLAN.attrs), "zarr.json differs in sensors"),
-        (ArchivePlan(PLAN.sensors, ("sphere", "torus"), PLAN.attrs), "differs in indenters"),
-        (
-            ArchivePlan((plan(rows=24), PLAN.sensors[1]), INDENTERS, PLAN.attrs),
-            "displacement/zarr.json differs in shape",
-        ),
-        (
-            ArchivePlan(
-                (plan(references=REFERENCES[::-1]), PLAN.sensors[1]), INDENTERS, PLAN.attrs
-            ),
-            "references/c.0.0 differs in the content",
-        ),
+        ({"sensors": PLAN.sensors[:1]}, "zarr.json differs in sensors"),
+        ({"indenters": ("sphere", "torus")}, "differs in indenters"),
+        ({"rows": 24}, "displacement/zarr.json differs in shape"),
+        ({"references": REFERENCES[::-1]}, "references/c.0.0 differs in the content"),
     ],
 )
 def test_another_plan_does_not_go_on_with_an_archive(
-    changed: ArchivePlan, message: str, archive: Path
+    changed: dict[str, Any], message: str, archive: Path
 ) -> None:
     before = digests(archive)
+    if not {"sensors", "indenters"} & set(changed):
+        changed = {"sensors": (plan(**changed), PLAN.sensors[1])}
     with pytest.raises(SessionError, match=message):
-        ArchiveWriter.begin(archive, changed)
+        ArchiveWriter.begin(archive, replace(PLAN, **changed))
     assert digests(archive) == before
     assert [entry.name for entry in archive.parent.iterdir()] == [archive.name]
 
@@ -490,31 +480,21 @@ def test_a_unit_that_is_not_as_planned_is_refused(
 
 def test_a_damaged_entry_of_the_ledger_is_named(tmp_path: Path) -> None:
     writer = ArchiveWriter.begin(tmp_path / "a.markers.zarr", PLAN)
-    for name in PLAN.sensors:
-        write_units(writer, name.name, range(4))
+    for name in writer.sensors:
+        write_units(writer, name, range(4))
     entry = writer.sensors["Circle1"].ledger.path / "2.npz"
     entry.write_bytes(entry.read_bytes()[:100])
     with pytest.raises(SessionError, match=r"2\.npz: damaged .* write its unit again"):
         writer.finish()
+    entry.write_bytes(entry.with_name("3.npz").read_bytes())  # the last unit is shorter
+    with pytest.raises(SessionError, match=r"found .* for shard 0, expected"):
+        writer.finish()
+    assert not writer.complete
     entry.unlink()
     assert writer.missing() == {"Circle1": [2]}
     write_units(writer, "Circle1", [2])
     writer.finish()
     assert check(tmp_path / "a.markers.zarr") == []
-
-
-def test_a_table_with_another_number_of_rows_than_frames_does_not_complete_an_archive(
-    tmp_path: Path,
-) -> None:
-    writer = ArchiveWriter.begin(tmp_path / "a.markers.zarr", PLAN)
-    for name in PLAN.sensors:
-        write_units(writer, name.name, range(4))
-    ledger = writer.sensors["Circle1"].ledger.path
-    entry = (ledger / "3.npz").read_bytes()  # the last unit is shorter than others
-    (ledger / "2.npz").write_bytes(entry)
-    with pytest.raises(SessionError, match=r"found .* for shard 0, expected"):
-        writer.finish()
-    assert not writer.complete
 
 
 # ----------------------------------------------------------------------------- location pairs
@@ -617,33 +597,6 @@ def test_a_location_of_two_presses_is_ambiguous() -> None:
 # ----------------------------------------------------------------------------- check and info
 
 
-def rewrite(path: Path, column: str, change: Callable[[np.ndarray[Any, Any]], Any]) -> None:
-    """Change a column of the first sensor through Zarr, including checksums."""
-    array = zarr.open_array(path / "Array1" / "table" / column, mode="r+")
-    values = np.asarray(array)
-    change(values)
-    array[...] = values
-
-
-def put(row: int, value: Any) -> Callable[[np.ndarray[Any, Any]], None]:
-    def change(values: np.ndarray[Any, Any]) -> None:
-        values[row] = value
-
-    return change
-
-
-def flip(path: Path) -> None:
-    data = bytearray(path.read_bytes())
-    data[5] ^= 1
-    path.write_bytes(data)
-
-
-def shorten(path: Path) -> None:
-    document = json.loads(path.read_text())
-    document["shape"][0] -= 1
-    path.write_text(json.dumps(document))
-
-
 def share_fields_of_another_length(path: Path) -> None:
     shared = plan("Circle1", lattice=None, displacement_of="Array1")
     make_archive(
@@ -654,80 +607,58 @@ def share_fields_of_another_length(path: Path) -> None:
 
 
 def attribute(path: str, **attrs: Any) -> Callable[[Path], Any]:
-    """Return a change of attributes; None removes one."""
-
-    def change(document: dict[str, Any]) -> None:
-        document.update(attrs)
-        for name in [name for name, value in attrs.items() if value is None]:
-            del document[name]
-
-    return lambda archive: change_json(archive / path / "zarr.json", change)
+    return lambda archive: set_attributes(archive / path, **attrs)
 
 
 def cell(column: str, row: int, value: Any) -> Callable[[Path], Any]:
-    return lambda archive: rewrite(archive, column, put(row, value))
+    """Return a change of a value of the first sensor through Zarr, including checksums."""
+
+    def change(archive: Path) -> None:
+        array = zarr.open_array(archive / "Array1" / "table" / column, mode="r+")
+        values = np.asarray(array)
+        values[row] = value
+        array[...] = values
+
+    return change
 
 
 def removed(path: str) -> Callable[[Path], Any]:
     return lambda archive: (archive / path).unlink()
 
 
-TABLE = "Array1/table"
+def without_scale(archive: Path) -> None:
+    edit_json(archive / "Array1/zarr.json", lambda d: d["attributes"].pop("mm_per_px"))
+
+
+def shorter(archive: Path) -> None:
+    edit_json(archive / TIME / "zarr.json", lambda d: d.update(shape=[ROWS - 1]))
+
+
+TABLE, MARKERS, FIELD = "Array1/table", "Array1/markers", "Array1/displacement"
+DEPTH, WRENCH, TIME = (f"{TABLE}/{name}" for name in ("depth", "wrench", "t_ns"))
 FAULTS: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "not closed": ("unfinished", ".", attribute(".", status="writing")),
-    "a sensor without metadata": ("metadata", "Array1", removed("Array1/markers/zarr.json")),
-    "a sensor without a scale": ("metadata", "Array1", attribute("Array1", mm_per_px=None)),
-    "a column that is not there": (
-        "metadata",
-        "Array1",
-        lambda path: shutil.rmtree(path / TABLE / "depth"),
-    ),
-    "units of another kind": (
-        "wrong-dtype",
-        f"{TABLE}/depth",
-        attribute(f"{TABLE}/depth", units="mm"),
-    ),
-    "a shorter column": (
-        "unequal-lengths",
-        f"{TABLE}/t_ns",
-        lambda path: shorten(path / TABLE / "t_ns/zarr.json"),
-    ),
+    "a sensor without metadata": ("metadata", "Array1", removed(f"{MARKERS}/zarr.json")),
+    "a sensor without a scale": ("metadata", "Array1", without_scale),
+    "a column that is not there": ("metadata", "Array1", lambda p: shutil.rmtree(p / DEPTH)),
+    "units of another kind": ("wrong-dtype", DEPTH, attribute(DEPTH, units="mm")),
+    "a shorter column": ("unequal-lengths", TIME, shorter),
     "fields of another length": ("unequal-lengths", "Circle1", share_fields_of_another_length),
-    "fields of a sensor that is not there": (
-        "metadata",
-        "Circle1",
-        attribute("Circle1", displacement_of="Array2"),
-    ),
+    "fields of no sensor": ("metadata", "Circle1", attribute("Circle1", displacement_of="Array2")),
     "fields from elsewhere": (
         "metadata",
         "Circle1",
         attribute("Circle1", displacement_of="../Array1"),
     ),
-    "a shard that is not there": (
-        "missing-chunk",
-        "Array1/markers",
-        removed("Array1/markers/c.2.0"),
-    ),
-    "a bit in a column": (
-        "bad-crc",
-        f"{TABLE}/wrench",
-        lambda path: flip(path / TABLE / "wrench/c.0.0"),
-    ),
-    "a bit in a field": (
-        "bad-crc",
-        "Array1/displacement",
-        lambda path: flip(path / "Array1/displacement/c.1.0.0.0"),
-    ),
-    "no depth": ("nan", f"{TABLE}/depth", cell("depth", 3, np.nan)),
-    "an infinite force": ("nan", f"{TABLE}/wrench", cell("wrench", 1, [1, np.inf, 0, 0, 0, 0])),
+    "a shard that is not there": ("missing-chunk", MARKERS, removed(f"{MARKERS}/c.2.0")),
+    "a bit in a column": ("bad-crc", WRENCH, lambda p: flip(p / WRENCH / "c.0.0", 40)),
+    "a bit in a field": ("bad-crc", FIELD, lambda p: flip(p / FIELD / "c.1.0.0.0", 40)),
+    "no depth": ("nan", DEPTH, cell("depth", 3, np.nan)),
+    "an infinite force": ("nan", WRENCH, cell("wrench", 1, [1, np.inf, 0, 0, 0, 0])),
     "an indenter without a name": ("bad-code", f"{TABLE}/indenter", cell("indenter", 4, 9)),
     "a reference that is not there": ("bad-code", f"{TABLE}/reference", cell("reference", 4, 2)),
     "a source that is not there": ("bad-code", f"{TABLE}/source", cell("source", 4, 600)),
-    "a file of a writer": (
-        "left-behind",
-        ".",
-        lambda path: (path / "Array1/markers/c.9.0.77-ab.tmp").write_bytes(b""),
-    ),
+    "a file of a writer": ("left-behind", ".", lambda p: (p / MARKERS / "c.9.0.77-ab.tmp").touch()),
 }
 
 
@@ -743,47 +674,38 @@ def test_every_code_of_a_check_is_planted() -> None:
     assert {code for code, _, _ in FAULTS.values()} | {"marker-count"} == set(CODES)
 
 
-def test_frames_that_lost_a_marker_are_flagged_with_share_and_rows(tmp_path: Path) -> None:
-    path = tmp_path / "a.markers.zarr"
-    writer = ArchiveWriter.begin(path, ArchivePlan((plan(lattice=None),), INDENTERS))
-    for unit in range(4):
-        given = unit_of(writer.sensors["Array1"].rows_of(unit), "Circle1")
-        if unit == 2:
-            lost = mask_of(13)
-            lost[200:250, 200:250] = False
-            given["packed"][1] = pack(lost)
+def archive_of_one(path: Path, sensor: SensorPlan, packed: Any = PACKED) -> Path:
+    writer = ArchiveWriter.begin(path, ArchivePlan((sensor,), INDENTERS))
+    for unit in range(writer.sensors["Array1"].units):
+        rows = writer.sensors["Array1"].rows_of(unit)
+        given = {**unit_of(rows, "Circle1"), "packed": packed[rows]}
         writer.sensors["Array1"].write(unit, **given)
     writer.finish()
+    return path
+
+
+def test_frames_that_lost_a_marker_are_flagged_with_share_and_rows(tmp_path: Path) -> None:
+    lost, packed = mask_of(13), PACKED.copy()
+    lost[200:250, 200:250] = False
+    packed[13] = pack(lost)
+    path = archive_of_one(tmp_path / "a.markers.zarr", plan(lattice=None), packed)
     (flag,) = marker_flags(MarkerArchive(path)["Array1"])
     assert (flag.row, flag.found, flag.expected) == (13, 129, 130)
     (finding,) = check(path)
     assert finding.code == "marker-count"
     assert finding.message.startswith("4.348% of the frames, row 13. row 13: 129 markers")
-    allowed = {"smallest_px": 12, "tolerance": 1}
-    change_json(path / "Array1/zarr.json", lambda attrs: attrs.update(marker_check=allowed))
-    assert check(path) == []
-    change_json(path / "Array1/zarr.json", lambda attrs: attrs.update(marker_check=None))
-    assert check(path) == []
+    for allowed in ({"smallest_px": 12, "tolerance": 1}, None):
+        set_attributes(path / "Array1", marker_check=allowed)
+        assert check(path) == []
 
 
 def test_a_reference_without_markers_is_reported(tmp_path: Path) -> None:
-    path = tmp_path / "a.markers.zarr"
     bare = plan(lattice=None, references=np.zeros_like(REFERENCES))
-    make_archive_of_one(path, bare)
-    (finding,) = check(path)
+    (finding,) = check(archive_of_one(tmp_path / "a.markers.zarr", bare))
     assert finding.code == "marker-count"
     assert "found no patch" in finding.message
-    uncounted = tmp_path / "b.markers.zarr"
-    make_archive_of_one(uncounted, replace(bare, marker_count=None))
-    assert check(uncounted) == []
-
-
-def make_archive_of_one(path: Path, sensor: SensorPlan) -> None:
-    writer = ArchiveWriter.begin(path, ArchivePlan((sensor,), INDENTERS))
-    for unit in range(writer.sensors["Array1"].units):
-        rows = writer.sensors["Array1"].rows_of(unit)
-        writer.sensors["Array1"].write(unit, **unit_of(rows, "Circle1"))
-    writer.finish()
+    uncounted = replace(bare, marker_count=None)
+    assert check(archive_of_one(tmp_path / "b.markers.zarr", uncounted)) == []
 
 
 def test_info_and_check_of_the_command_line_take_archives(
@@ -801,16 +723,6 @@ def test_info_and_check_of_the_command_line_take_archives(
     (copy / "Circle1/markers/c.0.0").unlink()
     assert main(["session", "check", str(copy)]) == 1
     assert capsys.readouterr().out.startswith("missing-chunk   Circle1/markers: 3 found, first")
-
-
-def test_info_of_an_archive_being_written_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ArchiveWriter.begin(tmp_path / "a.markers.zarr", PLAN)
-    assert main(["session", "info", str(tmp_path / "a.markers.zarr")]) == 0
-    out = capsys.readouterr().out
-    assert "status writing" in out
-    assert "warning:" in out
 
 
 def test_rows_of_presses_are_in_order_of_frames_and_parted_by_phase() -> None:

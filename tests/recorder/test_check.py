@@ -1,6 +1,5 @@
 """Each planted fault is found at its place, with no other findings."""
 
-import json
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -9,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.sessions import T0, make_session, reseal
+from support.sessions import T0, edit_json, flip, make_session, reseal
 
 from recorder import Session, SessionError, StreamWriter, faults
 from recorder.checks.check import check
@@ -146,25 +145,6 @@ def write_frames_without_offsets(path: Path) -> None:
     edit_json(path / "zarr.json", lambda d: d["attributes"].update(rate_hz=40))
 
 
-@pytest.fixture(scope="module")
-def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session without faults."""
-    return make_session(tmp_path_factory.mktemp("sound") / "s.zarr")
-
-
-def edit_json(path: Path, edit: Callable[[dict[str, Any]], Any]) -> None:
-    document = json.loads(path.read_text())
-    edit(document)
-    path.write_text(json.dumps(document))
-
-
-def flip(path: Path, place: int) -> None:
-    """Change one bit of a file."""
-    data = bytearray(path.read_bytes())
-    data[place] ^= 4
-    path.write_bytes(data)
-
-
 def cut_jpeg(session: Path) -> None:
     """Replace a session's images by truncated ones."""
 
@@ -190,7 +170,7 @@ def removed(path: str) -> Callable[[Path], Any]:
 
 
 def flipped(path: str, place: int) -> Callable[[Path], Any]:
-    return lambda session: flip(session / path, place)
+    return lambda session: flip(session / path, 8 * place + 2)
 
 
 def written(path: str, data: bytes) -> Callable[[Path], Any]:
@@ -199,6 +179,14 @@ def written(path: str, data: bytes) -> Callable[[Path], Any]:
 
 def cut(path: str) -> Callable[[Path], Any]:
     return lambda session: (session / path).write_bytes((session / path).read_bytes()[:-9])
+
+
+def append_segment(session: Path) -> None:
+    """Add a phase that the frames view does not contain."""
+    row = {"target": [0], "phase": [0], "outcome": [0], "run": [0]}
+    times = {"start_ns": [T0 + 3_400_000_000], "end_ns": [T0 + 3_500_000_000]}
+    with StreamWriter.open(session / "segments") as stream:
+        stream.append(**{name: values[0] for name, values in {**row, **times}.items()})
 
 
 VALUE, SEQ, IMAGE = f"{FORCE}/value", f"{FORCE}/seq", f"{CAMERA}/value"
@@ -229,11 +217,7 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     ),
     "no unit": ("missing-units", VALUE, edited(VALUE, lambda d: d["attributes"].pop("units"))),
     "unequal lengths": ("unequal-lengths", FORCE, edited(SEQ, lambda d: d.update(shape=[3000]))),
-    "frames of other segments": (
-        "frames-length",
-        "frames",
-        lambda session: append_all_segments(session),
-    ),
+    "frames of other segments": ("frames-length", "frames", append_segment),
     "stream removed": ("missing-array", FORCE, removed(FORCE)),
     "column of the frames removed": ("missing-array", "frames/wrench", removed("frames/wrench")),
     "column of the targets removed": ("missing-array", "targets/depth", removed("targets/depth")),
@@ -242,19 +226,10 @@ ON_DISK: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
 }
 
 
-def append_all_segments(session: Path) -> None:
-    """Add a phase that the frames view does not contain."""
-    row = {"target": [0], "phase": [0], "outcome": [0], "run": [0]}
-    times = {"start_ns": [T0 + 3_400_000_000], "end_ns": [T0 + 3_500_000_000]}
-    with StreamWriter.open(session / "segments") as stream:
-        stream.append(**{name: values[0] for name, values in {**row, **times}.items()})
-
-
 @pytest.mark.parametrize("fault", ON_DISK)
-def test_a_fault_on_the_disk_is_found_and_only_it(fault: str, intact: Path, tmp_path: Path) -> None:
+def test_a_fault_on_the_disk_is_found_and_only_it(fault: str, tmp_path: Path) -> None:
     code, where, plant = ON_DISK[fault]
-    path = tmp_path / "s.zarr"
-    shutil.copytree(intact, path)
+    path = make_session(tmp_path / "s.zarr")
     plant(path)
     if fault in NOT_IN_THE_MANIFEST:
         assert "manifest" not in {finding.code for finding in check(path)}
@@ -298,9 +273,8 @@ def test_late_packets_are_no_clock_step(tmp_path: Path) -> None:
     assert [finding.code for finding in faults(check(path))] == ["gap"]
 
 
-def test_reading_a_missing_chunk_is_an_error_not_a_zero(intact: Path, tmp_path: Path) -> None:
-    path = tmp_path / "s.zarr"
-    shutil.copytree(intact, path)
+def test_reading_a_missing_chunk_is_an_error_not_a_zero(tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr")
     (path / FORCE / "value/c/0/0").unlink()
     with pytest.raises(SessionError, match=r"value/c/0/0: missing; the manifest of run 0 names it"):
         Session(path)
@@ -314,12 +288,11 @@ def test_what_is_no_session_is_said_to_be_none(tmp_path: Path) -> None:
         check(tmp_path)
 
 
-@pytest.mark.parametrize("names", [("camera", "force", "pose"), ("taxels", "force", "pose")])
-@pytest.mark.parametrize("codec", ["jpeg", "zstd"])
-def test_nothing_is_found_in_a_sound_session(
-    names: tuple[str, ...], codec: str, tmp_path: Path
-) -> None:
-    path = make_session(tmp_path / "s.zarr", names=names, codec=codec)
+@pytest.mark.parametrize(
+    ("signal", "codec"), [("camera", "jpeg"), ("camera", "zstd"), ("taxels", "jpeg")]
+)
+def test_nothing_is_found_in_a_sound_session(signal: str, codec: str, tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr", names=(signal, "force", "pose"), codec=codec)
     assert faults(check(path)) == []
     session = Session(path)
     assert session.warning is None
@@ -327,13 +300,13 @@ def test_nothing_is_found_in_a_sound_session(
 
 
 def test_a_note_is_printed_and_does_not_fail_the_check(
-    intact: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    recorded: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     note = Finding("sealed-later", ".", "no manifest")
     fault = Finding("gap", CAMERA, "found one")
     monkeypatch.setattr(check_command, "check", lambda session, quick: [note])
-    assert main(["session", "check", str(intact)]) == 0
+    assert main(["session", "check", str(recorded)]) == 0
     assert "sealed-later    note: .: no manifest" in capsys.readouterr().out
     monkeypatch.setattr(check_command, "check", lambda session, quick: [note, fault])
-    assert main(["session", "check", str(intact)]) == 1
+    assert main(["session", "check", str(recorded)]) == 1
     assert faults([note, fault]) == [fault]

@@ -1,6 +1,5 @@
 """The command line: its output, its exit codes, and the contact sheet."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +10,6 @@ from support.sessions import make_session, reseal
 
 from recorder import SessionError, contact_sheet
 from tactile.__main__ import main
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
 
 
 def test_info_tells_rows_rates_frames_and_outcomes(
@@ -32,9 +26,9 @@ def test_info_tells_rows_rates_frames_and_outcomes(
 
 
 def test_info_counts_the_presses_of_a_target_that_was_pressed_again(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = Path(shutil.copytree(recorded, tmp_path / "s.zarr"))
+    path = make_session(tmp_path / "s.zarr")
     zarr.open_array(path / "frames/run")[60:] = 1
     zarr.open_array(path / "frames/target")[:] = 1
     reseal(path)
@@ -47,8 +41,7 @@ def test_check_exits_with_what_it_found(
 ) -> None:
     assert main(["session", "check", str(recorded)]) == 0
     assert capsys.readouterr().out.endswith(f"{recorded}: no faults, 1 note\n")
-    path = tmp_path / "s.zarr"
-    shutil.copytree(recorded, path)
+    path = make_session(tmp_path / "s.zarr")
     (path / "streams/force/seq/c/0").unlink()
     assert main(["session", "check", str(path)]) == 1
     lines = capsys.readouterr().out.splitlines()

@@ -25,11 +25,6 @@ from tactile.__main__ import main
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
-
-
 @pytest.mark.parametrize("to", FORMATS)
 def test_every_format_is_written_and_never_over_something(
     to: str, recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -14,17 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.sessions import make_session
 
 from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, taxels_spec
 from recorder.session.align import align_window
 from recorder.session.reader import sources_near, span_of_run, ticks_before
 from recorder.store.reader import RECENT, Kept, Recent
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
 
 
 @pytest.fixture(scope="module")

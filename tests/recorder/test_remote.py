@@ -6,7 +6,6 @@ import http.server
 import logging
 import os
 import pickle
-import shutil
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ import numpy as np
 import pytest
 from fsspec.asyn import get_loop
 from fsspec.implementations.memory import MemoryFileSystem
-from support.sessions import make_session, set_attrs
+from support.sessions import flip, make_session, set_attrs
 
 from recorder import Session, SessionError, check, contact_sheet
 from recorder.convert import export
@@ -47,11 +46,6 @@ class CountedFileSystem(MemoryFileSystem):
 
 
 fsspec.register_implementation("counted", CountedFileSystem)
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_session(tmp_path_factory.mktemp("recorded") / "s.zarr")
 
 
 @pytest.fixture(scope="module")
@@ -240,14 +234,11 @@ def test_a_far_session_can_be_pickled(url: str, recorded: Path) -> None:
     )
 
 
-def test_faults_are_found_from_afar(recorded: Path, tmp_path: Path) -> None:
-    path = tmp_path / "s.zarr"
-    shutil.copytree(recorded, path)
+def test_faults_are_found_from_afar(tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr")
     (path / "streams/force/seq/c/0").unlink()
     shard = path / "streams/camera/value/c/0/0/0/0"
-    damaged = bytearray(shard.read_bytes())
-    damaged[5000] ^= 1
-    shard.write_bytes(damaged)
+    flip(shard, 40_000)
     (path / "frames/pose/c/0/0").unlink()
     (path / "streams/pose/t_ns/journal-99").write_bytes(b"x")
     fsspec.filesystem("memory").put(str(path), "/faulty/s.zarr", recursive=True)
@@ -324,9 +315,8 @@ def test_nothing_is_written_to_a_url(counted: str, tmp_path: Path) -> None:
         Session(tmp_path, storage_options={"anon": True})
 
 
-def test_a_far_session_cannot_name_columns_outside_itself(recorded: Path, tmp_path: Path) -> None:
-    path = tmp_path / "s.zarr"
-    shutil.copytree(recorded, path)
+def test_a_far_session_cannot_name_columns_outside_itself(tmp_path: Path) -> None:
+    path = make_session(tmp_path / "s.zarr")
     set_attrs(path / "streams/force", columns=["../../../other/s.zarr/x", "t_ns"])
     fsspec.filesystem("memory").put(str(path), "/evil/s.zarr", recursive=True)
     with pytest.raises(SessionError, match="expected a plain name"):

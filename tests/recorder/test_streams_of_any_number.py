@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zarr
 from PIL import Image
 from support.sessions import T0, append_all, make_session, reseal, set_attrs, specs, stream_columns
 
@@ -32,7 +31,7 @@ from recorder import (
     recover,
     taxels_spec,
 )
-from recorder.convert.export import Options, export
+from recorder.convert.export import export
 from recorder.info import describe, digests
 from recorder.spec import KINDS
 from tests.support.few import few
@@ -230,21 +229,6 @@ def _genforce(path: Path, out: Path) -> None:
     note = base / "not-exported.txt"
     assert note.exists() == bool(others)
     assert all(name in note.read_text() for name in others)
-
-
-def test_a_portable_copy_keeps_depth_and_all_cameras(tmp_path: Path) -> None:
-    names = ("camera", "camera_2", "depth_1", "force")
-    path = make_session(tmp_path / "s.zarr", names=names, seconds=0.8, shape=(16, 24))
-    export(path, tmp_path / "p.zarr", "zarr", options=Options(images="pixels"))
-    ours, copy = Session(path), Session(tmp_path / "p.zarr")
-    for name in names[:3]:
-        np.testing.assert_array_equal(
-            copy.streams[name].images(slice(None)), ours.streams[name].images(slice(None))
-        )
-    depth = copy.streams["depth_1"]
-    assert depth.images([0]).dtype == np.uint16
-    zarr_array = zarr.open_array(tmp_path / "p.zarr/streams/depth_1/value", mode="r")
-    np.testing.assert_array_equal(np.asarray(zarr_array[:3]), depth.images(slice(0, 3)))
 
 
 def test_events_come_back_as_the_text_that_was_written() -> None:
