@@ -34,24 +34,25 @@ query_times = st.lists(st.integers(-5, 45), max_size=12).map(
 ages = st.one_of(st.just(np.inf), st.integers(0, 20).map(lambda ns: ns * 1e-9 + 1e-12))
 
 
-@given(sample_times, query_times, ages)
-def test_held_is_the_latest_sample_that_is_not_later(
-    times: Any, query: Any, max_age: float
+def latest_before(times: Any, moment: int) -> int:
+    return max((i for i, t in enumerate(times) if t <= moment), default=-1)
+
+
+def earlier_of_the_nearest(times: Any, moment: int) -> int:
+    order = sorted(range(len(times)), key=lambda i: (abs(int(times[i] - moment)), times[i], -i))
+    return order[0] if order else -1
+
+
+@pytest.mark.parametrize(
+    ("method", "definition"), [(held, latest_before), (nearest, earlier_of_the_nearest)]
+)
+@given(times=sample_times, query=query_times, max_age=ages)
+def test_held_is_the_latest_sample_before_and_nearest_the_earlier_of_two(
+    method: Any, definition: Any, times: Any, query: Any, max_age: float
 ) -> None:
-    result = held(times, query, max_age=max_age)
+    result = method(times, query, max_age=max_age)
     for place, moment in enumerate(query):
-        before = [i for i, t in enumerate(times) if t <= moment]
-        expected = max(before) if before else -1
-        assert result.index[place] == expected
-        assert_age(result, place, times, moment, expected, max_age)
-
-
-@given(sample_times, query_times, ages)
-def test_nearest_is_nearest_and_the_earlier_of_two(times: Any, query: Any, max_age: float) -> None:
-    result = nearest(times, query, max_age=max_age)
-    for place, moment in enumerate(query):
-        order = sorted(range(len(times)), key=lambda i: (abs(int(times[i] - moment)), times[i], -i))
-        expected = order[0] if order else -1
+        expected = definition(times, moment)
         assert result.index[place] == expected
         assert_age(result, place, times, moment, expected, max_age)
 

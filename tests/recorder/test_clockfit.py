@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.sessions import record_run
 
-from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, pose_spec
+from recorder import Session, SessionError, force_spec, pose_spec
 from recorder.session.clocks import ClockFit, clock_lines, fit_clock, fit_clocks
 from tests.support.few import few
 
@@ -36,12 +37,17 @@ def _arrivals(
     return true, device, np.round(arrived * 1e9).astype(np.int64)
 
 
+def fitted(device: np.ndarray, t_ns: np.ndarray) -> ClockFit:
+    fit = fit_clock(device, t_ns)
+    assert fit is not None
+    return fit
+
+
 @pytest.mark.parametrize("shape", few([1.0, 2.0], 1))
 def test_55_ms_and_80_ppm_come_back_within_1_ms_and_a_tenth_rms(shape: float) -> None:
     for seed in range(20):
         true, device, t_ns = _arrivals(seed, shape=shape)
-        fit = fit_clock(device, t_ns)
-        assert fit is not None
+        fit = fitted(device, t_ns)
         assert len(fit.pieces) == 1
         piece = fit.pieces[0]
         error = fit.to_host(device) - LEAST_DELAY - true
@@ -62,8 +68,7 @@ def test_a_plain_line_through_the_arrivals_would_not_do() -> None:
 
 def test_a_short_recording_is_one_line() -> None:
     true, device, t_ns = _arrivals(1, span=8.0, rate_hz=500.0)
-    fit = fit_clock(device, t_ns)
-    assert fit is not None
+    fit = fitted(device, t_ns)
     assert np.abs(fit.to_host(device) - LEAST_DELAY - true).max() < 1e-3
 
 
@@ -72,8 +77,7 @@ def test_counters_that_wrap_are_unwrapped(bits_tick: tuple[int, float]) -> None:
     period = 2.0 ** bits_tick[0] * bits_tick[1]
     _, device, t_ns = _arrivals(2, span=100.0)
     wrapped = (device + period - 50.0) % period
-    fit = fit_clock(wrapped, t_ns)
-    assert fit is not None
+    fit = fitted(wrapped, t_ns)
     assert fit.wrap == pytest.approx(period)
     assert fit.resets == 0
     assert fit.pieces[0].drift_ppm == pytest.approx(80, abs=10)
@@ -83,8 +87,7 @@ def test_a_reset_of_the_device_begins_a_new_piece() -> None:
     true, device, t_ns = _arrivals(4, span=120.0)
     row = 3000
     restarted = np.where(np.arange(len(device)) < row, device, device - device[row])
-    fit = fit_clock(restarted, t_ns)
-    assert fit is not None
+    fit = fitted(restarted, t_ns)
     assert fit.resets == 1
     assert abs(fit.pieces[1].first_row - row) <= 2
     again = slice(fit.pieces[1].first_row + 2, None)
@@ -94,8 +97,7 @@ def test_a_reset_of_the_device_begins_a_new_piece() -> None:
 def test_a_clock_that_is_set_forward_by_half_a_second_is_a_reset_too() -> None:
     _, device, t_ns = _arrivals(5, span=60.0)
     device[2000:] += 0.5
-    fit = fit_clock(device, t_ns)
-    assert fit is not None
+    fit = fitted(device, t_ns)
     assert fit.resets == 1
     assert abs(fit.pieces[1].first_row - 2000) <= 2
 
@@ -104,16 +106,14 @@ def test_a_stall_of_a_second_is_no_reset() -> None:
     _, device, t_ns = _arrivals(6, span=60.0, rate_hz=500.0)
     held = slice(10_000, 10_500)
     t_ns[held] = np.maximum(t_ns[held], t_ns[10_500])
-    fit = fit_clock(device, t_ns)
-    assert fit is not None
+    fit = fitted(device, t_ns)
     assert fit.resets == 0
 
 
 def test_missing_device_times_are_left_out_and_too_few_give_no_fit() -> None:
     _, device, t_ns = _arrivals(7, span=30.0)
     device[::3] = np.nan
-    fit = fit_clock(device, t_ns)
-    assert fit is not None
+    fit = fitted(device, t_ns)
     assert fit.pieces[0].rows == int(np.isfinite(device).sum())
     assert fit_clock(device[:20], t_ns[:20]) is None
     assert fit_clock(np.full(100, np.nan), t_ns[:100]) is None
@@ -121,8 +121,7 @@ def test_missing_device_times_are_left_out_and_too_few_give_no_fit() -> None:
 
 def test_a_fit_survives_json_to_the_last_bit() -> None:
     _, device, t_ns = _arrivals(8, span=60.0)
-    fit = fit_clock(device, t_ns)
-    assert fit is not None
+    fit = fitted(device, t_ns)
     again = ClockFit.from_json(fit.to_json())
     assert np.array_equal(again.to_host(device), fit.to_host(device))
 
@@ -130,30 +129,17 @@ def test_a_fit_survives_json_to_the_last_bit() -> None:
 def test_every_stream_with_a_clock_gets_its_fit_in_its_attributes(tmp_path: Path) -> None:
     path = tmp_path / "s.zarr"
     _, device, t_ns = _arrivals(9, span=20.0, rate_hz=200.0)
-    specs = [pose_spec(200.0), force_spec(200.0, device={"rate_hz": 200.0})]
-    targets = {
-        "point": np.zeros(1, np.int16),
-        "depth": np.zeros(1),
-        "direction": np.zeros(1, np.int16),
-        "planned": np.zeros((1, 3)),
-    }
-    with SessionWriter.create(path, attrs={}, streams=specs, targets=targets) as writer:
-        writer.begin_run({"t0_ns": 0})
-        with StreamWriter.open(writer.stream_path("pose")) as pose:
-            for at, t in zip(device, t_ns, strict=True):
-                pose.append(value=np.zeros(6), device_t=at, speed_scaling=1.0, t_ns=t)
-        with StreamWriter.open(writer.stream_path("force")) as force:
-            for seq, t in enumerate(t_ns):
-                force.append(value=np.zeros(6), seq=seq, status=0, t_ns=t)
-        writer.finish("complete", rate_hz=60.0, clocks=True)
+    rows, still = np.arange(len(t_ns)), np.zeros((len(t_ns), 6))
+    pose = {"value": still, "device_t": device, "speed_scaling": 1.0 + 0 * rows, "t_ns": t_ns}
+    force = {"value": still, "seq": rows, "status": 0 * rows, "t_ns": t_ns}
+    streams = [pose_spec(200.0), force_spec(200.0, device={"rate_hz": 200.0})]
+    record_run(path, {"pose": pose, "force": force}, streams=streams, rate_hz=60.0, clocks=True)
     session = Session(path)
     assert all("clock_fit" in session.streams[name].attrs for name in ("pose", "force"))
     with pytest.raises(SessionError, match="is closed"):
         fit_clocks(path)
     fit = ClockFit.from_json(session.streams["pose"].attrs["clock_fit"][0])
-    expected = fit_clock(device, t_ns)
-    assert expected is not None
-    assert fit.pieces[0].offset == expected.pieces[0].offset
+    assert fit.pieces[0].offset == fitted(device, t_ns).pieces[0].offset
     # The force's clock ticks 200 times per second of the host's: no drift was added.
     drift = session.streams["force"].attrs["clock_fit"][0]["pieces"][0]["drift_ppm"]
     assert abs(drift) < 40
@@ -171,8 +157,7 @@ def test_the_interval_of_a_drift_holds_the_drift_in_nineteen_of_twenty_recording
         true = START + np.arange(12_000) / 200.0
         delay = LEAST_DELAY + rng.gamma(2.0, 0.75e-3, len(true))
         arrived = np.maximum.accumulate(true + delay)
-        fit = fit_clock((true - START) * (1 + DRIFT), np.round(arrived * 1e9).astype(np.int64))
-        assert fit is not None
+        fit = fitted((true - START) * (1 + DRIFT), np.round(arrived * 1e9).astype(np.int64))
         piece = fit.pieces[0]
         inside += abs(piece.drift_ppm - 80) <= piece.drift_interval_ppm
         assert fit.drifts
@@ -183,16 +168,14 @@ def test_a_drift_that_means_nothing_is_silent() -> None:
     rng = np.random.default_rng(0)
     true = START + np.arange(600) / 60.0
     arrived = np.maximum.accumulate(true + rng.gamma(2.0, 0.02, len(true)))
-    fit = fit_clock(true - START, np.round(arrived * 1e9).astype(np.int64))
-    assert fit is not None
+    fit = fitted(true - START, np.round(arrived * 1e9).astype(np.int64))
     assert not fit.drifts
 
 
 def test_a_drift_without_an_interval_is_stored_and_read_as_unknown() -> None:
     # Samples at the ends of a recording only, with a long silence between.
     at = np.concatenate([np.arange(50) / 100, 60 + np.arange(50) / 100])
-    fit = fit_clock(at, np.round(at * 1e9).astype(np.int64))
-    assert fit is not None
+    fit = fitted(at, np.round(at * 1e9).astype(np.int64))
     assert np.isinf(fit.pieces[-1].drift_interval_ppm)
     stored = json.loads(json.dumps(fit.to_json(), allow_nan=False))
     again = ClockFit.from_json(stored)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from support.sessions import make_session
 
 from recorder import PHASES, Session, SessionError
 from recorder.convert import export
+from recorder.store.reader import Table
 
 FORCE = ["Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)"]
 POSE = ["X(m)", "Y(m)", "Z(m)", "RX(rad)", "RY(rad)", "RZ(rad)"]
@@ -35,6 +37,14 @@ def points(run: Path) -> list[Path]:
     return sorted((p for p in run.iterdir() if p.is_dir()), key=lambda p: int(p.name))
 
 
+def exported_phases(run: Path, frames: Table) -> Iterator[tuple[Path, np.ndarray]]:
+    """Yield the folder of each phase of each point below a run, and its rows of `frames`."""
+    for point in points(run):
+        here = frames["target"] == int(point.name) - 1
+        for code, phase in enumerate(PHASES):
+            yield Path(point.name) / phase, np.flatnonzero(here & (frames["phase"] == code))
+
+
 def test_camera_runs_have_four_phases_a_point_with_images_forces_and_poses(tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr")
     export(path, tmp_path / "data", "genforce")
@@ -45,22 +55,18 @@ def test_camera_runs_have_four_phases_a_point_with_images_forces_and_poses(tmp_p
     assert (runs["image"] / "ref.jpg").read_bytes() == camera.jpeg(0)
     seen = 0
     assert [point.name for point in points(runs["force"])] == ["1", "2"]
-    for point in points(runs["force"]):
-        assert {phase.name for phase in point.iterdir()} == set(PHASES)
-        for code, phase in enumerate(PHASES):
-            rows = np.flatnonzero(
-                (frames["target"] == int(point.name) - 1) & (frames["phase"] == code)
-            )
-            forces = table(point / phase / "ft.csv", FORCE)
-            np.testing.assert_array_equal(forces[:, :3], frames["wrench"][rows, :3])
-            np.testing.assert_allclose(forces[:, 3:] / 1e3, frames["wrench"][rows, 3:], rtol=1e-14)
-            poses = table(runs["pose"] / point.name / phase / "pose.csv", POSE)
-            np.testing.assert_array_equal(poses, frames["pose"][rows])
-            pictures = sorted((runs["image"] / point.name / phase).glob("*.jpg"))
-            assert [p.name for p in pictures] == [f"{k:04d}.jpg" for k in range(len(rows))]
-            expected = list(camera.jpegs(frames["image"][rows].tolist()))
-            assert [p.read_bytes() for p in pictures] == expected
-            seen += len(rows)
+    assert {len([*point.iterdir()]) for point in points(runs["force"])} == {len(PHASES)}
+    for place, rows in exported_phases(runs["force"], frames):
+        forces = table(runs["force"] / place / "ft.csv", FORCE)
+        np.testing.assert_array_equal(forces[:, :3], frames["wrench"][rows, :3])
+        np.testing.assert_allclose(forces[:, 3:] / 1e3, frames["wrench"][rows, 3:], rtol=1e-14)
+        poses = table(runs["pose"] / place / "pose.csv", POSE)
+        np.testing.assert_array_equal(poses, frames["pose"][rows])
+        pictures = sorted((runs["image"] / place).glob("*.jpg"))
+        assert [p.name for p in pictures] == [f"{k:04d}.jpg" for k in range(len(rows))]
+        expected = list(camera.jpegs(frames["image"][rows].tolist()))
+        assert [p.read_bytes() for p in pictures] == expected
+        seen += len(rows)
     assert seen == len(frames["t_ns"])
     (planned,) = run_of(tmp_path / "data", "wedge", "path").glob("*.csv")
     assert np.loadtxt(planned, delimiter=",").shape == (2, 6)
@@ -120,19 +126,15 @@ def test_rows_in_which_a_stream_has_no_value_are_left_out_of_all_and_counted(
         kind: run_of(tmp_path / "data", "wedge", kind) for kind in ("force", "image", "uskin_raw")
     }
     seen = 0
-    for point in points(runs["force"]):
-        for code, phase in enumerate(PHASES):
-            rows = np.flatnonzero(
-                (frames["target"] == int(point.name) - 1) & (frames["phase"] == code) & ~unknown
-            )
-            forces = table(point / phase / "ft.csv", FORCE)
-            np.testing.assert_array_equal(forces[:, :3], frames["wrench"][rows, :3])
-            place = Path(point.name) / phase
-            assert len(list((runs["image"] / place).glob("*.jpg"))) == len(rows)
-            counts = [np.load(file) for file in sorted((runs["uskin_raw"] / place).glob("*.npy"))]
-            expected = np.rint(frames["taxels"][rows] - 30_000)
-            np.testing.assert_array_equal(np.array(counts), expected)
-            seen += len(rows)
+    for place, whole in exported_phases(runs["force"], frames):
+        rows = whole[~unknown[whole]]
+        forces = table(runs["force"] / place / "ft.csv", FORCE)
+        np.testing.assert_array_equal(forces[:, :3], frames["wrench"][rows, :3])
+        assert len(list((runs["image"] / place).glob("*.jpg"))) == len(rows)
+        counts = [np.load(file) for file in sorted((runs["uskin_raw"] / place).glob("*.npy"))]
+        expected = np.rint(frames["taxels"][rows] - 30_000)
+        np.testing.assert_array_equal(np.array(counts), expected)
+        seen += len(rows)
     assert seen == (~unknown).sum()
     told = (tmp_path / "data" / "wedge" / "not-exported.txt").read_text()
     assert told == f"Rows in which a stream has no sample near enough: {unknown.sum()}\n"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
+from mcap.reader import McapReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from support.sessions import T0, make_session, reseal
+from support.sessions import T0, make_session, set_attrs
 
 from recorder import PHASES, Session
 from recorder.convert import export
@@ -27,34 +30,33 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Session, Path]:
     return Session(path), folder / "s.mcap"
 
 
-def messages(path: Path, topic: str) -> list[tuple[object, object, object]]:
+@contextmanager
+def reader_of(path: Path) -> Iterator[McapReader]:
     with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        return [
-            (channel, message, decoded)
-            for _, channel, message, decoded in reader.iter_decoded_messages(topics=[topic])
-        ]
+        yield make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
 
 
-def json_messages(path: Path, topic: str) -> list[tuple[object, object, object]]:
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
-        return [
-            (channel, message, json.loads(message.data))
-            for _, channel, message in reader.iter_messages(topics=[topic])
-        ]
+def messages(path: Path, topic: str) -> list[tuple[Any, Any]]:
+    with reader_of(path) as reader:
+        return [(each[2], each[3]) for each in reader.iter_decoded_messages(topics=[topic])]
+
+
+def documents(path: Path, topic: str) -> list[Any]:
+    """Return the messages of a topic that are JSON."""
+    with reader_of(path) as reader:
+        return [json.loads(each.data) for _, _, each in reader.iter_messages(topics=[topic])]
 
 
 def test_images_are_the_bytes_of_the_camera_at_their_times(both: tuple[Session, Path]) -> None:
     session, path = both
     camera = session.streams["camera"]
     found = messages(path, "/camera")
-    assert [decoded.data for _, _, decoded in found] == [*camera.jpegs(range(len(camera)))]
-    assert [message.log_time for _, message, _ in found] == (camera.t_ns + OFFSET).tolist()
-    assert [message.sequence for _, message, _ in found] == list(range(len(camera)))
-    stamps = [decoded.timestamp.ToNanoseconds() for _, _, decoded in found]
-    assert stamps == [message.publish_time for _, message, _ in found]
-    assert {decoded.format for _, _, decoded in found} == {"jpeg"}
+    assert [decoded.data for _, decoded in found] == [*camera.jpegs(range(len(camera)))]
+    assert [message.log_time for message, _ in found] == (camera.t_ns + OFFSET).tolist()
+    assert [message.sequence for message, _ in found] == list(range(len(camera)))
+    stamps = [decoded.timestamp.ToNanoseconds() for _, decoded in found]
+    assert stamps == [message.publish_time for message, _ in found]
+    assert {decoded.format for _, decoded in found} == {"jpeg"}
 
 
 def test_poses_and_transforms_are_those_of_the_stream(both: tuple[Session, Path]) -> None:
@@ -62,24 +64,24 @@ def test_poses_and_transforms_are_those_of_the_stream(both: tuple[Session, Path]
     values = session.streams["pose"].array("value")
     poses, moved = messages(path, "/pose"), messages(path, "/tf")
     assert len(poses) == len(moved) == len(values)
-    places = [(p.pose.position.x, p.pose.position.y, p.pose.position.z) for _, _, p in poses]
+    places = [(p.pose.position.x, p.pose.position.y, p.pose.position.z) for _, p in poses]
     np.testing.assert_array_equal(places, values[:, :3])
-    turned = [(t.rotation.w, t.rotation.x, t.rotation.y, t.rotation.z) for _, _, t in moved]
+    turned = [(t.rotation.w, t.rotation.x, t.rotation.y, t.rotation.z) for _, t in moved]
     np.testing.assert_array_equal(turned, quaternion(values[:, 3:]))
-    assert {(t.parent_frame_id, t.child_frame_id) for _, _, t in moved} == {("base", "tool")}
+    assert {(t.parent_frame_id, t.child_frame_id) for _, t in moved} == {("base", "tool")}
 
 
 def test_wrenches_and_taxels_are_json_with_a_schema(both: tuple[Session, Path]) -> None:
     session, path = both
     force, taxels = session.streams["force"], session.streams["taxels"]
-    found = [document for _, _, document in json_messages(path, "/wrench")]
+    found = documents(path, "/wrench")
     values = [[*d["force"].values(), *d["torque"].values()] for d in found]
     np.testing.assert_array_equal(values, force.array("value"))
     np.testing.assert_array_equal([d["seq"] for d in found], force.array("seq"))
-    found = [document for _, _, document in json_messages(path, "/taxels")]
+    found = documents(path, "/taxels")
     np.testing.assert_array_equal([d["counts"] for d in found], taxels.array("value"))
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
+    with reader_of(path) as reader:
+        summary = reader.get_summary()
     assert summary is not None
     schemas = {schema.name: schema for schema in summary.schemas.values()}
     assert json.loads(schemas["tactile_rig.Wrench"].data)["properties"]["force"]["type"] == "object"
@@ -88,14 +90,13 @@ def test_wrenches_and_taxels_are_json_with_a_schema(both: tuple[Session, Path]) 
 
 def test_phases_are_events_and_the_rest_is_metadata(both: tuple[Session, Path]) -> None:
     session, path = both
-    phases = [document for _, _, document in json_messages(path, "/segments")]
+    phases = documents(path, "/segments")
     assert [d["phase"] for d in phases] == [PHASES[p] for p in session.segments["phase"]]
     assert phases[0]["duration"] == pytest.approx(0.36)
     assert phases[0]["depth"] == session.targets["depth"][0]
-    (reference,) = (document for _, _, document in json_messages(path, "/reference"))
+    (reference,) = documents(path, "/reference")
     assert reference["wrench"] == [0.25] * 6
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
+    with reader_of(path) as reader:
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
         attached = {record.name: record.data for record in reader.iter_attachments()}
     reported = {name: value for name, value in metadata["session"].items() if name != "runs"}
@@ -106,8 +107,7 @@ def test_phases_are_events_and_the_rest_is_metadata(both: tuple[Session, Path]) 
 
 def test_messages_lie_in_the_order_of_their_arrival(both: tuple[Session, Path]) -> None:
     session, path = both
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True)
+    with reader_of(path) as reader:
         times = [m.log_time for _, _, m in reader.iter_messages(log_time_order=False)]
     assert times == sorted(times)
     samples = sum(len(stream) for stream in session.streams.values())
@@ -119,19 +119,14 @@ def test_lossless_images_become_raw_images(tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", names=("camera",), codec="zstd", seconds=1.0)
     export(path, tmp_path / "s.mcap", "mcap")
     expected = Session(path).streams["camera"].images(slice(None))
-    for (_, _, image), pixels in zip(
-        messages(tmp_path / "s.mcap", "/camera"), expected, strict=True
-    ):
+    for (_, image), pixels in zip(messages(tmp_path / "s.mcap", "/camera"), expected, strict=True):
         assert (image.encoding, image.width, image.height, image.step) == ("rgb8", 64, 48, 192)
         assert image.data == pixels.tobytes()
 
 
 def test_latency_moves_the_capture_and_not_the_arrival(tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", names=("camera",), seconds=1.0)
-    document = json.loads((path / "streams/camera/zarr.json").read_text())
-    document["attributes"]["latency"] = 0.055
-    (path / "streams/camera/zarr.json").write_text(json.dumps(document))
-    reseal(path)
+    set_attrs(path / "streams/camera", latency=0.055)
     export(path, tmp_path / "s.mcap", "mcap")
     found = messages(tmp_path / "s.mcap", "/camera")
-    assert {m.log_time - m.publish_time for _, m, _ in found} == {55_000_000}
+    assert {m.log_time - m.publish_time for m, _ in found} == {55_000_000}

@@ -14,7 +14,7 @@ import pytest
 import simplejpeg
 import zarr
 from support.crashes import FailingCalls, Killed
-from support.sessions import T0, append_all, edit_json, flip, make_session, stream_columns
+from support.sessions import edit_json, flip, make_session, record_run, stream_columns
 
 from recorder import (
     Finding,
@@ -315,11 +315,8 @@ def imported(folder: Path) -> Path:
 def resumed(folder: Path) -> Path:
     path = make_session(folder / "s.zarr", seconds=1.2, names=("force", "pose"))
     for run in (1, 2):
-        with SessionWriter.resume(path) as session:
-            session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
-            columns = stream_columns("force", 0.5, (4, 4), "zstd", seed=run)
-            append_all(session.stream_path("force"), {**columns, "t_ns": columns["t_ns"] + run})
-            session.finish("complete", rate_hz=40)
+        columns = stream_columns("force", 0.5, (4, 4), "zstd", seed=run)
+        record_run(path, {"force": {**columns, "t_ns": columns["t_ns"] + run}})
     return path
 
 

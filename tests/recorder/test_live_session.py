@@ -24,13 +24,6 @@ from recorder.store.layout import StreamLayout, create_stream
 from recorder.store.reader import LiveStream
 from recorder.store.records import HEADER
 
-TARGETS = {
-    "point": np.zeros(1, np.int16),
-    "depth": np.zeros(1),
-    "direction": np.zeros(1, np.int16),
-    "planned": np.zeros((1, 3)),
-}
-
 
 def force(row: int) -> dict[str, Any]:
     return {"value": np.arange(6.0) + row, "seq": row, "status": 0, "t_ns": 10**9 + row}
@@ -43,7 +36,7 @@ def picture(row: int) -> dict[str, Any]:
 
 def begin(path: Path) -> SessionWriter:
     streams = [camera_spec(20, height=4, width=4, codec="zstd"), force_spec(50)]
-    writer = SessionWriter.create(path, attrs={}, streams=streams, targets=TARGETS)
+    writer = SessionWriter.create(path, attrs={}, streams=streams, targets={})
     writer.begin_run({"t0_ns": 0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
     return writer
 

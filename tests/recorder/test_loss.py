@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.sessions import RATES, T0, make_session
+from support.sessions import RATES, T0, make_session, record_run
 
 from recorder import (
     Session,
     SessionWriter,
-    StreamWriter,
     camera_spec,
     check,
     faults,
@@ -261,26 +260,17 @@ def test_a_stream_without_numbers_or_times_says_that_drops_are_inferred(tmp_path
 def test_numbers_of_a_camera_count_its_losses_and_are_no_part_of_its_digest(
     tmp_path: Path,
 ) -> None:
-    paths = [tmp_path / "a.zarr", tmp_path / "b.zarr"]
     pixels = np.random.default_rng(0).integers(0, 255, (40, 8, 8, 3), np.uint8)
-    targets = {
-        "point": np.zeros(0, np.int16),
-        "depth": np.zeros(0),
-        "direction": np.zeros(0, np.int16),
-        "planned": np.zeros((0, 3)),
-    }
-    for path, numbered in zip(paths, (True, False), strict=True):
-        spec = camera_spec(30.0, height=8, width=8, codec="zstd", numbered=numbered)
-        with SessionWriter.create(path, attrs={}, streams=[spec], targets=targets) as session:
-            session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
-            with StreamWriter.open(session.stream_path("camera")) as stream:
-                for row, image in enumerate(pixels):
-                    frame = row + (row >= 20) + 2 * (row >= 30)
-                    number = {"seq": frame + 7} if numbered else {}
-                    t_ns = T0 + round(frame / 30 * 1e9)
-                    stream.append(value=image, device_t=np.nan, t_ns=t_ns, **number)
-            session.finish("complete", rate_hz=30)
-    numbered, other = map(Session, paths)
+    row = np.arange(40)
+    frame = row + (row >= 20) + 2 * (row >= 30)
+    t_ns = T0 + np.round(frame / 30 * 1e9).astype(np.int64)
+    columns = {"value": pixels, "device_t": np.full(40, np.nan), "t_ns": t_ns}
+    sessions = []
+    for numbers in ({"seq": frame + 7}, {}):
+        spec = camera_spec(30.0, height=8, width=8, codec="zstd", numbered=bool(numbers))
+        path, rows = tmp_path / f"{len(numbers)}.zarr", {**columns, **numbers}
+        sessions.append(Session(record_run(path, {"camera": rows}, streams=[spec], rate_hz=30)))
+    numbered, other = sessions
     account = numbered.account("camera")
     assert (account.source, account.lost, account.gaps) == (SEQUENCE, 3, 2)
     assert other.account("camera").lost == 3
@@ -289,32 +279,24 @@ def test_numbers_of_a_camera_count_its_losses_and_are_no_part_of_its_digest(
 
 def resumed(path: Path, *, pause: float) -> Path:
     """Record two runs of a force and a pose stream with a pause between them [s]."""
-    targets = {
-        "point": np.zeros(2, np.int16),
-        "depth": np.zeros(2),
-        "direction": np.zeros(2, np.int16),
-        "planned": np.zeros((2, 3)),
-    }
-    specs = [force_spec(200.0), pose_spec(100.0)]
     rng = np.random.default_rng(0)
-    writer = SessionWriter.create(path, attrs={}, streams=specs, targets=targets)
     for run, start in enumerate((0.0, 3.0 + pause)):
-        with writer if run == 0 else SessionWriter.resume(path) as session:
-            session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
-            with StreamWriter.open(session.stream_path("force")) as force:
-                for row in range(600):
-                    t_ns = T0 + round((start + row / 200) * 1e9)
-                    force.append(value=rng.normal(size=6), seq=row, status=0, t_ns=t_ns)
-            with StreamWriter.open(session.stream_path("pose")) as pose:
-                for row in range(300):
-                    at = start + row / 100
-                    value = [0.4, 0, row * 1e-6, 0, 0, 0]
-                    t_ns = T0 + round(at * 1e9)
-                    pose.append(value=value, device_t=at, speed_scaling=1.0, t_ns=t_ns)
-            begin = T0 + round((start + 0.5) * 1e9)
-            row = {"target": run, "phase": 0, "outcome": 0, "run": run}
-            session.segments.append(**row, start_ns=begin, end_ns=begin + 2_000_000_000)
-            session.finish("complete", rate_hz=40)
+        at, seq = start + np.arange(300) / 100, np.arange(600)
+        value = np.zeros((300, 6))
+        value[:, 2] = np.arange(300) * 1e-6
+        pose = {"value": value, "device_t": at, "speed_scaling": np.ones(300)}
+        force = {"value": rng.normal(size=(600, 6)), "seq": seq, "status": 0 * seq}
+        times = {"pose": at, "force": start + seq / 200}
+        t_ns = {name: T0 + np.round(each * 1e9).astype(np.int64) for name, each in times.items()}
+        begin = T0 + round((start + 0.5) * 1e9)
+        record_run(
+            path,
+            {"force": {**force, "t_ns": t_ns["force"]}, "pose": {**pose, "t_ns": t_ns["pose"]}},
+            streams=[force_spec(200.0), pose_spec(100.0)] if run == 0 else None,
+            targets={"point": np.zeros(2, np.int16)},
+            segment={"target": run, "phase": 0, "outcome": 0, "run": run}
+            | {"start_ns": begin, "end_ns": begin + 2_000_000_000},
+        )
     return path
 
 

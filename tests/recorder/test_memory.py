@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.sessions import record_run
 
-from recorder import Session, SessionError, SessionWriter, StreamWriter, force_spec, taxels_spec
+from recorder import Session, SessionError, force_spec, taxels_spec
 from recorder.session.align import align_window
 from recorder.session.reader import sources_near, span_of_run, ticks_before
 from recorder.store.reader import RECENT, Kept, Recent
@@ -24,24 +25,17 @@ from recorder.store.reader import RECENT, Kept, Recent
 @pytest.fixture(scope="module")
 def uneven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two runs of taxels and force with gaps, bursts of equal times, and clocks that overlap."""
-    path = tmp_path_factory.mktemp("uneven") / "s.zarr"
-    rng = np.random.default_rng(1)
-    targets = {"point": np.zeros(0, np.int16)}
-    specs = [taxels_spec(60.0, latency=0.004), force_spec(1000.0)]
-    with SessionWriter.create(path, attrs={}, streams=specs, targets=targets) as writer:
-        for run in range(2):
-            writer.begin_run({"t0_ns": 0})
-            with StreamWriter.open(writer.stream_path("taxels")) as stream:
-                for number, t_ns in enumerate(_times(rng, 300, 16_000_000, run)):
-                    value = np.full((16, 3), number, np.int32)
-                    stream.append(value=value, device_t=0.0, seq=number + number // 70, t_ns=t_ns)
-            with StreamWriter.open(writer.stream_path("force")) as stream:
-                for number, t_ns in enumerate(_times(rng, 5000, 1_000_000, run)):
-                    value = np.full(6, float(number))
-                    stream.append(
-                        value=value, seq=number + 2 * (number // 700), status=0, t_ns=t_ns
-                    )
-        writer.finish("complete", rate_hz=40.0)
+    path, rng = tmp_path_factory.mktemp("uneven") / "s.zarr", np.random.default_rng(1)
+    streams = [taxels_spec(60.0, latency=0.004), force_spec(1000.0)]
+    for run in range(2):
+        few, many = np.arange(300), np.arange(5000)
+        taxels = {"value": np.tile(few[:, None, None], (16, 3)).astype(np.int32)}
+        taxels |= {"device_t": 0.0 * few, "seq": few + few // 70}
+        taxels["t_ns"] = _times(rng, 300, 16_000_000, run)
+        force = {"value": np.tile(many[:, None], 6) * 1.0, "seq": many + 2 * (many // 700)}
+        force |= {"status": 0 * many, "t_ns": _times(rng, 5000, 1_000_000, run)}
+        columns = {"taxels": taxels, "force": force}
+        record_run(path, columns, streams=None if run else streams)
     return path
 
 
@@ -84,18 +78,11 @@ def _same(found: Any, expected: Any) -> None:
 
 
 def test_a_stream_out_of_order_is_aligned_as_a_whole(tmp_path: Path) -> None:
-    path, rng = tmp_path / "s.zarr", np.random.default_rng(2)
-    times = 10**9 + rng.permutation(5000) * 1_000_000
-    targets = {"point": np.zeros(0, np.int16)}
-    with SessionWriter.create(
-        path, attrs={}, streams=[force_spec(1000.0)], targets=targets
-    ) as writer:
-        writer.begin_run({"t0_ns": 0})
-        with StreamWriter.open(writer.stream_path("force")) as stream:
-            for t_ns in times.tolist():
-                stream.append(value=np.full(6, t_ns * 1e-9), seq=0, status=0, t_ns=t_ns)
-        writer.finish("complete", rate_hz=40.0)
-    session = Session(path)
+    times = 10**9 + np.random.default_rng(2).permutation(5000) * 1_000_000
+    columns = {"value": np.tile(times[:, None], 6) * 1e-9, "seq": 0 * times, "status": 0 * times}
+    columns["t_ns"] = times
+    path = tmp_path / "s.zarr"
+    session = Session(record_run(path, {"force": columns}, streams=[force_spec(1000.0)]))
     for t_ns in range(2 * 10**9, 5 * 10**9, 10**9):
         ticks = ticks_before(t_ns, 4, 40.0)
         near = sources_near(session.run_streams(0), ticks)

@@ -32,7 +32,7 @@ def test_patient_processes_end_what_they_are_at_when_another_call_failed(patient
 
     def fail():
         with Workers(2, patient=patient) as workers:
-            long.append(workers.submit(time.sleep, 2 if patient else 60))
+            long.append(workers.submit(time.sleep, 1 if patient else 60))
             assert workers.submit(divmod, 7, 2).result() == (3, 1)
             workers.submit(divmod, 1, 0).result()
 

@@ -10,7 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from support.sessions import T0, append_all, make_session, reseal, set_attrs, specs, stream_columns
+from support.sessions import (
+    T0,
+    append_all,
+    edit_json,
+    make_session,
+    record_run,
+    reseal,
+    set_attrs,
+    specs,
+    stream_columns,
+)
 
 from recorder import (
     Session,
@@ -241,10 +251,7 @@ def test_events_come_back_as_the_text_that_was_written() -> None:
 @pytest.mark.parametrize("key", ["kind", "align", "roles", "clock"])
 def test_a_stream_without_a_trait_is_refused(key: str, tmp_path: Path) -> None:
     path = make_session(tmp_path / "s.zarr", seconds=0.4, names=("force",))
-    group = path / "streams/force/zarr.json"
-    document = json.loads(group.read_text())
-    del document["attributes"][key]
-    group.write_text(json.dumps(document))
+    edit_json(path / "streams/force/zarr.json", lambda d: d["attributes"].pop(key))
     reseal(path)
     with pytest.raises(SessionError, match=f"force: attribute '{key}' is missing"):
         Session(path)
@@ -301,24 +308,18 @@ def test_an_alignment_that_the_values_do_not_allow_is_refused() -> None:
 
 
 def test_a_stream_without_a_role_never_makes_a_row_invalid(tmp_path: Path) -> None:
-    targets = {"point": np.zeros(0, np.int16)}
     streams = [force_spec(1000), camera_spec(60, name="room", height=16, width=24, roles=[])]
-    path = tmp_path / "s.zarr"
-    with SessionWriter.create(path, attrs={}, streams=streams, targets=targets) as session:
-        session.begin_run({"t0_ns": T0, "utc": None, "boot_id": "b"})
-        append_all(path / "streams/force", stream_columns("force", 1, (16, 24), "jpeg", 1))
-        session.finish("complete", rate_hz=40)
-    session_ = Session(path)
-    assert session_.signal is None
-    assert session_.frames["valid"].all()
-    assert (session_.frames["image"] == -1).all()
+    columns = {"force": stream_columns("force", 1, (16, 24), "jpeg", 1)}
+    session = Session(record_run(tmp_path / "s.zarr", columns, streams=streams))
+    assert session.signal is None
+    assert session.frames["valid"].all()
+    assert (session.frames["image"] == -1).all()
 
 
 def test_taxel_arrays_of_any_size_have_a_place(tmp_path: Path) -> None:
     path = tmp_path / "s.zarr"
-    targets = {"point": np.zeros(0, np.int16)}
     spec = taxels_spec(60, taxels=24)
-    with SessionWriter.create(path, attrs={}, streams=[spec], targets=targets) as session:
+    with SessionWriter.create(path, attrs={}, streams=[spec], targets={}) as session:
         session.begin_run({"t0_ns": T0, "utc": None, "boot_id": "b"})
         columns = stream_columns("taxels", 1, (16, 24), "jpeg", 1)
         columns["value"] = np.tile(columns["value"], (1, 2, 1))[:, :24]
@@ -334,15 +335,10 @@ def test_taxel_arrays_of_any_size_have_a_place(tmp_path: Path) -> None:
 
 
 def test_nan_is_a_fault_on_measured_axes_only(tmp_path: Path) -> None:
-    path = tmp_path / "s.zarr"
-    targets = {"point": np.zeros(0, np.int16)}
+    columns = stream_columns("force", 1, (16, 24), "jpeg", 1)
+    columns["value"][:, [0, 1, 3, 4, 5]] = np.nan
     spec = force_spec(1000, axes_measured=["Fz"])
-    with SessionWriter.create(path, attrs={}, streams=[spec], targets=targets) as session:
-        session.begin_run({"t0_ns": T0, "utc": None, "boot_id": "b"})
-        columns = stream_columns("force", 1, (16, 24), "jpeg", 1)
-        columns["value"][:, [0, 1, 3, 4, 5]] = np.nan
-        append_all(path / "streams/force", columns)
-        session.finish("complete", rate_hz=40)
+    path = record_run(tmp_path / "s.zarr", {"force": columns}, streams=[spec])
     assert faults(check(path)) == []
     set_attrs(path / "streams/force", axes_measured=["Fx", "Fz"])
     assert [finding.code for finding in faults(check(path))] == ["nan"]

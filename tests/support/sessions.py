@@ -149,6 +149,30 @@ def append_all(path: Path, columns: Mapping[str, Any]) -> None:
             stream.append(**{name: values[row] for name, values in columns.items()})
 
 
+def record_run(
+    path: Path,
+    columns: Mapping[str, Columns],
+    *,
+    streams: list[StreamSpec] | None = None,
+    targets: Columns | None = None,
+    segment: Mapping[str, int] | None = None,
+    **finish: Any,
+) -> Path:
+    """Record a run of a session, which begins with it if `streams` are named."""
+    if streams is None:
+        writer = SessionWriter.resume(path)
+    else:
+        writer = SessionWriter.create(path, attrs={}, streams=streams, targets=targets or {})
+    with writer as session:
+        session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
+        for name, rows in columns.items():
+            append_all(session.stream_path(name), rows)
+        if segment is not None:
+            session.segments.append(**segment)
+        session.finish("complete", **{"rate_hz": 40, **finish})
+    return path
+
+
 def make_session(
     path: Path,
     *,
