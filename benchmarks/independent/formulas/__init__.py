@@ -6,10 +6,8 @@ up, out of the material).
 
 from __future__ import annotations
 
-from benchmarks.independent.formulas.deep_indentation import NEO_HOOKEAN_SPHERE
 from benchmarks.independent.formulas.friction import (
     mindlin_displacement,
-    mindlin_force,
     mindlin_stick_radius,
 )
 from benchmarks.independent.formulas.half_space import (
@@ -25,14 +23,12 @@ from benchmarks.independent.formulas.in_time import (
     compression_frequency,
     hereditary,
     layer_sag,
-    lee_radok_sphere,
     oedometric_modulus,
 )
 from benchmarks.independent.formulas.layer import layer_compliance, layer_deficit, layer_ratio
 from benchmarks.independent.formulas.layer_contact import (
     LayerContact,
     LinearLayer,
-    layer_cone,
     layer_punch,
     layer_sphere,
 )
@@ -43,7 +39,6 @@ from benchmarks.independent.formulas.solid import (
 )
 
 __all__ = [
-    "NEO_HOOKEAN_SPHERE",
     "LayerContact",
     "LinearLayer",
     "boussinesq",
@@ -56,15 +51,12 @@ __all__ = [
     "hertz",
     "hertz_contact_radius",
     "layer_compliance",
-    "layer_cone",
     "layer_deficit",
     "layer_punch",
     "layer_ratio",
     "layer_sag",
     "layer_sphere",
-    "lee_radok_sphere",
     "mindlin_displacement",
-    "mindlin_force",
     "mindlin_stick_radius",
     "oedometric_modulus",
     "reduced_modulus",

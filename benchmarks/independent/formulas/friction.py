@@ -41,30 +41,9 @@ def mindlin_displacement(
         ValueError: |T| above mu N.
     """
     fraction = _share(tangential, normal, coefficient)
-    shift = _full_shift(normal, coefficient, contact_radius, modulus, poisson)
+    shear = modulus / (2 * (1 + poisson))
+    shift = 3 * coefficient * normal * (2 - poisson) / (16 * contact_radius * shear)
     return math.copysign(shift * (1 - float(np.cbrt(1 - abs(fraction)) ** 2)), fraction)
-
-
-def mindlin_force(
-    displacement: float,
-    normal: float,
-    coefficient: float,
-    contact_radius: float,
-    modulus: float,
-    poisson: float,
-) -> float:
-    """Return the tangential force at a sideways shift, on first loading [N]; mu N in full slip."""
-    shift = _full_shift(normal, coefficient, contact_radius, modulus, poisson)
-    part = max(0.0, 1 - abs(displacement) / shift)
-    return math.copysign(coefficient * normal * (1 - part**1.5), displacement)
-
-
-def _full_shift(
-    normal: float, coefficient: float, contact_radius: float, modulus: float, poisson: float
-) -> float:
-    """Shift at which the last point slips [m]."""
-    shear_modulus = modulus / (2 * (1 + poisson))
-    return 3 * coefficient * normal * (2 - poisson) / (16 * contact_radius * shear_modulus)
 
 
 def _share(tangential: float, normal: float, coefficient: float) -> float:

@@ -30,9 +30,10 @@ from scipy.optimize import brentq
 from scipy.special import j0
 
 from benchmarks.independent.formulas.half_space import reduced_modulus
-from benchmarks.independent.formulas.layer import Base, layer_deficit
+from benchmarks.independent.formulas.layer import layer_deficit
 
 Array = NDArray[np.float64]
+Transform = Callable[[Array], Array]
 
 # Beyond this k h, 1 - L is below 1e-17 and negligible.
 _ALPHA_MAX = 24.0
@@ -47,7 +48,6 @@ class LinearLayer:
     modulus: float
     """[Pa]."""
     poisson: float
-    base: Base = "bonded"
     points: int = 64
 
     @property
@@ -57,22 +57,11 @@ class LinearLayer:
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
-    """Indenter shape in the form used by the integral equation."""
-
-    transform: Callable[[Array], Array]
-    """g(t) [m] of the equation; 0 at the axis."""
-    slope: Callable[[Array], Array]
-    """dg/dt."""
-    slope_at_axis: float = 0.0
-    """dg/dt at t = 0; nonzero for a sharp tip."""
-
-
-@dataclass(frozen=True, slots=True)
 class LayerContact:
     """Solved contact, whose results are its properties and methods."""
 
-    profile: Profile
+    transform: Transform
+    """g(t) of the indenter."""
     layer: LinearLayer
     depth: float
     """Depth of the tip below the undeformed surface [m]."""
@@ -82,22 +71,11 @@ class LayerContact:
     """Gauss points t_i in 0..a (N,) [m]."""
     load: Array
     """phi(t_i) times the weight of its point, (N,) [m^2]."""
-    edge_density: float
-    """phi(a) [m]: above 0 under a punch, 0 under a smooth indenter."""
 
     @property
     def force(self) -> float:
         """Pressing force [N]: pi E* int phi dt."""
         return math.pi * self.layer.reduced * float(np.sum(self.load))
-
-    def pressure(self, r: ArrayLike) -> Array:
-        """Return the contact pressure at distances `r` from the axis [Pa]; 0 outside.
-
-        p = E*/2 (phi(a) / sqrt(a^2 - r^2) - int_r^a phi'(t) dt / sqrt(t^2 - r^2)). It is infinite
-        at a punch's edge and at a cone's tip.
-        """
-        r = np.asarray(r, float)
-        return np.reshape([self._pressure(float(value)) for value in r.ravel()], r.shape)
 
     def displacement(self, r: ArrayLike) -> Array:
         """Return the height of the surface above the undeformed plane at `r` from the axis [m].
@@ -107,36 +85,16 @@ class LayerContact:
         r = np.asarray(r, float)
         return np.reshape([self._displacement(float(value)) for value in r.ravel()], r.shape)
 
-    def _pressure(self, r: float) -> float:
-        if r >= self.contact_radius:
-            return 0.0
-        # Substituting t^2 = r^2 + v^2 removes the root: dt / sqrt(t^2 - r^2) = dv / t.
-        leg = math.sqrt(self.contact_radius**2 - r**2)
-        v, weight = gauss_rule(leg, 64)
-        t = np.hypot(r, v)
-        k, spectrum = self._spectrum(2 * self.contact_radius)
-        slope = self.profile.slope(t) - np.sin(np.multiply.outer(t, k)) @ (k * spectrum)
-        total = float(np.sum(weight * (slope - self.profile.slope_at_axis) / t))
-        if self.profile.slope_at_axis:
-            part = math.acosh(self.contact_radius / r) if r > 0 else math.inf
-            total += self.profile.slope_at_axis * part
-        half_modulus = self.layer.reduced / 2
-        return half_modulus * (2 / math.pi * total + self.edge_density / leg)
-
     def _displacement(self, r: float) -> float:
         # Half-space part, L = 1: int phi(t) dt / sqrt(r^2 - t^2) with t = r sin(angle).
         end = math.asin(self.contact_radius / r) if r > self.contact_radius else math.pi / 2
         angle, weight = gauss_rule(end, 64)
         t = r * np.sin(angle)
-        k, spectrum = self._spectrum(self.contact_radius + r)
+        k, weights = deficit_rule(self.layer, self.contact_radius + r)
+        spectrum = -weights * (np.cos(np.multiply.outer(k, self.points)) @ self.load)
         bent = np.cos(np.multiply.outer(t, k)) @ spectrum
-        density = 2 / math.pi * (self.depth - self.profile.transform(t) - bent)
+        density = 2 / math.pi * (self.depth - self.transform(t) - bent)
         return -float(np.sum(weight * density) + np.sum(j0(k * r) * spectrum))
-
-    def _spectrum(self, reach: float) -> tuple[Array, Array]:
-        """Return wave numbers k and (L(k h) - 1) A(k) dk, for sums with cos(k reach) or slower."""
-        k, weight = deficit_rule(self.layer, reach)
-        return k, -weight * (np.cos(np.multiply.outer(k, self.points)) @ self.load)
 
 
 def layer_punch(depth: float, radius: float, layer: LinearLayer) -> LayerContact:
@@ -146,8 +104,7 @@ def layer_punch(depth: float, radius: float, layer: LinearLayer) -> LayerContact
         ValueError: The depth is not positive.
     """
     _require_depth(depth)
-    flat = Profile(transform=np.zeros_like, slope=np.zeros_like)
-    return _Equation(radius, flat, layer).contact(depth)
+    return _Equation(radius, np.zeros_like, layer).contact(depth)
 
 
 def layer_sphere(depth: float, radius: float, layer: LinearLayer) -> LayerContact:
@@ -156,40 +113,39 @@ def layer_sphere(depth: float, radius: float, layer: LinearLayer) -> LayerContac
     Raises:
         ValueError: The depth is not positive, or the contact would pass the equator.
     """
+    _require_depth(depth)
 
-    def slope(t: Array) -> Array:
-        part = t / radius
-        result: Array = np.arctanh(part) + part / (1 - part**2)
-        return result
+    def transform(t: Array) -> Array:
+        return t * np.arctanh(t / radius)
 
-    shape = Profile(lambda t: t * np.arctanh(t / radius), slope)
+    # The layer widens the contact compared with the half-space, where the search begins.
     limit = radius * (1 - 1e-6)
-    return _smooth(shape, layer, depth, min(math.sqrt(radius * abs(depth)), limit), limit)
+    guess = min(math.sqrt(radius * depth), limit)
 
+    def excess(contact_radius: float) -> float:
+        return _Equation(contact_radius, transform, layer).smooth_depth - depth
 
-def layer_cone(depth: float, half_angle: float, layer: LinearLayer) -> LayerContact:
-    """Cone, `half_angle` [rad] from its axis to its side, pressed in by `depth` [m].
-
-    Raises:
-        ValueError: The depth is not positive.
-    """
-    steepness = math.pi / 2 / math.tan(half_angle)
-    shape = Profile(lambda t: steepness * t, lambda t: np.full_like(t, steepness), steepness)
-    return _smooth(shape, layer, depth, abs(depth) / steepness, math.inf)
+    low, high = guess / 2, min(1.5 * guess, limit)
+    while excess(high) < 0:
+        if high == limit:
+            raise ValueError(f"depth: {depth!r} m; allowed: less, contact ends at {limit:.6g} m")
+        low, high = high, min(1.5 * high, limit)
+    found = float(brentq(excess, low, high, xtol=1e-15 * guess, rtol=1e-14))
+    return _Equation(found, transform, layer).contact(depth)
 
 
 class _Equation:
     """Integral equation at one contact radius, solved for d = 1 and for g."""
 
-    def __init__(self, contact_radius: float, profile: Profile, layer: LinearLayer) -> None:
-        self.profile, self.contact_radius, self.layer = profile, contact_radius, layer
+    def __init__(self, contact_radius: float, transform: Transform, layer: LinearLayer) -> None:
+        self.transform, self.contact_radius, self.layer = transform, contact_radius, layer
         count = math.ceil(layer.points * max(1.0, contact_radius / (10 * layer.thickness)))
         self.points, self.weights = gauss_rule(contact_radius, count)
         k, weight = deficit_rule(layer, 2 * contact_radius)
         rows = np.append(self.points, contact_radius)
         waves = np.cos(np.multiply.outer(rows, k))
         kernel = -2 / math.pi * (waves * weight) @ waves[:-1].T * self.weights
-        right = 2 / math.pi * np.stack([np.ones_like(rows), profile.transform(rows)], axis=1)
+        right = 2 / math.pi * np.stack([np.ones_like(rows), transform(rows)], axis=1)
         self.solution = np.linalg.solve(np.eye(count) + kernel[:-1], right[:-1])
         self.edge = right[-1] - kernel[-1] @ self.solution
 
@@ -201,33 +157,13 @@ class _Equation:
     def contact(self, depth: float) -> LayerContact:
         density = depth * self.solution[:, 0] - self.solution[:, 1]
         return LayerContact(
-            profile=self.profile,
+            transform=self.transform,
             layer=self.layer,
             depth=depth,
             contact_radius=self.contact_radius,
             points=self.points,
             load=density * self.weights,
-            edge_density=float(depth * self.edge[0] - self.edge[1]),
         )
-
-
-def _smooth(
-    profile: Profile, layer: LinearLayer, depth: float, guess: float, limit: float
-) -> LayerContact:
-    """Return the contact whose radius, at most `limit`, has phi(a) = 0 at `depth`."""
-    _require_depth(depth)
-
-    def excess(contact_radius: float) -> float:
-        return _Equation(contact_radius, profile, layer).smooth_depth - depth
-
-    # The layer widens the contact compared with the half-space, where the search begins.
-    low, high = guess / 2, min(1.5 * guess, limit)
-    while excess(high) < 0:
-        if high == limit:
-            raise ValueError(f"depth: {depth!r} m; allowed: less, contact ends at {limit:.6g} m")
-        low, high = high, min(1.5 * high, limit)
-    radius = float(brentq(excess, low, high, xtol=1e-15 * guess, rtol=1e-14))
-    return _Equation(radius, profile, layer).contact(depth)
 
 
 def _require_depth(depth: float) -> None:
@@ -251,5 +187,5 @@ def deficit_rule(layer: LinearLayer, reach: float) -> tuple[Array, Array]:
     width = _ALPHA_MAX / panels
     place, weight = gauss_rule(width, 16)
     alpha = np.ravel(width * np.arange(panels)[:, None] + place)
-    fraction = np.tile(weight, panels) * layer_deficit(alpha, layer.poisson, layer.base)
+    fraction = np.tile(weight, panels) * layer_deficit(alpha, layer.poisson)
     return alpha / layer.thickness, fraction / layer.thickness
