@@ -27,23 +27,17 @@ def bump(x: Array, y: Array) -> tuple[Array, Array, Array]:
     return 40.0 * x * bell * 1e-3, -30.0 * y * bell * 1e-3, -1e-3 * bell
 
 
-def test_interpolation_is_exact_for_parabolas_on_uneven_axes() -> None:
+def test_interpolation_is_exact_for_parabolas_near_by_and_goes_on_beyond_the_edge() -> None:
     wanted = np.linspace(X[0], X[-1], 71)
     weights = cubic_weights(X, wanted)
     for power in range(3):
         np.testing.assert_allclose(weights @ (1e3 * X) ** power, (1e3 * wanted) ** power, atol=1e-9)
-
-
-def test_beyond_the_grid_the_edge_goes_on() -> None:
-    weights = cubic_weights(X, np.array([-1.0, 1.0]))
-    np.testing.assert_allclose(weights, np.eye(len(X))[[0, -1]], atol=1e-12)
-
-
-def test_a_value_reaches_no_further_than_two_intervals() -> None:
-    even = np.arange(9.0)
-    reach = np.abs(cubic_weights(even, np.linspace(0, 8, 200)))
-    far = np.abs(np.linspace(0, 8, 200)[:, None] - even[None, :]) >= 2
-    assert reach[far].max() < 1e-12
+    beyond = cubic_weights(X, np.array([-1.0, 1.0]))
+    np.testing.assert_allclose(beyond, np.eye(len(X))[[0, -1]], atol=1e-12)
+    # A value reaches no further than two intervals.
+    places = np.linspace(0, 8, 200)
+    far = np.abs(places[:, None] - np.arange(9.0)) >= 2
+    assert np.abs(cubic_weights(np.arange(9.0), places))[far].max() < 1e-12
 
 
 def test_points_and_grids_are_interpolated_alike() -> None:
@@ -62,11 +56,7 @@ def test_a_turned_field_is_the_same_one_seen_from_a_turned_frame() -> None:
     there = np.stack(bump(*(places @ turn.T).T), axis=-1)
     expected = np.concatenate([there[:, :2] @ turn, there[:, 2:]], axis=1)
     np.testing.assert_allclose(turned.at(places)[0], expected, atol=2e-6)
-
-
-def test_a_turn_of_nothing_is_the_field_itself() -> None:
-    field = field_of(bump)
-    assert field.turned(0.0) is field
+    assert turned.turned(0.0) is turned
 
 
 def test_a_shift_moves_the_whole_top() -> None:
@@ -75,18 +65,16 @@ def test_a_shift_moves_the_whole_top() -> None:
     np.testing.assert_allclose(change, np.broadcast_to([3e-6, -2e-6, 0], change.shape), atol=1e-9)
 
 
-def test_normals_follow_a_plane_of_any_slope() -> None:
+def test_normals_follow_a_plane_of_any_slope_and_a_turn_of_a_right_angle() -> None:
     slope = np.array([0.7, -1.3])
     tilted = field_of(lambda x, y: (0 * x, 0 * y, slope[0] * x + slope[1] * y))
-    normal = np.append(-slope, 1.0) / np.sqrt(1 + slope @ slope)
-    found = outward_normals(tilted)[0]
-    np.testing.assert_allclose(found, np.broadcast_to(normal, found.shape), atol=1e-5)
-
-
-def test_normals_follow_a_rigid_turn_of_a_right_angle() -> None:
     upright = field_of(lambda x, y: (-x, 0 * y, x))
-    found = outward_normals(upright)[0]
-    np.testing.assert_allclose(found, np.broadcast_to([-1.0, 0, 0], found.shape), atol=1e-5)
+    for field, normal in (
+        (tilted, np.append(-slope, 1.0) / np.sqrt(1 + slope @ slope)),
+        (upright, np.array([-1.0, 0, 0])),
+    ):
+        found = outward_normals(field)[0]
+        np.testing.assert_allclose(found, np.broadcast_to(normal, found.shape), atol=1e-5)
 
 
 def test_an_undeformed_top_does_not_move() -> None:

@@ -38,11 +38,8 @@ def displaced(depth: float, places: Array = PLACES) -> Array:
     return Interior(BODY, depth, places).at(top())[0][0]
 
 
-def test_at_the_top_it_is_what_was_given() -> None:
+def test_at_the_top_it_is_what_was_given_and_at_the_base_nothing_moves() -> None:
     np.testing.assert_allclose(displaced(0.0), top().at(PLACES)[0], atol=5e-7)
-
-
-def test_at_the_base_nothing_moves() -> None:
     np.testing.assert_allclose(displaced(BODY.thickness), 0.0, atol=1e-12)
 
 

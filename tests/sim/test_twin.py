@@ -48,7 +48,7 @@ from sim.sensors import (
 from sim.sensors.posterior import CAMERA
 from sim.sensors.quantities import camera_quantities, draw_sensor, quantities, with_quantities
 from sim.tiers import simulate
-from sim.twin import Fit, PressTrack, fitted, model
+from sim.twin import Fit, PressTrack, fitted, misfit, model
 from sim.twin.fit import Explanation, _alike, _common, _mixed, _whitened, prior_spread
 from sim.twin.model import Correction, Linear, TrackModel, relaxing
 from sim.twin.observations import track_of
@@ -58,7 +58,7 @@ from tactile.__main__ import main
 
 # A fit takes some 20 s of a free core.
 
-COARSE = 32
+COARSE = 24
 SHORT = {
     name: planned_presses(name, (1.0e-3,), 0.6e-3, 1.2) for name in ("sphere", "prism", "cylinder")
 }
@@ -153,7 +153,11 @@ def command(
     words += ["--markers", *map(str, marked), "--held-out", str(copy)]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as printed:
         patch.setattr("sim.twin.fitted", kept)
-        assert main([*words, "--grid", str(COARSE)]) == 0
+        # Cameras that begin otherwise are those of `test_twin_camera`, and thinner skins those of
+        # `test_a_skin_in_a_long_valley_of_explanations_is_found`.
+        patch.setattr("sim.twin.camera.BEGINNINGS", (0.0, math.pi))
+        patch.setattr("sim.twin.fit.THICKNESSES", (1.25,))
+        assert main([*words, "--grid", str(COARSE), "--processes", "1"]) == 0
     return fits[0], json.loads(printed.getvalue()), out
 
 
@@ -171,15 +175,15 @@ def test_a_planted_skin_is_found_again(fit: Fit) -> None:
     assert fit.values["height"] == pytest.approx(20e-6, abs=15e-6)
     assert fit.values["turn_x"] == pytest.approx(0.02, abs=5e-3)
     assert fit.misfit < 0.01
-
-
-def test_true_values_lie_in_the_intervals(fit: Fit) -> None:
-    for name, true in quantities(planted()).items():
+    for name, value in true.items():
         low, high = fit.interval(name, z=3.0)
-        assert low <= true <= high, name
+        assert low <= value <= high, name
+    text = "\n".join(lines(fit))
+    assert "kPa" in text
+    assert all(name in text for name in fit.names)
 
 
-def test_a_tilt_that_presses_do_not_tell_is_named_in_the_report_of_all_quantities(fit: Fit) -> None:
+def test_a_tilt_that_presses_do_not_tell_is_named(fit: Fit) -> None:
     assert "tilt_x" in fit.unidentified
     assert 0.2 * prior_spread("tilt_x") < fit.spreads["tilt_x"] < prior_spread("tilt_x")
     for name in ("tilt_x", "tilt_y"):
@@ -187,9 +191,6 @@ def test_a_tilt_that_presses_do_not_tell_is_named_in_the_report_of_all_quantitie
         assert low <= 0.0 <= high, name
     (line,) = (line for line in lines(fit) if line.startswith("tilt_x"))
     assert line.endswith("not told by these presses, the prior's")
-    text = "\n".join(lines(fit))
-    assert "kPa" in text
-    assert all(name in text for name in fit.names)
 
 
 def test_processes_solve_what_one_does(fit: Fit) -> None:
@@ -206,7 +207,7 @@ def test_processes_solve_what_one_does(fit: Fit) -> None:
                 np.testing.assert_array_equal(each, other)
 
 
-def test_another_explanation_widens_the_intervals_by_its_odds() -> None:
+def test_another_explanation_widens_the_intervals_by_its_odds_unless_it_is_the_same() -> None:
     names = ("thickness", "height")
     near = Linear([], [], [], {})
     one = Explanation({"thickness": 4e-3, "height": 0.0}, near, 20.0, np.diag([0.01, 1e-12]))
@@ -215,15 +216,8 @@ def test_another_explanation_widens_the_intervals_by_its_odds() -> None:
         mixed = _mixed(names, [one, replace(other, cost=20.0 + worse)])
         assert mixed[0, 0] == pytest.approx(0.01 + odds * math.log(1.5) ** 2)
         assert mixed[1, 1] == pytest.approx(1e-12)
-
-
-def test_an_end_beside_an_explanation_is_no_other_one() -> None:
-    near = Linear([], [], [], {})
-    values = {"thickness": 4e-3, "height": 0.0}
-    one = Explanation(values, near, 20.0, np.diag([0.01, 1e-12]))
     for factor, height, same in ((1.01, 2e-7, True), (1.1, 0.0, False), (1.0, 1e-6, False)):
-        other = {"thickness": factor * 4e-3, "height": height}
-        assert _alike(("thickness", "height"), one, other) == same
+        assert _alike(names, one, {"thickness": factor * 4e-3, "height": height}) == same
 
 
 def test_a_planted_camera_and_its_markers_are_found(
@@ -252,11 +246,16 @@ def test_a_planted_camera_and_its_markers_are_found(
     assert set(CAMERA) < set(twin.posterior.names)
 
 
-def test_held_out_presses_are_foretold_in_newtons_and_pixels(
+def test_the_command_writes_a_row_a_picture_and_the_misfit_of_held_out_presses(
     command: tuple[Fit, dict[str, Any], Path],
 ) -> None:
+    fit, found, out = command
+    assert found["refused"] is False
+    assert found["misfit"] == pytest.approx(fit.misfit, rel=1e-3)
+    assert found["values"]["friction"] == pytest.approx(0.4, rel=0.1)
+    assert read_sensor(out).body.modulus == pytest.approx(found["values"]["modulus"], rel=1e-4)
+    assert out.with_suffix(".png").stat().st_size > 10_000
     # The same press again, so that the twin says the same of it.
-    _, found, _ = command
     assert found["held_out"]["misfit"] == pytest.approx(found["misfit"], rel=1e-3)
     assert found["held_out"]["off_px"] == pytest.approx(found["view"]["off_px"], rel=0.02)
 
@@ -277,6 +276,9 @@ def test_images_of_another_sensor_are_refused_in_pixels(
         return replace(fit, tracks=tuple(tracks))
 
     monkeypatch.setattr("sim.twin.fitted", known)
+    # The rest in pixels is refused, whatever its uncertainty.
+    monkeypatch.setattr("sim.twin.camera.BEGINNINGS", (0.0,))
+    monkeypatch.setattr("sim.twin.camera.STEPS", {"thickness": 0.06})
     words = ["twin", "fit", str(session), "--sensor", "gelsight", "--out", str(out)]
     words += ["--grid", str(COARSE), "--markers", str(marked)]
     assert main(words) == 1
@@ -374,11 +376,10 @@ def test_the_command_writes_a_plan_and_what_to_expect(
 
 
 def test_another_shape_is_foretold(fit: Fit) -> None:
-    from sim.twin import TrackModel, misfit
-
     held_out = observed(planted(), SHORT["cylinder"], Bench(noise=0.0), 9, grid=COARSE)
-    model = TrackModel(fit.design, [held_out], grid=COARSE)
-    found = model.readings({name: fit.values[name] for name in quantities(planted())})
+    found = TrackModel(fit.design, [held_out], grid=COARSE).readings(
+        {name: fit.values[name] for name in quantities(planted())}
+    )
     assert misfit([held_out], found) < 0.04
 
 
@@ -506,17 +507,6 @@ def test_a_wrong_posterior_is_refused(
         Posterior(names, spreads, matrix)
 
 
-def test_the_command_writes_a_row_and_a_picture(
-    command: tuple[Fit, dict[str, Any], Path],
-) -> None:
-    fit, found, out = command
-    assert found["refused"] is False
-    assert found["misfit"] == pytest.approx(fit.misfit, rel=1e-3)
-    assert found["values"]["friction"] == pytest.approx(0.4, rel=0.1)
-    assert read_sensor(out).body.modulus == pytest.approx(found["values"]["modulus"], rel=1e-4)
-    assert out.with_suffix(".png").stat().st_size > 10_000
-
-
 @pytest.mark.slow
 def test_forces_that_no_skin_explains_are_refused(
     press: tuple[Any, Any, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -538,21 +528,19 @@ def test_forces_that_no_skin_explains_are_refused(
     assert out.with_suffix(".png").stat().st_size > 10_000
 
 
-def _always_moving(name: str, columns: Columns) -> Columns:
-    if name == "pose":
-        columns["value"][:, 2] += 3e-4  # from well above the surface
-    return columns
-
-
 def test_presses_without_a_rest_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    moving = make_session(tmp_path / "moving.zarr", names=("force", "pose"), change=_always_moving)
-    assert main(["twin", "fit", str(moving), "--sensor", "gelsight"]) == 2
-    assert "hold_ms" in capsys.readouterr().err
+    def raised(name: str, columns: Columns) -> Columns:
+        if name == "pose":
+            columns["value"][:, 2] += 3e-4  # from well above the surface
+        return columns
+
+    moving = make_session(tmp_path / "moving.zarr", names=("force", "pose"), change=raised)
     bare = make_session(tmp_path / "bare.zarr", names=("pose",))
-    assert main(["twin", "fit", str(bare), "--sensor", "gelsight"]) == 2
-    assert "no stream of kind force" in capsys.readouterr().err
+    for session, words in ((moving, "hold_ms"), (bare, "no stream of kind force")):
+        assert main(["twin", "fit", str(session), "--sensor", "gelsight"]) == 2
+        assert words in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -561,8 +549,8 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
 
     twin, out = tmp_path / "mine.yaml", tmp_path / "drawn.markers.zarr"
     twin.write_text(twin_yaml(fit.sensor, "gelsight.yaml", ["a.zarr"]))
-    words = ["sim", "archive", str(twin), "--draws", "2", "--indenters", "sphere"]
-    words += ["--tier", "layer", "--scale", "smoke", "--out", str(out), "--processes", "1"]
+    words = ["sim", "archive", str(twin), "--draws", "2", "--indenters", "sphere", "--tier"]
+    words += ["layer", "--scale", "smoke", "--out", str(out), "--processes", "1"]
     assert main(words) == 0
     drawn = reopened(out).plan.sensors
     assert [each.name for each in drawn] == ["mine-000", "mine-001"]
@@ -671,12 +659,9 @@ def test_a_rest_without_shear_does_not_tell_the_error_of_the_others() -> None:
 
 def test_a_tip_that_falls_between_pixels_is_not_planned() -> None:
     planner = Planner(sensor("gelsight"), grid=24)
-    tip, *others = (
-        planner.candidates((name,))[-1] for name in ("cone", "hemisphere", "sphere", "torus")
-    )
-    # Long enough for all of them.
-    chosen = planner.best([tip, *others], seconds=300.0, change=20.0)
-    assert set(chosen) == set(others)
-    assert planner.rough([tip, *others]) == [tip]
+    tip, ball = (planner.candidates((name,))[-2] for name in ("cone", "sphere"))
+    # Long enough for both.
+    assert planner.best([tip, ball], seconds=300.0, change=20.0) == [ball]
+    assert planner.rough([tip, ball]) == [tip]
     with pytest.raises(SceneError, match="cone: forces jump between 24 pixels"):
         planner.best([tip], seconds=300.0, change=20.0)
