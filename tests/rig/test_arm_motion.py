@@ -74,14 +74,9 @@ def test_halt_stops_a_move_that_was_interrupted(arm):
 
 
 def test_halt_from_another_thread_ends_the_move_as_stopped(arm):
-    threads: list[threading.Thread] = []
-
-    def halt() -> None:
-        threads.append(threading.Thread(target=arm.halt))
-        threads[0].start()
-
-    result = arm.move(at(0, 0, 0), on_wait=Once(halt))
-    threads[0].join()
+    thread = threading.Thread(target=arm.halt)
+    result = arm.move(at(0, 0, 0), on_wait=Once(thread.start))
+    thread.join()
     assert result.outcome == "stopped"
     assert "operator" in result.reason
     assert height() > 0.001

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -37,13 +36,6 @@ leave, os._exit = os._exit, tell_and_exit
 """
 
 
-def lab_content(content: dict[str, Any]) -> dict[str, Any]:
-    """Return a mock bench's content with lab addresses, so that it does not mention emulators."""
-    mock_only = ("world", "simulated", "world_frame")
-    kept = {name: value for name, value in content.items() if name not in mock_only}
-    return {**kept, "mock": False}
-
-
 @pytest.mark.slow
 @pytest.mark.serial
 @pytest.mark.parametrize("sensor", ["tacpalm", "uskin"])
@@ -55,7 +47,10 @@ def test_no_process_of_a_lab_collection_loads_an_emulator(sensor: str, tmp_path:
     path = quick_bench(tmp_path, sensor)
     with MockBench(BenchFile.read(path), run) as mock, move_typed() as terminal:
         lab = tmp_path / "lab.yaml"
-        lab.write_text(yaml.safe_dump(lab_content(mock.file.content)))
+        # Without what mentions emulators.
+        mock_only = ("world", "simulated", "world_frame")
+        content = {key: value for key, value in mock.file.content.items() if key not in mock_only}
+        lab.write_text(yaml.safe_dump({**content, "mock": False}))
         session = tmp_path / "s.zarr"
         done = subprocess.run(
             [

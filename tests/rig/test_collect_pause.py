@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support import hidraw_nodes
 from support.collecting import faults_of
+from support.drivers import running
 from support.waiting import until
 
 from benchmarks.faults.collection_run import CollectionRun, quick_bench
@@ -141,12 +142,9 @@ def test_a_grip_is_lost_for_a_reason(changed: dict[str, int], why: str | None) -
 @pytest.fixture(name="gripper")
 def emulated_gripper(tmp_path: Path) -> Iterator[RobotiqEmulator]:
     clock = SystemClock()
-    emulator = RobotiqEmulator(
-        Fingers(clock, object_at=120, holding=True), tmp_path / "gripper.tty", clock
-    )
-    emulator.start()
-    yield emulator
-    emulator.close()
+    fingers = Fingers(clock, object_at=120, holding=True)
+    with running(RobotiqEmulator(fingers, tmp_path / "gripper.tty", clock)) as emulator:
+        yield emulator
 
 
 @pytest.fixture(name="watch")

@@ -7,6 +7,7 @@ import logging
 import math
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -126,15 +127,10 @@ def test_again_presses_targets_of_a_complete_session_though_nothing_is_open(
 WHOLE = PressShear(3e-3, 4e-3, 0.3e-3, 1.2e-3, math.radians(30), 1e-3)
 
 
-class FakeHandle:
-    def latest(self) -> np.void:
-        record = np.zeros(1, FORCE_LATEST)[0]
-        record["value"][2] = -2.413
-        return record
-
-
 class FakeStreams:
-    _gauges, _handles = ("force",), {"force": FakeHandle()}
+    record = np.zeros(1, FORCE_LATEST)[0]
+    record["value"][2] = -2.413
+    _gauges, _handles = ("force",), {"force": SimpleNamespace(latest=lambda: FakeStreams.record)}
     pressing = Streams.pressing
 
     def __init__(self, clock: FakeClock) -> None:
@@ -151,15 +147,19 @@ class Terminal(io.StringIO):
         return True
 
 
-def live(out: Any, clock: FakeClock) -> LiveLine:
-    return LiveLine(FakeStreams(clock), len(WHOLE), planned=2.0, out=out)  # type: ignore[arg-type]
+def live(out: Any, *, begun: bool = True, **options: Any) -> tuple[LiveLine, FakeClock]:
+    """Return a live line on a clock of its own; `begun`: it is at the first target."""
+    clock = FakeClock()
+    streams: Any = FakeStreams(clock)
+    line = LiveLine(streams, len(WHOLE), planned=2.0, out=out, **options)
+    if begun:
+        line.at(next(WHOLE.targets()), None)
+    return line, clock
 
 
 def test_the_line_says_all_a_technician_asks() -> None:
-    out, clock = Terminal(), FakeClock()
-    line = live(out, clock)
-    targets = list(WHOLE.targets())
-    line.at(targets[0], None)
+    out, targets = Terminal(), list(WHOLE.targets())
+    line, clock = live(out)
     clock.advance(35.0)
     line.at(targets[36], WHOLE.moves(targets[36])[1])
     line.tick()
@@ -178,10 +178,8 @@ def test_the_line_stays_in_one_row_of_the_terminal(
     columns: str, has_rates: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)
-    out, clock = Terminal(), FakeClock()
-    line = live(out, clock)
-    line.at(next(WHOLE.targets()), None)
-    line.tick()
+    out = Terminal()
+    live(out)[0].tick()
     text = out.getvalue().removeprefix("\r").removesuffix("\x1b[K")
     assert len(text) < int(columns)
     assert "left" in text
@@ -189,8 +187,7 @@ def test_the_line_stays_in_one_row_of_the_terminal(
 
 
 def test_the_remaining_time_is_known_from_the_first_second_and_falls() -> None:
-    clock = FakeClock()
-    line = live(Terminal(), clock)
+    line, clock = live(Terminal(), begun=False)
     # No target has begun: 240 targets of 2 s by the plan.
     assert line.progress() == {"left": 480.0}
     targets = list(WHOLE.targets())
@@ -213,10 +210,8 @@ def test_the_remaining_time_is_known_from_the_first_second_and_falls() -> None:
 
 
 def test_a_resumed_run_counts_its_own_targets_only() -> None:
-    clock = FakeClock()
-    streams: Any = FakeStreams(clock)
     order = [3, *range(200, len(WHOLE))]
-    line = LiveLine(streams, len(WHOLE), planned=2.0, pressing=order, out=Terminal())
+    line, clock = live(Terminal(), begun=False, pressing=order)
     assert line.progress() == {"left": 82.0}
     line.at(list(WHOLE.targets())[200], None)
     clock.advance(1.0)
@@ -229,9 +224,7 @@ def test_a_terminal_that_is_gone_does_not_stop_the_arm(caplog: pytest.LogCapture
         def write(self, text: str) -> int:
             raise OSError(5, "Input/output error")
 
-    clock = FakeClock()
-    line = live(Gone(), clock)
-    line.at(next(WHOLE.targets()), None)
+    line, clock = live(Gone())
     with caplog.at_level(logging.INFO):
         line.tick()
         clock.advance(11.0)
@@ -241,9 +234,8 @@ def test_a_terminal_that_is_gone_does_not_stop_the_arm(caplog: pytest.LogCapture
 
 
 def test_it_is_not_rewritten_faster_than_anybody_reads() -> None:
-    out, clock = Terminal(), FakeClock()
-    line = live(out, clock)
-    line.at(next(WHOLE.targets()), None)
+    out = Terminal()
+    line, clock = live(out)
     for _ in range(100):
         line.tick()
         clock.advance(0.01)
@@ -253,9 +245,8 @@ def test_it_is_not_rewritten_faster_than_anybody_reads() -> None:
 def test_without_a_terminal_it_is_a_log_line_every_ten_seconds(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    out, clock = io.StringIO(), FakeClock()
-    line = live(out, clock)
-    line.at(next(WHOLE.targets()), None)
+    out = io.StringIO()
+    line, clock = live(out)
     with caplog.at_level(logging.INFO):
         for _ in range(301):
             line.tick()

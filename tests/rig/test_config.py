@@ -133,27 +133,18 @@ def test_a_broken_file_is_named(tmp_path: Path, text: str, words: list[str]) -> 
 
 ROOT = Path(__file__).parents[2]
 TARGETS = {
-    "gelsight": 240,
-    "gelsight-material": 48,
-    "gelsight-hetero": 160,
-    "uskin": 160,
-    "tacpalm": 160,
     **dict.fromkeys(("array-i", "array-ii", "circle-i", "circle-ii", "diamond-i"), 240),
-    **dict.fromkeys(("r6", "r8", "r10", "r12", "r14", "r16", "r18"), 48),
-    "gelsight-mini": 240,
-    "digit": 160,
+    **dict.fromkeys(("gelsight", "gelsight-mini"), 240),
+    **dict.fromkeys(("digit", "gelsight-hetero", "tacpalm", "uskin"), 160),
+    **dict.fromkeys(("gelsight-material", "r6", "r8", "r10", "r12", "r14", "r16", "r18"), 48),
 }
 
 
 @pytest.mark.parametrize("sensor", sorted(TARGETS))
 def test_every_bench_in_the_repository_loads_with_the_papers_targets(sensor: str) -> None:
-    file = BenchFile.read(find_bench(sensor, BENCHES))
-    bench, content = file.bench, file.content
-    assert bench.sensor == sensor
-    assert bench.mock
-    assert len(bench.trajectory) == TARGETS[sensor]
+    bench = BenchFile.read(find_bench(sensor, BENCHES)).bench
+    assert (bench.sensor, bench.mock, len(bench.trajectory)) == (sensor, True, TARGETS[sensor])
     assert bench.dry_run(bench.trajectory).broken == ()
-    assert content["mock"] is True
 
 
 def test_the_table_above_misses_no_bench() -> None:
@@ -227,25 +218,18 @@ def test_a_packaged_file_stands_in_for_one_that_is_missing(
     assert packaged(Path(written), folder) == Path(written)
 
 
-def test_the_labs_example_is_a_bench(tmp_path: Path) -> None:
-    readme = (ROOT / "benches" / "lab" / "README.md").read_text()
-    example = re.search(r"```yaml\n(.*?)```", readme, re.DOTALL)
+@pytest.mark.parametrize(
+    ("page", "sensor", "mock"),
+    [("benches/lab/README.md", "tacpalm", False), ("docs/how-to/add-a-sensor.md", "digit", True)],
+)
+def test_the_examples_of_pages_are_benches(
+    page: str, sensor: str, mock: bool, tmp_path: Path
+) -> None:
+    example = re.search(r"```yaml\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
     assert example is not None
-    path = tmp_path / "benches" / "lab" / "tacpalm.yaml"
+    path = tmp_path / "benches" / "lab" / f"{sensor}.yaml"
     path.parent.mkdir(parents=True)
     path.write_text(example[1])
     bench = BenchFile.read(path).bench
-    assert not bench.mock
-    assert bench.limits.stale_force == pytest.approx(0.05)
-
-
-def test_the_guides_example_of_a_sensor_is_a_bench(tmp_path: Path) -> None:
-    guide = (ROOT / "docs" / "how-to" / "add-a-sensor.md").read_text()
-    example = re.search(r"```yaml\n(.*?)```", guide, re.DOTALL)
-    assert example is not None
-    path = tmp_path / "benches" / "digit.yaml"
-    path.parent.mkdir()
-    path.write_text(example[1])
-    bench = BenchFile.read(path).bench
-    assert bench.sensor == "digit"
-    assert len(bench.trajectory) == 160
+    assert (bench.sensor, bench.mock, len(bench.trajectory)) == (sensor, mock, TARGETS[sensor])
+    assert mock or bench.limits.stale_force == pytest.approx(0.05)

