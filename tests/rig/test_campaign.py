@@ -393,7 +393,7 @@ def test_a_campaign_killed_in_the_middle_goes_on_and_loses_nothing(tmp_path: Pat
         tmp_path, DAY.replace("  - {{sensor: gelsight, indenter: cylinder, targets: 2}}\n", "")
     )
     words = ("campaign", "--file", str(tmp_path / "day.yaml"), "--yes")
-    words += ("--benches", str(tmp_path), "--calibrations", str(tmp_path))
+    words += ("--benches", str(tmp_path), "--calibrations", str(tmp_path / "none"))
     first = tmp_path / "out" / "gelsight-prism-force-depth.zarr"
     run = Collection.of_command(first, *words)
     run.until(lambda: run.segments() > 0)
