@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import permutations
+from functools import cached_property, partial
+from itertools import permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -17,43 +17,42 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.gauge.planted import GROUPS, name_of, planted, write_rows, write_twin
-from benchmarks.paper.chain import train_field
-from benchmarks.paper.sizes import RECIPES
+from benchmarks.gauge.planted import GROUPS, SEED, name_of, planted, twin_of, write_rows
 from benchmarks.paper.study import (
+    PAPER_RECIPE,
     Joined,
     Study,
+    field_translator,
     folder_of,
+    forces_by_curves,
     form_of,
     nearest_labels,
-    once,
-    shortened,
+    net_settings,
+    relabelled,
     simulate,
+    train_net,
 )
 from benchmarks.report import Run
 from benchmarks.sums import r2_of, sums_by_indenter
 from learning.compensation.simulated import simulated_labels, twin_forces
-from learning.config import read_settings, require_same
 from learning.data.presses import Presses
 from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.experiment.frames import look_of, translate_presses
 from learning.force.labels import Relabelling, by_twins, compensated
 from learning.force.model import ForceModel
-from learning.force.train import PRESETS, ForceModelSettings, train_force
 from learning.training.run import generator
-from learning.translation.loading import load_translator
-from learning.translation.translator import SensorView, for_pair
+from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
 from recorder.processes import cores
 from recorder.progress import span_of
+from recorder.store import replace_file
 from sim.dataset import DatasetPlan, Solving
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES, drawn_name
 from sim.result import ContactTier
 from sim.sensors import sensor_of
-from sim.sensors.sensor import read_sensor
 from sim.twin.labels import provenance, simulated_forces
 
 Floats = NDArray[np.float64]
@@ -61,8 +60,7 @@ Floats = NDArray[np.float64]
 NETS = {
     "tiny": ("sequences.batch=8", "sequences.flips=true"),
     "displacement": ("sequences.flips=true",),
-    "superposed": (),
-    "paper": RECIPES["paper"],
+    "paper": PAPER_RECIPE,
 }
 MAIN = "tiny"
 # Names of the ways, in their order; labels at true places are no predictions from frames.
@@ -155,84 +153,81 @@ class Prediction:
     """Fx, Fy, Fz of the test frames (n, 3) [N]; NaN where there is none."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Ladder(Study):
-    """Planted sensors and one seed."""
+    """Planted sensors."""
 
     size: Size
-    seed: int
+
+    @cached_property
+    def translator(self) -> Translator:
+        """The field translator of the seed, trained on the frames of all sensors."""
+        return field_translator(self, self.size.field, self.size.field_seconds)
 
 
 def measure(run: Run, group: str) -> dict[str, Any]:
     """Plant a group's sensors, fit their twins, train every way, and return the table's lines."""
-    size, options = TOY if run.quick else FULL, run.options
-    size = replace(size, steps=options.steps or size.steps, targets=options.targets or size.targets)
-    seeds = options.seeds[:1] if run.quick else options.seeds
+    size = TOY if run.quick else FULL
+    seeds = run.options.seeds[:1] if run.quick else run.options.seeds
     designs = GROUPS[group][: size.sensors]
-    folder = folder_of(run, f"gauge-{group}-{options.skins}-{options.fit}")
-    require_same(folder / "settings.json", {"targets": size.targets, "steps": size.steps})
-    ladder = prepare(run, folder, group, designs, size)
-    cells = once(folder, "baselines", lambda: [cell(ladder, one) for one in baselines(ladder)])
+    ladder = prepare(run, folder_of(run, f"gauge-{group}"), group, designs, size)
+    cells = list(run.once("baselines", lambda: [cell(ladder, one) for one in baselines(ladder)]))
     ways: dict[str, Callable[[Ladder, str], Iterator[Prediction]]]
     ways = {"own": own, "from": from_source}
-    jobs = [(name, sensor, seed) for seed in seeds for name in ways for sensor in ladder.archive]
-    for done, (name, sensor, seed) in enumerate(jobs):
-        run.progress(0.5 + 0.5 * done / len(jobs))
+    for done, seed in enumerate(seeds):
+        run.progress(0.5 + 0.5 * done / len(seeds))
         of_seed = replace(ladder, seed=seed)
+        for name, sensor in product(ways, ladder.archive):
 
-        def job(name: str = name, sensor: str = sensor, one: Ladder = of_seed) -> Any:
-            return [cell(one, each, one.seed) for each in ways[name](one, sensor)]
+            def job(name: str = name, sensor: str = sensor, one: Ladder = of_seed) -> Any:
+                return [cell(one, each) for each in ways[name](one, sensor)]
 
-        cells += once(folder, f"{name} {sensor} {seed}", job)
+            cells += run.once(f"{name} {sensor} {seed}", job)
     run.seeds = seeds
     run.spread = "means of pairs and seeds; 95 % intervals by drawing indenters and seeds again"
-    names = ladder.archive if size.fits else ()
-    twins = {name: once(folder, f"twin {name}", dict) for name in names}
     return {
         "designs": designs,
-        "skins": options.skins,
-        "fit": options.fit,
+        "skins": SEED,
+        "fit": run.options.fit,
         "truth": size.tier,
         "lines": lines_of(cells),
-        "twins": twins,
+        "twins": {name: run.rows[f"twin {name}"]["errors"] for name in ladder.archive if size.fits},
     }
 
 
 def prepare(run: Run, folder: Path, group: str, designs: Sequence[str], size: Size) -> Ladder:
     """Return the sensors' frames with true forces and those of their twins."""
-    rows = folder / "rows"
-    write_rows(rows, group, designs, run.options.skins)
+    write_rows(folder, group, designs)
     shapes = (*(name for name in NAMES if name in size.seen + size.unseen),)
     drawn = tuple(drawn_name(number) for number in range(size.drawn))
     paths = []
     for done, design in enumerate(designs):
         name, fraction = name_of(design), 0.5 / len(designs)
         progress = span_of(run.progress, done * fraction, fraction)
-        row = read_sensor(rows / f"{name}.yaml")
-        assert row.trajectory is not None
+        one = planted(folder, group, design)
+        assert one.row.trajectory is not None
         plan = DatasetPlan(
             "targets",
-            (row,),
+            (one.row,),
             indenters=(*shapes, *drawn),
             solving=Solving(tier=size.tier),
             steps=size.phase,
-            fraction=round(size.targets / len(row.trajectory), 6),
+            fraction=round(size.targets / len(one.row.trajectory), 6),
         )
         paths.append(folder / f"{name}.markers.zarr")
-        archive = simulate(paths[-1], plan, run.device, cores(), span_of(progress, 0, 0.5))
+        archive = simulate(paths[-1], plan, run.device, span_of(progress, 0, 0.5))
         twin = design
         if size.fits:
-            twin = str(folder / "twins" / f"{name}.yaml")
-            fit: dict[str, Any] = {"fit": run.options.fit, "grid": size.grid}
-            fit |= {"truth": size.tier, "device": run.device, "processes": cores()}
-            one = planted(rows, group, design, run.options.skins)
-            once(folder, f"twin {name}", partial(write_twin, one, Path(twin), **fit))
+            how: dict[str, Any] = {"fit": run.options.fit, "grid": size.grid}
+            how |= {"truth": size.tier, "device": run.device, "processes": cores()}
+            twin = str(folder / f"{name}-twin.yaml")
+            text = run.once(f"twin {name}", partial(twin_of, one, **how))["row"]
+            replace_file(Path(twin), text.encode())
         progress(0.8)
         add_labels(archive, name, twin, size, run.device)
     archives = Joined(paths)
     split = make_split(archives, validation=0, new_press=0, unseen=[*size.unseen, *drawn])
-    device = torch.device(run.device)
-    return Ladder(folder, archives, split, device, max(1, cores() // 2), True, size, 0)
+    return Ladder(archives, split, torch.device(run.device), size=size)
 
 
 def add_labels(archive: MarkerArchive, name: str, twin: str, size: Size, device: str) -> None:
@@ -276,16 +271,11 @@ def trained(
     Raises:
         LearningError: There is nothing to learn from, or the training diverged.
     """
-    overrides = [f"seed={ladder.seed}", "patience_epochs=null", ladder.launch, *NETS[preset]]
-    if ladder.device.type == "cpu":
-        overrides.append("launch.mixed_precision=no")
-    whole = read_settings(ForceModelSettings, PRESETS, preset, overrides)
-    labelled = presses if labels is None else labels.of(presses)
+    labelled, settings = relabelled(presses, labels), net_settings(ladder, preset, NETS[preset])
     parts = {"paper": 2} if start_from is None else {preset: 4}
     steps = ladder.size.steps // parts.get(preset, 1)
-    epochs = max(1, round(steps / -(-len(labelled) // whole.sequences.batch)))
-    last = shortened(whole.stages[-1], epochs, len(labelled), whole)
-    return train_force(labelled, replace(whole, stages=(last,)), start_from=start_from)
+    epochs = max(1, round(steps / -(-len(labelled) // settings.sequences.batch)))
+    return train_net(labelled, settings, settings.stages[-1:], epochs, start_from)
 
 
 def baselines(study: Study) -> Iterator[Prediction]:
@@ -300,17 +290,12 @@ def baselines(study: Study) -> Iterator[Prediction]:
         wrench = one.table["wrench"][:, :3].astype(np.float64)
         both = simulated_labels(one, other).force
         labels = [(AT_PLACES[0], 0, wrench), (AT_PLACES[2], TWIN, both)]
-        curves = study.relabelling(source, target)
-        if curves is not None:
-            yield Prediction(
-                NEAREST, "-", source, target, CURVE, nearest_labels(study, source, target)
-            )
+        if study.relabelling(source, target) is not None:
+            nearest = nearest_labels(study, source, target)
+            yield Prediction(NEAREST, "-", source, target, CURVE, nearest)
             valid = np.flatnonzero(one.table["valid"])
             scaled = np.full_like(wrench, np.nan)
-            depth, phase = one.table["depth"][valid], one.table["phase"][valid]
-            scaled[valid], _ = curves.applied(
-                wrench[valid], depth.astype(np.float64), phase.astype(np.int64)
-            )
+            scaled[valid] = forces_by_curves(study, source, target, valid)
             labels.append((AT_PLACES[1], CURVE, scaled))
         partner = partners(one.table, other.table)[rows]
         for words, spent, forces in labels:
@@ -323,9 +308,7 @@ def baselines(study: Study) -> Iterator[Prediction]:
 
 def from_source(ladder: Ladder, source: str) -> Iterator[Prediction]:
     """Yield predictions of nets that are trained on one source, for all targets."""
-    archive, name = ladder.archive, f"field-{ladder.seed}"
-    train_field(ladder, ladder.size.field, ladder.size.field_seconds, name, ladder.seed)
-    translator = load_translator(ladder.model(name), ladder.device)
+    archive = ladder.archive
     images, moved, packed = (
         ladder.presses(source, "train", form) for form in ("images", "field", "packed")
     )
@@ -340,7 +323,7 @@ def from_source(ladder: Ladder, source: str) -> Iterator[Prediction]:
 
         yield of(SOURCE, MAIN, nets[MAIN], 0)
         yield of(DISPLACED, "displacement", nets["displacement"], 0)
-        pair = for_pair(translator, SensorView.of(one), SensorView.of(other))
+        pair = for_pair(ladder.translator, SensorView.of(one), SensorView.of(other))
         frames = translate_presses(packed, look_of(other, packed, ladder.device), pair)
         curves = ladder.relabelling(source, target)
         for words, spent, labels in (
@@ -373,7 +356,7 @@ def own(ladder: Ladder, sensor: str) -> Iterator[Prediction]:
 # Scores
 
 
-def cell(study: Study, one: Prediction, seed: int = 0) -> dict[str, Any]:
+def cell(study: Study, one: Prediction) -> dict[str, Any]:
     """Return the scores of a prediction: sums by indenter.
 
     Raises:
@@ -385,7 +368,11 @@ def cell(study: Study, one: Prediction, seed: int = 0) -> dict[str, Any]:
         raise LearningError(f"{one.way}, {one.source} to {one.target}: forces are not finite")
     sums = sums_by_indenter(true[finite], one.force[finite], names[finite])
     described = {name: getattr(one, name) for name in ("way", "net", "source", "target", "spent")}
-    return {**described, "seed": seed, "sums": {name: each.tolist() for name, each in sums.items()}}
+    return {
+        **described,
+        "seed": study.seed,
+        "sums": {name: each.tolist() for name, each in sums.items()},
+    }
 
 
 def lines_of(cells: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

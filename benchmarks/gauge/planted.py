@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from benchmarks.twin.planted import Bench, Forces, observed, random_skin, solved
 from recorder.settings import yaml_text
 from recorder.store import replace_file
 from sim.dataset.plan import Solving
-from sim.errors import SceneError, SimulationDiverged
+from sim.errors import SimulationDiverged
 from sim.fem import Fem, further_settings
 from sim.result import ContactTier
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
@@ -47,16 +46,14 @@ SEEN = {
         "rim_missing": 0.02,
     },
 }
-# Sensors differ if a quantity of their skins does by this fraction, or their mounting by this [m].
-APART, MOUNTED_APART = 0.03, 10e-6
 # Indenters that identify a twin: each is pressed to two depths, sheared and held.
 GAUGE = ("sphere", "prism")
 # First of the two depths over the deepest of the row: a thick pad is pressed less deep.
 PART, PARTS = 0.4, {"tacpalm": 0.24}
 # Quantities of twins whose errors are shown.
 COMPARED = ("modulus", "thickness", "poisson", "friction")
-# Seed of the draws of mounting in archives.
-ARCHIVE_SEED = 0
+# Seeds of the sensors, and of the draws of mounting in archives.
+SEED, ARCHIVE_SEED = 0, 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,98 +70,49 @@ def name_of(design: str) -> str:
     return f"{design}-planted"
 
 
-def write_rows(folder: Path, group: str, designs: Sequence[str], seed: int) -> None:
-    """Write the rows of a group's planted sensors, and check that they differ.
-
-    Raises:
-        SceneError: Two sensors do not differ.
-    """
+def write_rows(folder: Path, group: str, designs: Sequence[str]) -> None:
+    """Write the rows of a group's planted sensors."""
     folder.mkdir(parents=True, exist_ok=True)
     for design in designs:
-        text = _row(group, design, seed)
-        replace_file(folder / f"{name_of(design)}.yaml", text.encode())
-    require_apart([planted(folder, group, design, seed).row for design in designs])
+        made = with_quantities(sensor(design), _drawn(group, design)[0])
+        content = {
+            "extends": f"{design}.yaml",
+            "description": f"{design} with a skin and mounting of its own",
+            **skin_row(made),
+            "variation": {**MOUNTED, **(SEEN if isinstance(made.signal, CameraSignal) else {})},
+        }
+        replace_file(folder / f"{name_of(design)}.yaml", yaml_text(content).encode())
 
 
-def planted(folder: Path, group: str, design: str, seed: int) -> Planted:
+def planted(folder: Path, group: str, design: str) -> Planted:
     """Return a planted sensor, as it was written."""
     row = read_sensor(folder / f"{name_of(design)}.yaml")
-    _, bench = _drawn(group, design, seed)
+    _, bench = _drawn(group, design)
     assert row.variation.mount is not None
     placed = row.variation.mount.drawn(ARCHIVE_SEED, row.name)
     moved = (-placed.shift_x, -placed.shift_y)
     return Planted(design, row, replace(bench, height=placed.height, place=moved))
 
 
-def require_apart(rows: Sequence[SimulatedSensor]) -> None:
-    """Check that no two sensors have the same skin and mounting.
-
-    Raises:
-        SceneError: Two do.
-    """
-    for one, other in combinations(rows, 2):
-        values, others = quantities(one), quantities(other)
-        skins = max(abs(values[name] / others[name] - 1) for name in values)
-        places = [
-            np.array([placed.shift_x, placed.shift_y, placed.height])
-            for each in (one, other)
-            if each.variation.mount is not None
-            for placed in (each.variation.mount.drawn(ARCHIVE_SEED, each.name),)
-        ]
-        mounts = float(np.ptp(places, axis=0).max()) if len(places) == 2 else 0.0
-        if skins < APART and mounts < MOUNTED_APART:
-            raise SceneError(
-                f"{one.name}, {other.name}: skins differ by {100 * skins:.1f} % and mounts by "
-                f"{1e6 * mounts:.0f} um; allowed: {100 * APART:.0f} % or more, or "
-                f"{1e6 * MOUNTED_APART:.0f} um or more"
-            )
-
-
-def _drawn(group: str, design: str, seed: int) -> tuple[Mapping[str, float], Bench]:
+def _drawn(group: str, design: str) -> tuple[Mapping[str, float], Bench]:
     """Return the quantities of a sensor's skin, and the errors of its bench."""
     skin = ONE_SKIN.get(group, design)
-    of_skin = [seed, [*GROUPS].index(group), [*GROUPS[group]].index(skin)]
-    drawn, _ = random_skin(np.random.default_rng(of_skin), skin)
-    own = [seed, [*GROUPS].index(group), GROUPS[group].index(design), 1]
-    _, bench = random_skin(np.random.default_rng(own), design)
-    return quantities(drawn), bench
+    of_group = [SEED, [*GROUPS].index(group)]
+    of_skin = np.random.default_rng([*of_group, GROUPS[group].index(skin)])
+    own = np.random.default_rng([*of_group, GROUPS[group].index(design), 1])
+    return quantities(random_skin(of_skin, skin)[0]), random_skin(own, design)[1]
 
 
-def _row(group: str, design: str, seed: int) -> str:
-    values, _ = _drawn(group, design, seed)
-    made = with_quantities(sensor(design), values)
-    content = {
-        "extends": f"{design}.yaml",
-        "description": f"{design} with a skin and mounting of its own",
-        **skin_row(made),
-        "variation": _variation(made),
-    }
-    return yaml_text(content)
+def twin_of(
+    each: Planted, *, truth: ContactTier, fit: ContactTier, grid: int, device: str, processes: int
+) -> dict[str, Any]:
+    """Press a planted sensor with a gauge, fit its twin from its design, and return the twin's row.
 
-
-def _variation(each: SimulatedSensor) -> Mapping[str, Any]:
-    """Return the errors that a sensor may have."""
-    return {**MOUNTED, **(SEEN if isinstance(each.signal, CameraSignal) else {})}
-
-
-def write_twin(
-    each: Planted,
-    out: Path,
-    *,
-    truth: ContactTier,
-    fit: ContactTier,
-    grid: int,
-    device: str,
-    processes: int,
-) -> dict[str, float]:
-    """Press a planted sensor with a gauge, fit its twin from its design, and write the twin's row.
-
-    Return the errors of its quantities, relative but for Poisson's ratio and the surface's height
+    With the errors of its quantities, relative but for Poisson's ratio and the surface's height
     [m], and its misfit.
 
     Args:
         each: The sensor.
-        out: Row to write.
         truth: Tier of the true forces; by `fem` on meshes as in archives.
         fit: Tier of the fit.
         grid: Pixels of the fit; true forces by `layer` have twice as many.
@@ -181,13 +129,11 @@ def write_twin(
         tracks.append(observed(each.row, presses, each.bench, number, forces=forces))
     how: dict[str, Any] = {"tier": fit, "grid": grid, "device": device, "processes": processes}
     twin = fitted(tracks, sensor(each.design), **how)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(out, twin_yaml(twin.sensor, f"{each.design}.yaml", GAUGE).encode())
     true, values = quantities(each.row), quantities(twin.sensor)
     errors = {name: values[name] - true[name] for name in COMPARED}
     errors |= {name: errors[name] / true[name] for name in COMPARED if name != "poisson"}
-    height = twin.values["height"] - each.bench.height
-    return {**errors, "height": height, "misfit": twin.misfit}
+    errors |= {"height": twin.values["height"] - each.bench.height, "misfit": twin.misfit}
+    return {"row": twin_yaml(twin.sensor, f"{each.design}.yaml", GAUGE), "errors": errors}
 
 
 def _solved(each: Planted, presses: PlannedPresses, **how: Any) -> Forces:

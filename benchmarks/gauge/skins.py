@@ -7,7 +7,7 @@ proportion, so the demo's frames and scaled forces are those of the other skin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from learning.force.model import load_force_model
 from learning.transfer.run import TransferRequest, run_transfer
 from learning.transfer.score import NewFrames, Score, new_frames, score_of
 from recorder import MarkerArchive
-from recorder.processes import cores
 from recorder.progress import span_of
 from sim.dataset import DatasetPlan, Solving
 from sim.sensors import sensor_of
@@ -44,16 +43,6 @@ TOY: dict[str, Any] = {
 _FEW = "stages=[{epochs: 2, learning_rate: 0.002, schedule: cosine}]"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Presses:
-    """Force-depth presses, on which weights are laid."""
-
-    true: Floats
-    """Compression (n,) [N]."""
-    predicted: Floats
-    """Predicted compression (n,) [N]."""
-
-
 def measure(run: Run) -> dict[str, Any]:
     """Transfer to a sensor without a gauge, and score its model on random skins."""
     folder, archives = folder_of(run, "gauge-coverage"), {}
@@ -63,7 +52,7 @@ def measure(run: Run) -> dict[str, Any]:
         plan = DatasetPlan("targets", (row,), solving=Solving(tier="layer"), **amount)
         path = folder / f"{name}.markers.zarr"
         progress = span_of(run.progress, 0.2 * done, 0.2)
-        archives[name] = simulate(path, plan, "cpu", cores(), progress)
+        archives[name] = simulate(path, plan, "cpu", progress)
     overrides = [f"force.set=['{_FEW}']", f"fine_tuning=['{_FEW}']"] if run.quick else []
     request = TransferRequest(
         source=SensorSelection(archives[SOURCE], SOURCE, SOURCE),
@@ -81,39 +70,37 @@ def measure(run: Run) -> dict[str, Any]:
 
 def scores(archives: dict[str, MarkerArchive], model: Path, count: int) -> list[dict[str, Any]]:
     """Return the scores on random skins, without a weight and with one, by modulus."""
-    archive = archives[TARGET]
-    frames = new_frames(model, SensorSelection(archive, TARGET, TARGET))
-    presses = force_depth(archive, model)
-    own, stiffness = modulus(archive), modulus(archives[SOURCE])
+    target = archives[TARGET]
+    frames = new_frames(model, SensorSelection(target, TARGET, TARGET))
+    compressions = force_depth(target, model)
+    own, stiffness = (
+        float(archive.attrs["plan"]["sensors"][0]["body"]["modulus"])
+        for archive in (target, archives[SOURCE])
+    )
     ratios = WITHIN ** np.random.default_rng(SEED).uniform(-1, 1, count)
     return [
-        of_skin(float(ratio), float(ratio) * stiffness / own, frames, presses)
+        of_skin(float(ratio), float(ratio) * stiffness / own, frames, *compressions)
         for ratio in sorted(ratios)
     ]
 
 
-def modulus(archive: MarkerArchive) -> float:
-    """Return the modulus of an archive's only simulated sensor [Pa]."""
-    (only,) = archive.attrs["plan"]["sensors"]
-    return float(only["body"]["modulus"])
-
-
-def force_depth(archive: MarkerArchive, folder: Path) -> Presses:
-    """Predict the force-depth presses of the target."""
+def force_depth(archive: MarkerArchive, folder: Path) -> tuple[Floats, Floats]:
+    """Return true and predicted compression (n,) [N] of the target's force-depth presses."""
     one, model = archive[TARGET], load_force_model(folder)
-    table = one.table
-    rows = np.flatnonzero((table["location"] < 0) & table["valid"])
+    rows = np.flatnonzero((one.table["location"] < 0) & one.table["valid"])
     presses = presses_of_rows(one, rows, model)
-    true = -np.asarray(table["wrench"][presses.rows.numpy(), 2], np.float64)
-    return Presses(true, -model.predict(presses)[:, 2])
+    true = -np.asarray(one.table["wrench"][presses.rows.numpy(), 2], np.float64)
+    return true, -model.predict(presses)[:, 2]
 
 
-def of_skin(ratio: float, scaled: float, frames: NewFrames, presses: Presses) -> dict[str, Any]:
+def of_skin(
+    ratio: float, scaled: float, frames: NewFrames, true_n: Floats, predicted_n: Floats
+) -> dict[str, Any]:
     """Return the scores on a skin whose true forces are `scaled` times the demo's."""
     true = scaled * frames.true
     weight = 1e-3 * GRAVITY * GRAMS
-    row = int(np.argmin(np.abs(scaled * presses.true - weight)))
-    known, predicted = scaled * float(presses.true[row]), float(presses.predicted[row])
+    row = int(np.argmin(np.abs(scaled * true_n - weight)))
+    known, predicted = scaled * float(true_n[row]), float(predicted_n[row])
     value, intervals = weighed(frames.intervals, known, predicted)
     then = value * frames.predicted
     return {

@@ -1,4 +1,4 @@
-"""Sections of the page: forces and images of each part, patterns, and the paper's figures."""
+"""Sections of the page: forces of each part, patterns, and the paper's figures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.paper.chain import ALONE, OWN
+from benchmarks.paper.chain import OWN
 from benchmarks.paper.figures import beside_the_paper
 from benchmarks.report import Page, table
 from learning.evaluation.translation import NEAREST
@@ -23,11 +23,6 @@ METHODS = {
     "field": "our `field` translator, then the net",
     "m2m": "**the paper's chain: M2M, then the net**",
     OWN: "own labels",
-}
-IMAGES = {
-    "m2m": "M2M",
-    "field": "our `field`",
-    NEAREST: "the target's nearest training frame",
 }
 TITLES = {
     "patterns": "Between patterns on one skin",
@@ -91,43 +86,17 @@ def section(name: str, values: Mapping[str, Any], page: Page) -> str:
     """Return the tables of one part; `patterns` draws the Dice of all pairs of patterns."""
     held_out = values["held out"]
     forces, new = by_held_out(values["forces"], held_out, ("target",))
-    images, new_images = by_held_out(values["images"], held_out, ("target",))
-    texts = [f"## {TITLES[name]}: {_sensors(forces)}", _forces(forces), _images(images)]
+    texts = [f"## {TITLES[name]}: {_sensors(forces)}", _forces(forces)]
     if new:
         targets = ", ".join(f"`{each}`" for each in dict.fromkeys(row["target"] for row in new))
         texts.append(
             f"On {targets}, which nothing was trained on: R2 {_mean_of(new, 'm2m', 'r2')} by the "
             f"chain, {_mean_of(new, 'field', 'r2')} by `field`, "
-            f"{_mean_of(new, 'displacement', 'r2')} by displacement; Dice "
-            f"{_mean_of(new_images, 'm2m', 'dice')} by M2M, "
-            f"{_mean_of(new_images, 'field', 'dice')} by `field`."
+            f"{_mean_of(new, 'displacement', 'r2')} by displacement."
         )
     if values.get("patterns"):
         texts.append(_patterns(values["patterns"], held_out, page))
     return "\n\n".join(texts)
-
-
-def memory_section(values: Mapping[str, Any], page: Page) -> str:
-    """Return R2 of nets that see a press in order, and each frame alone."""
-    rows = {(row["method"], row["net"], row["target"]): row for row in values["forces"]}
-    sensors = list(dict.fromkeys(row["target"] for row in values["forces"]))
-    nets = list(dict.fromkeys(row["net"] for row in values["forces"]))
-
-    def cell(method: str, net: str, sensor: str) -> str:
-        row = rows[method, net, sensor]
-        return f"{row['r2']:.3f} ({row['r2_low']:.3f} to {row['r2_high']:.3f})"
-
-    lines = [
-        [net, *(cell(method, net, sensor) for sensor in sensors for method in (OWN, ALONE))]
-        for net in nets
-    ]
-    head = ["net", *(f"`{name}`, {way}" for name in sensors for way in ("in order", "alone"))]
-    return f"""## Memory: a press in order, and each frame alone
-
-The skin of `{sensors[0]}` loses a quarter of its force in 50 ms and 0.5 s, that of
-`{sensors[-1]}` half. Nets of own labels; R2 with 90 % intervals.
-
-{table(head, lines)}"""
 
 
 def _sensors(rows: Sequence[Row]) -> str:
@@ -153,17 +122,6 @@ def _forces(rows: Sequence[Row]) -> str:
             lines.append([named, len(own), mean(own, "r2"), interval, pair, errors])
     head = ["method", "pairs", "R2", "90 % interval", "worst pair", "MAE of shear, Fz [N]"]
     return table(head, lines)
-
-
-def _images(rows: Sequence[Row]) -> str:
-    lines = []
-    for method, words in IMAGES.items():
-        if own := [row for row in rows if row["method"] == method]:
-            centres = f"{mean(own, 'centroid_px', 2)}, {mean(own, 'centroid_p95_px', 2)}"
-            wrong = mean(own, "count_mismatch", 2)
-            lines.append([words, mean(own, "dice"), centres, wrong])
-    head = ["images", "Dice", "marker centres, median and 95 % [px]"]
-    return table([*head, "frames with a wrong number of markers"], lines)
 
 
 def _patterns(rows: Sequence[Row], held_out: Sequence[str], page: Page) -> str:

@@ -1,4 +1,4 @@
-"""Scores of the chain: forces with intervals over indenters, translated images and patterns."""
+"""Scores of the chain: forces with intervals over indenters, and patterns."""
 
 from __future__ import annotations
 
@@ -10,22 +10,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.paper.study import UNSEEN, Study
+from benchmarks.paper.study import UNSEEN
 from benchmarks.sums import r2_of, sums_by_indenter
 from learning.data.images import unpack_masks
 from learning.data.splits import Split
-from learning.evaluation.translation import (
-    NEAREST,
-    RealFrames,
-    nearest_frames,
-    overlap,
-    paired_score,
-)
+from learning.evaluation.translation import overlap
 from learning.metrics import r_squared
 from learning.training.run import generator
 from learning.translation.translator import Translator
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor, location_pairs
+from recorder.archive import ArchivedSensor
 from recorder.markers import pack, unpack
 
 Floats = NDArray[np.float64]
@@ -33,7 +27,6 @@ Ints = NDArray[np.int64]
 Packed = NDArray[np.uint8]
 # Resamples of the test indenters, and the interval between their quantiles.
 RESAMPLES, INTERVAL = 2000, (0.05, 0.95)
-IMAGE_SCORES = ("dice", "centroid_px", "centroid_p95_px", "count_mismatch")
 
 
 def force_scores(
@@ -55,40 +48,6 @@ def force_scores(
     scores |= {f"r2_{axis}": value for axis, value in zip(("fx", "fy", "fz"), axes, strict=True)}
     scores |= {"mae_shear_n": errors[:2].mean(), "mae_fz_n": errors[2]}
     return {name: round(float(value), 4) for name, value in scores.items()}
-
-
-def image_rows(
-    study: Study,
-    name: str,
-    ends: tuple[str, str],
-    translator: Translator,
-    most: int,
-) -> list[dict[str, Any]]:
-    """Return scores of translated frames of unseen indenters; beside `field`, of the nearest ones.
-
-    Args:
-        study: Surroundings.
-        name: Name of the translator.
-        ends: Names of the source and the target.
-        translator: Translator for this pair.
-        most: Most frames to score.
-    """
-    source, target = (study.archive[end] for end in ends)
-    pairs = location_pairs(source.table, target.table)
-    unseen = np.flatnonzero(np.isin(pairs.source, study.split.rows(source.table, UNSEEN)))
-    some = unseen[generator(0, "scored").permutation(len(unseen))[:most]]
-    before, after = pairs.source[some], pairs.target[some]
-    packed = {name: translated((source, target), (before, after), translator, study.device)}
-    if name == "field":
-        train = study.split.rows(target.table, "train")
-        packed[NEAREST] = target.packed(nearest_frames(target.table, after, train))
-    real = RealFrames(target, after)
-    rows = []
-    for method, frames in packed.items():
-        score = paired_score(frames, real, UNSEEN, method)
-        row = {"method": method, "source": ends[0], "target": ends[1], "frames": len(frames)}
-        rows.append(row | {key: round(float(getattr(score, key)), 4) for key in IMAGE_SCORES})
-    return rows
 
 
 def pattern_rows(

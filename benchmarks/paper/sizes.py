@@ -4,26 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
+from benchmarks.paper.full_size import UNET, VAE
 from sim.dataset import DatasetPlan, Solving, gel
 from sim.indenters import NAMES
 from sim.result import ContactTier
 from sim.sensors import sensor_of
-
-# The paper's SGD of 0.1 does not leave its start in seconds (R2 -20 after 8 s of a GPU): its net is
-# trained as the others are, from the mean label on.
-RECIPES: dict[str, tuple[str, ...]] = {
-    "paper": (
-        "optimiser={name: adamw, weight_decay: 0.01, clip: 1.0}",
-        "stages=[{epochs: 40, learning_rate: 0.0003, schedule: cosine, warm_up_steps: 200}]",
-        "sequences={batch: 16, lengths: random, padding: masked}",
-        "launch.mixed_precision=bf16",
-        "start_at_mean=true",
-        "range_margin=0.05",
-    ),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +60,7 @@ class Size:
     field_preset: tuple[str, ...] = ("ours", "field_stage.batch=96", "map_stage.batch=96")
     """Preset and overrides of the field translator."""
     scored: int = 150
-    """Most frames of a pair of sensors, or of patterns, whose images are scored."""
+    """Most frames of a pair of patterns whose images are scored."""
 
     @property
     def trained(self) -> tuple[str, ...]:
@@ -88,7 +75,7 @@ class Size:
         return {
             "-".join(group): DatasetPlan(
                 "targets",
-                tuple(map(_row, group)),
+                tuple(map(sensor_of, group)),
                 indenters=self.indenters,
                 solving=solving,
                 steps=self.steps,
@@ -108,14 +95,9 @@ class Size:
     @property
     def vae(self) -> dict[str, Any]:
         """Configuration of diffusers' AutoencoderKL."""
-        return {
-            "in_channels": 3,
-            "out_channels": 3,
-            "down_block_types": ["DownEncoderBlock2D"] * 4,
-            "up_block_types": ["UpDecoderBlock2D"] * 4,
-            "block_out_channels": list(self.widths[0]),
+        return VAE | {
+            "block_out_channels": [*self.widths[0]],
             "layers_per_block": 1,
-            "latent_channels": 4,
             "norm_num_groups": 8,
             "sample_size": 256,
             "scaling_factor": 1.0,
@@ -125,25 +107,18 @@ class Size:
     def unet(self) -> dict[str, Any]:
         """Configuration of diffusers' UNet2DConditionModel."""
         deep = len(self.widths[1]) - 1
-        return {
+        return UNET | {
             "sample_size": 32,
-            "in_channels": 4,
-            "out_channels": 4,
             "down_block_types": ["CrossAttnDownBlock2D"] * deep + ["DownBlock2D"],
             "up_block_types": ["UpBlock2D"] + ["CrossAttnUpBlock2D"] * deep,
-            "block_out_channels": list(self.widths[1]),
+            "block_out_channels": [*self.widths[1]],
             "layers_per_block": 1,
             "attention_head_dim": 32,
             # The pixels of a latent: the authors' code takes each of its channels as a token.
             "cross_attention_dim": 1024,
+            "use_linear_projection": False,
             "norm_num_groups": 8,
         }
-
-
-def _row(name: str) -> Any:
-    """Return a sensor of the package, or of a file beside this one."""
-    own = Path(__file__).with_name(f"{name}.yaml")
-    return sensor_of(str(own) if own.exists() else name)
 
 
 SIZES = {
@@ -164,10 +139,6 @@ SIZES = {
         sensors=("r6", "r8", "r10", "r12", "r14", "r16", "r18"), skins_differ=True, minutes=1.5
     ),
     "kinds": Size(sensors=("gelsight", "tacpalm", "uskin"), apart=True, skins_differ=True),
-    # Two skins of one sensor, of which one hardly relaxes and the other loses half of its force.
-    "memory": Size(
-        sensors=("gelsight", "viscous"), apart=True, minutes=1.2, shares={"net": 0.6, "tuned": 0.6}
-    ),
 }
 # What makes a part end in seconds of two cores.
 _TOY: dict[str, Any] = {
@@ -187,7 +158,7 @@ _TOY: dict[str, Any] = {
     "scored": 2,
     "minutes": 0.0,
 }
-_PAIRS = {"skins": ("r6", "r18"), "kinds": ("gelsight", "uskin"), "memory": ("gelsight", "viscous")}
+_PAIRS = {"skins": ("r6", "r18"), "kinds": ("gelsight", "uskin")}
 
 
 def toy(part: str) -> Size:

@@ -1,17 +1,13 @@
-"""Archives, presses by role and stored results, which `paper` and `gauge` have in common.
-
-A run has a folder. Archives and networks there are read, not made again, and so are the values of
-jobs that are done: the same command goes on after Ctrl-C.
-"""
+"""What `paper` and `gauge` do alike: archives, presses by role, and trainings in memory."""
 
 from __future__ import annotations
 
-import json
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -19,38 +15,61 @@ from numpy.typing import NDArray
 
 from benchmarks.report import ROOT, Run
 from learning.compensation.fit import PairCompensation, StoredCompensation, find_compensation
+from learning.config import read_settings
 from learning.data.images import shrink
 from learning.data.presses import Presses, load_presses, read_frames
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
-from learning.force.train import ForceModelSettings, ForceStageSettings
+from learning.force.labels import Relabelling
+from learning.force.model import ForceModel
+from learning.force.train import PRESETS, ForceModelSettings, ForceStageSettings, train_force
+from learning.training.run import TrainingSession, accelerator
+from learning.translation.field import train as field_training
+from learning.translation.field.data import gather_role
+from learning.translation.field.network import FieldModel
+from learning.translation.field.translator import FieldTranslator
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
-from recorder.store import replace_file
+from recorder.processes import cores
 from sim.dataset import DatasetPlan, begin, fill
 from sim.dataset.run import make_here, make_in_processes
 from sim.device import ready_device
 
 Floats = NDArray[np.float64]
+Result = TypeVar("Result")
+Train = Callable[[int, TrainingSession], Result]
 UNSEEN: Role = "new_indenter"
 # Side of the images that the nearest frame is searched in.
 SMALL = 64
 # Presses that a GPU solves in one launch.
 AT_ONCE = 162
+# Steps, and epochs, that are timed before a training, until they take some time [s].
+PROBE, PROBED_EPOCHS, ENOUGH_S = 12, 1, 1.5
+# Steps, and epochs, of a training that has no time.
+FEW = 4
+# The paper's SGD of 0.1 does not leave its start in seconds (R2 -20 after 8 s of a GPU): its net is
+# trained as the others are, from the mean label on.
+PAPER_RECIPE = (
+    "optimiser={name: adamw, weight_decay: 0.01, clip: 1.0}",
+    "stages=[{epochs: 40, learning_rate: 0.0003, schedule: cosine, warm_up_steps: 200}]",
+    "sequences={batch: 16, lengths: random, padding: masked}",
+    "launch.mixed_precision=bf16",
+    "start_at_mean=true",
+    "range_margin=0.05",
+)
 
 
 def folder_of(run: Run, name: str) -> Path:
-    """Return the folder of a part's archives and networks, where a repeated command goes on."""
-    if run.options.work is None and run.quick:
+    """Return the folder of a part's archives, where an interrupted simulation goes on."""
+    if run.quick:
         return run.folder
-    work: Path = run.options.work or ROOT / "build" / "benchmarks"
-    folder = work / name
+    folder = ROOT / "build" / "benchmarks" / name
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def simulate(
-    path: Path, plan: DatasetPlan, device: str, processes: int, progress: Callable[[float], None]
+    path: Path, plan: DatasetPlan, device: str, progress: Callable[[float], None]
 ) -> MarkerArchive:
     """Make or complete an archive, and return it."""
     ready_device(device)
@@ -59,7 +78,7 @@ def simulate(
         plan = replace(plan, batch_size=AT_ONCE, solving=solving)
     opened = begin(path, plan, device)
     make = make_in_processes if device == "cpu" else make_here
-    fill(opened, partial(make, opened, device=device, processes=processes), progress)
+    fill(opened, partial(make, opened, device=device, processes=cores()), progress)
     return MarkerArchive(path)
 
 
@@ -85,23 +104,19 @@ class Joined(MarkerArchive):
 class Study:
     """Frames of simulated sensors, with the roles of their presses."""
 
-    folder: Path
     archive: MarkerArchive
     split: Split
     device: torch.device
-    processes: int
-    """Processes that track markers."""
-    skins_differ: bool
+    skins_differ: bool = True
     """True if labels that are carried over are compensated by force-depth curves."""
+    seed: int = 0
+    """Seed of the trainings."""
+    _unseen: dict[tuple[str, str], Presses] = field(default_factory=dict)
 
     @cached_property
     def compensation(self) -> StoredCompensation | None:
         """Compensation of labels between skins; None: all skins are alike."""
         return find_compensation(self.archive)[0] if self.skins_differ else None
-
-    @cached_property
-    def _unseen(self) -> dict[tuple[str, str], Presses]:
-        return {}
 
     def relabelling(self, source: str, target: str) -> PairCompensation | None:
         """Return what compensates a source's labels for a target; None: nothing does.
@@ -115,14 +130,10 @@ class Study:
             return None
         return self.compensation.pair(source, target, "priors")
 
-    def model(self, name: str) -> Path:
-        """Folder of a trained network."""
-        return self.folder / "models" / name
-
     def presses(self, sensor: str, role: Role, form: Any = "images") -> Presses:
         """Presses of a sensor that have a role."""
         one = self.archive[sensor]
-        how: dict[str, Any] = {"device": self.device, "processes": self.processes}
+        how: dict[str, Any] = {"device": self.device, "processes": max(1, cores() // 2)}
         return load_presses(one, self.split.rows(one.table, role), form=form, **how)
 
     def unseen(self, sensor: str, form: Any = "images") -> Presses:
@@ -143,26 +154,92 @@ class Study:
         return f"launch.device={self.device.type}"
 
 
-def once(folder: Path, name: str, measure: Callable[[], Any]) -> Any:
-    """Return the values of a job, as JSON has them; they are computed once in a folder."""
-    path = folder / "measured" / f"{name.replace(' ', '-')}.json"
-    if not path.exists():
-        path.parent.mkdir(exist_ok=True)
-        replace_file(path, json.dumps(measure()).encode())
-    return json.loads(path.read_text(encoding="utf-8"))
+def timed(seconds: float, launch: Any, train: Train[Result], probe: int = PROBE) -> Result:
+    """Return what `train` returns for as many steps, or epochs, as fit in a time; 0: for a few.
+
+    `probe` is the number that is timed at first.
+    """
+    steps = max(2, int(seconds / _seconds_of_one(probe, launch, train))) if seconds else FEW
+    return train(steps, TrainingSession(accelerator(launch)))
+
+
+def _seconds_of_one(units: int, launch: Any, train: Train[Result]) -> float:
+    """Return the time of one step, or of one epoch, of a training that is timed."""
+    while True:
+        stamps: dict[int, float] = {}
+
+        def stamp(done: int, _: int, stamps: dict[int, float] = stamps) -> None:
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            stamps[done] = time.perf_counter()
+
+        train(units, TrainingSession(accelerator(launch), progress=stamp))
+        if len(stamps) >= 4:
+            # Medians of both halves: a start, or work between two stages, is no step.
+            halves = np.array_split(np.diff(list(stamps.values())), 2)
+            seconds = float(np.mean([np.median(each) for each in halves])) * len(stamps)
+            if seconds > ENOUGH_S:
+                return seconds / units
+        units *= 4
+
+
+def field_translator(study: Study, preset: Sequence[str], seconds: float) -> FieldTranslator:
+    """Train the field translator for some time, without a simulator's true displacement.
+
+    `preset` is that of its settings, and overrides.
+    """
+    sensors = study.split.trained_sensors(study.archive)
+    frames = gather_role(study.archive, study.split, sensors, "train", device=study.device)
+    if frames is None:
+        raise LearningError(f"{study.archive.name}: no press to train on; allowed: some")
+    without = replace(frames, shift=None)
+
+    def settings(steps: int) -> field_training.FieldSettings:
+        half = [f"{stage}.steps={max(1, steps // 2)}" for stage in ("field_stage", "map_stage")]
+        own = [f"seed={study.seed}", f"validate_every_steps={steps}", study.launch]
+        overrides = [*preset[1:], *half, *own]
+        presets = field_training.PRESETS
+        return read_settings(field_training.FieldSettings, presets, preset[0], overrides)
+
+    def train(steps: int, session: TrainingSession) -> FieldModel:
+        return field_training.train_field(without, settings(steps), None, session)
+
+    return FieldTranslator("field", timed(seconds, settings(PROBE).launch, train))
 
 
 def form_of(preset: str) -> Any:
     """Return the form of presses that a net reads."""
-    return "field" if preset in ("displacement", "superposed") else "images"
+    return "field" if preset == "displacement" else "images"
 
 
-def shortened(
-    stage: ForceStageSettings, epochs: int, presses: int, settings: ForceModelSettings
-) -> ForceStageSettings:
-    """Return a stage of another number of epochs."""
-    steps = epochs * -(-presses // settings.sequences.batch)
-    return replace(stage, epochs=epochs, warm_up_steps=min(stage.warm_up_steps, steps // 10))
+def net_settings(study: Study, preset: str, overrides: Sequence[str]) -> ForceModelSettings:
+    """Return the settings of a force net whose number of epochs does not depend on its scores."""
+    own = [f"seed={study.seed}", "patience_epochs=null", study.launch, *overrides]
+    if study.device.type == "cpu":
+        own.append("launch.mixed_precision=no")
+    return read_settings(ForceModelSettings, PRESETS, preset, own)
+
+
+def train_net(
+    presses: Presses,
+    settings: ForceModelSettings,
+    stages: Sequence[ForceStageSettings],
+    epochs: int,
+    start_from: ForceModel | None = None,
+    session: TrainingSession | None = None,
+) -> ForceModel:
+    """Return a force net that is trained in some stages, each of a number of epochs."""
+    steps = epochs * -(-len(presses) // settings.sequences.batch)
+    short = tuple(
+        replace(stage, epochs=epochs, warm_up_steps=min(stage.warm_up_steps, steps // 10))
+        for stage in stages
+    )
+    return train_force(presses, replace(settings, stages=short), session, start_from=start_from)
+
+
+def relabelled(presses: Presses, labels: Relabelling | None) -> Presses:
+    """Return presses with other labels; None: with their own."""
+    return presses if labels is None else labels.of(presses)
 
 
 def nearest_labels(study: Study, source: str, target: str) -> Floats:
@@ -175,11 +252,7 @@ def nearest_labels(study: Study, source: str, target: str) -> Floats:
     pairs = location_pairs(one.table, other.table)
     trained = np.isin(pairs.target, study.split.rows(other.table, "train"))
     rows = pairs.source[trained]
-    labels = one.table["wrench"][rows, :3].astype(np.float64)
-    compensation = study.relabelling(source, target)
-    if compensation is not None:
-        depth, phase = one.table["depth"][rows], one.table["phase"][rows]
-        labels, _ = compensation.applied(labels, depth.astype(np.float64), phase.astype(np.int64))
+    labels = forces_by_curves(study, source, target, rows)
 
     def changes(rows: NDArray[np.int64]) -> torch.Tensor:
         images = read_frames(other, rows, study.device).float()
@@ -190,3 +263,14 @@ def nearest_labels(study: Study, source: str, target: str) -> Floats:
 
     apart = torch.cdist(changes(study.unseen(target).rows.numpy()), changes(pairs.target[trained]))
     return np.asarray(labels[apart.argmin(dim=1).cpu().numpy()], np.float64)
+
+
+def forces_by_curves(study: Study, source: str, target: str, rows: NDArray[np.int64]) -> Floats:
+    """Return the source's forces (n, 3) [N] in some of its rows, compensated for the target."""
+    table = study.archive[source].table
+    forces = table["wrench"][rows, :3].astype(np.float64)
+    compensation = study.relabelling(source, target)
+    if compensation is not None:
+        depth, phase = table["depth"][rows], table["phase"][rows]
+        forces, _ = compensation.applied(forces, depth.astype(np.float64), phase.astype(np.int64))
+    return forces
