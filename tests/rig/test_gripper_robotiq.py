@@ -8,6 +8,7 @@ from pathlib import Path
 import minimalmodbus
 import pytest
 import serial
+from support.drivers import running
 from support.waiting import until
 
 from rig.core.clock import FakeClock, SystemClock
@@ -32,15 +33,12 @@ CLOSE = GripperCommand(go=True, position=255, speed=255, force=255)
 
 
 @pytest.fixture(name="emulator")
-def running(tmp_path: Path) -> Iterator[RobotiqEmulator]:
+def running_emulator(tmp_path: Path) -> Iterator[RobotiqEmulator]:
     clock = SystemClock()
-    emulator = RobotiqEmulator(
-        Fingers(clock, object_at=120, holding=True), tmp_path / "gripper.tty", clock
-    )
-    emulator.start()
-    yield emulator
-    emulator.close()
-    emulator.close()
+    fingers = Fingers(clock, object_at=120, holding=True)
+    with running(RobotiqEmulator(fingers, tmp_path / "gripper.tty", clock)) as emulator:
+        yield emulator
+        emulator.close()  # which may be called twice
 
 
 @pytest.fixture(name="driver")
@@ -161,17 +159,15 @@ def test_the_driver_opens_closes_and_tells_what_it_holds(driver: RobotiqDriver) 
 
 def test_the_driver_activates_a_gripper_that_is_reset(tmp_path: Path) -> None:
     clock = SystemClock()
-    emulator = RobotiqEmulator(Fingers(clock, object_at=120), tmp_path / "tty", clock)
-    emulator.start()
-    try:
-        with RobotiqDriver(RobotiqConfig(emulator.address, speed=255), clock) as driver:
-            driver.open(1.0)
-            with pytest.raises(DeviceLost, match="activate it first"):
-                driver.close_fingers()
-            assert driver.activate(10.0).state == ACTIVE
-            assert driver.close_fingers().holding
-    finally:
-        emulator.close()
+    with (
+        running(RobotiqEmulator(Fingers(clock, object_at=120), tmp_path / "tty", clock)) as reset,
+        RobotiqDriver(RobotiqConfig(reset.address, speed=255), clock) as driver,
+    ):
+        driver.open(1.0)
+        with pytest.raises(DeviceLost, match="activate it first"):
+            driver.close_fingers()
+        assert driver.activate(10.0).state == ACTIVE
+        assert driver.close_fingers().holding
 
 
 def test_opening_moves_nothing_and_forgets_an_old_silence(emulator: RobotiqEmulator) -> None:

@@ -23,8 +23,7 @@ def test_a_healthy_recording_is_good_in_everything(bench: Bench, tmp_path: Path)
     with recording(bench, tmp_path) as made:
         assert {row.state for row in made.quality.look()} == {"unknown"}
         for _ in range(4):
-            made.second()
-            judged = made.judged()
+            judged = made.seconds(1)
         assert wrong(judged) == {}
         signal = ["markers", "camera drift"] if bench.camera else ["taxels drift"]
         assert list(judged) == [*signal, "force drift", "force"]
@@ -36,9 +35,7 @@ def test_rows_of_earlier_runs_are_left_out(tmp_path: Path) -> None:
     with recording(USKIN, tmp_path) as made:
         made.second(force=lambda ms, load: (2.0, 0.0, 0.0))
         made.quality = LiveQuality(USKIN, made.path, CLEARANCE, 0)
-        for _ in range(2):
-            made.second()
-        assert wrong(made.judged()) == {}
+        assert wrong(made.seconds(2)) == {}
 
 
 RATING = USKIN.force_rating[2]
@@ -84,13 +81,9 @@ def test_an_odd_force_is_found(
     state: str, text: str, fault: dict[str, Any], tmp_path: Path
 ) -> None:
     with recording(USKIN, tmp_path) as made:
-        made.second()
-        made.second()
-        assert wrong(made.judged()) == {}
+        assert wrong(made.seconds(2)) == {}
         made.second(**fault)
-        for _ in range(2):
-            made.second()
-        judged = made.judged()
+        judged = made.seconds(2)
         assert wrong(judged).keys() == {"force"}
         assert judged["force"].state == state
         # It is recorded, so it stays on the page.
@@ -121,11 +114,8 @@ def test_a_drift_is_found(
     bench: Bench, drift: dict[str, Part], state: str, row: str, text: str, tmp_path: Path
 ) -> None:
     with recording(bench, tmp_path) as made:
-        made.second()
-        made.judged()
-        for _ in range(2):
-            made.second(**drift)
-        judged = made.judged()
+        made.seconds(1)
+        judged = made.seconds(2, **drift)
         drifted = judged.pop(f"{row} drift")
         assert drifted.state == state
         assert text in drifted.text
@@ -135,13 +125,10 @@ def test_a_drift_is_found(
 
 def test_markers_that_are_lost_are_found_and_a_contact_may_hide_a_few(tmp_path: Path) -> None:
     with recording(GELSIGHT, tmp_path) as made:
-        made.second()
-        made.judged()
-        made.second(image=lambda load: picture(missing=2 * (load > 0)))
-        made.judged()
+        made.seconds(1)
+        made.seconds(1, image=lambda load: picture(missing=2 * (load > 0)))
         for _ in range(2):
-            made.second(image=lambda load: picture(missing=2))
-            judged = made.judged()
+            judged = made.seconds(1, image=lambda load: picture(missing=2))
         assert wrong(judged).keys() == {"markers"}
         assert judged["markers"].state == "fault"
         assert judged["markers"].text.startswith(
@@ -149,8 +136,7 @@ def test_markers_that_are_lost_are_found_and_a_contact_may_hide_a_few(tmp_path: 
         )
         # Seen again, but some of the images before have lost them.
         for _ in range(2):
-            made.second()
-            judged = made.judged()
+            judged = made.seconds(1)
         assert judged["markers"].state == "good"
         assert "missing in " in judged["markers"].text
 
@@ -159,8 +145,7 @@ def test_a_sensor_without_a_preset_has_no_count(tmp_path: Path) -> None:
     content = {**read_yaml(BENCHES / "gelsight.yaml", BENCHES), "sensor": "nosuch"}
     with recording(bench_from(content, "b.yaml"), tmp_path) as made:
         for _ in range(2):
-            made.second()
-            judged = made.judged()
+            judged = made.seconds(1)
         assert wrong(judged) == {
             "markers": ("unknown", "not counted: no preset detects markers of nosuch")
         }

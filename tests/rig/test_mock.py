@@ -51,34 +51,30 @@ def test_sources_that_are_not_there_are_refused_by_name(tmp_path: Path) -> None:
     assert description == {"camera": {"name": tmp_path.name, "motion": "still"}}
 
 
-def test_an_emulator_that_does_not_start_is_named_with_its_last_word(tmp_path: Path) -> None:
-    path = find_bench("uskin", BENCHES)
-    log = tmp_path / "log.npy"
+@pytest.mark.parametrize(
+    ("library", "error", "text"),
+    [
+        (True, DeviceLost, "taxels emulator did not start"),
+        (False, ConfigError, r"taxels emulator: websockets is not .*tactile-rig\[rig\]"),
+    ],
+    ids=["its file is none", "it lacks a library"],
+)
+def test_an_emulator_that_does_not_start_is_named_with_its_last_word_or_the_extra_it_lacks(
+    library: bool,
+    error: type[Exception],
+    text: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    log, folder = tmp_path / "log.npy", tmp_path / "run"
     log.write_bytes(b"no array")
-    folder = tmp_path / "run"
     folder.mkdir()
-    bench = MockBench(BenchFile.read(path), folder, sources=Sources(taxels=log))
-    with pytest.raises(DeviceLost, match="taxels emulator did not start"), bench:
+    if not library:
+        missing = "raise ModuleNotFoundError(\"No module named 'websockets'\")\n"
+        (tmp_path / "websockets.py").write_text(missing)
+        monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    file = BenchFile.read(find_bench("uskin", BENCHES))
+    bench = MockBench(file, folder, sources=Sources(taxels=log))
+    with pytest.raises(error, match=text), bench:
         pass
     assert all(process.returncode is not None for process in bench.processes.values())
-
-
-def test_an_emulator_that_lacks_a_library_names_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    missing = tmp_path / "websockets"
-    missing.mkdir()
-    (missing / "__init__.py").write_text(
-        "raise ModuleNotFoundError(\"No module named 'websockets'\")\n"
-    )
-    before = os.environ.get("PYTHONPATH", "")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), before]))
-    path = find_bench("uskin", BENCHES)
-    bench = MockBench(BenchFile.read(path), tmp_path)
-    with (
-        pytest.raises(
-            ConfigError, match=r"taxels emulator: websockets is not .*tactile-rig\[rig\]"
-        ),
-        bench,
-    ):
-        pass

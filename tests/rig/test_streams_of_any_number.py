@@ -159,11 +159,10 @@ class Measured:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self._places = {row.name: place for place, row in enumerate(bench.rows)}
 
     def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
         fixed = {"std": np.full(6, 0.01), "t_ns": 5}
-        return {name: {"mean": np.full(6, 0.1 * self._places[name]), **fixed} for name in names}
+        return {name: {"mean": np.full(6, 0.1 * NAMES.index(name)), **fixed} for name in names}
 
     def __getitem__(self, name: str) -> Measured:
         return self

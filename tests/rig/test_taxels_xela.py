@@ -126,16 +126,16 @@ def test_anything_else_is_refused_with_a_reason(text: str, complaint: str) -> No
 
 
 @pytest.mark.parametrize(("layout", "rate_hz"), [("1.7", None), ("1.8", 200.0)])
-def test_the_worlds_taxels_arrive_rounded_with_the_facts_of_the_sensor(
+def test_the_worlds_taxels_arrive_rounded_with_its_description(
     host: str, layout: str, rate_hz: float | None
 ) -> None:
     with emulated(host, layout=layout), opened(host) as driver:
         sample = collect(driver, 1)[0]
         assert sample["value"].tolist() == (48000 + np.arange(48).reshape(16, 3)).tolist()
-        facts = driver.describe()
-        assert (facts["layout"], facts["rate_hz"]) == (layout, rate_hz)
+        properties = driver.describe()
+        assert (properties["layout"], properties["rate_hz"]) == (layout, rate_hz)
         if layout == "1.8":
-            assert (facts["model"], facts["vendor_calibration"]) == ("uSPa44", False)
+            assert (properties["model"], properties["vendor_calibration"]) == ("uSPa44", False)
             assert math.isfinite(sample["device_t"])
 
 

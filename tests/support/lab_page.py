@@ -9,7 +9,7 @@ import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -96,18 +96,14 @@ asyncio.run(page.run(lambda port: print(f"watch it at http://127.0.0.1:{port}/",
 """
 
 
-@contextmanager
-def serving(folder: Path) -> Iterator[LabPage]:
+def serving(folder: Path) -> AbstractContextManager[LabPage]:
     """Serve the page of a lab with the priority of a test; `tactile page` has a lower one."""
-    with _served(folder, "-c", SERVER) as page:
-        yield page
+    return _served(folder, "-c", SERVER)
 
 
-@contextmanager
-def running(folder: Path, *options: str) -> Iterator[LabPage]:
+def running(folder: Path, *options: str) -> AbstractContextManager[LabPage]:
     """Run `tactile page` in a folder."""
-    with _served(folder, "-m", "tactile", "page", "--port", "0", *options) as page:
-        yield page
+    return _served(folder, "-m", "tactile", "page", "--port", "0", *options)
 
 
 @contextmanager

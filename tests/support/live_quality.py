@@ -101,6 +101,12 @@ class Recording:
             self.session.reference.append(**row)
         self.now_ms += 1000
 
+    def seconds(self, count: int, **parts: Any) -> dict[str, QualityRow]:
+        """Record `count` seconds, and return their quality."""
+        for _ in range(count):
+            self.second(**parts)
+        return self.judged()
+
     def judged(self) -> dict[str, QualityRow]:
         return {row.name: row for row in self.quality.look()}
 
