@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -37,48 +40,49 @@ PRESETS = ("authors_code", "ours", "paper_main", "paper_supplement")
 
 def test_presets_are_what_paper_supplement_and_code_say() -> None:
     assert preset_names(translator.PRESETS) == PRESETS
-    reported = {
+    presets = {
         name: read_settings(TranslatorSettings, translator.PRESETS, name) for name in PRESETS
     }
+    weights = DiffusionLossWeights(adversarial=0.5, perceptual=5.0, square=1.0)
     for name, batch in (("paper_main", 16), ("paper_supplement", 4)):
-        assert reported[name].optimiser.rate == Constant(5e-6, warm_up=500)
-        assert reported[name].losses == DiffusionLossWeights(
-            adversarial=0.5, perceptual=5.0, square=1.0
-        )
-        assert (reported[name].batch, reported[name].steps, reported[name].train_vae) == (
-            batch,
-            100_000,
-            True,
-        )
-        assert reported[name].marker_vae.optimiser.rate == Constant(1e-4)
-        assert (reported[name].marker_vae.batch, reported[name].marker_vae.steps) == (
-            batch,
-            100_000,
-        )
-    code = reported["authors_code"]
+        paper = presets[name]
+        assert (paper.optimiser.rate, paper.losses) == (Constant(5e-6, warm_up=500), weights)
+        assert (paper.batch, paper.steps, paper.train_vae) == (batch, 100_000, True)
+        assert paper.marker_vae.optimiser.rate == Constant(1e-4)
+        assert (paper.marker_vae.batch, paper.marker_vae.steps) == (batch, 100_000)
+    code = presets["authors_code"]
     assert code.optimiser.rate == Constant(5e-5)
     assert code.losses == DiffusionLossWeights(adversarial=0.5, perceptual=1.0, square=5.0)
     assert (code.pixel_range, code.two_pass, code.train_vae) == ("zero_one", True, False)
     assert all(
         (each.unet_rank, each.vae_rank, each.optimiser.clip_norm) == (8, 4, 1.0)
-        for each in reported.values()
+        for each in presets.values()
     )
+
+
+def same_in_halves(folder: Path, settings: Any, training: Callable[[Any], Any]) -> Any:
+    """Train two steps, and again with a stop between them: bit for bit the same network."""
+    networks, logs = [], []
+    for name, stops in (("whole", (2,)), ("halves", (1, 2))):
+        for stop in stops:
+            run = RunFolder.open(folder / name, "made up", settings, "x")
+            networks.append(training(session(settings, run, 1 if stop == 1 else 0)))
+            assert run.finished == (stop == 2)
+        logs.append((folder / name / METRICS).read_text())
+    whole, _, halves = (network.state_dict() for network in networks)
+    assert logs[0] == logs[1]
+    assert all(torch.equal(whole[name], each) for name, each in halves.items())
+    return networks[0]
 
 
 @pytest.mark.slow
 def test_a_resumed_run_is_the_same_run_bit_for_bit(tmp_path: Path) -> None:
     settings = replace(tiny_settings(), accumulation=2, steps=2, batch=1)
-    states, logs = [], []
-    for name, stops in (("whole", (2,)), ("halves", (1, 2))):
-        for stop in stops:
-            run = RunFolder.open(tmp_path / name, "diffusion", settings, "x")
-            stopping = session(settings, run, 1 if stop == 1 else 0)
-            network = train(striped_pairs(), tiny_pretrained(), settings, session=stopping)
-            assert run.finished == (stop == 2)
-        states.append(network.state_dict())
-        logs.append((tmp_path / name / METRICS).read_text())
-    assert logs[0] == logs[1]
-    assert all(torch.equal(states[0][name], each) for name, each in states[1].items())
+    same_in_halves(
+        tmp_path,
+        settings,
+        lambda session: train(striped_pairs(), tiny_pretrained(), settings, session=session),
+    )
 
 
 @pytest.mark.slow
@@ -103,33 +107,18 @@ def test_the_loss_falls() -> None:
 
 @pytest.mark.slow
 def test_both_ways_of_a_step_follow_the_same_losses() -> None:
-    found = {}
+    logs = []
     for two_pass in (False, True):
         settings = replace(tiny_settings(), steps=1, two_pass=two_pass)
-        reported: list[dict[str, float]] = []
-        listening = replace(session(settings), run=_Listening(reported))
-        train(striped_pairs(), tiny_pretrained(), settings, session=listening)
-        found[two_pass] = reported[0]
-    assert found[True].keys() == found[False].keys()
+        listening = Mock()
+        listening.restore.return_value = 0
+        listening.log.side_effect = lambda step, values: logs.append(dict(values))
+        running = replace(session(settings), run=listening)
+        train(striped_pairs(), tiny_pretrained(), settings, session=running)
+    one, two = logs
+    assert one.keys() == two.keys()
     for name in ("train/square", "train/perceptual"):
-        assert found[True][name] == pytest.approx(found[False][name], rel=1e-5)
-
-
-class _Listening:
-    """A run that stores its log calls and writes nothing."""
-
-    def __init__(self, reported: list[dict[str, float]]) -> None:
-        self.reported = reported
-
-    def restore(self, models: object, states: object) -> int:
-        return 0
-
-    def log(self, step: int, values: dict[str, float]) -> None:
-        self.reported.append(dict(values))
-
-    def save(self, *args: object, **kwargs: object) -> None: ...
-
-    def finish(self, *args: object, **kwargs: object) -> None: ...
+        assert two[name] == pytest.approx(one[name], rel=1e-5)
 
 
 def test_the_discriminator_does_not_learn_from_the_generators_loss() -> None:
@@ -164,15 +153,13 @@ def test_a_translator_starts_from_the_trained_autoencoder_in_all_three_places() 
 @pytest.mark.slow
 def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: Path) -> None:
     settings = tiny_vae_settings("marker_vae.accumulation=2", "marker_vae.steps=2")
-    images, states = striped_pairs().images, []
-    for name, stops in (("whole", (2,)), ("halves", (1, 2))):
-        for stop in stops:
-            run = RunFolder.open(tmp_path / name, "marker-vae", settings, "x")
-            stopping = session(settings, run, 1 if stop == 1 else 0)
-            vae = tiny_pretrained().vae
-            network = train_vae(images, vae, settings, images[:2], stopping)
-        states.append(network.state_dict())
-    assert all(torch.equal(states[0][name], each) for name, each in states[1].items())
+    images = striped_pairs().images
+    network = same_in_halves(
+        tmp_path,
+        settings,
+        lambda session: train_vae(images, tiny_pretrained().vae, settings, images[:2], session),
+    )
+    trained = network.state_dict()
     fresh = dict(tiny_pretrained().vae.named_parameters())
     kept = {
         name.replace(".base_layer", ""): each
@@ -181,7 +168,7 @@ def test_the_autoencoder_resumes_exactly_and_only_its_adapter_learns(tmp_path: P
     }
     assert all(torch.equal(each, fresh[name]) for name, each in kept.items())
     begun = MarkerVae(tiny_pretrained().vae, settings).state_dict()
-    assert not [name for name, each in begun.items() if torch.equal(each, states[0][name])]
+    assert not [name for name, each in begun.items() if torch.equal(each, trained[name])]
     line = json.loads((tmp_path / "whole" / METRICS).read_text().splitlines()[-1])
     assert "validation/loss" in line
 

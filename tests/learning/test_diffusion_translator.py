@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from support.commands import run_module
-from support.made_up_archives import made_up_archive
+from support.made_up_archives import archive_of
 from support.tiny_diffusion import (
     DEEP_VAE,
     VAE_STAGE,
@@ -59,15 +59,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    return made_up_archive(
-        tmp_path_factory.mktemp("archive") / "x.markers.zarr",
-        indenters=("sphere", "cone"),
-        targets=3,
-        frames_per_phase=1,
-        displacement=False,
-    )
+archive = archive_of(
+    indenters=("sphere", "cone"), targets=3, frames_per_phase=1, displacement=False
+)
 
 
 def _masks(archive: MarkerArchive) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -90,15 +84,6 @@ def test_a_loaded_translator_gives_what_the_trained_network_gives(
     assert float((found != trained.translate(masks, target, source)).float().mean()) < 1e-3
     assert 0 < int(found.sum()) < found.numel()
     assert loaded.name.startswith("diffusion ")
-    # In ordered mode the first frame is the source's reference.
-    by_order = loaded.translate(masks[:1], target, ordered=True)
-    assert torch.equal(masks[0], source)
-    assert float((found[:1] != by_order).float().mean()) < 1e-3
-    with pytest.raises(LearningError, match="source_reference: missing"):
-        loaded.translate(masks, target)
-    with pytest.raises(LearningError, match="target_reference: found bool"):
-        loaded.translate(masks, target[:100], source)
-    assert loaded.translate(masks[:0], target, source).shape == (0, 480, 640)
 
 
 def test_published_weights_are_found_beside_a_model_and_others_are_refused(

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import torch
 from support.tiny_diffusion import striped_pairs, tiny_pretrained, write_base
+from support.training import session
 
 from learning.config import read_settings
 from learning.training.checkpoint import read_model_folder
-from learning.training.run import RunFolder, TrainingSession, accelerator
+from learning.training.run import RunFolder
 from learning.translation.diffusion import train
 from learning.translation.diffusion.network import KIND, load_vae_adapter
 from learning.translation.diffusion.network import MARKER_VAE as VAE
@@ -33,8 +34,7 @@ def test_all_weights_are_trained_and_stored(tmp_path: Path) -> None:
     own = settings.of_marker_vae()
     pairs = striped_pairs()
     run = RunFolder.open(tmp_path / "vae", VAE, own, "stripes", metadata=metadata)
-    session = TrainingSession(accelerator(own.launch), run)
-    vae = train_vae(pairs.images, read_vae(base), own, None, session)
+    vae = train_vae(pairs.images, read_vae(base), own, None, session(own, run))
     begun = tiny_pretrained().vae.state_dict()
     moved = {name for name, each in vae.vae.state_dict().items() if not each.equal(begun[name])}
     assert moved == begun.keys()
@@ -43,8 +43,8 @@ def test_all_weights_are_trained_and_stored(tmp_path: Path) -> None:
     assert adapter.keys() == begun.keys()
     networks = train.Pretrained(read_unet(base), read_vae(base))
     run = RunFolder.open(tmp_path / "m2m", KIND, settings, "stripes", metadata=metadata)
-    session = TrainingSession(accelerator(settings.launch), run)
-    network = train.train(pairs, networks, settings, None, session, vae_adapter=adapter)
+    running = session(settings, run)
+    network = train.train(pairs, networks, settings, None, running, vae_adapter=adapter)
     # The reference encoder is the trained autoencoder's, and stays as it is.
     frozen = network.reference.encoder.state_dict()
     assert all(each.equal(adapter[f"encoder.{name}"]) for name, each in frozen.items())

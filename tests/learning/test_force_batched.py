@@ -14,7 +14,7 @@ from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.force.batched import train_batched
 from learning.force.labels import Relabelling, by_twins
-from learning.force.model import InputSettings
+from learning.force.model import ForceModel, InputSettings
 from learning.force.train import (
     ForceModelSettings,
     ForceStageSettings,
@@ -45,6 +45,23 @@ def _softer(presses: Presses) -> Presses:
     return Relabelling(lambda rows, forces, depth, phase: forces / 2).of(presses)
 
 
+def same_as_alone(
+    presses: list[Presses], settings: ForceModelSettings, start_from: ForceModel | None = None
+) -> list[tuple[ForceModel, ForceModel]]:
+    """Return each model beside the one trained alone, which predicts the same.
+
+    A bias before a norm has no effect, and Adam moves it by round-off: predictions are compared.
+    """
+    batched = train_batched(presses, settings, start_from=start_from)
+    assert batched is not None
+    models = []
+    for each, model in zip(presses, batched, strict=True):
+        alone = train_force(each, settings, start_from=start_from)
+        np.testing.assert_allclose(model.predict(each), alone.predict(each), atol=1e-3)
+        models.append((model, alone))
+    return models
+
+
 def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> None:
     presses = _shown()[:2]
     count = presses[0].frames
@@ -53,10 +70,7 @@ def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> No
     spread = np.zeros((count, 3))
     spread[::2] = 1e3
     labelled = by_twins(Simulated(force, spread, "")).of(presses[0])
-    batched = train_batched([labelled, _softer(presses[1])], SETTINGS)
-    assert batched is not None
-    alone = train_force(labelled, SETTINGS)
-    np.testing.assert_allclose(batched[0].predict(presses[0]), alone.predict(presses[0]), atol=1e-3)
+    (_, alone), _ = same_as_alone([labelled, _softer(presses[1])], SETTINGS)
     equal = train_force(by_twins(Simulated(force, 0 * spread, "")).of(presses[0]), SETTINGS)
     # The smaller forces, of which nothing is known, hold the others back.
     assert alone.predict(presses[0])[:, 2].mean() < equal.predict(presses[0])[:, 2].mean()
@@ -65,17 +79,12 @@ def test_labels_by_simulation_count_by_their_certainty_alone_and_batched() -> No
 @pytest.mark.slow
 @pytest.mark.parametrize(("begun", "flips"), [(False, False), (True, True)])
 def test_each_learns_what_it_would_have_learned_alone(begun: bool, flips: bool) -> None:
-    """Compare predictions: a bias before a norm has no effect, and Adam moves it by round-off."""
     first, second, third = _shown()
     presses = [first, _softer(second), third]
     settings = replace(SETTINGS, sequences=replace(SETTINGS.sequences, flips=flips))
     start = train_force(noise_presses(4, 3, seed=7), settings) if begun else None
-    batched = train_batched(presses, settings, start_from=start)
-    assert batched is not None
-    for each, found in zip(presses, batched, strict=True):
-        alone = train_force(each, settings, start_from=start)
-        np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
-    assert not np.allclose(batched[0].predict(presses[0]), batched[2].predict(presses[0]))
+    (one, _), _, (other, _) = same_as_alone(presses, settings, start)
+    assert not np.allclose(one.predict(presses[0]), other.predict(presses[0]))
 
 
 def test_sgd_and_many_frames_are_shared_too() -> None:
@@ -83,14 +92,8 @@ def test_sgd_and_many_frames_are_shared_too() -> None:
         optimiser=OptimiserSettings(name="sgd", momentum=0.9, weight_decay=1e-3),
         sequences=SequenceSettings(batch=2, presses=2, padding="last_frame"),
     )
-    presses = _shown()[:2]
-    batched = train_batched(presses, settings)
-    assert batched is not None
-    for each, found in zip(presses, batched, strict=True):
-        alone = train_force(each, settings)
-        for name, weight in alone.state_dict().items():
-            torch.testing.assert_close(found.state_dict()[name], weight, rtol=1e-4, atol=1e-6)
-        np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
+    for model, alone in same_as_alone(_shown()[:2], settings):
+        torch.testing.assert_close(model.state_dict(), alone.state_dict(), rtol=1e-4, atol=1e-6)
 
 
 def test_superposed_presses_are_those_of_a_model_alone() -> None:
@@ -103,11 +106,7 @@ def test_superposed_presses_are_those_of_a_model_alone() -> None:
     presses = [
         replace(noise_presses(3, seed=seed, form="field"), sensor=str(seed)) for seed in (0, 1)
     ]
-    batched = train_batched(presses, settings)
-    assert batched is not None
-    for each, found in zip(presses, batched, strict=True):
-        alone = train_force(each, settings)
-        np.testing.assert_allclose(found.predict(each), alone.predict(each), atol=1e-3)
+    same_as_alone(presses, settings)
     with pytest.raises(
         LearningError, match=r"superpose: found 1 with input\.form both; allowed: 0"
     ):
@@ -137,15 +136,12 @@ def test_what_models_cannot_share_is_refused(settings: ForceModelSettings, key: 
         train_batched(_shown(), settings)
 
 
-def test_other_presses_are_refused() -> None:
+def test_other_presses_are_refused_and_a_loss_that_is_no_number_names_its_sensor() -> None:
+    presses = _shown()
     with pytest.raises(LearningError, match="presses of noise: found others than those of a"):
-        train_batched([_shown()[0], noise_presses(2, 4)], SETTINGS)
+        train_batched([presses[0], noise_presses(2, 4)], SETTINGS)
     with pytest.raises(LearningError, match="found none"):
         train_batched([], SETTINGS)
-
-
-def test_a_loss_that_is_no_number_names_the_sensor() -> None:
-    presses = _shown()
     broken = replace(presses[1], references=presses[1].references, wrench=presses[1].wrench * 0)
     settings = replace(SETTINGS, stages=(ForceStageSettings(epochs=2, learning_rate=1e30),))
     with pytest.raises(LearningError, match=r"loss of [abc]: found"):

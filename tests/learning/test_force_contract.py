@@ -2,75 +2,97 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from support.commands import run_module
-from support.force_models import noise_presses, toy
-from support.foreign_model import write_foreign_package
+from support.force_models import TOY, noise_presses, toy
+from support.foreign_model import foreign_package
 from support.made_up_archives import made_up_archive
+from support.training import session
 
 from learning.cli import predict
+from learning.data.presses import Presses
 from learning.errors import LearningError
 from learning.evaluation.predictions import read_predictions
 from learning.force import command
 from learning.force.export import export_onnx, random_frames, torch_stream
 from learning.force.live import open_live
-from learning.force.model import AXES, KIND, ForceModel, load_force_model, prepare
+from learning.force.model import AXES, KIND, ForceModel, InputSettings, load_force_model, prepare
 from learning.force.stream import open_exported
-from learning.force.train import read_force_settings, train_force
-from learning.training.run import RunFolder, TrainingSession, accelerator
+from learning.force.train import ForceModelSettings, read_force_settings, train_force
+from learning.training.checkpoint import read_model_folder
+from learning.training.run import RunFolder
 from learning.translation.loading import hash_of
 
-NAMES = ("ours", "alone", "field", "mean-force")
 FOREIGN = "mean-force"
 
 
-@pytest.fixture(autouse=True)
-def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Install the package `foreign-still`."""
-    site = tmp_path / "site"
-    site.mkdir()
-    write_foreign_package(site)
-    monkeypatch.syspath_prepend(str(site))
-    monkeypatch.delitem(sys.modules, "foreign_still", raising=False)
+SETTINGS = {
+    "ours": toy(network=replace(TOY.network, encoder_norm="instance", tail_norm="batch")),
+    "frames alone": toy(input=replace(TOY.input, alone=True)),
+    "field": toy(
+        input=InputSettings(form="field"),
+        network=replace(TOY.network, encoder_norm="batch", tail_norm="batch"),
+    ),
+    "labels of Fz alone": TOY,
+}
 
 
-@pytest.fixture(params=NAMES)
-def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """The folder of a model that was trained for two epochs."""
-    name = request.param
-    settings = toy()
-    if name == FOREIGN:
-        settings = read_force_settings("tiny", ["plugin=mean-force", "sequences.batch=2"])
-        settings = toy(plugin=FOREIGN, network=settings.network, input=settings.input)
-    elif name != "ours":
-        settings = toy(
-            input=type(settings.input)(
-                form="field" if name == "field" else "both", side_px=32, alone=name == "alone"
-            )
-        )
+@pytest.fixture(scope="module", autouse=True)
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with foreign_package(tmp_path_factory.mktemp("site")):
+        yield
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A model that was trained for two epochs, its folder, and presses as it learned from."""
+
+    settings: ForceModelSettings
+    presses: Presses
+    model: ForceModel
+    folder: Path
+
+
+@pytest.fixture(scope="module", params=[*SETTINGS, FOREIGN])
+def trained(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, foreign: None
+) -> Trained:
+    if request.param == FOREIGN:
+        tiny = read_force_settings("tiny", ["plugin=mean-force"])
+        settings = toy(plugin=FOREIGN, network=tiny.network, input=tiny.input)
+    else:
+        settings = SETTINGS[request.param]
     presses = noise_presses(form=settings.input.stored_form)
-    run = RunFolder.open(tmp_path / name, KIND, settings, "noise")
-    train_force(presses, settings, TrainingSession(accelerator(settings.launch), run))
-    return tmp_path / name
+    if request.param == "labels of Fz alone":
+        presses.wrench[:, :2] = torch.nan
+    folder = tmp_path_factory.mktemp("run") / "model"
+    run = RunFolder.open(folder, KIND, settings, "noise")
+    model = train_force(presses, settings, session(settings, run))
+    return Trained(settings, presses, model, folder)
 
 
-def test_a_trained_model_opens_as_it_was(folder: Path) -> None:
-    model = load_force_model(folder)
-    presses = noise_presses(form=model.inputs.stored_form)
-    forces = model.predict(presses)
-    assert forces.shape == (presses.frames, len(AXES))
-    assert np.isfinite(forces).all()
+def test_a_trained_model_opens_as_it_was(trained: Trained) -> None:
+    model = load_force_model(trained.folder)
+    assert read_model_folder(trained.folder, KIND).settings(ForceModelSettings) == trained.settings
+    assert (model.network, model.inputs) == (trained.settings.network, trained.settings.input)
     assert not model.training
-    assert np.array_equal(forces, load_force_model(folder).predict(presses))
+    forces = model.predict(trained.presses)
+    assert forces.shape == (trained.presses.frames, len(AXES))
+    assert np.array_equal(np.isfinite(forces), np.isfinite(trained.presses.wrench.numpy()))
+    assert np.array_equal(forces, trained.model.predict(trained.presses), equal_nan=True)
 
 
-def test_frame_by_frame_is_the_whole_sequence(folder: Path) -> None:
-    model = load_force_model(folder)
+def test_parts_of_a_sequence_and_single_frames_give_the_forces_of_the_whole(
+    trained: Trained,
+) -> None:
+    model = trained.model
     frames = torch.from_numpy(random_frames(model, 5))
     reference = frames[:1] if model.inputs.needs_reference else None
     prepared = prepare(
@@ -86,19 +108,24 @@ def test_frame_by_frame_is_the_whole_sequence(folder: Path) -> None:
             whole, last = model(prepared[None])
             assert torch.allclose(torch.cat(steps), whole[0], atol=1e-5)
             assert torch.allclose(state, last, atol=1e-5)
+            first, state = model(prepared[None, :2])
+            rest, _ = model(prepared[None, 2:], state)
+            assert torch.allclose(torch.cat((first, rest), 1), whole, atol=1e-5)
     assert ((torch.cat(steps) >= 0) & (torch.cat(steps) <= 1)).all()
 
 
-def test_the_exported_step_is_the_models(folder: Path) -> None:
-    model = load_force_model(folder)
-    assert export_onnx(model, folder / "model.onnx") < 1e-4
-    first, *frames = random_frames(model, 4)
-    streams = torch_stream(model), open_exported(folder)
-    for stream in streams:
-        stream.reset(first if model.inputs.needs_reference else None)
-    for frame in frames:
-        one, other = (stream.step(frame) for stream in streams)
-        assert np.allclose(one, other, atol=1e-3)
+def test_frames_streamed_through_torch_and_the_exported_file_give_the_forces_of_presses(
+    trained: Trained,
+) -> None:
+    model, presses = trained.model, trained.presses
+    assert export_onnx(model, trained.folder / "model.onnx") < 1e-4
+    whole = model.predict(presses)
+    for stream in (torch_stream(model), open_exported(trained.folder, threads=1)):
+        steps = []
+        for first, end in pairwise(presses.starts.tolist()):
+            stream.reset(presses.references[0].numpy() if model.inputs.needs_reference else None)
+            steps += [stream.step(frame) for frame in presses.images[first:end].numpy()]
+        assert np.allclose(steps, whole, atol=1e-4, equal_nan=True)
 
 
 def test_a_model_of_another_package_is_trained_predicts_and_runs_live(

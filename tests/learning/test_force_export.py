@@ -14,9 +14,9 @@ from benchmarks.recording.latency import Variant, costs, sample_of_noise, sectio
 from benchmarks.report import Page
 from learning.data.presses import ForceRange
 from learning.errors import LearningError
-from learning.force.export import export_onnx, torch_stream
+from learning.force.export import export_onnx
 from learning.force.model import ForceModel
-from learning.force.stream import ForceStream, open_exported
+from learning.force.stream import open_exported
 
 
 @pytest.fixture(scope="module")
@@ -32,21 +32,6 @@ def exported(model: ForceModel, tmp_path_factory: pytest.TempPathFactory) -> Pat
     path = tmp_path_factory.mktemp("exported") / "model.onnx"
     assert export_onnx(model, path) < 1e-4
     return path
-
-
-def _along(stream: ForceStream) -> np.ndarray:
-    presses = noise_presses(2)
-    found = []
-    for first, end in zip(presses.starts, presses.starts[1:], strict=False):
-        stream.reset(presses.references[0].numpy())
-        found += [stream.step(frame) for frame in presses.images[first:end].numpy()]
-    return np.array(found)
-
-
-def test_onnx_runtime_says_what_torch_says(model: ForceModel, exported: Path) -> None:
-    whole = model.predict(noise_presses(2))
-    assert np.allclose(_along(open_exported(exported.parent, threads=1)), whole, atol=1e-4)
-    assert np.allclose(_along(torch_stream(model)), whole, atol=1e-4)
 
 
 def test_a_reset_forgets_what_was_seen(exported: Path) -> None:
@@ -129,17 +114,3 @@ def test_a_runtime_that_is_missing_is_a_line_with_its_reason(
     monkeypatch.setitem(__import__("sys").modules, "openvino", None)
     with pytest.raises(LearningError, match="openvino: not installed"):
         open_exported(exported, runtime="openvino")
-
-
-@pytest.mark.slow
-def test_an_exported_model_of_fz_alone_gives_no_force_on_other_axes(
-    model: ForceModel, tmp_path: Path
-) -> None:
-    some = ForceModel(model.network, model.inputs).eval()
-    some.load_state_dict(model.state_dict())
-    nan = float("nan")
-    some.set_range(ForceRange((nan, nan, -18.0), (nan, nan, 1.0)))
-    assert export_onnx(some, tmp_path / "model.onnx") < 1e-4
-    found, full = _along(open_exported(tmp_path / "model.onnx")), _along(torch_stream(model))
-    assert np.isnan(found[:, :2]).all()
-    assert np.allclose(found[:, 2], full[:, 2], atol=1e-3)

@@ -65,42 +65,6 @@ def test_presets_whose_input_is_0_without_contact_keep_the_size_of_a_change(name
     assert float((features - of_half).norm() / features.norm()) > 0.3
 
 
-@pytest.mark.parametrize("norm", ["instance", "batch"])
-def test_streaming_frame_by_frame_is_the_whole_sequence(norm: str) -> None:
-    network = ForceNetworkSettings(
-        encoder=(4, 4, 8),
-        blocks=1,
-        memory=8,
-        tail=(8, 8),
-        encoder_norm="instance" if norm == "instance" else "batch",
-        tail_norm="batch",
-    )
-    model = _model(network=network)
-    frames = torch.randn(2, 6, 2, 32, 32)
-    model.train()
-    model(frames)  # so that batch norm has real statistics
-    model.eval()
-    with torch.no_grad():
-        whole, last = model(frames)
-        state, found = None, []
-        for time in range(6):
-            force, state = model.step(frames[:, time], state)
-            found.append(force)
-    assert torch.allclose(torch.stack(found, 1), whole, atol=1e-6)
-    assert state is not None
-    assert torch.allclose(state, last, atol=1e-6)
-
-
-def test_a_sequence_may_be_given_in_parts() -> None:
-    model = _model().eval()
-    frames = torch.randn(2, 6, 2, 32, 32)
-    with torch.no_grad():
-        whole, _ = model(frames)
-        first, state = model(frames[:, :2])
-        rest, _ = model(frames[:, 2:], state)
-    assert torch.allclose(torch.cat((first, rest), 1), whole, atol=1e-6)
-
-
 def _gradients(model: ForceModel, frames: torch.Tensor, lengths: tuple[int, ...]) -> torch.Tensor:
     model.zero_grad()
     forces, _ = model(frames, lengths=lengths)

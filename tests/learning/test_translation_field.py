@@ -5,13 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.made_up_archives import LATTICE, State, lattice_field, made_up_archive, mask_of
+from support.made_up_archives import (
+    LATTICE,
+    State,
+    archive_of,
+    lattice_field,
+    made_up_archive,
+    mask_of,
+)
 from support.tiny_field import untrained
 from torch import Tensor
 
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.translation import SensorView, load_translator
+from learning.translation import SensorView
 from learning.translation.field.data import (
     ExampleSettings,
     FieldFrames,
@@ -45,10 +52,7 @@ def dice(one: Tensor, other: Tensor) -> float:
     return float(2 * (one & other).sum() / (one.sum() + other.sum()))
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    path = tmp_path_factory.mktemp("archive") / "x.markers.zarr"
-    return made_up_archive(path, indenters=("sphere", "cone"), targets=3, frames_per_phase=1)
+archive = archive_of(indenters=("sphere", "cone"), targets=3, frames_per_phase=1)
 
 
 @pytest.fixture(scope="module")
@@ -196,25 +200,20 @@ def test_frames_are_those_of_the_role_and_pairs_share_place_and_phase(
     assert torch.equal(frames.shift[source], frames.shift[target])
 
 
-def test_more_frames_than_there_is_memory_for_are_refused(
-    archive: MarkerArchive, monkeypatch: pytest.MonkeyPatch
+def test_frames_that_cannot_be_gathered_are_refused(
+    archive: MarkerArchive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("learning.translation.field.data.free_bytes", lambda device: 1_000_000)
-    with pytest.raises(LearningError, match="frames: found"):
-        gather_role(archive, make_split(archive), tuple(archive), "train")
-
-
-def test_an_unknown_sensor_is_refused(archive: MarkerArchive) -> None:
+    split = make_split(archive)
     with pytest.raises(LearningError, match="no sensor 'none'; known: dots, grid"):
-        gather_role(archive, make_split(archive), ("none",), "train")
-
-
-def test_an_archive_that_is_not_finished_is_refused(tmp_path: Path, archive: MarkerArchive) -> None:
+        gather_role(archive, split, ("none",), "train")
     begun = made_up_archive(
         tmp_path / "x.markers.zarr", indenters=("sphere",), frames_per_phase=1, finish=False
     )
     with pytest.raises(SessionError, match="still being written"):
-        gather_role(begun, make_split(archive), ("dots",), "train")
+        gather_role(begun, split, ("dots",), "train")
+    monkeypatch.setattr("learning.translation.field.data.free_bytes", lambda device: 1_000_000)
+    with pytest.raises(LearningError, match="frames: found"):
+        gather_role(archive, split, tuple(archive), "train")
 
 
 def test_an_untrained_model_gives_the_targets_reference_back() -> None:
@@ -226,38 +225,8 @@ def test_an_untrained_model_gives_the_targets_reference_back() -> None:
     assert torch.equal(
         translator.between_sensors(*view).translate(source, grid, mask("dots")), grid[None]
     )
-
-
-def test_a_translator_takes_the_first_frame_of_a_press_for_its_reference() -> None:
-    translator = FieldTranslator("untrained", untrained().eval())
-    press = torch.stack([mask("dots"), mask("dots", PRESSED)])
-    assert translator.translate(press, mask("grid"), ordered=True).shape == press.shape
-    with pytest.raises(LearningError, match="source_reference: missing"):
-        translator.translate(press, mask("grid"))
-
-
-@pytest.mark.parametrize(
-    ("source", "target", "reference", "message"),
-    [
-        (torch.zeros(1, 100, 640, dtype=torch.bool), None, None, "source: found bool"),
-        (None, torch.zeros(480, 640), None, "target_reference: found float32"),
-        (None, torch.zeros(480, 640, dtype=torch.bool), None, "target_reference: found no marker"),
-        (None, None, torch.zeros(480, 640, dtype=torch.bool), "source_reference: found no marker"),
-    ],
-)
-def test_what_is_no_mask_or_shows_no_marker_is_refused(
-    source: Tensor | None, target: Tensor | None, reference: Tensor | None, message: str
-) -> None:
-    translator = FieldTranslator("untrained", untrained().eval())
-    with pytest.raises(LearningError, match=message):
-        translator.translate(
-            mask("dots")[None] if source is None else source,
-            mask("grid") if target is None else target,
-            mask("dots") if reference is None else reference,
-        )
-
-
-def test_a_folder_of_another_kind_or_without_weights_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text("kind: field\nsettings: {}\n")
-    with pytest.raises(LearningError):
-        load_translator(tmp_path)
+    nothing = torch.zeros_like(grid)
+    with pytest.raises(LearningError, match="target_reference: found no marker"):
+        translator.translate(source, nothing, mask("dots"))
+    with pytest.raises(LearningError, match="source_reference: found no marker"):
+        translator.translate(source, grid, nothing)

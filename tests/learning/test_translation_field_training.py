@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from support.commands import run_module
-from support.made_up_archives import MM_PER_PX, made_up_archive
+from support.made_up_archives import MM_PER_PX, archive_of, made_up_archive
 from support.tiny_field import TINY, tiny, untrained
 from support.training import session
 from torch import Tensor
@@ -45,10 +45,7 @@ def steps(field: int, map_: int, batch: int = 2) -> dict[str, object]:
 SETTINGS = tiny(**steps(5, 5), validate_every_steps=4)
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    path = tmp_path_factory.mktemp("archive") / "x.markers.zarr"
-    return made_up_archive(path, indenters=("sphere",), unseen=(), targets=3, frames_per_phase=1)
+archive = archive_of(indenters=("sphere",), unseen=(), targets=3, frames_per_phase=1)
 
 
 @pytest.fixture(scope="module")
@@ -86,14 +83,7 @@ def test_the_field_net_stays_as_it_is_while_the_map_learns(frames: FieldFrames) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "stopped_after",
-    [
-        pytest.param(3, marks=pytest.mark.slow),
-        pytest.param(5, marks=pytest.mark.slow),
-        7,
-    ],
-)
+@pytest.mark.parametrize("stopped_after", [3, 5, 7])
 def test_a_training_that_was_stopped_ends_as_one_that_was_not(
     frames: FieldFrames, trained: dict[str, Tensor], tmp_path: Path, stopped_after: int
 ) -> None:
@@ -159,14 +149,8 @@ def test_the_command_trains_a_model_that_translates(archive: MarkerArchive, tmp_
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_one_batch_is_learned_by_heart(frames: FieldFrames) -> None:
-    few = replace(
-        frames,
-        images=frames.images[:4],
-        sensor=frames.sensor[:4],
-        reference=frames.reference[:4],
-        pairs=frames.pairs[:0],
-        shift=None,
-    )
+    four = {name: getattr(frames, name)[:4] for name in ("images", "sensor", "reference")}
+    few = replace(frames, **four, pairs=frames.pairs[:0], shift=None)
     changes = {"examples.procedural": 0, "examples.move": 0, "field_stage.learning_rate": 2e-3}
     model = train_field(few, tiny(**steps(120, 0, batch=4), **changes))
     scores = net_scores(model, few, 4, 0)
@@ -178,11 +162,8 @@ def test_one_batch_is_learned_by_heart(frames: FieldFrames) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_patterns_and_indenters_never_seen_are_better_than_without_a_warp(tmp_path: Path) -> None:
-    archive = made_up_archive(
-        tmp_path / "x.markers.zarr",
-        sensors=("dots", "grid", "diamonds", "dense"),
-        targets=8,
-    )
+    sensors = ("dots", "grid", "diamonds", "dense")
+    archive = made_up_archive(tmp_path / "x.markers.zarr", sensors, targets=8)
     held_out = ("diamonds", "dense")
     split = make_split(archive, held_out_sensors=held_out)
     training = gather_role(archive, split, ("dots", "grid"), "train")

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 from support.commands import run_module
-from support.foreign_model import write_foreign_package
-from support.made_up_archives import made_up_archive
+from support.foreign_model import foreign_package
+from support.made_up_archives import archive_of
 from support.tiny_diffusion import DEEP_VAE, tiny_pretrained, tiny_settings, write_base
 from support.tiny_field import tiny, untrained
 
@@ -23,13 +23,7 @@ from learning.translation.diffusion.weights import BASE, fingerprint
 from learning.translation.loading import hash_of
 from recorder import MarkerArchive
 
-NAMES = ("flow", "field", "diffusion", "still")
-
-
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    path = tmp_path_factory.mktemp("archive") / "x.markers.zarr"
-    return made_up_archive(path, indenters=("sphere",), unseen=(), targets=1, frames_per_phase=1)
+archive = archive_of(indenters=("sphere",), unseen=(), targets=1, frames_per_phase=1)
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +39,13 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Install the package `foreign-still`."""
-    site = tmp_path / "site"
-    site.mkdir()
-    write_foreign_package(site)
-    monkeypatch.syspath_prepend(str(site))
-    monkeypatch.delitem(sys.modules, "foreign_still", raising=False)
+@pytest.fixture(scope="module", autouse=True)
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with foreign_package(tmp_path_factory.mktemp("site")):
+        yield
 
 
-@pytest.fixture(params=NAMES)
+@pytest.fixture(scope="module", params=("flow", "field", "diffusion", "still"))
 def translator(request: pytest.FixtureRequest, models: Path, foreign: None) -> Translator:
     name = request.param
     return load_translator(models / name if (models / name).is_dir() else name)
@@ -73,20 +63,36 @@ def test_frames_become_masks_of_the_same_count_and_device(
     assert translator.name
     again = pair.translate(frames, *references)
     assert torch.equal(made, again), "the same frames are translated alike"
-    assert len(pair.translate(frames[:0], *references)) == 0
+    assert pair.translate(frames[:0], *references).shape == (0, 480, 640)
     assert torch.equal(frames, torch.from_numpy(source.masks([0, 1, 2]))), "inputs stay as they are"
 
 
 def test_what_is_no_mask_is_refused(translator: Translator, archive: MarkerArchive) -> None:
     reference = torch.from_numpy(archive["grid"].reference(0))
     frames = torch.from_numpy(archive["dots"].masks([0]))
-    with pytest.raises(LearningError, match="source: found uint8"):
-        translator.translate(frames.byte(), reference, reference)
-    with pytest.raises(LearningError, match="target_reference: found bool"):
-        translator.translate(frames, reference[:100], reference)
+    for source, target, of_source, message in (
+        (frames.byte(), reference, reference, "source: found uint8"),
+        (frames[:, :10, :10], reference, reference, r"source: found bool \(1, 10, 10\)"),
+        (frames, reference.float(), reference, "target_reference: found float32"),
+        (frames, reference[:100], reference, "target_reference: found bool"),
+        (frames, reference, frames, r"source_reference: found bool \(1, 480, 640\)"),
+    ):
+        with pytest.raises(LearningError, match=message):
+            translator.translate(source, target, of_source)
 
 
-@pytest.mark.usefixtures("foreign")
+def test_without_a_source_reference_a_press_in_order_begins_with_it(
+    translator: Translator, archive: MarkerArchive
+) -> None:
+    press = torch.from_numpy(archive["dots"].masks([0, 2]))
+    target = torch.from_numpy(archive["grid"].reference(0))
+    due = translator.translate(press, target, press[0], ordered=True)
+    assert torch.equal(translator.translate(press, target, ordered=True), due)
+    if translator.name != "still":  # which needs none
+        with pytest.raises(LearningError, match="source_reference: missing"):
+            translator.translate(press, target)
+
+
 def test_a_translator_of_another_package_is_opened_by_its_name_and_by_its_folder(
     archive: MarkerArchive, tmp_path: Path
 ) -> None:
@@ -97,13 +103,10 @@ def test_a_translator_of_another_package_is_opened_by_its_name_and_by_its_folder
     assert (made.masks([0, 1]) == archive["grid"].reference(0)).all()
     assert made.attrs["model"] == "still"
     assert len(hash_of("still")) == 64
-    trained = tmp_path / "trained"
-    trained.mkdir()
-    Config("still", {}, "made up", "2.1").write(trained)
-    assert getattr(load_translator(trained), "folder", None) == trained
+    Config("still", {}, "made up", "2.1").write(tmp_path)
+    assert getattr(load_translator(tmp_path), "folder", None) == tmp_path
 
 
-@pytest.mark.usefixtures("foreign")
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
@@ -115,8 +118,6 @@ def test_a_translator_of_another_package_is_opened_by_its_name_and_by_its_folder
 def test_what_another_package_does_not_offer_is_refused(
     tmp_path: Path, kind: str, message: str
 ) -> None:
-    trained = tmp_path / "trained"
-    trained.mkdir()
-    Config(kind, {}, "made up", "2.1").write(trained)
+    Config(kind, {}, "made up", "2.1").write(tmp_path)
     with pytest.raises(LearningError, match=message):
-        load_translator(trained)
+        load_translator(tmp_path)

@@ -29,6 +29,13 @@ TOY = ForceModelSettings(
 )
 
 
+# A force model of an experiment, small enough to train in a second.
+TINY_FORCE = (
+    'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
+    '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}'
+)
+
+
 def toy(**changes: Any) -> ForceModelSettings:
     """Return the toy settings with some values replaced."""
     return replace(TOY, **changes)

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+import pytest
 
 FOREIGN = """
 import torch
@@ -55,10 +60,15 @@ missing = foreign_still:absent
 """
 
 
-def write_foreign_package(site: Path) -> None:
-    """Write the package and its metadata into a folder, as pip would into site-packages."""
+@contextmanager
+def foreign_package(site: Path) -> Iterator[None]:
+    """Install the package into a folder, as pip would into site-packages."""
     (site / "foreign_still.py").write_text(FOREIGN)
     metadata = site / "foreign_still-2.1.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign-still\nVersion: 2.1\n")
     (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(site))
+        patch.delitem(sys.modules, "foreign_still", raising=False)
+        yield
