@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,6 +24,8 @@ from learning.markers import (
 from learning.markers.frames import taxel_masks
 from learning.markers.segment import BlurDifference, ColourBelow, Contrast, Dark, Morphology, Region
 from recorder.markers import draw_discs, find_blobs, marker_centres, place_discs
+
+OWN = "kind: camera\ndescription: a\ndetectors: "
 
 
 def camera_preset(name: str) -> CameraPreset:
@@ -63,16 +64,12 @@ def test_the_authors_numbers_are_theirs() -> None:
         ("kind: taxels\ndescription: 3\n", r"description: found 3; allowed: text"),
         ("kind: taxels\ndescription: a\nmm_per_px: .nan\n", "mm_per_px: found nan"),
         (
-            "kind: camera\ndescription: a\ndetectors: [{kind: sonar}]\n",
-            r"detectors\[0\]\.kind: found 'sonar'; allowed: contrast, hat, blur_difference",
+            f"{OWN}[{{kind: sonar}}]",
+            r"detectors\[0\]\.kind: found 'sonar'; allowed: contrast, hat, bl",
         ),
+        (f"{OWN}[{{kind: dark, below: 70}}]\narea_px: [9]", r"area_px: found 1 values; allowed: 2"),
         (
-            "kind: camera\ndescription: a\ndetectors: [{kind: dark, below: 70}]\narea_px: [9]\n",
-            r"area_px: found 1 values; allowed: 2",
-        ),
-        (
-            "kind: camera\ndescription: a\n"
-            "detectors: [{kind: blur_difference, kernel_px: 4, sigma_px: 1, least: 3}]\n",
+            f"{OWN}[{{kind: blur_difference, kernel_px: 4, sigma_px: 1, least: 3}}]",
             r"kernel_px: found 4; allowed: odd",
         ),
         ("[1, 2]\n", r"found the list \[1, 2\]; allowed: a mapping of keys"),
@@ -157,10 +154,8 @@ def test_detectors_are_put_together_and_morphology_goes_in_order() -> None:
     own = CameraPreset("", (Dark(50),))
     both = replace(own, detectors=(Dark(50), ColourBelow(100, 100, 30)))
     grown = replace(own, morphology=(Morphology("dilate", 3, shape="square"),))
-    opened = replace(
-        own,
-        morphology=(Morphology("open", 31, shape="square"), Morphology("dilate", 3)),
-    )
+    steps = (Morphology("open", 31, shape="square"), Morphology("dilate", 3))
+    opened = replace(own, morphology=steps)
     areas = [Segmenter(one).mask(picture).sum() for one in (own, both, grown, opened)]
     assert areas == [400, 800, 22 * 22, 0]
 
@@ -176,17 +171,10 @@ def test_a_region_is_cut_and_resized_and_a_picture_that_lacks_it_refused() -> No
         Segmenter(own).mask(picture[:100])
 
 
-@pytest.mark.parametrize(
-    "picture",
-    [
-        np.zeros((480, 640), np.uint8),
-        np.zeros((480, 640, 4), np.uint8),
-        np.zeros((480, 640, 3), np.float32),
-    ],
-)
-def test_what_is_no_picture_is_refused(picture: np.ndarray[Any, Any]) -> None:
-    with pytest.raises(LearningError, match="allowed: uint8"):
-        Segmenter(camera_preset("bench-gelsight")).mask(picture)
+def test_what_is_no_picture_is_refused() -> None:
+    for shape, kind in (((480, 640), "u1"), ((480, 640, 4), "u1"), ((480, 640, 3), "f4")):
+        with pytest.raises(LearningError, match="allowed: uint8"):
+            Segmenter(camera_preset("bench-gelsight")).mask(np.zeros(shape, kind))
 
 
 def test_centres_say_which_markers_the_border_cuts() -> None:

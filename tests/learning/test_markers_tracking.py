@@ -143,19 +143,13 @@ def test_pictures_of_the_mock_bench_are_tracked_to_a_quarter_of_a_pixel() -> Non
         np.testing.assert_allclose(track.place, truth[order], atol=0.25)
 
 
-@pytest.mark.parametrize(
-    ("reference", "message"),
-    [
+def test_references_and_centres_that_are_no_places_are_refused() -> None:
+    for reference, message in (
         (np.zeros((0, 2)), "allowed"),
         (np.zeros((4, 3)), "found shape"),
         (np.full((4, 2), np.nan), "found NaN"),
-    ],
-)
-def test_a_tracker_that_cannot_be_is_refused(reference: Any, message: str) -> None:
-    with pytest.raises(LearningError, match=message):
-        Tracker(reference)
-
-
-def test_centres_that_are_not_finite_are_refused() -> None:
+    ):
+        with pytest.raises(LearningError, match=message):
+            Tracker(reference)
     with pytest.raises(LearningError, match="finite"):
         Tracker(grid()).step(np.array([[np.nan, 1.0]]))
