@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support.learning_sessions import record
-from support.made_up_archives import made_up_archive
+from support.made_up_archives import archive_of, made_up_archive, write_twin
 
 from learning.compensation.fit import read_stored
 from learning.compensation.prior import (
@@ -31,7 +32,7 @@ from learning.compensation.simulated import simulated_labels, simulated_r2
 from learning.data.genforce.format import Compensation
 from learning.errors import LearningError
 from recorder import PHASES, MarkerArchive
-from recorder.archive import check_archive, write_simulated
+from recorder.archive import check_archive
 from tactile.__main__ import main
 
 DOWN, SHEARED, BACK, UP = range(len(PHASES))
@@ -131,17 +132,9 @@ def test_labels_that_cannot_be_compensated_are_refused(
     change: dict[str, object], message: str
 ) -> None:
     soft = spring("soft", SOFT)
-    given = {
-        "wrench": np.ones((12, 3)),
-        "depth": DEPTH,
-        "phase": np.full(12, DOWN),
-        "source": soft,
-        "target": soft,
-        "d0": 0.0,
-        "lam": 1.0,
-    }
+    options: Any = {"phase": np.full(12, DOWN), "d0": 0.0, "lam": 1.0, **change}
     with pytest.raises(LearningError, match=message):
-        compensate(**{**given, **change})  # type: ignore[arg-type]
+        compensate(np.ones((12, 3)), DEPTH, source=soft, target=soft, **options)
 
 
 def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
@@ -218,12 +211,8 @@ def test_a_recorded_session_has_the_curve_that_was_pressed(tmp_path: Path) -> No
         assert np.allclose(branch.compression(fraction), due, atol=0.15)
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    path = tmp_path_factory.mktemp("archive") / "skins.markers.zarr"
-    return made_up_archive(
-        path, indenters=("cone", "prism"), displacement=False, force_depth=1, unloading=0.7
-    )
+SKINS: dict[str, Any] = {"indenters": ("cone", "prism"), "displacement": False, "force_depth": 1}
+archive = archive_of(unloading=0.7, **SKINS)
 
 
 def test_an_archive_of_skins_that_differ_by_a_factor_is_compensated_exactly(
@@ -264,14 +253,7 @@ def test_a_target_without_labels_has_no_oracle_and_one_without_a_curve_no_pair(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "some.markers.zarr"
-    made_up_archive(
-        path,
-        indenters=("cone", "prism"),
-        targets=1,
-        displacement=False,
-        force_depth=1,
-        unlabelled=("grid",),
-    )
+    made_up_archive(path, targets=1, unlabelled=("grid",), **SKINS)
     out = tmp_path / "c.json"
     assert main(["compensate", str(path), "--out", str(out)]) == 2
     assert "found force-depth curves of dots, expected two" in capsys.readouterr().err
@@ -289,35 +271,19 @@ def test_a_target_without_labels_has_no_oracle_and_one_without_a_curve_no_pair(
         read_stored(out).pair("dots", "grid", "oracle")
 
 
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (["--pairs", "dots:none"], "no sensor none"),
-        (["--pairs", "dots"], "SOURCE:TARGET"),
-    ],
-)
-def test_wrong_options_are_refused_and_write_nothing(
-    archive: MarkerArchive,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    more: list[str],
-    message: str,
+def test_wrong_pairs_and_archives_without_force_depth_presses_are_refused(
+    archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "c.json"
-    assert main(["compensate", str(archive.path), "--out", str(out), *more]) == 2
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-def test_an_archive_without_force_depth_presses_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "plain.markers.zarr"
-    made_up_archive(
-        path, indenters=("prism",), unseen=(), targets=1, frames_per_phase=1, displacement=False
-    )
-    assert main(["compensate", str(path), "--out", str(tmp_path / "c.json")]) == 2
-    assert "a force-depth session of each sensor" in capsys.readouterr().err
+    path, out = tmp_path / "plain.markers.zarr", tmp_path / "c.json"
+    plain = made_up_archive(path, ("dots", "grid"), ("prism",), (), 1, 1, displacement=False)
+    for one, more, message in (
+        (archive, ["--pairs", "dots:none"], "no sensor none"),
+        (archive, ["--pairs", "dots"], "SOURCE:TARGET"),
+        (plain, [], "a force-depth session of each sensor"),
+    ):
+        assert main(["compensate", str(one.path), "--out", str(out), *more]) == 2
+        assert message in capsys.readouterr().err
+        assert not out.exists()
 
 
 def test_another_file_is_never_overwritten_and_a_damaged_one_is_named(
@@ -348,9 +314,8 @@ def test_labels_by_simulation_are_the_target_s_where_both_twins_are_wrong_alike(
     with pytest.raises(LearningError, match="dots: found no forces of a twin; allowed: tactile"):
         simulated_labels(source, target)
     assert simulated_r2(archive, "dots", "grid") is None
-    for sensor, spread in ((source, 0.1), (target, 0.2)):
-        wrench = sensor.table["wrench"][:, :3]
-        write_simulated(sensor, 0.9 * wrench, np.full(wrench.shape, spread), sensor.name)
+    for name, spread in (("dots", 0.1), ("grid", 0.2)):
+        write_twin(archive, name, 0.9 * archive[name].table["wrench"][:, :3], spread)
     archive = MarkerArchive(path)
     assert list(check_archive(archive.files, path)) == []
     labels = simulated_labels(archive["dots"], archive["grid"])
@@ -360,7 +325,7 @@ def test_labels_by_simulation_are_the_target_s_where_both_twins_are_wrong_alike(
     assert np.isnan(labels.force[~rows]).all()
     pressed = rows & (np.abs(source.table["wrench"][:, 2]) > 0.1)
     np.testing.assert_allclose(labels.spread[pressed, 2], np.hypot(0.2, 1.6 * 0.1), rtol=1e-6)
-    assert labels.made_from == "dots; grid"
+    assert labels.made_from == "twin of dots; twin of grid"
     assert simulated_r2(archive, "dots", "grid") == pytest.approx(1.0)
     assert main(["compensate", str(path), "--out", str(tmp_path / "c.json")]) == 0
     printed = capsys.readouterr().out

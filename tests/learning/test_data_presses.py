@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from support.made_up_archives import made_up_archive
+from support.made_up_archives import archive_of, made_up_archive
 
 from learning.data.images import read_fields, sampled, shrink
 from learning.data.presses import (
@@ -21,13 +22,7 @@ from learning.errors import LearningError
 from recorder import MarkerArchive, SessionError
 from recorder.archive import archive_fingerprint
 
-
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    path = tmp_path_factory.mktemp("presses") / "made-up.markers.zarr"
-    return made_up_archive(
-        path, frames_per_phase=1, force_depth=2, unlabelled=("grid",), invalid=(7,)
-    )
+archive = archive_of(frames_per_phase=1, force_depth=2, unlabelled=("grid",), invalid=(7,))
 
 
 def _rows(archive: MarkerArchive, sensor: str = "dots") -> np.ndarray:
@@ -36,7 +31,9 @@ def _rows(archive: MarkerArchive, sensor: str = "dots") -> np.ndarray:
 
 def test_frames_lie_press_after_press_in_order_of_time(archive: MarkerArchive) -> None:
     rows = np.random.default_rng(0).permutation(_rows(archive))
-    presses = load_presses(archive["dots"], rows)
+    reported: list[tuple[int, int]] = []
+    presses = load_presses(archive["dots"], rows, progress=lambda *now: reported.append(now))
+    assert (reported[0], reported[-1]) == ((0, len(rows)), (len(rows), len(rows)))
     assert len(presses) == 3 * 2 + 2
     assert presses.frames == len(rows)
     table = archive["dots"].table
@@ -102,14 +99,13 @@ def test_presses_without_any_label_are_refused_for_forces_alone(archive: MarkerA
         presses.require_wrench()
 
 
-def test_rows_without_a_frame_are_refused(archive: MarkerArchive) -> None:
-    with pytest.raises(LearningError, match=r"row 7 is not valid \(missing\)"):
-        load_presses(archive["dots"], [7])
-
-
-def test_no_rows_are_no_presses(archive: MarkerArchive) -> None:
+def test_no_rows_are_no_presses_and_rows_without_a_frame_are_refused(
+    archive: MarkerArchive,
+) -> None:
     presses = load_presses(archive["dots"], np.array([], np.int64))
     assert (len(presses), presses.frames) == (0, 0)
+    with pytest.raises(LearningError, match=r"row 7 is not valid \(missing\)"):
+        load_presses(archive["dots"], [7])
 
 
 def test_a_chunk_that_is_gone_is_an_error(archive: MarkerArchive, tmp_path: Path) -> None:
@@ -140,32 +136,17 @@ def test_frames_of_several_sensors_are_read_one_after_another(archive: MarkerArc
     assert (counted[0], counted[-1]) == ((0, 4), (4, 4))
 
 
-def test_progress_counts_frames(archive: MarkerArchive) -> None:
-    reported: list[tuple[int, int]] = []
-    rows = _rows(archive)
-    load_presses(archive["dots"], rows, progress=lambda done, total: reported.append((done, total)))
-    assert reported[0] == (0, len(rows))
-    assert reported[-1] == (len(rows), len(rows))
-
-
 def test_the_fingerprint_changes_with_what_the_archive_says(
     archive: MarkerArchive, tmp_path: Path
 ) -> None:
     first = archive_fingerprint(archive)
     assert first == archive_fingerprint(MarkerArchive(archive.path))
-    made = [
-        made_up_archive(
-            tmp_path / f"{number}.markers.zarr",
-            sensors=("dots",),
-            indenters=("sphere", "cone"),
-            targets=1,
-            frames_per_phase=1,
-            displacement=False,
-            stiffness={"dots": stiffness},
-        )
-        for number, stiffness in enumerate((1.0, 1.0, 1.1))
-    ]
-    prints = [archive_fingerprint(each) for each in made]
+    small: dict[str, Any] = {"targets": 1, "frames_per_phase": 1, "displacement": False}
+    prints = []
+    for number, stiffness in enumerate((1.0, 1.0, 1.1)):
+        path, forces = tmp_path / f"{number}.markers.zarr", {"dots": stiffness}
+        made = made_up_archive(path, ("dots",), ("sphere", "cone"), stiffness=forces, **small)
+        prints.append(archive_fingerprint(made))
     assert prints[0] == prints[1] != prints[2]
     assert first not in prints
 

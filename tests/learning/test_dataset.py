@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.made_up_archives import made_up_archive
+from support.made_up_archives import archive_of
 from support.sessions import make_session, reseal, set_attrs
 from torch.utils.data import DataLoader
 
@@ -31,10 +31,7 @@ def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    path = tmp_path_factory.mktemp("archive") / "made-up.markers.zarr"
-    return made_up_archive(path, targets=2, frames_per_phase=2)
+archive = archive_of()
 
 
 def test_a_window_has_the_values_of_its_session(sessions: Path) -> None:

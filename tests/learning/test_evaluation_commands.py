@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,27 +33,30 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     make_split(archive, validation=0.2, new_press=0.2).write(folder / "split.json")
     torch.manual_seed(0)
     by_flow = {"method": "priors", "translator": "flow"}
-    for name, sensors, made in (
-        ("own", ["grid"], {}),
-        ("translated", ["grid-to-dots"], by_flow),
-        ("all", ["a", "b"], {}),
-    ):
-        model = ForceModel(TOY.network, TOY.input)
-        metadata = {"sensors": sensors, **made}
-        run = RunFolder.open(folder / name, KIND, TOY, "data", metadata=metadata)
-        run.finish(1, {"model": model})
+    write_model(folder / "own", sensors=["grid"])
+    write_model(folder / "translated", sensors=["grid-to-dots"], **by_flow)
+    write_model(folder / "all", sensors=["a", "b"])
     return folder
 
 
-def run(lab: Path, model: str, *words: str, sensor: str = "dots") -> int:
+def write_model(folder: Path, force_range: ForceRange | None = None, **metadata: Any) -> None:
+    model = ForceModel(TOY.network, TOY.input)
+    if force_range:
+        model.set_range(force_range)
+    run = RunFolder.open(folder, KIND, TOY, "data", metadata=metadata)
+    run.finish(1, {"model": model})
+
+
+def run(lab: Path, model: str, out: Path, *words: str, sensor: str | None = "dots") -> int:
     places = [str(lab / model), str(lab / "x.markers.zarr"), "--split", str(lab / "split.json")]
-    return run_module(predict, *places, "--sensor", sensor, *words)
+    of_sensor = [] if sensor is None else ["--sensor", sensor]
+    return run_module(predict, *places, *of_sensor, "--out", str(out), *words)
 
 
 def test_predict_writes_what_a_model_says_of_whole_held_out_presses(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(lab, "own", "--out", str(tmp_path / "p.npz")) == 0
+    assert run(lab, "own", tmp_path / "p.npz") == 0
     found = read_predictions(tmp_path / "p.npz")
     assert found.key == ("grid", "dots", "source-only", "")
     table = MarkerArchive(lab / "x.markers.zarr")["dots"].table
@@ -63,35 +67,42 @@ def test_predict_writes_what_a_model_says_of_whole_held_out_presses(
     assert f"{len(found)} frames, MAE [N]" in capsys.readouterr().out
 
 
-def test_a_model_of_translated_frames_is_of_their_translator_and_labels(
-    lab: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    ("model", "sensor", "key"),
+    [
+        pytest.param("translated", "dots", ("grid", "dots", "priors", "flow"), id="translated"),
+        pytest.param("own", None, ("grid", "grid", "target", ""), id="usually of its target"),
+        pytest.param("all", "dots", ("a+b", "dots", "source-only", ""), id="of several sensors"),
+    ],
+)
+def test_predictions_name_source_target_labels_and_translator(
+    lab: Path, tmp_path: Path, model: str, sensor: str | None, key: tuple[str, ...]
 ) -> None:
-    out = str(tmp_path / "p.npz")
-    assert run(lab, "translated", "--out", out) == 0
-    assert read_predictions(Path(out)).key == ("grid", "dots", "priors", "flow")
-    with pytest.raises(LearningError, match="allowed: 'dots'"):
-        run(lab, "translated", "--out", out, sensor="grid")
+    assert run(lab, model, tmp_path / "p.npz", sensor=sensor) == 0
+    assert read_predictions(tmp_path / "p.npz").key == key
 
 
-def test_the_target_of_a_model_is_the_usual_sensor(lab: Path, tmp_path: Path) -> None:
-    places = [str(lab / "own"), str(lab / "x.markers.zarr"), "--split", str(lab / "split.json")]
-    assert run_module(predict, *places, "--out", str(tmp_path / "p.npz")) == 0
-    assert read_predictions(tmp_path / "p.npz").key == ("grid", "grid", "target", "")
-    places[0] = str(lab / "all")
-    with pytest.raises(LearningError, match="--sensor: missing; known: dots, grid"):
-        run_module(predict, *places, "--out", str(tmp_path / "q.npz"))
-
-
-def test_a_role_that_is_not_there_is_refused(lab: Path, tmp_path: Path) -> None:
-    with pytest.raises(LearningError, match="role: found 'test'"):
-        run(lab, "own", "--role", "test", "--out", str(tmp_path / "p.npz"))
+@pytest.mark.parametrize(
+    ("model", "sensor", "words", "message"),
+    [
+        ("translated", "grid", [], "allowed: 'dots'"),
+        ("all", None, [], "--sensor: missing; known: dots, grid"),
+        ("own", "dense", [], "found 'dense'; known: dots, grid"),
+        ("own", "dots", ["--role", "test"], "role: found 'test'"),
+    ],
+)
+def test_sensors_and_roles_that_are_not_there_are_refused(
+    lab: Path, tmp_path: Path, model: str, sensor: str | None, words: list[str], message: str
+) -> None:
+    with pytest.raises(LearningError, match=message):
+        run(lab, model, tmp_path / "p.npz", *words, sensor=sensor)
     assert not (tmp_path / "p.npz").exists()
 
 
 def test_frames_without_labels_are_predicted_and_not_scored(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(lab, "own", "--out", str(tmp_path / "p.npz"), sensor="grid") == 0
+    assert run(lab, "own", tmp_path / "p.npz", sensor="grid") == 0
     found = read_predictions(tmp_path / "p.npz")
     assert np.isnan(found.true).all()
     assert np.isfinite(found.predicted).all()
@@ -105,13 +116,9 @@ def test_frames_without_labels_are_predicted_and_not_scored(
 def test_a_model_of_fz_alone_says_so_and_is_scored_by_fz(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model = ForceModel(TOY.network, TOY.input)
-    nan = float("nan")
-    model.set_range(ForceRange((nan, nan, -5.0), (nan, nan, 0.0)))
-    metadata = {"sensors": ["grid"]}
-    opened = RunFolder.open(tmp_path / "fz", KIND, TOY, "data", metadata=metadata)
-    opened.finish(1, {"model": model})
-    assert run(lab, str(tmp_path / "fz"), "--out", str(tmp_path / "p.npz")) == 0
+    fz_alone = ForceRange((np.nan, np.nan, -5.0), (np.nan, np.nan, 0.0))
+    write_model(tmp_path / "fz", fz_alone, sensors=["grid"])
+    assert run(lab, str(tmp_path / "fz"), tmp_path / "p.npz") == 0
     found = read_predictions(tmp_path / "p.npz")
     assert np.isnan(found.predicted[:, :2]).all()
     printed = capsys.readouterr().out
@@ -120,16 +127,6 @@ def test_a_model_of_fz_alone_says_so_and_is_scored_by_fz(
     assert "the model predicts Fz only" in printed
     report = write_report([found], [], tmp_path / "report")
     assert "(Fz)" in report.lines[0]
-
-
-def test_a_sensor_that_is_not_there_is_refused(lab: Path, tmp_path: Path) -> None:
-    with pytest.raises(LearningError, match="found 'dense'; known: dots, grid"):
-        run(lab, "own", "--out", str(tmp_path / "p.npz"), sensor="dense")
-
-
-def test_a_model_of_several_sensors_names_them_all(lab: Path, tmp_path: Path) -> None:
-    assert run(lab, "all", "--out", str(tmp_path / "p.npz")) == 0
-    assert read_predictions(tmp_path / "p.npz").key == ("a+b", "dots", "source-only", "")
 
 
 def test_a_model_and_an_archive_are_compared_without_a_file(

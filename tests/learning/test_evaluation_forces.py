@@ -36,9 +36,6 @@ def test_the_mean_absolute_error_is_that_of_each_axis_and_of_the_magnitude() -> 
     assert errors.mae == pytest.approx(tuple(expected))
     assert errors.relative == pytest.approx(tuple(expected / [1, 2, 4, 0.5]))
     assert errors.shear == pytest.approx((1.55 + 0.1) / 2)
-
-
-def test_the_total_force_is_the_magnitude() -> None:
     assert with_magnitude(TRUE)[:, 3] == pytest.approx([1, 5, 1, np.sqrt(3)])
 
 
@@ -48,15 +45,8 @@ def test_r2_is_one_for_the_truth_zero_for_the_mean_and_below_for_worse() -> None
     assert r_squared(true, np.full((3, 1), 3.0)) == pytest.approx([0])
     # Labels are -2, -1 and 3 off their mean (squares: 14), predictions 5, 4 and 0 off (41).
     assert r_squared(true, np.full((3, 1), 6.0)) == pytest.approx([1 - 41 / 14])
-
-
-def test_r2_of_labels_that_never_change_is_no_number() -> None:
+    # Of labels that never change it is no number.
     assert np.isnan(r_squared(np.ones((4, 1)), np.zeros((4, 1))))
-
-
-def test_errors_of_no_frames_are_refused() -> None:
-    with pytest.raises(LearningError, match="one frame or more"):
-        force_errors(TRUE[:0], TRUE[:0], np.ones(4))
 
 
 def test_the_spread_leaves_out_frames_without_a_label() -> None:
@@ -84,19 +74,19 @@ def test_an_axis_that_the_model_does_not_predict_is_not_scored() -> None:
     predicted[:, 0] = np.nan
     errors = force_errors(TRUE, predicted, np.ones(4))
     assert errors.axes == ("Fy", "Fz")
-    with pytest.raises(LearningError, match="no label that a prediction can be compared with"):
-        force_errors(np.full((4, 3), np.nan), TRUE, np.ones(4))
 
 
-def test_infinite_labels_and_partly_missing_predictions_are_refused() -> None:
-    infinite = TRUE.copy()
-    infinite[1, 0] = np.inf
-    with pytest.raises(LearningError, match="in row 1 of true"):
-        force_errors(infinite, TRUE, np.ones(4))
-    partly = TRUE.copy()
-    partly[1, 0] = np.nan
-    with pytest.raises(LearningError, match=r"row 1 of predicted.*on a whole axis"):
-        force_errors(TRUE, partly, np.ones(4))
+def test_labels_and_predictions_that_cannot_be_compared_are_refused() -> None:
+    infinite, partly = TRUE.copy(), TRUE.copy()
+    infinite[1, 0], partly[1, 0] = np.inf, np.nan
+    for true, predicted, message in (
+        (TRUE[:0], TRUE[:0], "one frame or more"),
+        (np.full((4, 3), np.nan), TRUE, "no label that a prediction can be compared with"),
+        (infinite, TRUE, "in row 1 of true"),
+        (TRUE, partly, r"row 1 of predicted.*on a whole axis"),
+    ):
+        with pytest.raises(LearningError, match=message):
+            force_errors(true, predicted, np.ones(4))
 
 
 def test_predictions_without_labels_have_no_row_but_a_range() -> None:
@@ -123,31 +113,20 @@ def test_predictions_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["one.npz"]
 
 
-def test_predictions_that_are_no_number_are_refused() -> None:
-    one = predictions()
-    wrong = one.predicted.copy()
+def test_what_is_no_prediction_is_refused(tmp_path: Path) -> None:
+    wrong = predictions().predicted.copy()
     wrong[3, 0] = np.nan
     with pytest.raises(LearningError, match="in row 3 of predicted"):
-        replace(one, predicted=wrong)
-
-
-def test_a_file_that_is_cut_short_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "one.npz"
-    predictions().write(path)
-    path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(LearningError, match=r"one\.npz: found no results"):
-        read_predictions(path)
-
-
-def test_an_npz_of_something_else_is_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "other.npz", weights=np.zeros(3))
-    with pytest.raises(LearningError, match=r"other\.npz: found no results"):
-        read_predictions(tmp_path / "other.npz")
-
-
-def test_an_unknown_method_is_refused() -> None:
+        replace(predictions(), predicted=wrong)
     with pytest.raises(LearningError, match="'finetuned'; allowed: source-only"):
         predictions("finetuned")
+    cut, other = tmp_path / "cut.npz", tmp_path / "other.npz"
+    predictions().write(cut)
+    cut.write_bytes(cut.read_bytes()[:-200])
+    np.savez(other, weights=np.zeros(3))
+    for path in (cut, other):
+        with pytest.raises(LearningError, match=rf"{path.name}: found no results"):
+            read_predictions(path)
 
 
 def test_predictions_of_one_pair_in_several_files_are_one() -> None:
@@ -158,15 +137,11 @@ def test_predictions_of_one_pair_in_several_files_are_one() -> None:
     assert one.role[[0, 7]].tolist() == ["new_indenter", "new_press"]
 
 
-def test_a_frame_that_was_predicted_twice_is_refused() -> None:
+def test_frames_predicted_twice_and_one_variant_by_two_models_are_refused() -> None:
     with pytest.raises(LearningError, match="row 0 twice"):
         merged([predictions(), predictions(off=0.1)])
-
-
-def test_one_variant_by_two_models_is_refused() -> None:
-    other = replace(predictions(first=100), model="b" * 64)
     with pytest.raises(LearningError, match="allowed: one"):
-        merged([predictions(), other])
+        merged([predictions(), replace(predictions(first=100), model="b" * 64)])
 
 
 def test_the_table_has_a_row_for_each_role_and_one_for_all() -> None:

@@ -6,11 +6,14 @@ import json
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import torch
-from support.made_up_archives import made_up_archive
+from support.force_models import TINY_FORCE
+from support.made_up_archives import archive_of, made_up_archive, write_twin
 
 from learning.config import preset_names, read_settings
 from learning.data.images import shrink_masks
@@ -37,23 +40,18 @@ from learning.metrics import force_errors
 from learning.translation.flow import FlowTranslator
 from learning.translation.translator import SensorView
 from recorder import MarkerArchive
-from recorder.archive import write_simulated
 from tactile.run import main
 
 CPU = torch.device("cpu")
 SMALL = (
-    'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
-    '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}',
+    TINY_FORCE,
     "fine_tuning=[]",
     "scored_presses=0",
     "compensation=[compensated, priors]",
 )
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
-    path = tmp_path_factory.mktemp("experiment") / "made-up.markers.zarr"
-    return made_up_archive(path, targets=3, frames_per_phase=2, force_depth=2)
+archive = archive_of(targets=3, force_depth=2)
 
 
 def settings(*changed: str) -> ExperimentSettings:
@@ -213,34 +211,23 @@ def test_a_piece_begins_when_what_it_needs_is_done(monkeypatch: pytest.MonkeyPat
     assert len(reported) == len(tasks)
 
 
-def test_a_process_that_was_stopped_begins_nothing_that_it_was_already_given(
+def test_a_process_that_was_stopped_begins_nothing_and_one_without_memory_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    begun = []
-
-    class Stopped:
-        def do(self, piece: tuple[str, ...]) -> None:
-            begun.append(piece)
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(running, "_experiment", Stopped())
+    experiment = Mock()
+    monkeypatch.setattr(running, "_experiment", experiment)
     monkeypatch.setattr(running, "_stopped", False)
-    for name in ("one", "two"):
-        with pytest.raises(KeyboardInterrupt):
-            running._do(("own", name))
-    assert begun == [("own", "one")]
-
-
-def test_a_process_without_memory_says_that_jobs_are_too_many(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Full:
-        def do(self, piece: tuple[str, ...]) -> None:
-            raise torch.OutOfMemoryError("tried to allocate 150 MiB")
-
-    monkeypatch.setattr(running, "_experiment", Full())
+    experiment.do.side_effect = torch.OutOfMemoryError("tried to allocate 150 MiB")
     with pytest.raises(LearningError, match=r"jobs: found no memory left .* for own one beside"):
         running._do(("own", "one"))
+    experiment.do.side_effect = KeyboardInterrupt
+    for name in ("two", "three"):
+        with pytest.raises(KeyboardInterrupt):
+            running._do(("own", name))
+    assert [call.args for call in experiment.do.call_args_list] == [
+        (("own", "one"),),
+        (("own", "two"),),
+    ]
 
 
 def test_presses_translated_together_are_those_translated_one_by_one(
@@ -303,33 +290,20 @@ def test_the_seed_of_an_experiment_is_that_of_its_trainings(
     for tuning in (False, True):
         assert force_settings(settings("seed=2"), archive, "cpu", tuning=tuning).seed == 2
     own = settings("seed=2", "fine_tuning=[seed=5]", "translators=[field]")
-    assert [force_settings(own, archive, "cpu", tuning=each).seed for each in (False, True)] == [
-        2,
-        5,
-    ]
+    assert force_settings(own, archive, "cpu").seed == 2
+    assert force_settings(own, archive, "cpu", tuning=True).seed == 5
     training = translator_training(own, "field")
     assert training is not None
     assert training[1].seed == 2
 
 
-class Same:
-    """A translator that returns the source unchanged."""
-
-    name = "same"
-
-    def translate(
-        self,
-        source: torch.Tensor,
-        target_reference: torch.Tensor,
-        source_reference: torch.Tensor | None = None,
-        *,
-        ordered: bool = False,
-    ) -> torch.Tensor:
-        assert source_reference is not None
-        return source
-
-
 def test_frames_keep_their_places_in_translation(archive: MarkerArchive) -> None:
+    class Same:
+        name = "same"
+
+        def translate(self, source: Any, target_reference: Any, *_: Any, **__: Any) -> Any:
+            return source
+
     packed = training_presses(archive)
     shown = translate_presses(packed, look_of(archive["grid"], packed, CPU), Same())
     assert torch.equal(shown.images, as_images(packed).images)
@@ -414,9 +388,8 @@ def test_an_experiment_trains_on_labels_by_simulation(
     some = made_up_archive(path, targets=3, frames_per_phase=2)
     with pytest.raises(LearningError, match="found no forces of a twin; allowed: tactile sim"):
         run(some, tmp_path / "none", "compensation=[simulated]")
-    for sensor in some.values():
-        wrench = sensor.table["wrench"][:, :3]
-        write_simulated(sensor, wrench, np.full(wrench.shape, 0.01), "a twin")
+    for name, sensor in some.items():
+        write_twin(some, name, sensor.table["wrench"][:, :3], 0.01)
     undrawn(monkeypatch)
     reported = run(MarkerArchive(path), tmp_path / "out", "compensation=[simulated]")
     found = read_predictions(tmp_path / "out" / "results" / "dots-to-grid.simulated.flow.npz")

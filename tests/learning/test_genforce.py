@@ -96,6 +96,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return training_folder(tmp_path_factory.mktemp("training") / "homo")
 
 
+@pytest.fixture
+def root(folder: Path, tmp_path: Path) -> Path:
+    """A copy of the folder, to change."""
+    return shutil.copytree(folder, tmp_path / "homo")
+
+
+def imported(folder: Path, **choices: Any) -> MarkerArchive:
+    """Import a folder into the archive beside it."""
+    out = folder.parent / f"{folder.name}-imported.markers.zarr"
+    import_folder(folder, out, choices=Choices(**choices))
+    return MarkerArchive(out)
+
+
 @pytest.fixture(scope="module")
 def archive(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
     out = tmp_path_factory.mktemp("archive") / "a.markers.zarr"
@@ -132,17 +145,14 @@ def test_masks_and_labels_of_a_training_folder_are_in_the_archive(archive: Marke
     assert "t_ns is 0" in archive["Array1"].attrs["times"]
 
 
-def test_fragments_of_a_reference_are_not_counted_as_markers(folder: Path, tmp_path: Path) -> None:
-    root = tmp_path / "homo"
-    shutil.copytree(folder, root)
+def test_fragments_of_a_reference_are_not_counted_as_markers(root: Path, tmp_path: Path) -> None:
     mask = mask_of(0).copy()
     markers = count_markers(mask)
     # The authors' mask of a TacTip has two fragments, of 41 and 68 px, beside its 127 pins.
     mask[40:47, 40:46] = mask[40:48, 92:100] = True
     assert count_markers(mask) == markers + 2
     write(root / "img" / "npy" / "Array1_ref.npy", mask)
-    import_folder(root, tmp_path / "a.markers.zarr")
-    sensor = MarkerArchive(tmp_path / "a.markers.zarr")["Array1"]
+    sensor = imported(root)["Array1"]
     smallest = sensor.attrs["marker_check"]["smallest_px"]
     assert smallest == 80
     assert count_markers(sensor.reference(0), smallest) == markers
@@ -160,15 +170,12 @@ def test_labels_of_some_axes_are_named_when_they_are_left_out(tmp_path: Path) ->
     assert len(list((tmp_path / "out").rglob("0000.npy"))) == 2
 
 
-def test_a_frame_that_lost_a_marker_is_flagged_and_kept(folder: Path, tmp_path: Path) -> None:
-    root = tmp_path / "homo"
-    shutil.copytree(folder, root)
+def test_a_frame_that_lost_a_marker_is_flagged_and_kept(root: Path, tmp_path: Path) -> None:
     path = root / "img" / "npy" / "Array1" / "sphere" / "1" / "0006.npy"
     mask = unpack(np.load(path)).copy()
     mask[200:260, 300:350] = False
     np.save(path, pack(mask))
-    import_folder(root, tmp_path / "a.markers.zarr")
-    sensor = MarkerArchive(tmp_path / "a.markers.zarr")["Array1"]
+    sensor = imported(root)["Array1"]
     reported = [json.loads(sensor.sources[one]) for one in sensor.table["source"]]
     (row,) = (row for row, one in enumerate(reported) if "marker_flag" in one)
     assert "missing" in reported[row]["marker_flag"]
@@ -193,8 +200,7 @@ def test_an_archive_that_is_written_out_and_read_again_is_the_same(
 ) -> None:
     assert export(archive.path, tmp_path / "out", "genforce") == ()
     assert layout_of(tmp_path / "out") == "training"
-    import_folder(tmp_path / "out", tmp_path / "again.markers.zarr")
-    again = MarkerArchive(tmp_path / "again.markers.zarr")
+    again = imported(tmp_path / "out")
     for name in SENSORS:
         rows = slice(0, len(archive[name]))
         np.testing.assert_array_equal(again[name].packed(rows), archive[name].packed(rows))
@@ -229,8 +235,7 @@ def test_pictures_lists_apart_and_missing_depths_and_forces_are_read(tmp_path: P
         apart = root / "img" / "jpg_csv" / path.relative_to(root / "img" / "jpg")
         apart.parent.mkdir(parents=True)
         path.rename(apart)
-    import_folder(root, tmp_path / "a.markers.zarr")
-    archive = MarkerArchive(tmp_path / "a.markers.zarr")
+    archive = imported(root)
     np.testing.assert_array_equal(archive["Array1"].masks([0])[0], mask_of(1))
     assert archive["Array1"].attrs["depth"] == "unknown: 0"
     assert np.isfinite(archive["Array1"].table["wrench"]).all()
@@ -240,14 +245,10 @@ def test_pictures_lists_apart_and_missing_depths_and_forces_are_read(tmp_path: P
     assert not (tmp_path / "out" / "force" / "uskin_a").exists()
 
 
-def test_heights_become_depths_below_the_surface(folder: Path, tmp_path: Path) -> None:
-    root = tmp_path / "hetero"
-    shutil.copytree(folder, root)
+def test_heights_become_depths_below_the_surface(root: Path, tmp_path: Path) -> None:
     place = root / "depth" / "Array1" / "cone" / "1"
     np.savetxt(place / "inc_z.csv", np.linspace(1.2, 0.0, 8))
-    choices = Choices(surfaces_mm={"Array1": 1.0})
-    import_folder(root, tmp_path / "a.markers.zarr", choices=choices)
-    table = MarkerArchive(tmp_path / "a.markers.zarr")["Array1"].table
+    table = imported(root, surfaces_mm={"Array1": 1.0})["Array1"].table
     rows = (table["indenter"] == NAMES.index("cone")) & (table["target"] == 0)
     expected = np.maximum(1.0 - np.linspace(1.2, 0.0, 8), 0) * 1e-3
     np.testing.assert_allclose(table["depth"][rows][:8], expected, atol=1e-15)
@@ -346,23 +347,14 @@ MALFORMED: dict[str, tuple[Change, str]] = {
 
 @pytest.mark.parametrize(("change", "message"), MALFORMED.values(), ids=MALFORMED.keys())
 def test_a_malformed_folder_is_refused_by_the_name_of_its_file(
-    change: Change, message: str, folder: Path, tmp_path: Path
+    change: Change, message: str, root: Path, tmp_path: Path
 ) -> None:
-    root = tmp_path / "homo"
-    shutil.copytree(folder, root)
     change(root)
     out = tmp_path / "a.markers.zarr"
     with pytest.raises(LearningError, match=message):
         import_folder(root, out)
     # Labels are read before anything is written; a mask only when its turn comes.
     assert not out.exists() or MarkerArchive(out).status == "writing"
-
-
-def test_what_is_no_folder_of_theirs_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LearningError, match="no such folder"):
-        layout_of(tmp_path / "none")
-    with pytest.raises(LearningError, match="found no img, no <Pattern>_ref"):
-        layout_of(tmp_path)
 
 
 def test_masks_are_read_from_every_kind_of_file(tmp_path: Path) -> None:
@@ -390,8 +382,7 @@ def test_simulated_pictures_are_numbered_as_simulated_archives_are(tmp_path: Pat
             for number, (x, y, depth) in enumerate(states):
                 write(root / indenter / name / f"{x}_{y}_{depth}.jpg", mask_of(number))
         write(root / f"{name}_ref.jpg", mask_of(50))
-    import_folder(root, tmp_path / "a.markers.zarr")
-    archive = MarkerArchive(tmp_path / "a.markers.zarr")
+    archive = imported(root)
     table = archive["Circle1"].table
     first = slice(0, len(states))
     np.testing.assert_allclose(table["depth"][first], [1e-3 * state[2] for state in states])
@@ -414,9 +405,8 @@ def test_runs_as_they_were_collected_give_the_archive_of_their_session(
     session = record(tmp_path / "s.zarr", kind)
     export(session, tmp_path / "data", "genforce")
     assert layout_of(tmp_path / "data") == "raw"
-    import_folder(tmp_path / "data", tmp_path / "raw.markers.zarr")
     archive_sessions([session], tmp_path / "own.markers.zarr")
-    raw = MarkerArchive(tmp_path / "raw.markers.zarr")
+    raw = imported(tmp_path / "data")
     own = MarkerArchive(tmp_path / "own.markers.zarr")
     ((name, sensor),) = raw.items()
     rows = slice(0, len(own[name]))
@@ -466,19 +456,9 @@ def test_the_turn_of_a_raw_run_is_found_by_the_markers_of_sheared_presses() -> N
             x, y = np.array([[cosine, -sine], [sine, cosine]]) @ robot[1]
             files = (Path(f"{number}a"), Path(f"{number}b"))
             masks |= {files[0]: drawn((0, 0)), files[1]: drawn((9 * mirror * x, 9 * y))}
-            nothing = np.zeros(2)
-            presses.append(
-                GenForcePress(
-                    "cone",
-                    number,
-                    files,
-                    np.array([0, 1]),
-                    np.zeros((2, 6)),
-                    nothing,
-                    1e-3 * robot,
-                    np.zeros(2, int),
-                )
-            )
+            frames, nothing = np.arange(2), np.zeros(2)
+            labels = (np.zeros((2, 6)), nothing, 1e-3 * robot, np.zeros(2, int))
+            presses.append(GenForcePress("cone", number, files, frames, *labels))
         return turn_of("gel", presses, drawn((0, 0))[None], masks.__getitem__)
 
     found = of(math.radians(37), 1, 8)
@@ -506,8 +486,7 @@ def test_runs_of_force_and_depth_come_behind_the_targets_without_a_location(
                 shutil.rmtree(point / name)
             (point / "normal_inc").rename(point / "down")
             (point / "normal_dec").rename(point / "up")
-    import_folder(tmp_path / "data", tmp_path / "a.markers.zarr")
-    table = MarkerArchive(tmp_path / "a.markers.zarr")["uskin"].table
+    table = imported(tmp_path / "data")["uskin"].table
     behind = table["location"] < 0
     assert set(table["target"][~behind]) == {0, 1}
     assert set(table["target"][behind]) == {2, 3}
@@ -581,6 +560,12 @@ def test_the_commands_import_and_export_with_coefficients(
     capsys.readouterr()
     assert main(["session", "export", str(out), str(tmp_path / "back"), "--to", "genforce"]) == 2
     assert "exists already" in capsys.readouterr().err
+    for place, message in (
+        (tmp_path / "none", "no such folder"),
+        (tmp_path, "found no img, no <Pa"),
+    ):
+        with pytest.raises(LearningError, match=message):
+            layout_of(place)
     with pytest.raises(LearningError, match="expected one of the layouts training, states, raw"):
         import_folder(tmp_path, out)
     assert main(["session", "export", str(out), str(tmp_path / "y"), "--to", "mcap"]) == 2
@@ -589,24 +574,17 @@ def test_the_commands_import_and_export_with_coefficients(
     assert "--mm-per-px: found 'b'; allowed: NAME=NUMBER" in capsys.readouterr().err
 
 
-def test_another_folder_is_not_mixed_into_an_archive(
-    folder: Path, archive: MarkerArchive, tmp_path: Path
-) -> None:
-    other = tmp_path / "other"
-    shutil.copytree(folder, other)
-    np.save(other / "img/npy/Array1_ref.npy", pack(mask_of(9)))
+def test_another_folder_is_not_mixed_into_an_archive(root: Path, archive: MarkerArchive) -> None:
+    np.save(root / "img/npy/Array1_ref.npy", pack(mask_of(9)))
     with pytest.raises(SessionError, match="is not the archive that was planned"):
-        import_folder(other, Path(str(archive.path)))
+        import_folder(root, Path(str(archive.path)))
 
 
-def test_presses_that_lack_a_phase_are_left_out_and_told_of(
-    folder: Path, archive: MarkerArchive, tmp_path: Path
-) -> None:
+def test_presses_that_lack_a_phase_are_left_out_and_told_of(tmp_path: Path) -> None:
     root = tmp_path / "sim"
     (root / "cone" / "Array1").mkdir(parents=True)
     write(root / "cone" / "Array1" / "0_0_0.3.jpg", mask_of(1))
     write(root / "Array1_ref.jpg", mask_of(0))
-    import_folder(root, tmp_path / "a.markers.zarr")
     with pytest.raises(SessionError, match="no press has all of normal_inc"):
-        export(tmp_path / "a.markers.zarr", tmp_path / "out", "genforce")
+        export(imported(root).path, tmp_path / "out", "genforce")
     assert not (tmp_path / "out").exists()

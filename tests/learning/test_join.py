@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.made_up_archives import made_up_archive
 from support.planned_archives import (
+    MASK,
     planned_archive,
     planned_session,
     raw_folder,
@@ -29,7 +30,13 @@ from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.markers.build import archive_sessions
 from recorder import MarkerArchive, Session, check
-from recorder.archive import location_pairs, write_simulated
+from recorder.archive import (
+    ArchivePlan,
+    ArchiveWriter,
+    SensorPlan,
+    location_pairs,
+    write_simulated,
+)
 from recorder.session import press_curves, surface_heights
 from sim.dataset import DatasetPlan
 from sim.sensors import sensor
@@ -125,13 +132,11 @@ def test_of_30_and_45_degrees_only_equal_angles_meet_and_the_rest_is_named(tmp_p
     assert math.degrees(pair.angle) < 1e-6
     lines = "\n".join(made.lines())
     assert "16 presses matched, of 240 and 160" in lines
-    assert (
-        "192 unmatched: gelsight, none of tacpalm at that place, the nearest 4.30 mm away" in lines
-    )
-    assert (
-        "16 unmatched: tacpalm, none of gelsight there in that direction, the nearest 15.0 deg"
-        in (lines)
-    )
+    for line in (
+        "192 unmatched: gelsight, none of tacpalm at that place, the nearest 4.30 mm away",
+        "16 unmatched: tacpalm, none of gelsight there in that direction, the nearest 15.0 deg",
+    ):
+        assert line in lines
     counted = sum(pair.unmatched.values())
     assert counted == 240 + 160 - 2 * pair.matched
 
@@ -212,10 +217,6 @@ def test_forces_of_twins_are_joined_and_those_of_another_twin_replace_them(tmp_p
 
 
 def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
-    from support.planned_archives import MASK
-
-    from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
-
     archives = []
     for name, places in (("a", [(0, 0), (4, 0)]), ("b", [(4, 0), (0, 0), (-4, 0)])):
         path, rows = tmp_path / f"{name}.markers.zarr", 3 * len(places)
@@ -223,8 +224,8 @@ def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
         writer = ArchiveWriter.begin(path, ArchivePlan((plan,), ("sphere",)))
         for target, place in enumerate(places):
             table = {
-                "indenter": np.zeros(3, int),
-                "seen": np.ones(3, bool),
+                **dict.fromkeys(("indenter", "t_ns", "reference"), np.zeros(3, int)),
+                **dict.fromkeys(("seen", "valid"), np.ones(3, bool)),
                 "location": 3 * target + np.arange(3),
                 "target": np.full(3, target),
                 "phase": np.full(3, -1),
@@ -232,9 +233,6 @@ def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
                 "position": np.tile(np.array(place) * MM, (3, 1)),
                 "wrench": np.full((3, 6), np.nan),
                 "frame": np.arange(3),
-                "t_ns": np.zeros(3, int),
-                "reference": np.zeros(3, int),
-                "valid": np.ones(3, bool),
             }
             writer.sensors[name].write(
                 target, packed=np.repeat(MASK, 3, axis=0), table=table, source=["made"] * 3
@@ -246,9 +244,6 @@ def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
     np.testing.assert_array_equal(archive["a"].table["target"], [0, 0, 0, 1, 1, 1])
     np.testing.assert_array_equal(archive["b"].table["target"], [1, 1, 1, 0, 0, 0, 2, 2, 2])
     make_split(archive, validation=0, new_press=0, held_out_sensors=(), seed=0).check(archive)
-
-
-# What cannot be joined.
 
 
 def test_unknown_places_are_refused_and_a_plan_makes_them_known(tmp_path: Path) -> None:
@@ -334,15 +329,12 @@ def test_nothing_that_meets_is_refused_with_its_reasons(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"place": 0.0}, {"angle": 4.0}, {"depth_fraction": math.nan}, {"depth_fraction": 1.0}],
+    ("name", "value"),
+    [("place", 0.0), ("angle", 4.0), ("depth_fraction", math.nan), ("depth_fraction", 1.0)],
 )
-def test_tolerances_that_exclude_all_or_nothing_are_refused(change: dict[str, float]) -> None:
-    with pytest.raises(LearningError, match=f"{next(iter(change))}: found"):
-        Tolerances(**change)
-
-
-# The order of presses, of archives, and small errors change nothing.
+def test_tolerances_that_exclude_all_or_nothing_are_refused(name: str, value: float) -> None:
+    with pytest.raises(LearningError, match=f"{name}: found"):
+        Tolerances(**{name: value})
 
 
 def pairs_by_plan(archive: MarkerArchive, one: str, other: str) -> set[tuple[str, str, int]]:
@@ -412,9 +404,6 @@ def test_presses_meet_as_planned_in_any_order_and_with_errors_below_the_toleranc
     assert [at[number] for number in right.tolist()] == list(kept)
 
 
-# The command.
-
-
 def test_the_command_prints_what_met_and_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -439,20 +428,16 @@ def test_the_command_prints_what_met_and_the_next_command(
     assert "0 frames copied" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["a.markers.zarr:q", "a.markers.zarr"], "has no sensor 'q'; allowed: x"),
-        (["a.markers.zarr"], "sensors: found 1; allowed: two or more"),
-        (["none.markers.zarr", "a.markers.zarr"], "none.markers.zarr"),
-        (["a.markers.zarr", "a.markers.zarr:x=y", "--place-mm", "2000"], "place: found 2.0"),
-    ],
-)
 def test_the_command_says_what_is_wrong_and_exits_with_2(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    planned_archive(tmp_path / "a.markers.zarr", {"x": SMALL})
-    full = [str(tmp_path / a) if ".zarr" in a else a for a in arguments]
-    assert main(["archive", "join", *full, "--out", str(tmp_path / "j.markers.zarr")]) == 2
-    assert message in capsys.readouterr().err
+    a = str(planned_archive(tmp_path / "a.markers.zarr", {"x": SMALL}).path)
+    for arguments, message in (
+        ([f"{a}:q", a], "has no sensor 'q'; allowed: x"),
+        ([a], "sensors: found 1; allowed: two or more"),
+        ([str(tmp_path / "none.markers.zarr"), a], "none.markers.zarr"),
+        ([a, f"{a}:x=y", "--place-mm", "2000"], "place: found 2.0"),
+    ):
+        assert main(["archive", "join", *arguments, "--out", str(tmp_path / "j.markers.zarr")]) == 2
+        assert message in capsys.readouterr().err
     assert not (tmp_path / "j.markers.zarr").exists()

@@ -11,7 +11,14 @@ from support.marker_truth import VIEWS
 
 from learning.data.images import shrink
 from learning.errors import LearningError
-from learning.force.live import STILL_FRAMES, ContactDetector, LivePredictor, _preset_for, open_live
+from learning.force.live import (
+    STILL_FRAMES,
+    ContactDetector,
+    LiveForce,
+    LivePredictor,
+    _preset_for,
+    open_live,
+)
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset
 from learning.markers.displacement import FieldReader
@@ -58,6 +65,12 @@ def touched(taxel: int = 5, z: float = 4000.0) -> np.ndarray[Any, Any]:
     return counts
 
 
+def shown(predictor: LivePredictor, frame: Any) -> LiveForce:
+    found = predictor.step(frame)
+    assert found is not None
+    return found
+
+
 def uskin() -> tuple[LivePredictor, Stub]:
     chosen = preset("uskin")
     assert isinstance(chosen, TaxelPreset)
@@ -68,12 +81,10 @@ def uskin() -> tuple[LivePredictor, Stub]:
 def test_the_first_frames_are_the_reference_and_say_no_force() -> None:
     predictor, stub = uskin()
     assert [predictor.step(NO_CONTACT + offset) for offset in (-1, 0, 1)] == [None, None, None]
-    found = predictor.step(NO_CONTACT)
-    assert found is not None
+    found = shown(predictor, NO_CONTACT)
     assert not found.contact
     assert found.motion_px == 0.0
-    reference = predictor.reference
-    assert reference is not None
+    assert predictor.reference is not None
     image = shrink(pack(taxel_masks(NO_CONTACT[None], NO_CONTACT, TaxelPreset("still"))))[0]
     assert np.array_equal(stub.references[-1], image)
     assert np.array_equal(stub.frames[-1], image)
@@ -82,22 +93,14 @@ def test_the_first_frames_are_the_reference_and_say_no_force() -> None:
 def test_memory_is_kept_while_touched_and_cleared_when_contact_has_ended() -> None:
     predictor, _ = uskin()
     predictor.begin(np.stack([NO_CONTACT] * 3))
-    frames = [
-        NO_CONTACT,
-        NO_CONTACT,
-        touched(),
-        touched(),
-        NO_CONTACT,
-        touched(),
-        *[NO_CONTACT] * (STILL_FRAMES + 2),
-    ]
-    found = [predictor.step(frame) for frame in frames]
-    steps = [one.force[0] for one in found if one is not None]
+    frames = [NO_CONTACT, NO_CONTACT, touched(), touched(), NO_CONTACT, touched()]
+    frames += [NO_CONTACT] * (STILL_FRAMES + 2)
+    found = [shown(predictor, frame) for frame in frames]
+    steps = [one.force[0] for one in found]
     # Each frame without contact starts again; a short loss of contact does not clear the memory.
     assert steps[:6] == [1, 1, 2, 3, 4, 5]
     assert steps[6:] == [6, 7, 8, 9, 1, 1, 1]
-    contact = [one.contact for one in found if one is not None]
-    assert contact == [step > 1 for step in steps]
+    assert [one.contact for one in found] == [step > 1 for step in steps]
 
 
 def test_a_picture_goes_the_way_of_the_training_data() -> None:
@@ -111,10 +114,8 @@ def test_a_picture_goes_the_way_of_the_training_data() -> None:
     stub = Stub()
     predictor = LivePredictor(stub.stream(), chosen, start_frames=3)
     assert [predictor.step(picture) for picture in no_contact[:3]] == [None] * 3
-    quiet, found = predictor.step(no_contact[3]), predictor.step(pressed)
-    assert quiet is not None
-    assert not quiet.contact
-    assert found is not None
+    assert not shown(predictor, no_contact[3]).contact
+    found = shown(predictor, pressed)
     assert found.contact
     assert found.motion_px > 0.5
     image = shrink(pack(Segmenter(chosen).mask(pressed))[None])[0]
@@ -131,29 +132,16 @@ def test_a_light_touch_is_contact_and_noise_is_not() -> None:
     assert contact.step(taxel_masks(touched(z=400.0), NO_CONTACT, chosen))
 
 
-def test_a_sensor_that_is_touched_at_the_beginning_is_refused() -> None:
+def test_a_touched_sensor_at_the_beginning_and_frames_of_another_sensor_are_refused() -> None:
     predictor, _ = uskin()
     predictor.step(NO_CONTACT)
     predictor.step(NO_CONTACT)
     with pytest.raises(LearningError, match="was the sensor touched"):
         predictor.step(NO_CONTACT + 4000.0)
-
-
-@pytest.mark.parametrize(
-    ("frame", "message"),
-    [
-        (np.zeros((4, 3)), "taxels: found"),
-        (np.full((16, 3), np.nan), "taxels: found"),
-    ],
-)
-def test_frames_of_another_sensor_are_refused(frame: np.ndarray[Any, Any], message: str) -> None:
-    predictor, _ = uskin()
     predictor.begin(np.stack([NO_CONTACT] * 3))
-    with pytest.raises(LearningError, match=message):
-        predictor.step(frame)
-
-
-def test_a_black_picture_has_no_reference() -> None:
+    for frame in (np.zeros((4, 3)), np.full((16, 3), np.nan)):
+        with pytest.raises(LearningError, match="taxels: found"):
+            predictor.step(frame)
     predictor = LivePredictor(Stub().stream(), preset("bench-gelsight"), start_frames=1)
     with pytest.raises(LearningError, match="found no markers"):
         predictor.step(np.zeros((480, 640, 3), np.uint8))
@@ -224,14 +212,10 @@ def test_shading_is_seen_live_as_in_archives_and_its_change_is_contact() -> None
     stream = ForceStream(stub, StepInputs((1, *SHADING.shape), True, (1, 1, 1, 1), False))
     predictor = LivePredictor(stream, chosen, start_frames=3)
     assert [predictor.step(picture) for picture in still[:3]] == [None, None, None]
-    found = predictor.step(still[3])
-    assert found is not None
-    assert not found.contact
+    assert not shown(predictor, still[3]).contact
     pressed = still[3].copy()
     pressed[20:40, 30:50, 0] += 60
-    found = predictor.step(pressed)
-    assert found is not None
-    assert found.contact
+    assert shown(predictor, pressed).contact
     no_contact = np.mean([cells_of(picture, chosen) for picture in still[:3]], axis=0)
     expected = shading_of(cells_of(pressed, chosen), no_contact.astype(np.float32))
     assert np.array_equal(stub.frames[-1], expected)

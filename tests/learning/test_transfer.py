@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support.commands import run_module
-from support.made_up_archives import made_up_archive
+from support.force_models import TINY_FORCE
+from support.made_up_archives import made_up_archive, write_twin
 
 from learning.cli import calibrate_force, evaluate, predict, transfer
 from learning.data.labels import Labels, read_labels
@@ -48,15 +50,7 @@ INTERVALS = Intervals(
     indenters=("cone",),
     errors_from="made up",
 )
-SMALL = (
-    'force={preset: tiny, set: ["input.side_px=32", "network.encoder=[4, 4, 4]", '
-    '"network.memory=4", "network.tail=[4, 4]", "stages=[{epochs: 1, learning_rate: 0.001}]"]}',
-    "fine_tuning=[]",
-)
-
-
-def chosen(archive: MarkerArchive, name: str) -> SensorSelection:
-    return SensorSelection(archive, name, name)
+SMALL = (TINY_FORCE, "fine_tuning=[]")
 
 
 def shapes(*distances: float) -> np.ndarray:
@@ -172,10 +166,9 @@ def test_weights_fix_the_scale_as_far_as_the_model_sees_them() -> None:
     assert value == pytest.approx(math.sqrt(0.5), rel=0.02)
     # Their errors are alike, so two tell no more than one.
     assert scale.factor == pytest.approx(1.2, rel=0.02)
+    pulling = [ScaleSample(-1.0, -1.0, 0.1), ScaleSample(-1.0, 0.1, 0.1)]
     with pytest.raises(LearningError, match="weight 2: its force is -1"):
-        measured_scale(
-            [ScaleSample(-1.0, -1.0, 0.1), ScaleSample(-1.0, 0.1, 0.1)], ASSUMED, "a weight"
-        )
+        measured_scale(pulling, ASSUMED, "a weight")
 
 
 def test_holds_of_a_live_recording_are_its_settled_contacts(tmp_path: Path) -> None:
@@ -218,7 +211,7 @@ def test_labels_of_the_target_stay_behind_and_the_source_s_meet_its_frames(
     recordings: tuple[MarkerArchive, MarkerArchive], tmp_path: Path
 ) -> None:
     one, other = recordings
-    sensors = chosen(one, "dots"), chosen(other, "grid")
+    sensors = SensorSelection(one, "dots", "dots"), SensorSelection(other, "grid", "grid")
     for keep in (False, True):
         out = tmp_path / f"{keep}.markers.zarr"
         archive, _ = join_pair(*sensors, out, Tolerances(), None, keep_curve=keep)
@@ -230,15 +223,10 @@ def test_labels_of_the_target_stay_behind_and_the_source_s_meet_its_frames(
         assert np.array_equal(table["wrench"][~located], kept, equal_nan=True)
         assert np.array_equal(table["frame"], own["frame"])  # row k is row k
         assert np.array_equal(archive["dots"].table["wrench"], one["dots"].table["wrench"])
-    typed = tmp_path / "typed.csv"
+    typed, out = tmp_path / "typed.csv", tmp_path / "typed.markers.zarr"
     typed.write_text("indenter,target,fz_n\nsphere,1,-1.25\nprism,0,-2.5\n")
     labelled, _ = join_pair(
-        *sensors,
-        tmp_path / "typed.markers.zarr",
-        Tolerances(),
-        None,
-        source_labels=typed,
-        keep_curve=False,
+        *sensors, out, Tolerances(), None, source_labels=typed, keep_curve=False
     )
     wrench = labelled["dots"].table["wrench"]
     rows, axes = np.isfinite(wrench).nonzero()
@@ -314,10 +302,10 @@ def test_readings_typed_in_are_labels_where_a_press_is_held(
     table = other["grid"].table
     assert table["phase"][labels.rows].tolist() == [PHASES.index("normal_inc")] * 2
     assert table["target"][labels.rows].tolist() == [1, 0]
+    # The deepest frame of the press.
     for row in labels.rows:
-        same = (table["indenter"] == table["indenter"][row]) & (table["location"] >= 0)
-        deepest = table["depth"][same & (table["target"] == table["target"][row])].max()
-        assert table["depth"][row] == deepest
+        press = table["location"] == table["location"][row]
+        assert table["depth"][row] == table["depth"][press].max()
     assert np.array_equal(labels.forces[:, 2], [-1.25, -2.5])
     assert np.isnan(labels.forces[:, :2]).all()
     assert labels.presses == 2
@@ -436,26 +424,24 @@ def test_a_transfer_makes_a_model_that_no_label_of_the_target_has_touched(
     assert (out / "results" / "dots-to-grid.priors.flow.npz").exists()
 
 
-def with_twin(archive: MarkerArchive, name: str, factor: float) -> MarkerArchive:
-    """Add forces of a twin, which are the true ones times a factor."""
-    wrench = factor * archive[name].table["wrench"][:, :3]
-    write_simulated(archive[name], wrench, np.full(wrench.shape, 0.01), f"twin of {name}")
-    return MarkerArchive(archive.path)
+def by_twins(folder: Path, frames: int) -> tuple[list[Any], MarkerArchive]:
+    """Return a transfer's words and its target, once both sensors were refused without a twin."""
+    words: list[Any] = ["--out", folder / "run", "--set", "compensation=[simulated]"]
+    some = []
+    for name, role in (("dots", "--source"), ("grid", "--target")):
+        path = folder / f"{name}.markers.zarr"
+        some.append(made_up_archive(path, [name], frames_per_phase=frames, displacement=False))
+        words += [role, f"{path}:{name}"]
+    for archive, name in zip(some, ("dots", "grid"), strict=True):
+        with pytest.raises(LearningError, match=f"{name}: found no forces of a twin; allowed: tac"):
+            run_module(transfer, *words)
+        assert not any((folder / "run").glob("*"))
+        write_twin(archive, name, 0.9 * archive[name].table["wrench"][:, :3], 0.01)
+    return words, some[1]
 
 
 def test_a_transfer_by_twins_needs_both(tmp_path: Path) -> None:
-    made = {"targets": 1, "displacement": False, "frames_per_phase": 1}
-    one = made_up_archive(tmp_path / "a.markers.zarr", ["dots"], **made)
-    other = made_up_archive(tmp_path / "b.markers.zarr", ["grid"], **made)
-    out = tmp_path / "run"
-    words = ["--source", f"{one.path}:dots", "--target", f"{other.path}:grid", "--out", out]
-    words += ["--set", "compensation=[simulated]"]
-    with pytest.raises(LearningError, match="dots: found no forces of a twin; allowed: tactile"):
-        run_module(transfer, *words)
-    with_twin(one, "dots", 0.9)
-    with pytest.raises(LearningError, match="grid: found no forces of a twin; allowed: tactile"):
-        run_module(transfer, *words)
-    assert not any(out.glob("*"))
+    by_twins(tmp_path, frames=1)
 
 
 @pytest.mark.slow
@@ -464,14 +450,9 @@ def test_a_transfer_by_twins_has_the_target_s_scale(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
-    made = {"targets": 2, "displacement": False}
-    one = made_up_archive(tmp_path / "a.markers.zarr", ["dots"], **made)
-    other = made_up_archive(tmp_path / "b.markers.zarr", ["grid"], **made)
-    one, other = with_twin(one, "dots", 0.9), with_twin(other, "grid", 0.9)
-    out = tmp_path / "run"
-    words = ["--source", f"{one.path}:dots", "--target", f"{other.path}:grid", "--out", out]
+    words, other = by_twins(tmp_path, frames=2)
     words += [word for each in SMALL for word in ("--set", each)]
-    words += ["--set", "compensation=[simulated]"]
+    out = tmp_path / "run"
     assert run_module(transfer, *words) == 0
     card = (out / "model" / "card.md").read_text()
     assert "**Scale known**: twins of both skins" in card
@@ -484,9 +465,7 @@ def test_a_transfer_by_twins_has_the_target_s_scale(
     table = other["grid"].table
     true = np.abs(table["wrench"][(table["location"] >= 0) & table["seen"], 2]).max()
     assert intervals.largest[2] == pytest.approx(true, rel=1e-3)
-    with_twin(other, "grid", 0.8)
-    wrench = MarkerArchive(other.path)["grid"].simulated
-    assert wrench is not None
-    write_simulated(other["grid"], wrench.force, wrench.spread, "another twin")
+    wrench = 0.8 * table["wrench"][:, :3]
+    write_simulated(other["grid"], wrench, np.full(wrench.shape, 0.01), "another twin")
     with pytest.raises(LearningError, match=r"transfer\.json\.twins: found"):
         run_module(transfer, *words)

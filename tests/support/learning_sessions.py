@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,15 @@ import zarr
 from support.marker_truth import VIEWS
 from support.sessions import reseal
 
-from recorder import SessionWriter, StreamWriter, camera_spec, force_spec, pose_spec, taxels_spec
+from recorder import (
+    SessionWriter,
+    StreamSpec,
+    StreamWriter,
+    camera_spec,
+    force_spec,
+    pose_spec,
+    taxels_spec,
+)
 from recorder.store.documents import merge_attrs
 from recorder.store.images import compress
 from recorder.store.layout import ColumnLayout
@@ -57,17 +66,31 @@ def record(path: Path, kind: str = "camera") -> Path:
         "contact_frame": CONTACT_FRAME,
         "started_utc": "2026-01-01T00:00:00Z",
     }
-    session = SessionWriter.create(
-        path, attrs=attrs, streams=[spec, force_spec(FORCE_HZ), pose_spec(60)], targets=targets
-    )
+    specs = [spec, force_spec(FORCE_HZ), pose_spec(60)]
+    rows = {name: rows_of(name, np.arange(0, SECONDS, 1 / rate)) for name, rate in rates.items()}
+    return write_session(path, attrs, specs, targets, rows, first_ns=T0 + PHASE_NS, rate_hz=40)
+
+
+def write_session(
+    path: Path,
+    attrs: dict[str, Any],
+    specs: Sequence[StreamSpec],
+    targets: dict[str, Any],
+    rows: Mapping[str, Iterable[dict[str, Any]]],
+    *,
+    first_ns: int,
+    rate_hz: float,
+) -> Path:
+    """Record rows of streams; four phases a target follow one another from a time on."""
+    session = SessionWriter.create(path, attrs=attrs, streams=specs, targets=targets)
     with session:
-        session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
-        for name, rate in rates.items():
+        session.begin_run({"t0_ns": T0, "utc": attrs["started_utc"], "boot_id": "b"})
+        for name, some in rows.items():
             with StreamWriter.open(session.stream_path(name), sync_interval=30) as stream:
-                for row in rows_of(name, np.arange(0, SECONDS, 1 / rate)):
+                for row in some:
                     stream.append(**row)
-        for number in range(4 * TARGETS):
-            start = T0 + PHASE_NS + number * PHASE_NS
+        for number in range(4 * len(targets["point"])):
+            start = first_ns + number * PHASE_NS
             session.segments.append(
                 target=number // 4,
                 phase=number % 4,
@@ -78,14 +101,14 @@ def record(path: Path, kind: str = "camera") -> Path:
             )
         session.reference.append(
             point=1,
-            image=0 if kind == "camera" else -1,
+            image=0 if "camera" in rows else -1,
             wrench=np.zeros(6),
             wrench_std=np.full(6, 0.02),
-            taxels=np.full((16, 3), 30_000.0 if kind == "taxels" else np.nan),
+            taxels=np.full((16, 3), 30_000.0 if "taxels" in rows else np.nan),
             run=0,
             t_ns=T0,
         )
-        session.finish("complete", rate_hz=40)
+        session.finish("complete", rate_hz=rate_hz)
     return path
 
 

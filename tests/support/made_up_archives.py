@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from recorder import MarkerArchive
-from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
+from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan, write_simulated
 from recorder.markers import HEIGHT, WIDTH, Lattice, pack
 from recorder.spec import PHASES
 
@@ -125,6 +126,22 @@ def made_up_archive(
     if finish:
         writer.finish()
     return MarkerArchive(path)
+
+
+def archive_of(**options: Any) -> Any:
+    """Return a fixture: an archive that all tests of a module read."""
+
+    @pytest.fixture(scope="module")
+    def archive(tmp_path_factory: pytest.TempPathFactory) -> MarkerArchive:
+        path = tmp_path_factory.mktemp("archive") / "made-up.markers.zarr"
+        return made_up_archive(path, **options)
+
+    return archive
+
+
+def write_twin(archive: MarkerArchive, name: str, force: NDArray[Any], spread: float = 0.1) -> None:
+    """Add forces of a twin of one sensor (n, 3) [N], all with the same spread [N]."""
+    write_simulated(archive[name], force, np.full(force.shape, spread), f"twin of {name}")
 
 
 def wrench_of(state: State, stiffness: float, unloading: float = 1.0) -> NDArray[np.float64]:

@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from support.learning_sessions import CONTACT_FRAME, PHASE_NS, T0, write_session
 
-from recorder import MarkerArchive, SessionWriter, StreamWriter, force_spec, pose_spec, taxels_spec
+from recorder import MarkerArchive, force_spec, pose_spec, taxels_spec
 from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
 from recorder.markers import pack
 from trajectories import PHASES, PressShear, Target, plan_to_json
 
-T0 = 5_000_000_000_000
-PHASE_NS = 100_000_000
-CONTACT_FRAME = np.array([0.4, -0.1, 0.2, 0.0, 0.0, 0.0])
 HEADER = "X(m),Y(m),Z(m),RX(rad),RY(rad),RZ(rad)"
 
 _YX = np.mgrid[:480, :640]
@@ -108,55 +106,32 @@ def planned_session(path: Path, plan: PressShear, *, sensor: str, indenter: str)
     attrs = {
         "sensor": sensor,
         "indenter": indenter,
-        "contact_frame": CONTACT_FRAME.tolist(),
+        "contact_frame": CONTACT_FRAME,
         "started_utc": "2026-01-01T00:00:00Z",
         "plan": plan_to_json(plan),
     }
     specs = [taxels_spec(60), force_spec(100), pose_spec(200)]
-    session = SessionWriter.create(path, attrs=attrs, streams=specs, targets=table)
     moves = [move for target in targets for move in plan.moves(target)]
     starts, ends = (np.array([getattr(move, at) for move in moves]) for at in ("start", "end"))
-    with session:
-        session.begin_run({"t0_ns": T0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
-        for name, rate in (("taxels", 60), ("force", 100), ("pose", 200)):
-            times = np.arange(0, len(moves) * PHASE_NS, round(1e9 / rate))
-            # The arm rests for the second half of each phase.
-            phase, within = np.divmod(times, PHASE_NS)
-            way = np.minimum(within / PHASE_NS / 0.5, 1.0)[:, None]
-            tip = (1 - way) * starts[phase] + way * ends[phase]
-            with StreamWriter.open(session.stream_path(name), sync_interval=30) as stream:
-                for number, t_ns in enumerate(times.tolist()):
-                    row: dict[str, Any] = {"t_ns": T0 + t_ns}
-                    if name == "pose":
-                        value = np.add(CONTACT_FRAME, [*tip[number], 0, 0, 0])
-                        row |= {"value": value, "device_t": 1e-9 * t_ns, "speed_scaling": 1.0}
-                    elif name == "force":
-                        row |= {"value": np.zeros(6), "seq": number, "status": 0}
-                    else:
-                        value = np.full((16, 3), 30_000, np.int32)
-                        row |= {"value": value, "device_t": 1e-9 * t_ns, "seq": number}
-                    stream.append(**row)
-        for number, move in enumerate(moves):
-            start = T0 + number * PHASE_NS
-            session.segments.append(
-                target=move.target,
-                phase=move.phase,
-                outcome=0,
-                run=0,
-                start_ns=start,
-                end_ns=start + PHASE_NS,
-            )
-        session.reference.append(
-            point=1,
-            image=-1,
-            wrench=np.zeros(6),
-            wrench_std=np.full(6, 0.02),
-            taxels=np.full((16, 3), 30_000.0),
-            run=0,
-            t_ns=T0,
-        )
-        session.finish("complete", rate_hz=60)
-    return path
+    rows: dict[str, list[dict[str, Any]]] = {"taxels": [], "force": [], "pose": []}
+    for name, rate in (("taxels", 60), ("force", 100), ("pose", 200)):
+        times = np.arange(0, len(moves) * PHASE_NS, round(1e9 / rate))
+        # The arm rests for the second half of each phase.
+        phase, within = np.divmod(times, PHASE_NS)
+        way = np.minimum(within / PHASE_NS / 0.5, 1.0)[:, None]
+        tip = (1 - way) * starts[phase] + way * ends[phase]
+        for number, t_ns in enumerate(times.tolist()):
+            row: dict[str, Any] = {"t_ns": T0 + t_ns}
+            if name == "pose":
+                value = np.add(CONTACT_FRAME, [*tip[number], 0, 0, 0])
+                row |= {"value": value, "device_t": 1e-9 * t_ns, "speed_scaling": 1.0}
+            elif name == "force":
+                row |= {"value": np.zeros(6), "seq": number, "status": 0}
+            else:
+                value = np.full((16, 3), 30_000, np.int32)
+                row |= {"value": value, "device_t": 1e-9 * t_ns, "seq": number}
+            rows[name].append(row)
+    return write_session(path, attrs, specs, table, rows, first_ns=T0, rate_hz=60)
 
 
 def raw_folder(root: Path, plan: PressShear, *, indenter: str) -> Path:
