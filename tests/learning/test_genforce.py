@@ -38,7 +38,7 @@ from tactile.__main__ import main
 from tests.support.few import few
 from trajectories import PressShear
 
-Change = Callable[[Path], None]
+Change = Callable[[Path], Any]
 
 # Last frames of the phases of every press.
 LAST = (4, 7, 9, 12)
@@ -254,102 +254,103 @@ def test_heights_become_depths_below_the_surface(root: Path, tmp_path: Path) -> 
     np.testing.assert_allclose(table["depth"][rows][:8], expected, atol=1e-15)
 
 
-def cut(name: str, size: int) -> Change:
-    return lambda root: (root / name).write_bytes((root / name).read_bytes()[:size])
+def cut(size: int) -> Change:
+    return lambda path: path.write_bytes(path.read_bytes()[:size])
 
 
-def text(name: str, change: Callable[[list[str]], list[str]]) -> Change:
-    def apply(root: Path) -> None:
-        lines = (root / name).read_text().splitlines()
-        (root / name).write_text("\n".join(change(lines)) + "\n")
+def save(values: Any) -> Change:
+    return lambda path: np.save(path, values)
 
-    return apply
+
+def lines(change: Callable[[list[str]], list[str]]) -> Change:
+    return lambda path: path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
 
 
 IMAGES, FORCES, DEPTHS = (f"{name}/Array1/sphere/2" for name in ("img/npy", "force", "depth"))
-MALFORMED: dict[str, tuple[Change, str]] = {
-    "a mask cut short": (cut(f"{IMAGES}/0003.npy", 20_000), r"2/0003\.npy: 20000 bytes, no whole"),
-    "a mask without bytes": (cut(f"{IMAGES}/0003.npy", 0), r"2/0003\.npy: 0 bytes, no whole"),
+MASK, FRAME, ENDS = (f"{IMAGES}/{name}" for name in ("0003.npy", "0005.npy", "last.csv"))
+FT, DEC = f"{FORCES}/ft.csv", f"{DEPTHS}/dec_z.csv"
+# What is done to a file, and what is said of it or of its folder.
+MALFORMED: dict[str, tuple[str, Change, str]] = {
+    "a mask cut short": (MASK, cut(20_000), r"2/0003\.npy: 20000 bytes, no whole"),
+    "a mask without bytes": (MASK, cut(0), r"2/0003\.npy: 0 bytes, no whole"),
     "a mask of another shape": (
-        lambda root: np.save(root / IMAGES / "0003.npy", np.zeros((240, 320), np.uint8)),
+        MASK,
+        save(np.zeros((240, 320), np.uint8)),
         r"2/0003\.npy: found uint8 \(240, 320\); expected uint8 \(38400,\)",
     ),
-    "a mask with NaN": (
-        lambda root: np.save(root / IMAGES / "0003.npy", np.full((480, 640), np.nan)),
-        r"2/0003\.npy: found NaN",
-    ),
+    "a mask with NaN": (MASK, save(np.full((480, 640), np.nan)), r"2/0003\.npy: found NaN"),
     "a sensor without indenters": (
-        lambda root: (root / "img/npy/Circle1").mkdir(),
-        r"npy/Circle1: found no folder of an indenter",
+        "img/npy/Circle1",
+        Path.mkdir,
+        "npy/Circle1: found no folder of",
     ),
     "no reference": (
-        lambda root: (root / "img/npy/Array1_ref.npy").unlink(),
-        r"Array1_ref\.npy: no such file, nor \.jpg; expected the reference",
+        "img/npy/Array1_ref.npy",
+        Path.unlink,
+        r"npy: no such file, nor \.jpg; expect",
     ),
-    "a frame that is missing": (
-        lambda root: (root / IMAGES / "0005.npy").unlink(),
-        r"sphere/2: found 0006\.npy; expected frame 0005",
-    ),
-    "no forces of a point": (
-        lambda root: (root / FORCES / "ft.csv").unlink(),
-        r"force/Array1/sphere/2/ft\.csv: no such file",
-    ),
+    "a frame that is missing": (FRAME, Path.unlink, r"2: found 0006\.npy; expected frame 0005"),
+    "no forces of a point": (FT, Path.unlink, r"force/Array1/sphere/2/ft\.csv: no such file"),
     "a force less": (
-        text(f"{FORCES}/ft.csv", lambda lines: lines[:-1]),
+        FT,
+        lines(lambda old: old[:-1]),
         r"2/ft\.csv: found 12 rows; .*img/npy/Array1/sphere/2 has 13 frames",
     ),
     "a force that is NaN": (
-        text(f"{FORCES}/ft.csv", lambda lines: [*lines[:3], "nan,0,0,0,0,0", *lines[4:]]),
+        FT,
+        lines(lambda old: [*old[:3], "nan,0,0,0,0,0", *old[4:]]),
         r"2/ft\.csv: line 4: found NaN",
     ),
     "a force that is cut": (
-        text(f"{FORCES}/ft.csv", lambda lines: [*lines[:-1], "0.1,0.2"]),
+        FT,
+        lines(lambda old: [*old[:-1], "0.1,0.2"]),
         r"2/ft\.csv: line 14: found 2 values; expected 6",
     ),
     "a word among forces": (
-        text(f"{FORCES}/ft.csv", lambda lines: [*lines[:-1], "a,0,0,0,0,0"]),
+        FT,
+        lines(lambda old: [*old[:-1], "a,0,0,0,0,0"]),
         r"2/ft\.csv: line 14: found .*; expected numbers",
     ),
     "forces in another unit": (
-        text(f"{FORCES}/ft.csv", lambda lines: [lines[0].replace("(Nmm)", "(Nm)"), *lines[1:]]),
+        FT,
+        lines(lambda old: [old[0].replace("(Nmm)", "(Nm)"), *old[1:]]),
         r"2/ft\.csv: found columns Fx\(N\).*Tx\(Nm\).*; expected Fx\(N\)",
     ),
-    "no list of last frames": (
-        lambda root: (root / IMAGES / "last.csv").unlink(),
-        r"2/last\.csv: no such file",
-    ),
-    "three last frames": (
-        text(f"{IMAGES}/last.csv", lambda lines: lines[:3]),
-        r"2/last\.csv: found .*; expected the names of four frames",
-    ),
+    "no list of last frames": (ENDS, Path.unlink, r"2/last\.csv: no such file"),
+    "three last frames": (ENDS, lines(lambda old: old[:3]), "; expected the names of four frames"),
     "last frames in disorder": (
-        text(f"{IMAGES}/last.csv", lambda lines: [lines[1], lines[0], *lines[2:]]),
+        ENDS,
+        lines(lambda old: [old[1], old[0], *old[2:]]),
         r"2/last\.csv: found frames \(7, 4, 9, 12\); expected them in ascending order",
     ),
     "a last frame beyond the last": (
-        text(f"{IMAGES}/last.csv", lambda lines: [*lines[:3], "0013.npy"]),
+        ENDS,
+        lines(lambda old: [*old[:3], "0013.npy"]),
         r"2/last\.csv: says that the last frame is 13; its folder has 13 frames",
     ),
     "a depth less": (
-        text(f"{DEPTHS}/dec_z.csv", lambda lines: lines[1:]),
+        DEC,
+        lines(lambda old: old[1:]),
         r"depth/Array1/sphere/2: inc_z\.csv and dec_z\.csv have 8 and 4 values; .* has 13 frames",
     ),
     "depths of some points": (
-        lambda root: shutil.rmtree(root / DEPTHS),
-        r"depth/Array1: has depths of some points; expected of all",
+        DEPTHS,
+        shutil.rmtree,
+        "depth/Array1: has depths of some points; exp",
     ),
     "a point that is no number": (
-        lambda root: (root / IMAGES).rename(root / "img/npy/Array1/sphere/b"),
-        r"sphere/b: found no number; expected contact points 1, 2",
+        IMAGES,
+        lambda path: path.rename(path.with_name("b")),
+        "sphere/b: found no number; expected contact points 1, 2",
     ),
 }
 
 
-@pytest.mark.parametrize(("change", "message"), MALFORMED.values(), ids=MALFORMED.keys())
+@pytest.mark.parametrize(("name", "change", "message"), MALFORMED.values(), ids=MALFORMED.keys())
 def test_a_malformed_folder_is_refused_by_the_name_of_its_file(
-    change: Change, message: str, root: Path, tmp_path: Path
+    name: str, change: Change, message: str, root: Path, tmp_path: Path
 ) -> None:
-    change(root)
+    change(root / name)
     out = tmp_path / "a.markers.zarr"
     with pytest.raises(LearningError, match=message):
         import_folder(root, out)

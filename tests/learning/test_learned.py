@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.made_up_archives import State, mask_of
 
-from learning.errors import LearningError
 from learning.force.intervals import (
     FLAGGED,
-    AxisError,
-    Intervals,
     LearnedShapes,
-    Scale,
     fit_learned,
-    read_intervals,
     shapes_of,
 )
 
@@ -98,21 +90,3 @@ def test_a_number_that_never_varied_is_far_as_soon_as_it_does() -> None:
     other = seen[100:].copy()
     other[:, 5] = 6.5
     assert found.is_far(other).all()
-
-
-def test_forces_beyond_all_labels_are_flagged_and_the_file_keeps_what_was_learned(
-    learned: LearnedShapes, tmp_path: Path
-) -> None:
-    known = Scale(1.0, "known", assumed=False)
-    axes = (AxisError(0.1, 0.0), None, AxisError(0.2, 0.1))
-    made = Intervals(axes, known, (1.0, None, 10.0), learned, 120, ("cone",), "made up")
-    still = np.repeat(shapes_of(rest("dots")[None], rest("dots")), 3, axis=0)
-    forces = np.array([[0.5, 9.0, -9.0], [0.0, 0.0, -11.0], [1.5, 0.0, 0.0]])
-    assert made.is_outside(forces, still).tolist() == [False, True, True]
-    assert made.rescaled(2.0, known).is_outside(forces, still).tolist() == [False] * 3
-    made.write(tmp_path)
-    assert read_intervals(tmp_path) == made
-    path = tmp_path / "intervals.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "format_version": 1}))
-    with pytest.raises(LearningError, match=r"json: found format .*intervals', 1, .*repeating"):
-        read_intervals(tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -133,17 +134,21 @@ def test_an_interval_contains_the_model_s_error_and_all_assumed_scales(tmp_path:
     assert high[1, 0] >= -0.25
     assert high[1, 2] - low[1, 2] == pytest.approx(2 * (0.2 + 0.1 * 0.5))
     assert np.isnan([low[0, 1], high[0, 1]]).all()
-    outside = INTERVALS.is_outside(
-        np.array([[0, 9, -9], [0, 0, -11], [1.5, 0, 0], [0, 0, 0]]), shapes(1, 1, 1, 4.3)
-    )
-    assert outside.tolist() == [False, True, True, True]
+    forces = np.array([[0, 9, -9], [0, 0, -11], [1.5, 0, 0], [0, 0, 0]])
+    where = shapes(1, 1, 1, 4.3)
+    assert INTERVALS.is_outside(forces, where).tolist() == [False, True, True, True]
     twice = INTERVALS.rescaled(2.0, ASSUMED)
+    assert twice.is_outside(forces, where).tolist() == [False, False, False, True]
     assert twice.axes[2] == AxisError(0.4, 0.1)
     assert twice.largest == (2.0, None, 20.0)
     twice.write(tmp_path)
     assert read_intervals(tmp_path) == twice
     assert read_intervals(tmp_path / "none") is None
-    (tmp_path / "intervals.json").write_text('{"format": "tactile-rig intervals"}')
+    path = tmp_path / "intervals.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "format_version": 1}))
+    with pytest.raises(LearningError, match=r"json: found format .*intervals', 1, .*repeating"):
+        read_intervals(tmp_path)
+    path.write_text('{"format": "tactile-rig intervals"}')
     with pytest.raises(LearningError, match="damaged"):
         read_intervals(tmp_path)
 

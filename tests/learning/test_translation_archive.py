@@ -117,14 +117,15 @@ def test_another_model_does_not_go_on_with_an_archive(archive, translated):
     np.testing.assert_array_equal(translated["dots-to-grid"].packed([1]), before)
 
 
-def test_forces_of_a_twin_follow_the_frames_of_the_source(tmp_path):
+def test_forces_of_a_twin_follow_the_frames_of_a_part_of_the_source(tmp_path):
     archive = made_up_archive(tmp_path / "a.markers.zarr", force_depth=1)
     force = np.random.default_rng(0).normal(size=(len(archive["dots"]), 3))
     write_simulated(archive["dots"], force, 0.1 * force, "a twin")
     archive, out = MarkerArchive(archive.path), tmp_path / "t.markers.zarr"
     split = make_split(archive, validation=0.0, new_press=0.5, held_out_sensors=(), seed=0)
     pairs = [Pair("dots", "grid"), Pair("grid", "dots")]
-    translate_archive(archive, out, pairs, FLOW, split=split, roles=["new_press"])
+    roles = ("new_indenter", "new_press")
+    translate_archive(archive, out, pairs, FLOW, split=split, roles=roles)
     translated = MarkerArchive(out)
     assert list(check_archive(LOCAL, translated.path)) == []
     found, table = translated["dots-to-grid"].simulated, archive["dots"].table
@@ -134,21 +135,11 @@ def test_forces_of_a_twin_follow_the_frames_of_the_source(tmp_path):
     rows = {key: row for row, key in enumerate(zip(*(table[name] for name in keys), strict=True))}
     made = translated["dots-to-grid"].table
     own = [rows[key] for key in zip(*(made[name] for name in keys), strict=True)]
-    assert 0 < len(own) < len(force)
+    assert 0 < len(own) == len(split.rows(table, roles)) < len(force)
+    assert set(split.role(made["location"])) == set(roles)
     np.testing.assert_array_equal(found.force, force[own])
     np.testing.assert_array_equal(found.spread, 0.1 * force[own])
     assert translated["grid-to-dots"].simulated is None
-
-
-def test_a_part_of_a_split_is_translated_alone(archive, tmp_path):
-    split = make_split(archive, validation=0.0, new_press=0.5)
-    out = tmp_path / "part.markers.zarr"
-    roles = ("new_indenter", "new_press")
-    model = NamedTranslator(Same([]), "same", "0")
-    translate_archive(archive, out, [Pair("dots", "grid")], model, split=split, roles=roles)
-    table = MarkerArchive(out)["dots-to-grid"].table
-    assert set(split.role(table["location"])) == set(roles)
-    assert len(table["location"]) == len(split.rows(archive["dots"].table, roles))
 
 
 def test_a_press_without_contact_gives_the_target_reference_back(archive):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,6 @@ def planned_archive(
     plans: dict[str, PressShear],
     indenters: Sequence[str] = ("sphere",),
     *,
-    order: Callable[[int], Any] = np.arange,
     moved: float = 0.0,
     attrs: dict[str, Any] | None = None,
     seen: bool = True,
@@ -48,7 +47,6 @@ def planned_archive(
         path: Archive to write, `X.markers.zarr`.
         plans: Plan of each sensor.
         indenters: Names, by code; each pressed all targets.
-        order: Numbers of `n` targets in the archive, by their number in the plan.
         moved: Distance by which every place is off, along x and y [m].
         attrs: Attributes of the sensors.
         seen: Whether models may be trained on the indenters.
@@ -61,14 +59,11 @@ def planned_archive(
     )
     writer = ArchiveWriter.begin(path, ArchivePlan(planned, tuple(indenters)))
     for name, plan in plans.items():
-        numbers = np.asarray(order(len(plan)))
-        back = np.argsort(numbers)
-        targets = list(plan.targets())
         for code in range(len(indenters)):
             frames = [
-                (number, phase, tip, plan.height(*targets[planned_as].origin[:2]))
-                for number, planned_as in enumerate(back.tolist())
-                for phase, tip in tips(plan, targets[planned_as])
+                (number, phase, tip, plan.height(*target.origin[:2]))
+                for number, target in enumerate(plan.targets())
+                for phase, tip in tips(plan, target)
             ]
             number, phase, tip, height = (np.array(column) for column in zip(*frames, strict=True))
             count = len(frames)
@@ -86,7 +81,7 @@ def planned_archive(
                 "reference": np.zeros(count, np.int64),
                 "valid": np.ones(count, np.bool_),
             }
-            source = [json.dumps({"planned": int(back[each])}) for each in number.tolist()]
+            source = [json.dumps({"planned": each}) for each in number.tolist()]
             writer.sensors[name].write(
                 code, packed=np.repeat(MASK, count, axis=0), table=table, source=source
             )
