@@ -7,13 +7,7 @@ import pytest
 import torch
 from support.made_up_archives import State, lattice_field, mask_of
 
-from learning.data.images import (
-    filled,
-    inverse,
-    sampled,
-    shrink_masks,
-    warp,
-)
+from learning.data.images import filled, inverse, sampled, shrink_masks, warp
 from learning.errors import LearningError
 
 PRESSED = State((320.0, 260.0), 90.0, 1.0, (0.3, -0.2))

@@ -12,12 +12,7 @@ import torch
 from support.made_up_archives import archive_of, made_up_archive
 
 from learning.data.images import read_fields, sampled, shrink
-from learning.data.presses import (
-    ForceRange,
-    load_presses,
-    press_table,
-    read_frames_of,
-)
+from learning.data.presses import ForceRange, load_presses, press_table, read_frames_of
 from learning.errors import LearningError
 from recorder import MarkerArchive, SessionError
 from recorder.archive import archive_fingerprint
@@ -56,9 +51,7 @@ def test_images_and_labels_are_those_of_their_rows(archive: MarkerArchive) -> No
     assert presses.mm_per_px == archive["dots"].mm_per_px
 
 
-def test_presses_without_a_location_are_told_apart_by_their_target(
-    archive: MarkerArchive,
-) -> None:
+def test_presses_without_a_location_are_told_apart_by_their_target(archive: MarkerArchive) -> None:
     presses = load_presses(archive["dots"], _rows(archive))
     nowhere = presses.location == -1
     assert presses.target[nowhere].tolist() == [2, 3]

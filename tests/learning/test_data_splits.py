@@ -81,9 +81,7 @@ def test_shares_are_spread_over_indenters(archive: MarkerArchive) -> None:
         assert sorted(pressed) == ["cone", "prism", "sphere"]
 
 
-def test_the_same_seed_makes_the_same_split_and_another_one_another(
-    archive: MarkerArchive,
-) -> None:
+def test_the_same_seed_makes_the_same_split_and_another_one_another(archive: MarkerArchive) -> None:
     assert make_split(archive, seed=1) == make_split(archive, seed=1)
     assert len({make_split(archive, seed=seed).fingerprint for seed in range(5)}) > 1
 

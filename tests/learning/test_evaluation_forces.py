@@ -19,12 +19,7 @@ from learning.evaluation.predictions import (
     read_predictions,
     unscored_lines,
 )
-from learning.metrics import (
-    force_errors,
-    r_squared,
-    spread_and_range,
-    with_magnitude,
-)
+from learning.metrics import force_errors, r_squared, spread_and_range, with_magnitude
 
 
 def test_the_mean_absolute_error_is_that_of_each_axis_and_of_the_magnitude() -> None:

@@ -43,12 +43,7 @@ from recorder import MarkerArchive
 from tactile.run import main
 
 CPU = torch.device("cpu")
-SMALL = (
-    TINY_FORCE,
-    "fine_tuning=[]",
-    "scored_presses=0",
-    "compensation=[compensated, priors]",
-)
+SMALL = (TINY_FORCE, "fine_tuning=[]", "scored_presses=0", "compensation=[compensated, priors]")
 
 
 archive = archive_of(targets=3, force_depth=2)

@@ -474,9 +474,7 @@ def test_the_turn_of_a_raw_run_is_found_by_the_markers_of_sheared_presses() -> N
     assert fitted_turn("gel", *noise[:, :3]) is None
 
 
-def test_runs_of_force_and_depth_come_behind_the_targets_without_a_location(
-    tmp_path: Path,
-) -> None:
+def test_runs_of_force_and_depth_come_behind_the_targets_without_a_location(tmp_path: Path) -> None:
     export(record(tmp_path / "s.zarr", "taxels"), tmp_path / "data", "genforce")
     for modality in ("force", "pose", "uskin_raw"):
         (run,) = (tmp_path / "data" / "uskin" / modality).iterdir()

@@ -30,13 +30,7 @@ from learning.data.splits import make_split
 from learning.errors import LearningError
 from learning.markers.build import archive_sessions
 from recorder import MarkerArchive, Session, check
-from recorder.archive import (
-    ArchivePlan,
-    ArchiveWriter,
-    SensorPlan,
-    location_pairs,
-    write_simulated,
-)
+from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan, location_pairs, write_simulated
 from recorder.session import press_curves, surface_heights
 from sim.dataset import DatasetPlan
 from sim.sensors import sensor

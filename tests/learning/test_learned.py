@@ -7,12 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from support.made_up_archives import State, mask_of
 
-from learning.force.intervals import (
-    FLAGGED,
-    LearnedShapes,
-    fit_learned,
-    shapes_of,
-)
+from learning.force.intervals import FLAGGED, LearnedShapes, fit_learned, shapes_of
 
 DEEPEST_MM, SHEAR_MM = 1.5, 0.6
 
