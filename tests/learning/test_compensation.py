@@ -38,7 +38,7 @@ from tactile.__main__ import main
 DOWN, SHEARED, BACK, UP = range(len(PHASES))
 DEPTH = np.linspace(0.1e-3, 1.2e-3, 12)
 # Spring constants per depth, quadratic [N/m^2] and linear [N/m].
-HARD, SOFT, EMPTY = (0.8e6, 4.0e3), (0.3e6, 1.5e3), (0.0, 0.0)
+HARD, SOFT = (0.8e6, 4.0e3), (0.3e6, 1.5e3)
 
 
 def spring(name: str, down: tuple[float, float], up: tuple[float, float] | None = None) -> Prior:
@@ -49,29 +49,30 @@ def spring(name: str, down: tuple[float, float], up: tuple[float, float] | None 
     return fit_prior(ForceDepthCurve(name, "prism", "made up", loading, unloading))
 
 
+SOFT_SKIN, HARD_SKIN = spring("soft", SOFT), spring("hard", HARD)
+
+
 def test_labels_of_one_spring_become_those_of_another() -> None:
-    soft, hard = spring("soft", SOFT), spring("hard", HARD)
     random = np.random.default_rng(0)
     direction = random.normal(size=(12, 6))
     source = direction * (SOFT[0] * DEPTH**2 + SOFT[1] * DEPTH)[:, None]
     target = direction * (HARD[0] * DEPTH**2 + HARD[1] * DEPTH)[:, None]
     phase = np.full(12, DOWN)
-    found, clamped = compensate(source, DEPTH, phase, soft, hard, 0.0, 1.0)
+    found, clamped = compensate(source, DEPTH, phase, SOFT_SKIN, HARD_SKIN, 0.0, 1.0)
     assert np.allclose(found, target, rtol=1e-9)
     assert clamped == 0
-    back, _ = compensate(target, DEPTH, phase, hard, soft, 0.0, 1.0)
+    back, _ = compensate(target, DEPTH, phase, HARD_SKIN, SOFT_SKIN, 0.0, 1.0)
     assert np.allclose(back, source, rtol=1e-9)
 
 
 def test_lambda_weighs_the_change_and_d0_says_where_it_begins() -> None:
-    soft, hard = spring("soft", SOFT), spring("hard", HARD)
     force, phase = np.ones((12, 3)), np.full(12, SHEARED)
-    whole, _ = compensate(force, DEPTH, phase, soft, hard, 0.0, 1.0)
-    half, _ = compensate(force, DEPTH, phase, soft, hard, 0.5, 0.5)
+    whole, _ = compensate(force, DEPTH, phase, SOFT_SKIN, HARD_SKIN, 0.0, 1.0)
+    half, _ = compensate(force, DEPTH, phase, SOFT_SKIN, HARD_SKIN, 0.5, 0.5)
     deep = DEPTH > 0.6e-3
     assert np.allclose(half[deep], 0.5 + 0.5 * whole[deep])
     assert np.array_equal(half[~deep], force[~deep])
-    same, clamped = compensate(force, DEPTH, phase, soft, hard, 0.0, 0.0)
+    same, clamped = compensate(force, DEPTH, phase, SOFT_SKIN, HARD_SKIN, 0.0, 0.0)
     assert np.array_equal(same, force)
     assert clamped == 0
 
@@ -100,12 +101,11 @@ def test_sensors_of_unlike_depth_are_compared_at_the_same_share_of_their_ranges(
 def test_a_ratio_without_a_source_force_is_limited_and_counted() -> None:
     nothing = Branch((0.0, 0.0, 0.0))
     flat = Prior("flat", nothing, nothing, 1.2e-3, 1.2e-3)
-    hard = spring("hard", HARD)
     force, phase = np.ones((12, 3)), np.full(12, DOWN)
-    most, clamped = compensate(force, DEPTH, phase, flat, hard, 0.0, 1.0)
+    most, clamped = compensate(force, DEPTH, phase, flat, HARD_SKIN, 0.0, 1.0)
     assert np.allclose(most, 10.0)
     assert clamped == 12
-    least, clamped = compensate(force, DEPTH, phase, hard, flat, 0.5, 1.0)
+    least, clamped = compensate(force, DEPTH, phase, HARD_SKIN, flat, 0.5, 1.0)
     assert np.allclose(least[DEPTH > 0.6e-3], 0.1)
     assert clamped == np.count_nonzero(DEPTH > 0.6e-3)
     neither, clamped = compensate(force, DEPTH, phase, flat, flat, 0.0, 1.0)
@@ -114,9 +114,8 @@ def test_a_ratio_without_a_source_force_is_limited_and_counted() -> None:
 
 
 def test_beyond_what_was_measured_the_ratio_stays_what_it_was() -> None:
-    soft, hard = spring("soft", SOFT), spring("hard", HARD)
     depth, phase = np.array([1.2e-3, 3.0e-3]), np.full(2, DOWN)
-    found, _ = compensate(np.ones((2, 3)), depth, phase, soft, hard, 0.0, 1.0)
+    found, _ = compensate(np.ones((2, 3)), depth, phase, SOFT_SKIN, HARD_SKIN, 0.0, 1.0)
     assert found[0, 0] == pytest.approx(found[1, 0])
 
 
@@ -131,21 +130,21 @@ def test_beyond_what_was_measured_the_ratio_stays_what_it_was() -> None:
 def test_labels_that_cannot_be_compensated_are_refused(
     change: dict[str, object], message: str
 ) -> None:
-    soft = spring("soft", SOFT)
     options: Any = {"phase": np.full(12, DOWN), "d0": 0.0, "lam": 1.0, **change}
     with pytest.raises(LearningError, match=message):
-        compensate(np.ones((12, 3)), DEPTH, source=soft, target=soft, **options)
+        compensate(np.ones((12, 3)), DEPTH, source=SOFT_SKIN, target=SOFT_SKIN, **options)
 
 
 def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
-    soft, hard = spring("soft", SOFT), spring("hard", HARD)
     labels = np.column_stack([np.full(12, np.nan), np.linspace(0, 1, 12), -1e3 * DEPTH])
     phase = np.full(12, DOWN)
-    found, _ = compensate(labels, DEPTH, phase, soft, hard, 0.0, 1.0)
-    whole, _ = compensate(np.nan_to_num(labels), DEPTH, phase, soft, hard, 0.0, 1.0)
+    found, _ = compensate(labels, DEPTH, phase, SOFT_SKIN, HARD_SKIN, 0.0, 1.0)
+    whole, _ = compensate(np.nan_to_num(labels), DEPTH, phase, SOFT_SKIN, HARD_SKIN, 0.0, 1.0)
     assert np.isnan(found[:, 0]).all()
     assert np.array_equal(found[:, 1:], whole[:, 1:])
-    choice = scored_choice(PairedLabels(labels, 2 * labels, DEPTH, phase), soft, hard, 0.0, 0.0)
+    choice = scored_choice(
+        PairedLabels(labels, 2 * labels, DEPTH, phase), SOFT_SKIN, HARD_SKIN, 0.0, 0.0
+    )
     assert choice.axes[0] is None
     assert choice.axes[1:] == pytest.approx(np.abs(labels[:, 1:]).mean(axis=0))
     assert choice.error == pytest.approx(np.linalg.norm(labels[:, 1:], axis=1).mean())
@@ -174,18 +173,16 @@ def test_published_coefficients_are_of_depth_in_mm_or_of_its_share() -> None:
 
 
 def test_the_oracle_finds_what_made_the_labels() -> None:
-    soft, hard = spring("soft", SOFT), spring("hard", HARD)
     phase = np.full(12, DOWN)
     source = np.random.default_rng(1).normal(size=(12, 3))
-    target, _ = compensate(source, DEPTH, phase, soft, hard, 0.5, 0.75)
-    best = best_for_labels(PairedLabels(source, target, DEPTH, phase), soft, hard)
+    target, _ = compensate(source, DEPTH, phase, SOFT_SKIN, HARD_SKIN, 0.5, 0.75)
+    best = best_for_labels(PairedLabels(source, target, DEPTH, phase), SOFT_SKIN, HARD_SKIN)
     assert (best.d0, best.weight) == (0.5, 0.75)
     assert best.error == pytest.approx(0.0, abs=1e-12)
 
 
 def test_priors_that_fit_are_trusted_and_noise_is_not() -> None:
-    soft, hard = spring("soft", SOFT), spring("hard", HARD)
-    assert best_for_priors(soft, hard) == (0.0, 1.0)
+    assert best_for_priors(SOFT_SKIN, HARD_SKIN) == (0.0, 1.0)
     random = np.random.default_rng(2)
     noisy = []
     for name in ("one", "same"):
@@ -196,7 +193,7 @@ def test_priors_that_fit_are_trusted_and_noise_is_not() -> None:
     assert chosen[1] < 0.5
     known = Compensation((1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     untold = prior_of_coefficients("csv", known, depth_range=1e-3, per_mm=True, source="csv")
-    assert best_for_priors(soft, untold) is None
+    assert best_for_priors(SOFT_SKIN, untold) is None
 
 
 def test_a_recorded_session_has_the_curve_that_was_pressed(tmp_path: Path) -> None:

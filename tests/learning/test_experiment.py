@@ -20,7 +20,7 @@ from learning.data.images import shrink_masks
 from learning.data.presses import Presses
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.evaluation.predictions import read_predictions
+from learning.evaluation.predictions import Predictions, read_predictions
 from learning.experiment import running, stages
 from learning.experiment.frames import (
     as_images,
@@ -70,6 +70,10 @@ def done(
     return out, run(archive, out)
 
 
+def results(out: Path, name: str) -> Predictions:
+    return read_predictions(out / "results" / f"dots-to-grid.{name}.npz")
+
+
 def training_presses(archive: MarkerArchive) -> Presses:
     return load_some(archive["dots"], make_split(archive), ["train"], None, 0, device=CPU)
 
@@ -88,12 +92,12 @@ def test_an_experiment_goes_from_presses_to_a_report_and_makes_nothing_twice(
 ) -> None:
     out, reported = done
     assert reported[-1].startswith("source-only R2 ")
-    best = read_predictions(out / "results" / "dots-to-grid.priors.flow.npz")
+    best = results(out, "priors.flow")
     unseen = best.only(best.role == "new_indenter")
     errors = force_errors(unseen.true, unseen.predicted, unseen.label_std)
     assert reported[-1].endswith(f"transferred R2 {errors.r2_mean:.3f}")
     assert (out / "report" / "report.html").is_file()
-    found = read_predictions(out / "results" / "dots-to-grid.compensated.flow.npz")
+    found = results(out, "compensated.flow")
     assert set(found.role) == {"new_press", "new_indenter"}
     assert set(found.indenter[found.role == "new_indenter"]) == {"cone"}
 
@@ -123,11 +127,9 @@ def test_pieces_side_by_side_give_what_they_give_one_after_the_other(
     running.run_experiment(
         Places(tmp_path, archive.path), settings(), pairs=["dots:grid"], jobs=2, say=also.append
     )
-    assert sorted(line for line in also if " to " in line) == sorted(
-        line for line in reported if " to " in line
-    )
-    file = Path("results") / "dots-to-grid.compensated.flow.npz"
-    alone, batched = (read_predictions(place / file) for place in (out, tmp_path))
+    one, other = (sorted(line for line in lines if " to " in line) for lines in (reported, also))
+    assert one == other
+    alone, batched = (results(place, "compensated.flow") for place in (out, tmp_path))
     assert np.array_equal(alone.predicted, batched.predicted)
 
 
@@ -142,8 +144,7 @@ def test_models_trained_together_say_what_those_trained_alone_say(
     run(archive, tmp_path, "models_per_batch=4")
     with pytest.raises(LearningError, match="models_per_batch: found 4, asked for 1"):
         run(archive, tmp_path)
-    file = Path("results") / "dots-to-grid.compensated.flow.npz"
-    alone, batched = (read_predictions(place / file) for place in (done[0], tmp_path))
+    alone, batched = (results(place, "compensated.flow") for place in (done[0], tmp_path))
     assert np.abs(alone.predicted - batched.predicted).max() < 1e-3
     assert not np.array_equal(alone.predicted, batched.predicted)
 
@@ -168,8 +169,7 @@ def test_the_papers_translator_is_chosen_like_any_other(
     run(archive, tmp_path / "out", *chosen)
     # The training makes the marker VAE that it needs itself.
     assert (tmp_path / "out" / "models" / "diffusion" / "marker-vae" / "config.yaml").exists()
-    file = tmp_path / "out" / "results" / "dots-to-grid.compensated.diffusion.npz"
-    assert np.isfinite(read_predictions(file).predicted).all()
+    assert np.isfinite(results(tmp_path / "out", "compensated.diffusion").predicted).all()
     with pytest.raises(LearningError, match=r"diffusion: weights\.base: found '' without unet"):
         run(archive, tmp_path / "other", "translators=[diffusion]")
     assert not (tmp_path / "other" / "models").exists()
@@ -362,17 +362,10 @@ def test_mistakes_in_presets_used_later_are_refused_before_anything_is_written(
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_learned_translators_are_trained_and_used(archive: MarkerArchive, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run(
-        archive,
-        out,
-        "translators=[field]",
-        "compensation=[]",
-        "scored_presses=1",
-        'field={preset: cpu_smoke, set: ["field_stage.steps=2", "map_stage.steps=2"]}',
-    )
-    assert (out / "results" / "dots-to-grid.transferred.field.npz").is_file()
-    assert (out / "results" / "dots-to-grid.field.scores.npz").is_file()
+    few = 'field={preset: cpu_smoke, set: ["field_stage.steps=2", "map_stage.steps=2"]}'
+    run(archive, tmp_path, "translators=[field]", "compensation=[]", "scored_presses=1", few)
+    for name in ("transferred.field", "field.scores"):
+        assert (tmp_path / "results" / f"dots-to-grid.{name}.npz").is_file()
 
 
 @pytest.mark.slow
@@ -387,7 +380,7 @@ def test_an_experiment_trains_on_labels_by_simulation(
         write_twin(some, name, sensor.table["wrench"][:, :3], 0.01)
     undrawn(monkeypatch)
     reported = run(MarkerArchive(path), tmp_path / "out", "compensation=[simulated]")
-    found = read_predictions(tmp_path / "out" / "results" / "dots-to-grid.simulated.flow.npz")
+    found = results(tmp_path / "out", "simulated.flow")
     errors = force_errors(found.true, found.predicted, found.label_std)
     assert any(f"simulated by flow: R2 {errors.r2_mean:.3f}" in line for line in reported)
     assert not (tmp_path / "out" / "compensation.json").exists()
