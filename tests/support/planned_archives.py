@@ -37,7 +37,6 @@ def planned_archive(
     indenters: Sequence[str] = ("sphere",),
     *,
     moved: float = 0.0,
-    attrs: dict[str, Any] | None = None,
     seen: bool = True,
     wrench: Sequence[float] = (float("nan"),) * 6,
 ) -> MarkerArchive:
@@ -48,14 +47,12 @@ def planned_archive(
         plans: Plan of each sensor.
         indenters: Names, by code; each pressed all targets.
         moved: Distance by which every place is off, along x and y [m].
-        attrs: Attributes of the sensors.
         seen: Whether models may be trained on the indenters.
         wrench: Label of every frame (6,) [N, N m].
     """
     rows = {name: 8 * len(plan) * len(indenters) for name, plan in plans.items()}
     planned = tuple(
-        SensorPlan(name, rows[name], 8, 8 * len(plan), MASK, 0.03, attrs=attrs or {})
-        for name, plan in plans.items()
+        SensorPlan(name, rows[name], 8, 8 * len(plan), MASK, 0.03) for name, plan in plans.items()
     )
     writer = ArchiveWriter.begin(path, ArchivePlan(planned, tuple(indenters)))
     for name, plan in plans.items():
