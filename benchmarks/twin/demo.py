@@ -1,36 +1,25 @@
 """Record a sensor with an unknown skin on the mock bench, identify its twin, and predict forces.
 
 The skin differs from the row that the fit begins with, in all that is fitted. It is pressed by a
-sphere and a prism, and for comparison by a torus, whose presses the fit does not get. Its recorded
-forces are also compared with those of a finer grid at every recorded pose.
+sphere and a prism, and for comparison by a torus, whose presses the fit does not get.
 """
 
 from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from benchmarks.report import Page, Run, table
 from recorder import Session
 from recorder.charts import BLUE, ORANGE, SOFT, chart
 from recorder.command_line.errors import EXIT_DEVICE_LOST
 from sim.errors import SceneError
-from sim.indenters import named
-from sim.layer import Layer
-from sim.sensors import SimulatedSensor, read_sensor, sensor, sensor_of
+from sim.sensors import read_sensor, sensor
 from sim.sensors.quantities import quantities
-from sim.stream import LivePress
 from sim.twin import TrackModel, fitted, misfit, tracks_of
 from sim.twin.record import draw, lines, twin_yaml
-
-Array = NDArray[np.float64]
 
 # The unknown skin, and the bench that presses it.
 SKIN = """\
@@ -84,7 +73,6 @@ def measure(run: Run) -> dict[str, Any]:
     true, unseen = quantities(read_sensor(skin)), tracks_of(Session(paths[held_out]))
     readings = TrackModel(fit.design, unseen, grid=grid).readings(fit.values)
     run.spread = "one session"
-    again = solved_again(recorded(Session(paths[pressed[0]])), Layer(grid=32 if run.quick else 96))
     return {
         "rows": [
             {"name": name, "truth": value, "twin": fit.values[name], "interval": fit.interval(name)}
@@ -92,7 +80,6 @@ def measure(run: Run) -> dict[str, Any]:
         ],
         "misfit": fit.misfit,
         "held_out": misfit(unseen, readings),
-        "again": again,
     }
 
 
@@ -153,17 +140,6 @@ def section(values: dict[str, Any], page: Page) -> str:
         axes.set_yticks(range(len(rows)), [row["name"] for row in rows])
         axes.invert_yaxis()
         axes.set_xlabel("difference from the truth [%]; grey: 90 % interval")
-    again = ""
-    if values["again"]:
-        cells = [
-            [f"F{axis}", *(f"{each[name]:.3f}" for name in ("rms", "p99", "largest"))]
-            for axis, each in zip("xyz", values["again"], strict=True)
-        ]
-        again = f"""Forces of the mock session less those that a finer grid has at its recorded
-poses, in contact [N]; 10 mN of it is noise, the rest is solved late and on a coarser grid:
-
-{table(["axis", "rms", "99 % below", "largest force"], cells)}
-"""
     return f"""## A mock session and its twin
 `make demo-twin` records a sensor whose skin differs from its row in all that is fitted, in real
 time on the mock bench, with noise of 10 mN and forces that lag behind the arm; sphere and prism,
@@ -176,81 +152,4 @@ two directions, three depths, held three relaxation times. SI units:
 Forces at rest differ by {100 * values["misfit"]:.2g} %, and by {100 * values["held_out"]:.2g} %
 under a `{HELD_OUT}` that the fit did not get. The grid of the mock and of the fit is the same: no
 error of pixels is in this session.
-
-{again}"""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Recorded:
-    """Recording of a simulated sensor in a session; times [ns] are on the session's clock."""
-
-    sensor: SimulatedSensor
-    indenter: str
-    time: NDArray[np.int64]
-    """Time of each pose (n,)."""
-    tip: Array
-    """(n, 3) [m] in the contact frame."""
-    force_time: NDArray[np.int64]
-    force: Array
-    """(m, 3) [N], without the tare."""
-
-
-def recorded(session: Session) -> Recorded:
-    """Return the poses and forces of a session.
-
-    Raises:
-        SceneError: The session was recorded with another world.
-    """
-    world = session.attrs["bench"].get("world") or {}
-    if world.get("kind") != "simulated":
-        raise SceneError(
-            f"session.bench.world.kind: {world.get('kind')!r}; allowed: 'simulated', a session "
-            "that was recorded with --world sim"
-        )
-    pose, force = session.streams["pose"], session.streams["force"]
-    frame = np.asarray(session.attrs["contact_frame"])
-    place = np.asarray(pose.array("value"))[: len(pose.t_ns), :3] - frame[:3]
-    wrench = np.asarray(force.array("value"))[: len(force.t_ns)] + np.asarray(force.attrs["bias"])
-    return Recorded(
-        sensor=sensor_of(str(world["sensor"])),
-        indenter=str(session.attrs["indenter"]),
-        time=np.asarray(pose.t_ns),
-        tip=Rotation.from_rotvec(frame[3:]).inv().apply(place),
-        force_time=np.asarray(force.t_ns),
-        force=wrench[:, :3],
-    )
-
-
-def forces_again(session: Recorded, layer: Layer) -> Array:
-    """Return the forces at the recorded poses (n, 3) [N], solved one after the other."""
-    live = LivePress(
-        session.sensor, named(session.indenter), grid=layer.grid, tolerance=layer.tolerance
-    )
-    force, before = np.zeros((len(session.time), 3)), session.time[0]
-    for row, (now, tip) in enumerate(zip(session.time, session.tip, strict=True)):
-        live.move(tip, 1e-9 * float(now - before))
-        before = now
-        if live.touching:
-            force[row] = live.force
-    return force
-
-
-def solved_again(session: Recorded, layer: Layer) -> list[dict[str, float]]:
-    """Return the differences of recorded forces from those at the recorded poses, by axis."""
-    force = forces_again(session, layer)
-    inside = (session.force_time >= session.time[0]) & (session.force_time <= session.time[-1])
-    at = (session.force_time[inside] - session.time[0]).astype(float)
-    poses = (session.time - session.time[0]).astype(float)
-    contact = np.interp(at, poses, session.tip[:, 2]) < 0
-    rows = []
-    for axis in range(3):
-        expected = np.interp(at, poses, force[:, axis])[contact]
-        size = np.abs(session.force[inside][contact, axis] - expected)
-        rows.append(
-            {
-                "rms": float(np.sqrt(np.mean(size**2))),
-                "p99": float(np.percentile(size, 99)),
-                "largest": float(np.abs(expected).max()),
-            }
-        )
-    return rows
+"""

@@ -40,8 +40,6 @@ METHODS = {
     "simulated, no gauge": "`simulated`, the target's row for its twin",
     "twin, no gauge": "the target's row alone",
 }
-# Quantities of twins whose errors are shown.
-SHOWN = ("modulus", "thickness", "poisson", "friction")
 # Resamplings of an interval.
 RESAMPLED = 2000
 QUICK = Settings(("sphere", "torus"), "layer", grid=24, fits=False)
@@ -75,17 +73,11 @@ def measure(run: Run) -> dict[str, Any]:
 def gauge(settings: Settings, task: tuple[int, str]) -> dict[str, Any]:
     """Return twins of both sensors, and forces of their force-depth presses, under an error."""
     draw, error = task
-    row: dict[str, Any] = {"draw": draw, "gauge": error, "errors": {}, "curves": {}, "why": ""}
-    row["twins"] = {}
+    row: dict[str, Any] = {"draw": draw, "gauge": error, "twins": {}, "curves": {}, "why": ""}
     try:
         for name in SENSORS:
             pad = Pad(name, draw, settings)
-            twin, true = quantities(pad.twin(error)), quantities(pad.skin)
-            row["twins"][name] = twin
-            off = {each: abs(twin[each] - true[each]) for each in SHOWN}
-            row["errors"][name] = off | {
-                each: off[each] / true[each] for each in SHOWN if each != "poisson"
-            }
+            row["twins"][name] = quantities(pad.twin(error))
             row["curves"][name] = pad.force(pad.planned()[-1], error).tolist()
     except SimulationDiverged as diverged:
         row["why"] = reason(diverged)
@@ -212,7 +204,7 @@ def r2(parts: Sequence[Mapping[str, Any]], method: str) -> tuple[list[float], tu
 
 
 def section(values: Values, page: Page) -> str:
-    """Return R2 of labels by error of the bench, both ways, and the errors of the twins."""
+    """Return R2 of labels by error of the bench, both ways."""
     scores: dict[str, dict[str, dict[str, Any]]] = {}
     for error in ERRORS:
         these = [row["sums"] for row in values["rows"] if row["error"] == error and row["sums"]]
@@ -243,15 +235,6 @@ them too."""
     if scores:
         _draw(scores, page)
         texts.append(page.link("labels", "R2 of labels under each error of the bench"))
-    kinds = dict.fromkeys((row["gauge"], name) for row in values["twins"] for name in row["errors"])
-    lines = []
-    for under, name in kinds:
-        off = [row["errors"][name] for row in values["twins"] if row["gauge"] == under]
-        mean = {each: float(np.mean([one[each] for one in off])) for each in SHOWN}
-        percent = [f"{100 * mean[each]:.1f} %" for each in ("modulus", "thickness", "friction")]
-        lines.append([name, under, *percent, f"{mean['poisson']:.3f}"])
-    head = ["sensor", "errors", "modulus", "thickness", "friction", "Poisson's ratio"]
-    texts += ["Mean error of these twins:", table(head, lines)]
     if without := [f"draw {row['draw']}: {row['why']}" for row in values["rows"] if row["why"]]:
         texts.append(f"Left out, without a solution: {'; '.join(without)}.")
     return "\n\n".join(texts)

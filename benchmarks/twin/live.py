@@ -7,7 +7,6 @@ receive the frames that are compared.
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -55,11 +54,8 @@ def compared(each: SimulatedSensor, indenter: Indenter, run: Run) -> dict[str, A
     """Return the errors of live forces, rms and worst by axis, and the largest forces [N]."""
     motion = way(each)
     scene = each.scene(indenter, motion)
-    began = time.perf_counter()
     live = live_forces(each, indenter, motion, GRID)
-    count = round(motion.time[-1] * RATE)
     row: dict[str, Any] = {"sensor": each.name, "indenter": indenter.name}
-    row["ms"] = 1e3 * (time.perf_counter() - began) / count
     tiers: dict[str, Fem | Layer] = {"layer": Layer()}
     if not run.quick:
         tiers["fem"] = Fem(spacing=SPACING[each.name], grading=FOR_EDGES)

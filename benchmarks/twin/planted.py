@@ -87,27 +87,21 @@ def observed(
     forces: Forces | None = None,
 ) -> PressTrack:
     """Return the track that a bench would record of a skin, whose forces may be known."""
-    time, tip, force = recorded(skin, presses, bench, seed, grid=grid, forces=forces)
+    true = solved(skin, presses, bench, grid=grid) if forces is None else forces
+    time, tip, force = recorded(presses, bench, seed, true)
     track = track_of(presses.indenter, presses.indenter, time, tip, time, force)
     assert track is not None
     return track
 
 
 def recorded(
-    skin: SimulatedSensor,
-    presses: PlannedPresses,
-    bench: Bench,
-    seed: int,
-    *,
-    grid: int = GRID,
-    forces: Forces | None = None,
+    presses: PlannedPresses, bench: Bench, seed: int, forces: Forces
 ) -> tuple[Array, Array, Array]:
     """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record."""
-    true = solved(skin, presses, bench, grid=grid) if forces is None else forces
     corners, tips = presses.path()
     time = np.arange(0.0, corners[-1], 1 / RATE)
     late = np.stack(
-        [np.interp(time - bench.latency, true.time, axis) for axis in true.force.T], axis=1
+        [np.interp(time - bench.latency, forces.time, axis) for axis in forces.force.T], axis=1
     )
     turned = late + np.cross(np.array(bench.turn), late)
     tip = np.stack([np.interp(time, corners, axis) for axis in tips.T], axis=1)

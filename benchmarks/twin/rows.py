@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from benchmarks.report import Page, Run, table
-from benchmarks.twin.relaxation import fitted, hysteresis, relaxed
 from sim.device import ready_device
+from sim.errors import SceneError
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import named
 from sim.layer import Layer
@@ -47,6 +48,8 @@ COUNTS_NORMAL, COUNTS_SHEAR = 10_000.0, 2_000.0
 SPACING = {"uskin": 0.667e-3, "gelsight": 0.667e-3, "tacpalm": 1.2e-3}
 # Number of frames of a press.
 STEPS = 8
+# Number of steps of loading, and of unloading, of a relaxed press.
+CYCLE = 400
 # Relative difference above which a row is out of date.
 AGREED = 0.01
 
@@ -86,7 +89,9 @@ def measure(run: Run) -> dict[str, Any]:
     run.progress(0.6)
     cycles = []
     for name, each in sensors.items():
-        depth, force = _curve(solved(name, _cycle(each)))
+        depth, force = _curve(
+            solved(name, each.scene(named("prism"), _motion(each, there_and_back=True)))
+        )
         cycles.append({"name": name, "force": force.max(), "loss": hysteresis(depth, force)})
         run.progress(0.6 + 0.13 * len(cycles))
     if not run.quick:
@@ -132,7 +137,8 @@ def fit_forces(sensors: dict[str, SimulatedSensor], presses: dict[str, Result]) 
     lines, peaks = [], {}
     for name, each in sensors.items():
         depth, force = _curve(presses[name])
-        row = _branches(each)
+        row = each.effects.viscosity
+        assert row is not None
         branches = fitted(depth, force, row.times, speed=each.speed, fraction=LOSS[name])
         peaks[name] = float(relaxed(depth, force, branches, speed=each.speed)[1].max())
         lines += [
@@ -149,8 +155,7 @@ def fit_forces(sensors: dict[str, SimulatedSensor], presses: dict[str, Result]) 
 
 def fit_gains(pad: SimulatedSensor, results: Sequence[Result]) -> list[Line]:
     """Fit the gains of uSkin from presses that end in a shear at several contact points."""
-    if not isinstance(pad.signal, TaxelSignal):
-        raise TypeError(f"{pad.name}: {type(pad.signal).__name__}; allowed: a pad of taxels")
+    assert isinstance(pad.signal, TaxelSignal)
     taxels = TaxelPad(pad.body, pad.signal)
     flux = np.concatenate([taxels.change(SurfaceField.of(result)) for result in results])
     normal = COUNTS_NORMAL / float(flux[..., 2].max())
@@ -170,8 +175,7 @@ def prism_press(each: SimulatedSensor) -> Scene:
 def prism_shear(pad: SimulatedSensor, point: int) -> Scene:
     """Return the press of the prism to full depth at a contact point, with full shear along x."""
     plan = pad.trajectory
-    if plan is None:
-        raise TypeError(f"{pad.name}: no trajectory; allowed: a pad with one")
+    assert plan is not None
     x, y = plan.position(point)
     deep = (x, y, -plan.depth_max)
     aside = (x + plan.shear, y, -plan.depth_max)
@@ -180,27 +184,89 @@ def prism_shear(pad: SimulatedSensor, point: int) -> Scene:
     return replace(scene, effects=replace(scene.effects, viscosity=None))
 
 
-def _cycle(each: SimulatedSensor) -> Scene:
-    """Return the press of the prism to full depth and back."""
-    return each.scene(named("prism"), _motion(each, there_and_back=True))
-
-
 def _motion(each: SimulatedSensor, *, there_and_back: bool = False) -> Motion:
     plan = each.force_depth
-    if plan is None:
-        raise TypeError(f"{each.name}: no force-depth press; allowed: a sensor with one")
+    assert plan is not None
     depths = [plan.depth_max * index / STEPS for index in range(STEPS + 1)]
     if there_and_back:
         depths += depths[-2::-1]
     return through([(0.0, 0.0, -depth) for depth in depths], speed=each.speed)
 
 
-def _branches(each: SimulatedSensor) -> Viscosity:
-    if each.effects.viscosity is None:
-        raise TypeError(f"{each.name}: no viscosity; allowed: a sensor with one")
-    return each.effects.viscosity
-
-
 def _curve(result: Result) -> tuple[Array, Array]:
     """Return the depths and pressing forces of a press."""
     return -np.array(result.scene.motion.tip)[:, 2], -result.force[:, 2]
+
+
+def hysteresis(depth: Array, force: Array) -> float:
+    """Return the area between loading and unloading over the area under loading.
+
+    Args:
+        depth: Depths of the tip (n,) [m], rising once to the largest and then decreasing.
+        force: Pressing forces (n,) [N].
+
+    Raises:
+        SceneError: Depths that do not increase once and then decrease once.
+    """
+    deepest = int(depth.argmax())
+    turns = np.diff(depth)
+    if not ((turns[:deepest] > 0).all() and (turns[deepest:] < 0).all() and deepest > 0):
+        raise SceneError(f"depth: {depth!r}; allowed: down once, then up once [m]")
+    loading = np.trapezoid(force[: deepest + 1], depth[: deepest + 1])
+    unloading = -np.trapezoid(force[deepest:], depth[deepest:])
+    return float((loading - unloading) / loading)
+
+
+def relaxed(
+    depth: Array, force: Array, viscosity: Viscosity, *, speed: float
+) -> tuple[Array, Array]:
+    """Return depth and force of loading and unloading at `speed` [m/s], from an elastic press.
+
+    Force is that of an elastic body plus the decaying force of each branch: F(t) = F_e(t) + sum
+    ratio int_0^t exp(-(t - s) / time) dF_e(s), and 0 once the indenter has left the skin (F < 0).
+    This is exact for a linear layer with constant contact area (Lee & Radok 1960), as under a flat
+    punch; for other indenters `fit` solves the same press to measure the difference.
+
+    Args:
+        depth: Depths of the elastic press, from 0 to the deepest (n,) [m].
+        force: Pressing forces (n,) [N].
+        viscosity: Prony branches.
+        speed: Speed of the tip.
+    """
+    down = np.linspace(0.0, depth[-1], CYCLE + 1)
+    way = np.concatenate([down, down[-2::-1]])
+    elastic = np.interp(way, depth, force)
+    step = depth[-1] / CYCLE / speed
+    total = elastic.copy()
+    for ratio, time in zip(viscosity.ratios, viscosity.times, strict=True):
+        fade = np.exp(-step / time)
+        held = 0.0
+        gain = ratio * time * -np.expm1(-step / time) / step
+        for index, change in enumerate(np.diff(elastic), start=1):
+            held = fade * held + gain * change
+            total[index] += held
+    return way, np.maximum(total, 0.0)
+
+
+def fitted(
+    depth: Array, force: Array, times: tuple[float, ...], *, speed: float, fraction: float
+) -> Viscosity:
+    """Return branches of these times [s] with equal ratios that lose `fraction` of a press's area.
+
+    Raises:
+        SceneError: No ratio up to 10 loses as much.
+    """
+
+    def with_ratio(ratio: float) -> Viscosity:
+        return Viscosity(ratios=(ratio,) * len(times), times=times)
+
+    def excess(ratio: float) -> float:
+        return hysteresis(*relaxed(depth, force, with_ratio(ratio), speed=speed)) - fraction
+
+    if not excess(0.0) < 0 < excess(10.0):
+        raise SceneError(
+            f"fraction: {fraction!r}; allowed with times {times!r} s at {speed:g} m/s: above 0, "
+            "below "
+            f"{excess(10.0) + fraction:.3f}"
+        )
+    return with_ratio(float(brentq(excess, 0.0, 10.0, xtol=1e-6)))

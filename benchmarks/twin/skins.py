@@ -52,7 +52,6 @@ class Settings:
     tier: Literal["layer", "fem"]
     """Of the true forces and of the fit."""
     presses: tuple[PlannedPresses, ...]
-    seed: int
     quick: bool
     """Few pixels, and no correction by `fem`."""
 
@@ -75,7 +74,7 @@ def measure(tier: Literal["layer", "fem"], planned: bool, run: Run) -> dict[str,
         presses = (planned_presses("sphere", (0.8e-3,), 0.4e-3, 0.6),)
     else:
         presses = tuple(usual(name, SENSOR) for name in PRESSED)
-    settings = Settings(tier, presses, SEED, quick=run.quick)
+    settings = Settings(tier, presses, quick=run.quick)
     numbers = range(int(not planned) if run.quick else run.options.skins)
     rows: list[dict[str, Any]] = []
     without: list[str] = []
@@ -115,7 +114,10 @@ def identified(settings: Settings, number: int) -> dict[str, Any]:
     Raises:
         SimulationDiverged: A true force or one of the fit has no solution.
     """
-    skin, bench = random_skin(np.random.default_rng([settings.seed, number]), SENSOR)
+    skin, bench = random_skin(np.random.default_rng([SEED, number]), SENSOR)
+    held_out = usual(HELD_OUT, SENSOR)
+    if settings.quick:
+        held_out = planned_presses(HELD_OUT, (0.8e-3,), 0.4e-3, 0.6)
     tracks = [
         observed(
             skin,
@@ -127,7 +129,7 @@ def identified(settings: Settings, number: int) -> dict[str, Any]:
             ),
         )
         for index, (presses, errors) in enumerate(
-            [*((each, bench) for each in settings.presses), (_held_out(settings), Bench(noise=0.0))]
+            [*((each, bench) for each in settings.presses), (held_out, Bench(noise=0.0))]
         )
     ]
     began = time.perf_counter()
@@ -157,12 +159,6 @@ def identified(settings: Settings, number: int) -> dict[str, Any]:
     return {"number": number, "errors": errors, "off": off, "misfit": fit.misfit} | {
         "seconds": seconds
     }
-
-
-def _held_out(settings: Settings) -> PlannedPresses:
-    if settings.quick:
-        return planned_presses(HELD_OUT, (0.8e-3,), 0.4e-3, 0.6)
-    return usual(HELD_OUT, SENSOR)
 
 
 def section(title: str, values: Mapping[str, Any], page: Page, *, picture: str = "") -> str:

@@ -14,7 +14,7 @@ from support.commands import run_module
 from benchmarks.report import Page
 from benchmarks.twin import command, demo, labels, rows, skins
 from benchmarks.twin.planted import Bench, felt, printed
-from benchmarks.twin.relaxation import fitted, hysteresis, relaxed
+from benchmarks.twin.rows import fitted, hysteresis, relaxed
 from learning.metrics import r_squared
 from sim.errors import SceneError
 from sim.indenters import NAMES, named

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support.collecting import Collection, faults_of
 
 from benchmarks.faults.collection_run import quick_bench
@@ -38,7 +39,9 @@ from rig.mock.world.simulated import (
     markers_of,
     note_on,
 )
-from sim.sensors import Posterior, sensor
+from sim.indenters import named
+from sim.sensors import Posterior, sensor, sensor_of
+from sim.stream import LivePress
 from sim.twin.record import twin_yaml
 
 MS = 1_000_000
@@ -352,9 +355,6 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
 def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     sensor: str, tmp_path: Path
 ) -> None:
-    from benchmarks.twin.demo import forces_again, recorded
-    from sim import Layer
-
     more = "trajectory: {points: [1], angle_step_deg: 180.0}"
     bench = quick_bench(tmp_path, sensor)
     bench.write_text(bench.read_text() + more + "\n")
@@ -366,13 +366,23 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     session = Session(run.session)
     assert session.attrs["bench"]["world"]["kind"] == "simulated"
     assert faults_of(run.session) == []
-    found = recorded(session)
-    offline = forces_again(found, Layer(grid=48))
-    inside = (found.force_time > found.time[0]) & (found.force_time < found.time[-1])
-    at = np.stack(
-        [np.interp(found.force_time[inside], found.time, axis) for axis in offline.T], axis=1
+    pose, gauge = session.streams["pose"], session.streams["force"]
+    frame, wrench = np.asarray(session.attrs["contact_frame"]), np.asarray(gauge.array("value"))
+    place = np.asarray(pose.array("value"))[: len(pose.t_ns), :3] - frame[:3]
+    tips = Rotation.from_rotvec(frame[3:]).inv().apply(place)
+    times, at = (
+        1e-9 * (np.asarray(each.t_ns) - np.asarray(pose.t_ns)[0]) for each in (pose, gauge)
     )
-    error = np.abs(found.force[inside] - at)
+    world = sensor_of(str(session.attrs["bench"]["world"]["sensor"]))
+    live, offline = LivePress(world, named("sphere"), grid=48), np.zeros((len(times), 3))
+    for row, tip in enumerate(tips):
+        live.move(tip, times[row] - times[max(row - 1, 0)])
+        if live.touching:
+            offline[row] = live.force
+    inside = (at > 0) & (at < times[-1])
+    again = np.stack([np.interp(at[inside], times, axis) for axis in offline.T], axis=1)
+    recorded = (wrench[: len(at)] + np.asarray(gauge.attrs["bias"]))[inside, :3]
+    error = np.abs(recorded - again)
     # Noise of 0.01 N, and delays of a busy machine; robust to single pauses.
     assert (np.median(error, axis=0) < 0.02).all()
     assert np.percentile(error, 95) < 0.15 * np.abs(offline[:, 2]).max() + 0.03

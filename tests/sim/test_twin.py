@@ -84,7 +84,7 @@ def true() -> Forces:
 @pytest.fixture(scope="module")
 def press(true: Forces) -> tuple[Any, Any, Any]:
     """Return times, tips and forces that a bench records of it."""
-    return recorded(planted(), SHORT["sphere"], BENCH, 0, forces=true)
+    return recorded(SHORT["sphere"], BENCH, 0, true)
 
 
 def seen() -> SimulatedSensor:
