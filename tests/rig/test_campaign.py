@@ -275,8 +275,14 @@ def test_a_day_reads_each_session_once(
     read: list[str] = []
     original = catalogue_module._read
 
+    item = campaign.items[0]
+    # What a campaign reads of a complete session.
+    attrs = {"format": "tactile-rig session", "status": "complete", "targets_wanted": item.total}
+    attrs |= {"sensor": item.entry.sensor, "indenter": item.entry.indenter}
+
     def record(progress: Progress) -> int:
-        _metadata(progress.session, campaign.items[0])
+        progress.session.mkdir()
+        (progress.session / "zarr.json").write_text(json.dumps({"attributes": attrs}))
         return 0
 
     def look(folder: Path, path: str, stamp: tuple[int, int, int]) -> catalogue_module.Row:
@@ -288,19 +294,6 @@ def test_a_day_reads_each_session_once(
     assert run_campaign(campaign, record, lambda _: True) == 0
     assert all(progress.state == "done" for progress in progress_of(campaign))
     assert len(read) == len(set(read)) == count
-
-
-def _metadata(path: Path, item: Item) -> None:
-    """Write what a campaign reads of a complete session: its attributes."""
-    attrs = {
-        "format": "tactile-rig session",
-        "status": "complete",
-        "sensor": item.entry.sensor,
-        "indenter": item.entry.indenter,
-        "targets_wanted": item.total,
-    }
-    path.mkdir()
-    (path / "zarr.json").write_text(json.dumps({"attributes": attrs}))
 
 
 def test_time_left_shrinks_with_what_is_done(tmp_path: Path) -> None:

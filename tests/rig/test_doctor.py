@@ -15,7 +15,7 @@ import pytest
 
 from rig.acquire import doctor
 from rig.acquire.doctor import Finding, examine
-from rig.bench.bench import Bench, BenchFile, BenchStream, bench_from
+from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.cli.options import bench_command, bench_options
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
@@ -28,10 +28,6 @@ NOBODY = "127.0.0.239"
 
 def packaged(sensor: str = "gelsight") -> Bench:
     return BenchFile.read(BENCHES / f"{sensor}.yaml").bench
-
-
-def row_of(bench: Bench, name: str) -> BenchStream:
-    return next(row for row in bench.rows if row.name == name)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +129,7 @@ def test_a_gauge_that_is_loaded_noisy_or_of_other_units_is_named(
 ) -> None:
     bench = packaged()
     measured = {"mean": np.array([*mean, 0, 0, 0]), "std": np.array([*std, 0, 0, 0])}
-    wrong = doctor._values(bench, row_of(bench, "force"), None, measured)
+    wrong = doctor._values(bench, bench.row("force"), None, measured)
     if printed is None:
         assert wrong is None
         return
@@ -144,7 +140,7 @@ def test_a_gauge_that_is_loaded_noisy_or_of_other_units_is_named(
 
 def test_frozen_taxels_are_named() -> None:
     bench = packaged("uskin")
-    row, still = row_of(bench, "taxels"), {"mean": np.ones((16, 3)), "std": np.zeros((16, 3))}
+    row, still = bench.row("taxels"), {"mean": np.ones((16, 3)), "std": np.zeros((16, 3))}
     wrong = doctor._values(bench, row, None, still)
     assert wrong is not None
     assert "frozen" in wrong[0]
