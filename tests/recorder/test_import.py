@@ -254,18 +254,6 @@ def test_an_order_that_nothing_tells_is_refused() -> None:
     assert np.array_equal(ordered(tared.reshape(-1, 16, 3)), tared.reshape(-1, 16, 3))
 
 
-@pytest.mark.parametrize(
-    ("bad", "found"), [(np.nan, "nan"), (-1.0, "-1"), (65_536.0, "65536"), (np.inf, "inf")]
-)
-def test_a_count_that_no_taxel_gives_is_named_with_its_row(
-    bad: float, found: str, tmp_path: Path
-) -> None:
-    counts = np.full((20, 48), 100.0)
-    counts[13, 5] = bad
-    path = saved(tmp_path / "t.npy", counts)
-    rejected(tmp_path, f"row 13: found {found}; allowed: 0 to 65535", taxels=path, taxels_hz=60)
-
-
 def test_a_csv_is_read_by_its_header(tmp_path: Path) -> None:
     text = "time (ms),Fx(N),Fy [N],Fz_N,Tx(Nmm),Ty (N-mm),Tz [N mm],P(bar)\n"
     text += "".join(f"{5 * k},{k},0,-{k}.5,1000,0,{2 * k},9\n" for k in range(30))
@@ -303,22 +291,6 @@ def test_units_are_read_however_they_are_set_apart() -> None:
         parse_unit("n", FORCE_UNITS, "x")
 
 
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("Fx (N),Fy (N)\n1,2\n3\n", r"line 3: found 1 values, the header has 2; is the file cut"),
-        ("Fx (N)\n1\nx\n", r"line 3: Fx \(N\): found 'x', expected a number"),
-        ("Fx (N)\n1\nnan\n", r"line 3: NaN or infinite"),
-        ("t_s,Fx (N)\n0,1\n1,1\n1,1\n", r"line 4: its time does not advance"),
-        ("Fx (N)\n", "expected a header and rows"),
-        ("Fx (N)\n1e9\n1\n", "row 0: .* is beyond 2147; are the units right"),
-    ],
-)
-def test_a_broken_csv_is_refused_with_its_line(text: str, match: str, tmp_path: Path) -> None:
-    rate = {} if "t_s" in text else {"force_hz": 100.0}
-    rejected(tmp_path, match, force=saved(tmp_path / "f.csv", text), **rate)
-
-
 def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     wrench = rng.normal(0, 5, (50, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
@@ -334,22 +306,46 @@ def test_forces_are_whole_counts_so_that_a_replay_can_give_them_back(tmp_path: P
     assert any("largest change" in line for line in message)
 
 
+def counts_with(bad: float) -> Any:
+    counts = np.full((20, 48), 100.0)
+    counts[13, 5] = bad
+    return counts
+
+
+WHOLE = avi(jpegs(5))
+ODD = avi([*jpegs(2), simplejpeg.encode_jpeg(np.zeros((32, 32, 3), np.uint8))])
+
+
 @pytest.mark.parametrize(
-    ("spoil", "match"),
+    ("name", "content", "match"),
     [
-        (lambda data: data[:-900], r"cut short: chunk .* lacks \d+ bytes"),
-        (lambda data: data[:400], "cut short"),
-        (lambda data: data.replace(b"\xff\xd9", b"\0\0", 1), "frame 0: no whole JPEG"),
-        (lambda data: b"RIFF\4\0\0\0AVI ", "without a frame of video"),
+        ("f.csv", "Fx (N),Fy (N)\n1,2\n3\n", r"line 3: found 1 values, the header has 2; is the"),
+        ("f.csv", "Fx (N)\n1\nx\n", r"line 3: Fx \(N\): found 'x', expected a number"),
+        ("f.csv", "Fx (N)\n1\nnan\n", r"line 3: NaN or infinite"),
+        ("f.csv", "t_s,Fx (N)\n0,1\n1,1\n1,1\n", r"line 4: its time does not advance"),
+        ("f.csv", "Fx (N)\n", "expected a header and rows"),
+        ("f.csv", "Fx (N)\n1e9\n1\n", "row 0: .* is beyond 2147; are the units right"),
+        ("v.avi", WHOLE[:-900], r"cut short: chunk .* lacks \d+ bytes"),
+        ("v.avi", WHOLE[:400], "cut short"),
+        ("v.avi", WHOLE.replace(b"\xff\xd9", b"\0\0", 1), "frame 0: no whole JPEG"),
+        ("v.avi", b"RIFF\4\0\0\0AVI ", "without a frame of video"),
+        ("v.avi", ODD, "image 2 is 32x32"),
+        ("t.npy", counts_with(np.nan), "row 13: found nan; allowed: 0 to 65535"),
+        ("t.npy", counts_with(np.inf), "row 13: found inf; allowed: 0 to 65535"),
+        ("t.npy", counts_with(-1), "row 13: found -1; allowed: 0 to 65535"),
+        ("t.npy", counts_with(65_536), "row 13: found 65536; allowed: 0 to 65535"),
+        ("t.npy", b"", "no whole .npy file"),
+        ("t.npy", b"no numpy", "no whole .npy file"),
+        ("t.npy", b"\x93NUMPY\1\0", "no whole .npy file"),
     ],
 )
-def test_a_damaged_video_leaves_nothing(spoil: Any, match: str, tmp_path: Path) -> None:
-    rejected(tmp_path, match, video=saved(tmp_path / "v.avi", spoil(avi(jpegs(5)))))
-
-
-def test_images_of_unequal_size_are_refused(tmp_path: Path) -> None:
-    other = simplejpeg.encode_jpeg(np.zeros((32, 32, 3), np.uint8))
-    rejected(tmp_path, "image 2 is 32x32", video=saved(tmp_path / "v.avi", avi([*jpegs(2), other])))
+def test_a_broken_file_is_refused_with_its_place_and_leaves_nothing(
+    name: str, content: Any, match: str, tmp_path: Path
+) -> None:
+    kind = {"f": "force", "v": "video", "t": "taxels"}[name[0]]
+    has_times = kind == "video" or (isinstance(content, str) and "t_s" in content)
+    rate = {} if has_times else {f"{kind}_hz": 60.0}
+    rejected(tmp_path, match, **{kind: saved(tmp_path / name, content)}, **rate)
 
 
 def test_recordings_of_unequal_length_are_refused_unless_trimmed(tmp_path: Path) -> None:
@@ -370,17 +366,10 @@ def test_nothing_to_import_and_a_bad_rate_are_refused(tmp_path: Path) -> None:
     rejected(tmp_path, "--taxels-hz: found -1", taxels=path, taxels_hz=-1.0)
 
 
-@pytest.mark.parametrize("content", [b"", b"no numpy", b"\x93NUMPY\1\0"])
-def test_a_file_that_is_no_npy_is_refused(content: bytes, tmp_path: Path) -> None:
-    path = saved(tmp_path / "t.npy", content)
-    rejected(tmp_path, "no whole .npy file", taxels=path, taxels_hz=60.0)
-
-
 def test_the_command_line_says_what_was_assumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = saved(tmp_path / "t.npy", np.full((60, 48), 10.25) + np.arange(60)[:, None])
-    command_order = ["--taxel-order", "taxel"]
     out = str(tmp_path / "s.zarr")
     command = ["import", out, "--taxels", str(path), "--sensor", "uskin", "--indenter", "ball"]
     command += ["--press", "none", "--yes"]
@@ -388,7 +377,7 @@ def test_the_command_line_says_what_was_assumed(
     assert "say --taxels-hz" in capsys.readouterr().err
     assert main([*command, "--taxels-hz", "60"]) == 2
     assert "--taxel-order taxel" in capsys.readouterr().err
-    command += command_order
+    command += ["--taxel-order", "taxel"]
     assert main([*command, "--taxels-hz", "60"]) == 0
     assert "largest change 0.25 counts" in capsys.readouterr().out
     assert main([*command, "--taxels-hz", "60"]) == 2

@@ -262,13 +262,6 @@ def test_a_chunk_that_is_missing_or_short_is_an_error(recorded: Path) -> None:
         camera.images([100])
 
 
-def test_an_unfinished_session_is_refused_from_afar(tmp_path: Path) -> None:
-    path = make_session(tmp_path / "s.zarr", finish=False, names=("force",), seconds=1.0)
-    fsspec.filesystem("memory").put(str(path), "/open/s.zarr", recursive=True)
-    with pytest.raises(SessionError, match="recover it where it was recorded"):
-        Session("memory://open/s.zarr")
-
-
 def test_what_cannot_be_opened_says_why(
     s3: str, web: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -315,12 +308,17 @@ def test_nothing_is_written_to_a_url(counted: str, tmp_path: Path) -> None:
         Session(tmp_path, storage_options={"anon": True})
 
 
-def test_a_far_session_cannot_name_columns_outside_itself(tmp_path: Path) -> None:
-    path = make_session(tmp_path / "s.zarr")
+def test_a_far_session_that_is_unfinished_or_names_columns_outside_itself_is_refused(
+    tmp_path: Path,
+) -> None:
+    path = make_session(tmp_path / "evil.zarr", names=("force",), seconds=1.0)
     set_attrs(path / "streams/force", columns=["../../../other/s.zarr/x", "t_ns"])
-    fsspec.filesystem("memory").put(str(path), "/evil/s.zarr", recursive=True)
+    make_session(tmp_path / "open.zarr", finish=False, names=("force",), seconds=1.0)
+    fsspec.filesystem("memory").put(str(tmp_path), "/refused", recursive=True)
     with pytest.raises(SessionError, match="expected a plain name"):
-        Session("memory://evil/s.zarr")
+        Session("memory://refused/evil.zarr")
+    with pytest.raises(SessionError, match="recover it where it was recorded"):
+        Session("memory://refused/open.zarr")
 
 
 def test_near_ranges_become_one_request() -> None:

@@ -16,13 +16,11 @@ SHAPE = (24, 32, 3)
 
 
 def pixels(number: int) -> np.ndarray:
-    image: np.ndarray = np.full(SHAPE, number % 200, dtype=np.uint8)
-    return image
+    return np.full(SHAPE, number % 200, dtype=np.uint8)
 
 
 def jpeg(number: int) -> bytes:
-    data: bytes = simplejpeg.encode_jpeg(pixels(number), quality=90)
-    return data
+    return simplejpeg.encode_jpeg(pixels(number), quality=90)
 
 
 def stream(folder: Path, codec: str) -> Path:

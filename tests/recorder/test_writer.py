@@ -222,8 +222,7 @@ def test_a_wrong_image_is_refused(codec: str, image: Any, message: str, tmp_path
 
 def test_a_wrong_jpeg_after_right_ones_is_refused(tmp_path: Path) -> None:
     def jpeg(value: int, side: int = 16) -> bytes:
-        data: bytes = simplejpeg.encode_jpeg(np.full((side, 16, 3), value, np.uint8))
-        return data
+        return simplejpeg.encode_jpeg(np.full((side, 16, 3), value, np.uint8))
 
     create_stream(tmp_path / "camera", camera_spec(60, height=16, width=16, codec="jpeg"))
     right = jpeg(1)

@@ -14,7 +14,7 @@ import pytest
 import simplejpeg
 from PIL import Image
 
-from learning.data.matching import read_presses
+from learning.data.matching import SensorSelection, read_presses
 from learning.evaluation.baseline import fit_ridge
 from recorder import MarkerArchive, Session, check, faults
 from recorder.archive import SHADING_ZERO
@@ -175,36 +175,28 @@ def test_an_answer_at_the_terminal_takes_the_place_of_the_option(
 
 
 @pytest.mark.parametrize("layout", ["taxel", "axis"])
-def test_taxels_come_out_in_one_order_and_their_presses_are_found(
+def test_taxels_come_out_in_one_order_and_the_next_command_makes_an_archive_of_their_presses(
     layout: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     counts = uskin(1)
     flat = counts if layout == "taxel" else counts.transpose(0, 2, 1)
-    np.save(tmp_path / "taxels.npy", flat.reshape(-1, 48).astype(np.float32))
-    out = tmp_path / "x.zarr"
-    assert run("import", tmp_path, "--out", out, "--taxels-hz", "60", *STATED) == 0
+    folder = tmp_path / "first day"  # whose name must be quoted in a command
+    folder.mkdir()
+    np.save(folder / "taxels.npy", flat.reshape(-1, 48).astype(np.float32))
+    out, archive = folder / "x.zarr", folder / "x.markers.zarr"
+    assert run("import", folder, "--out", out, "--taxels-hz", "60", *STATED) == 0
     session = Session(out)
     assert faults(check(out)) == []
     assert np.array_equal(session.streams["taxels"].array("value"), counts)
     start, end = session.segments["start_ns"].min(), session.segments["end_ns"].max()
     assert start * 60e-9 == pytest.approx(30, abs=4)
     assert end * 60e-9 == pytest.approx(60, abs=4)
-    following = capsys.readouterr().out.splitlines()[-1].removeprefix("next: tactile ")
-    assert run(*shlex.split(following)) == 0
-    assert "gel" in MarkerArchive(tmp_path / "x.markers.zarr")
-
-
-def test_the_next_command_can_be_copied_from_a_folder_with_blanks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "first day"
-    folder.mkdir()
-    np.save(folder / "taxels.npy", uskin(1).reshape(-1, 48).astype(np.float32))
-    out = folder / "x.zarr"
-    assert run("import", folder, "--out", out, "--taxels-hz", "60", *STATED) == 0
-    following = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
+    following = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: "))
     words = ["tactile", "markers", str(out), "--preset", "uskin"]
-    assert shlex.split(following) == [*words, "--out", str(folder / "x.markers.zarr")]
+    assert following == [*words, "--out", str(archive)]
+    assert run(*following[1:]) == 0
+    with pytest.raises(Exception, match="cannot be matched"):  # to presses of another sensor
+        read_presses(SensorSelection(MarkerArchive(archive), "gel", "gel"))
 
 
 def test_a_recording_that_ends_in_contact_is_refused_until_told(
@@ -389,8 +381,6 @@ def _exported(kind: str, folder: Path, force: np.ndarray) -> Path:
     """Write a file of another tool: an MCAP with JSON, or a LeRobot data set with image bytes."""
     jpegs = [simplejpeg.encode_jpeg(image, quality=95) for image in pictures(force)]
     if kind == "mcap":
-        import base64
-
         from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
         from mcap.writer import Writer
         from mcap_protobuf.schema import build_file_descriptor_set
@@ -413,7 +403,6 @@ def _exported(kind: str, folder: Path, force: np.ndarray) -> Path:
                 message = {"force": zero, "torque": {"x": None, "y": None, "z": None}}
                 writer.add_message(wrench, t_ns, json.dumps(message).encode(), t_ns)
             writer.finish()
-        assert base64
         return path
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -462,15 +451,3 @@ def test_the_penalty_of_the_baseline_is_chosen_on_groups_left_out() -> None:
     assert ridge.penalty == 0.1
     known = np.isfinite(wanted)
     assert ridge.predict(features)[known] == pytest.approx(wanted[known], abs=0.05)
-
-
-def test_presses_of_an_import_are_not_matched_to_others(tmp_path: Path) -> None:
-    counts = uskin(1)
-    np.save(tmp_path / "taxels.npy", counts)
-    out, archive = tmp_path / "x.zarr", tmp_path / "x.markers.zarr"
-    assert run("import", tmp_path, "--out", out, "--taxels-hz", "60", *STATED) == 0
-    assert run("markers", out, "--preset", "uskin", "--out", archive) == 0
-    from learning.data.matching import SensorSelection
-
-    with pytest.raises(Exception, match="cannot be matched"):
-        read_presses(SensorSelection(MarkerArchive(archive), "gel", "gel"))
