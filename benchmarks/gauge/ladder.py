@@ -125,13 +125,13 @@ FULL = Size(
 TOY = Size(
     sensors=2,
     tier="layer",
-    targets=2,
+    targets=1,
     phase=2,
-    seen=("sphere", "prism"),
-    unseen=("sphere_s",),
+    seen=("prism",),
+    unseen=(),
     drawn=1,
     grid=16,
-    steps=8,
+    steps=2,
     nets=("displacement", "tiny"),
     field=("cpu_smoke",),
     field_seconds=0,
@@ -244,15 +244,14 @@ def add_labels(archive: MarkerArchive, name: str, twin: str, size: Size, device:
 
 def partners(source: Any, target: Any) -> NDArray[np.int64]:
     """Return for each row of the target the source's row of the same location and frame; or -1."""
-    keys = []
-    for table in (source, target):
-        rows = np.flatnonzero(table["valid"] & (table["location"] >= 0))
-        pair = [table[name][rows].astype(np.int64) for name in ("location", "frame")]
-        keys.append((rows, pair[0] * 10_000 + pair[1]))
-    (own, one), (others, other) = keys
-    _, here, there = np.intersect1d(one, other, assume_unique=True, return_indices=True)
-    partner = np.full(len(target["location"]), -1, np.int64)
-    partner[others[there]] = own[here]
+
+    def places(table: Any) -> dict[tuple[int, int], int]:
+        rows = np.flatnonzero(table["valid"] & (table["location"] >= 0)).tolist()
+        return {(int(table["location"][row]), int(table["frame"][row])): row for row in rows}
+
+    partner, of_source = np.full(len(target["location"]), -1, np.int64), places(source)
+    for place, row in places(target).items():
+        partner[row] = of_source.get(place, -1)
     return partner
 
 

@@ -10,6 +10,7 @@ import gc
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -22,12 +23,7 @@ from learning.data.pairs import PairedFrames
 from learning.data.synthetic import pixel_grid, sample_patterns
 from learning.training.run import TrainingSession, accelerator, generator
 from learning.translation.diffusion.network import MarkerToMarker, fuse
-from learning.translation.diffusion.train import (
-    PRESETS,
-    Pretrained,
-    TranslatorSettings,
-    train,
-)
+from learning.translation.diffusion.train import PRESETS, Pretrained, TranslatorSettings, train
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, vendor
 from learning.translation.field.data import random_shifts
@@ -110,20 +106,14 @@ def random_pretrained(
 
 def measure(run: Run) -> dict[str, Any]:
     """Train and translate with each batch size."""
-    batches: Sequence[int] = (1,)
-    steps, widths = WARM + 1, (2, 2, 3, 3, 3)
-    configurations = [{**one, **less} for one, less in zip((UNET, VAE, CLIP), _SMALL, strict=True)]
-    if not run.quick:
-        batches, steps, widths, configurations = BATCHES, STEPS, WIDTHS, [UNET, VAE, CLIP]
-
-    def networks(device: torch.device) -> Pretrained:
-        unet, vae, clip = configurations
-        return random_pretrained(unet, vae, clip, widths, device)
-
     run.seeds, run.spread = (0,), "single run; the first steps of a training are not timed"
-    return measured(
-        networks, batches, steps, launch=run.device.split(":")[0], progress=run.progress
-    )
+    launch = run.device.split(":")[0]
+    if run.quick:
+        small = [{**one, **less} for one, less in zip((UNET, VAE, CLIP), _SMALL, strict=True)]
+        networks = partial(random_pretrained, *small, (2, 2, 3, 3, 3))
+        return measured(networks, (1,), WARM + 1, launch=launch, progress=run.progress)
+    networks = partial(random_pretrained, UNET, VAE, CLIP, WIDTHS)
+    return measured(networks, BATCHES, STEPS, launch=launch, progress=run.progress)
 
 
 def measured(
@@ -157,18 +147,15 @@ def section(values: dict[str, Any], page: Page) -> str:
     """Return the table."""
     names = ("batch", "training [images/s]", "translation [images/s]", "memory [GiB]")
     rows = [
-        [row["batch"], f"{row['training']:.1f}", _number(row["translation"]), row["memory"]]
+        [row["batch"], f"{row['training']:.1f}", translated or "-", row["memory"]]
         for row in values["rows"]
+        for translated in (row["translation"] and f"{row['translation']:.1f}",)
     ]
     return f"""## Diffusion at the paper's size
 
 Stable Diffusion 2.1's UNet and autoencoder, CLIP and VGG16, with random weights and all losses.
 
 {table(names, rows)}"""
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
 
 
 def overfitted_pairs(count: int, side: int, device: torch.device) -> PairedFrames:

@@ -42,7 +42,9 @@ def force_scores(
     """
     sums = np.stack([*sums_by_indenter(true, predicted, indenter).values()])
     chosen = generator(seed, "indenters").integers(len(sums), size=(RESAMPLES, len(sums)))
-    low, high = np.nanquantile(r2_of(sums[chosen].sum(axis=1)), INTERVAL)
+    again = r2_of(sums[chosen].sum(axis=1))
+    # Forces of one indenter may not vary.
+    low, high = np.nanquantile(again, INTERVAL) if np.isfinite(again).any() else (np.nan, np.nan)
     axes, errors = r_squared(true, predicted), np.abs(predicted - true).mean(axis=0)
     scores = {"r2": axes.mean(), "r2_low": low, "r2_high": high}
     scores |= {f"r2_{axis}": value for axis, value in zip(("fx", "fy", "fz"), axes, strict=True)}

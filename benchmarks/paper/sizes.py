@@ -147,7 +147,7 @@ _TOY: dict[str, Any] = {
     "tier": "layer",
     "fraction": 0.01,
     "steps": 2,
-    "indenters": ("sphere_s", "dots", "prism"),
+    "indenters": ("sphere_s", "prism"),
     "only_patterns": ("Array1", "Circle2", "Circle1"),
     "pattern_indenters": ("sphere_s", "prism"),
     "held_out_patterns": ("Circle1",),
