@@ -109,8 +109,8 @@ def measure(run: Run) -> dict[str, Any]:
     run.seeds, run.spread = (0,), "single run; the first steps of a training are not timed"
     launch = run.device.split(":")[0]
     if run.quick:
-        small = [{**one, **less} for one, less in zip((UNET, VAE, CLIP), _SMALL, strict=True)]
-        networks = partial(random_pretrained, *small, (2, 2, 3, 3, 3))
+        unet, vae, clip = (one | less for one, less in zip((UNET, VAE, CLIP), _SMALL, strict=True))
+        networks = partial(random_pretrained, unet, vae, clip, (2, 2, 3, 3, 3))
         return measured(networks, (1,), WARM + 1, launch=launch, progress=run.progress)
     networks = partial(random_pretrained, UNET, VAE, CLIP, WIDTHS)
     return measured(networks, BATCHES, STEPS, launch=launch, progress=run.progress)
