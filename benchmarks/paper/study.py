@@ -1,4 +1,4 @@
-"""What `paper` and `gauge` do alike: archives, presses by role, and trainings in memory."""
+"""Shared by `paper` and `gauge`: archives, presses by role, and trainings in memory."""
 
 from __future__ import annotations
 
