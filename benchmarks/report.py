@@ -27,6 +27,7 @@ from typing import Any
 from recorder.command_line.errors import CommandError
 from recorder.command_line.options import add_device
 from recorder.progress import Progress, span_of
+from recorder.store.files import replace_file
 
 ROOT = Path(__file__).parent.parent
 # Pages of complete runs, and of quick ones.
@@ -141,7 +142,10 @@ class Benchmark:
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add the options of the command."""
         names = [part.name for part in self.parts]
-        parser.description = f"{self.question} Parts: {', '.join(names)}."
+        needs = [
+            f"{part.name} (needs {part.needs})" if part.needs else part.name for part in self.parts
+        ]
+        parser.description = f"{self.question} Parts: {', '.join(needs)}."
         parser.add_argument(
             "--quick",
             action="store_true",
@@ -187,16 +191,17 @@ class Benchmark:
             return 0
         chosen = [part for part in self.parts if not options.only or part.name in options.only]
         whole, before, failures = sum(part.weight for part in chosen), 0.0, []
+        origin = (machine_name(str(getattr(options, "device", "cpu"))), commit())
         with Progress(self.name, sys.stderr) as progress:
             for part in chosen:
                 fraction = part.weight / whole
                 with tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder:
                     run = Run(options, Path(folder), span_of(progress, before, fraction))
-                    seconds = _resume(run, part.name, stored, measurements)
+                    seconds = _resume(run, origin, part.name, stored, measurements)
                     values = part.measure(run)
                 before += fraction
                 stored[PARTIAL].pop(part.name, None)
-                stored[part.name] = _head(run, seconds()) | {"results": values}
+                stored[part.name] = _head(run, origin, seconds()) | {"results": values}
                 failures += [f"{part.name}: {failure}" for failure in run.failures]
                 _store(measurements, stored)
         self._write(path, stored, measured=[part.name for part in chosen])
@@ -308,13 +313,14 @@ def commit() -> str:
         return "unknown"
 
 
-def _head(run: Run, seconds: float) -> dict[str, Any]:
+def _head(run: Run, origin: tuple[str, str], seconds: float) -> dict[str, Any]:
+    machine, version = origin
     return {
         "command": shlex.join(["python", "-m", "benchmarks", *sys.argv[1:]]),
         "quick": run.quick,
-        "machine": machine_name(run.device),
+        "machine": machine,
         "python": platform.python_version(),
-        "commit": commit(),
+        "commit": version,
         "seeds": list(run.seeds),
         "spread": run.spread,
         "seconds": round(seconds, 1),
@@ -362,13 +368,15 @@ def _minutes(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 
-def _resume(run: Run, name: str, stored: dict[str, Any], path: Path) -> Callable[[], float]:
-    """Give a run the rows of one interrupted with the same options, machine and commit.
+def _resume(
+    run: Run, origin: tuple[str, str], name: str, stored: dict[str, Any], path: Path
+) -> Callable[[], float]:
+    """Give a run the rows of one interrupted with the same options, machine and commit (`origin`).
 
     Return the clock of both [s]. If code differs from the commit, no row is used.
     """
     chosen = [f"{key}={value}" for key, value in vars(run.options).items() if key not in PAGE]
-    head = [*chosen, machine_name(run.device), commit()]
+    head = [*chosen, *origin]
     last = stored[PARTIAL].get(name, {})
     if last.get("head") != head or head[-1].endswith(("+", "unknown")):
         last = {"rows": {}, "seconds": 0.0}
@@ -388,7 +396,5 @@ def _resume(run: Run, name: str, stored: dict[str, Any], path: Path) -> Callable
 def _store(path: Path, stored: dict[str, Any]) -> None:
     """Write the JSON file, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".json.part")
     kept = {name: values for name, values in stored.items() if values}
-    part.write_text(json.dumps(kept, indent=1, allow_nan=True) + "\n", encoding="utf-8")
-    part.replace(path)
+    replace_file(path, (json.dumps(kept, indent=1, allow_nan=True) + "\n").encode())
