@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         BENCHMARKS[name][0],
         options,
         prog=f"python -m benchmarks {name}",
-        interrupted="--draw makes the page of the parts that were measured",
+        interrupted="again, it goes on where it was; --draw shows the complete parts",
     )
 
 

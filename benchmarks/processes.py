@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import as_completed
-from contextlib import contextmanager
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
+from benchmarks.report import Run
 from recorder.processes import Workers
 
 Item = TypeVar("Item")
@@ -26,13 +27,37 @@ def side_by_side(
             yield task.result()
 
 
-@contextmanager
-def done_counts(say: Callable[[str], None]) -> Iterator[None]:
-    """End the block on Ctrl-C, so that completed results are kept and reported."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        say("interrupted; only completed results follow")
+def rows_of(
+    run: Run,
+    work: Callable[[Item], Any],
+    items: Mapping[str, Item],
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Return the row, in JSON, that `work` returns of each item, by `--processes` processes.
+
+    Rows are stored as they complete, as those of `Run.once`. The rows returned are in the order of
+    `items`, in which they also start.
+
+    Args:
+        run: The run, with the rows that an interrupted one has stored.
+        work: Is called in another process.
+        items: Items by name; names differ from those of all other rows of the part.
+        progress: Called with the fraction done; None: `run.progress`.
+    """
+    progress = progress or run.progress
+    left = [(name, item) for name, item in items.items() if name not in run.rows]
+    done = len(items) - len(left)
+    for name, row in side_by_side(partial(_named, work), left, run.device, run.options.processes):
+        run.rows[name] = row
+        run.store()
+        done += 1
+        progress(done / len(items))
+    return {name: run.rows[name] for name in items}
+
+
+def _named(work: Callable[[Item], Outcome], named: tuple[str, Item]) -> tuple[str, Outcome]:
+    name, item = named
+    return name, work(item)
 
 
 def _begin(device: str) -> None:

@@ -397,4 +397,7 @@ def _store(path: Path, stored: dict[str, Any]) -> None:
     """Write the JSON file, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     kept = {name: values for name, values in stored.items() if values}
-    replace_file(path, (json.dumps(kept, indent=1, allow_nan=True) + "\n").encode())
+    text = json.dumps(kept, indent=1, allow_nan=True)
+    # A list of numbers stands on one line; line ends in strings are escaped.
+    text = re.sub(r"\[[^][{}\"]*\]", lambda numbers: re.sub(r"\n *", "", numbers[0]), text)
+    replace_file(path, f"{text}\n".encode())

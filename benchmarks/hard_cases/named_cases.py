@@ -11,7 +11,7 @@ from typing import Any
 from benchmarks.hard_cases.cases import BY_FAMILY, CASES, LONGEST, QUICK, asserts, chosen
 from benchmarks.hard_cases.laws import Law
 from benchmarks.hard_cases.solver import Case, Solver
-from benchmarks.processes import done_counts, side_by_side
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from sim.errors import SimulationDiverged
 
@@ -42,23 +42,19 @@ def judge(case: Case, solver: Solver) -> Report:
     }
 
 
-def judge_named(device: str, name: str) -> tuple[str, Report]:
+def judge_named(device: str, name: str) -> Report:
     """Judge the solver by the case of this name."""
-    return name, {"asserts": asserts(CASES[name])} | judge(CASES[name], Solver(device))
+    return {"asserts": asserts(CASES[name])} | judge(CASES[name], Solver(device))
 
 
 def measure(run: Run) -> dict[str, Report]:
-    """Run the cases; after Ctrl-C, only completed ones are returned, and the run has failed."""
+    """Run the cases."""
     names = list(QUICK) if run.quick else chosen(run.options.case)
     order = sorted(names, key=lambda name: name not in LONGEST)
-    reports: dict[str, Report] = {}
-    judging = partial(judge_named, run.device)
-    with done_counts(run.failures.append):
-        for name, report in side_by_side(judging, order, run.device, run.options.processes):
-            reports[name] = report
-            run.failures += [f"{name}: {failure}" for failure in report["failures"]]
-            run.progress(len(reports) / len(names))
-    return {name: reports[name] for name in names if name in reports}
+    reports = rows_of(run, partial(judge_named, run.device), {name: name for name in order})
+    for name, report in reports.items():
+        run.failures += [f"{name}: {failure}" for failure in report["failures"]]
+    return {name: reports[name] for name in names}
 
 
 def section(reports: dict[str, Report], page: Page) -> str:

@@ -15,9 +15,10 @@ from benchmarks.independent import stored
 from benchmarks.independent.axisymmetric import NotSolved
 from benchmarks.independent.cases import CASES, Case
 from benchmarks.independent.foreign_cases import CASES as FOREIGN
+from benchmarks.independent.foreign_cases import ForeignCase
 from benchmarks.independent.formulas import LinearLayer, layer_sphere
-from benchmarks.independent.presses import Row, compared, tasks
-from benchmarks.processes import done_counts, side_by_side
+from benchmarks.independent.presses import Task, compared, tasks
+from benchmarks.processes import rows_of
 from benchmarks.report import Benchmark, Page, Part, Run, table
 from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, chart
 from recorder.command_line.options import whole
@@ -59,18 +60,16 @@ def presses(tier: str, run: Run) -> dict[str, Any]:
     """Compare the forces of a tier, or to a tolerance, with all that are stored."""
     ready_device(run.device)
     every = tasks(QUICK if run.quick else ())
-    rows: list[Row] = []
-    with done_counts(run.failures.append):
-        solver = SOLVERS[tier][run.quick]
-        solve = partial(compared, tier=solver, device=run.device)
-        # Slender and small contacts take longest: they begin first.
-        longest = sorted(every, key=lambda task: task.scene.indenter.narrowest)
-        for done in side_by_side(solve, longest, run.device, run.options.processes):
-            rows += done
-            run.progress(len({row.case for row in rows}) / len(every))
-    order = {task.name: index for index, task in enumerate(every)}
-    rows.sort(key=lambda row: (order[row.case], row.depth_mm))
-    return {"tier": tier, "processes": run.options.processes, "rows": [*map(asdict, rows)]}
+    solve = partial(_compared, SOLVERS[tier][run.quick], run.device)
+    # Slender and small contacts take longest: they begin first.
+    longest = sorted(every, key=lambda task: task.scene.indenter.narrowest)
+    solved = rows_of(run, solve, {task.name: task for task in longest})
+    rows = [row for task in every for row in solved[task.name]]
+    return {"tier": tier, "processes": run.options.processes, "rows": rows}
+
+
+def _compared(tier: Fem | Layer | str, device: str, task: Task) -> list[dict[str, Any]]:
+    return [asdict(row) for row in compared(task, tier, device)]
 
 
 def solved(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -282,13 +281,12 @@ def references(run: Run) -> dict[str, Any]:
             if differences[name] > REPEATS:
                 run.failures.append(f"{name}: {differences[name]:.2f} % from the stored force")
 
-    with done_counts(run.failures.append):
-        solving = side_by_side(_again, cases, "cpu", run.options.processes)
-        for count, (name, rows) in enumerate(solving, 1):
-            keep(name, stored.AXISYMMETRIC, rows)
-            run.progress(count / len(cases))
-        for case in FOREIGN if stored.interpreter() and not run.quick else ():
-            keep(case.name, stored.GETFEM, stored.by_getfem(case))
+    by_name = rows_of(run, _again, {case.name: case for case in cases})
+    for name, rows in by_name.items():
+        keep(name, stored.AXISYMMETRIC, [stored.Truth(**row) for row in rows])
+    for case in FOREIGN if stored.interpreter() and not run.quick else ():
+        rows = run.once(case.name, partial(_again, case))
+        keep(case.name, stored.GETFEM, [stored.Truth(**row) for row in rows])
     methods = {"axisymmetric": stored.AXISYMMETRIC, "GetFEM": stored.GETFEM}
     return {
         "differences_percent": differences,
@@ -298,11 +296,13 @@ def references(run: Run) -> dict[str, Any]:
     }
 
 
-def _again(case: Case) -> tuple[str, list[stored.Truth]]:
+def _again(case: Case | ForeignCase) -> list[dict[str, Any]]:
+    if isinstance(case, ForeignCase):
+        return [*map(asdict, stored.by_getfem(case))]
     try:
-        return case.name, stored.by_axisymmetric(case)
+        return [*map(asdict, stored.by_axisymmetric(case))]
     except NotSolved:
-        return case.name, []
+        return []
 
 
 def references_section(values: dict[str, Any], _: Page) -> str:

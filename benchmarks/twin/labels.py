@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.processes import done_counts, side_by_side
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from benchmarks.sums import r_squared_of_sums
 from benchmarks.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, Pad, Pressed, Settings
@@ -23,6 +23,7 @@ from learning.compensation.prior import Prior, compensate, curve_of_table, fit_p
 from learning.compensation.search import best_for_priors
 from learning.compensation.simulated import simulated_labels, twin_forces
 from recorder.charts import BLUE, GREEN, ORANGE, SOFT, chart
+from recorder.progress import span_of
 from sim.errors import SimulationDiverged
 from sim.indenters import NAMES
 from sim.sensors import sensor
@@ -50,23 +51,20 @@ def measure(run: Run) -> dict[str, Any]:
     settings = QUICK if run.quick else Settings(device=run.device)
     errors = ("none",) if run.quick else tuple(ERRORS)
     draws = range(1 if run.quick else run.options.draws)
-    gauges = [(draw, name) for draw in draws for name in errors if name in ("none", "all")]
-    tasks = [(draw, name) for draw in draws for name in errors]
-    twins: list[dict[str, Any]] = []
-    rows: list[dict[str, Any]] = []
-    with done_counts(run.failures.append):
-        solve = partial(gauge, settings)
-        for row in side_by_side(solve, gauges, run.device, run.options.processes):
-            twins.append(row)
-            run.progress(0.3 * len(twins) / len(gauges))
-        label = partial(labelled, settings, twins)
-        for row in side_by_side(label, tasks, run.device, run.options.processes):
-            rows.append(row)
-            run.progress(0.3 + 0.7 * len(rows) / len(tasks))
+    gauges = {
+        f"twins, draw {draw}, {name}": (draw, name)
+        for draw in draws
+        for name in errors
+        if name in ("none", "all")
+    }
+    tasks = {f"labels, draw {draw}, {name}": (draw, name) for draw in draws for name in errors}
+    progress = span_of(run.progress, 0.0, 0.3)
+    gauged = [*rows_of(run, partial(gauge, settings), gauges, progress).values()]
+    progress = span_of(run.progress, 0.3, 0.7)
+    rows = [*rows_of(run, partial(labelled, settings, gauged), tasks, progress).values()]
     run.seeds = [*draws]
     run.spread = "95 % intervals by drawing draws, and indenters within them, again"
-    for row in twins:
-        del row["curves"]
+    twins = [{key: row[key] for key in row if key != "curves"} for row in gauged]
     return {"indenters": settings.indenters, "twins": twins, "rows": rows}
 
 

@@ -7,12 +7,12 @@ receive the frames that are compared.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.processes import done_counts
 from benchmarks.report import Page, Run, table
 from benchmarks.twin.rows import SPACING
 from sim.device import ready_device
@@ -43,10 +43,10 @@ def measure(run: Run) -> list[dict[str, Any]]:
     if run.quick:
         pairs = pairs[:1]
     rows = []
-    with done_counts(run.failures.append):
-        for name, indenter in pairs:
-            rows.append(compared(sensor(name), named(indenter), run))
-            run.progress(len(rows) / len(pairs))
+    for name, indenter in pairs:
+        solve = partial(compared, sensor(name), named(indenter), run)
+        rows.append(run.once(f"{name}, {indenter}", solve))
+        run.progress(len(rows) / len(pairs))
     return rows
 
 

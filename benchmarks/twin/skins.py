@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from benchmarks.processes import done_counts, side_by_side
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from benchmarks.twin.planted import (
     FEM,
@@ -76,17 +76,9 @@ def measure(tier: Literal["layer", "fem"], planned: bool, run: Run) -> dict[str,
         presses = tuple(usual(name, SENSOR) for name in PRESSED)
     settings = Settings(tier, presses, quick=run.quick)
     numbers = range(int(not planned) if run.quick else run.options.skins)
-    rows: list[dict[str, Any]] = []
-    without: list[str] = []
-    with done_counts(run.failures.append):
-        every = side_by_side(partial(one, settings), numbers, run.device, run.options.processes)
-        for number, row in every:
-            if isinstance(row, str):
-                without.append(f"skin {number}: {row}")
-            else:
-                rows.append(row)
-            run.progress((len(rows) + len(without)) / len(numbers))
-    rows.sort(key=lambda row: row["number"])
+    every = rows_of(run, partial(one, settings), {f"skin {number}": number for number in numbers})
+    rows = [row for row in every.values() if isinstance(row, dict)]
+    without = [f"{name}: {row}" for name, row in every.items() if isinstance(row, str)]
     run.seeds = [row["number"] for row in rows]
     run.spread = "one fit a skin; quantiles over skins"
     return {
@@ -100,12 +92,12 @@ def measure(tier: Literal["layer", "fem"], planned: bool, run: Run) -> dict[str,
     }
 
 
-def one(settings: Settings, number: int) -> tuple[int, dict[str, Any] | str]:
+def one(settings: Settings, number: int) -> dict[str, Any] | str:
     """Return the row of a skin, or why it has none."""
     try:
-        return number, identified(settings, number)
+        return identified(settings, number)
     except SimulationDiverged as diverged:
-        return number, str(diverged).partition("\n")[0]
+        return str(diverged).partition("\n")[0]
 
 
 def identified(settings: Settings, number: int) -> dict[str, Any]:

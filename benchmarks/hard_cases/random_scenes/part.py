@@ -18,7 +18,7 @@ from benchmarks.hard_cases.random_scenes.referee import LAWS
 from benchmarks.hard_cases.random_scenes.scenes import FOLDER, drawn
 from benchmarks.hard_cases.random_scenes.shrink import shrunk, store
 from benchmarks.hard_cases.solver import Solver
-from benchmarks.processes import done_counts, side_by_side
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from sim.scene import Scene
 
@@ -55,21 +55,17 @@ def _plain(name: str, scene: Scene, outcome: SceneOutcome, settings: Settings) -
 
 
 def measure(run: Run) -> list[dict[str, Any]]:
-    """Judge the scenes; after Ctrl-C, only completed ones are returned, and the run has failed."""
-    options, outcomes = run.options, []
-    indices = list(range(options.first, options.first + options.scenes))
-    if run.quick:
-        indices = list(QUICK)
+    """Judge the scenes."""
+    options = run.options
+    indices = QUICK if run.quick else range(options.first, options.first + options.scenes)
     run.seeds = [options.seed]
     judging = partial(judge_drawn, Settings(Solver(run.device), options.seconds), options.seed)
-    with done_counts(run.failures.append):
-        for values in side_by_side(judging, indices, run.device, options.processes):
-            outcomes.append(values)
-            run.progress(len(outcomes) / len(indices))
-            if values["class"] in WRONG:
-                file = f"; made plain: {values['stored']}" if "stored" in values else ""
-                run.failures.append(f"{values['scene']}: {values['why']}{file}")
-    return sorted(outcomes, key=lambda values: indices.index(int(values["scene"].split("/")[1])))
+    outcomes = [*rows_of(run, judging, {f"scene {index}": index for index in indices}).values()]
+    for values in outcomes:
+        if values["class"] in WRONG:
+            file = f"; made plain: {values['stored']}" if "stored" in values else ""
+            run.failures.append(f"{values['scene']}: {values['why']}{file}")
+    return outcomes
 
 
 def section(outcomes: list[dict[str, Any]], _page: Page) -> str:
