@@ -1,4 +1,4 @@
-"""Small multiples of error against seconds on log axes."""
+"""Panels of points on log axes, with one legend below them."""
 
 from __future__ import annotations
 
@@ -6,15 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from recorder.charts import BAND, chart
 
 if TYPE_CHECKING:
     from recorder.charts import Artist, Axes
-
-# Marks as matplotlib names them: disc, diamond, triangle to the left.
-Mark = Literal["o", "D", "<"]
 
 # Most panels in a row, and the columns of the legend.
 COLUMNS, LEGEND = 3, 3
@@ -24,13 +21,14 @@ PANEL = 2.4, 2.5
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Points of one ladder on one device, from coarse to fine."""
+    """Points of one way on one device."""
 
     name: str
     colour: str
-    mark: Mark
-    points: tuple[tuple[float, float], ...]
-    """(seconds, value); 0 seconds is drawn at the left edge."""
+    mark: str
+    """Mark as matplotlib names it; empty: none."""
+    points: Sequence[tuple[float, float]]
+    """In the order in which they are joined; x of 0 is drawn at the left edge."""
     joined: bool = True
     """True if a line joins the points."""
 
@@ -40,49 +38,37 @@ class Panel:
     """One case."""
 
     title: str
-    series: tuple[Series, ...]
+    series: Sequence[Series]
     bound: float = math.nan
     """Uncertainty of the reference, below which errors are unknown; NaN: not available."""
 
 
-def save_chart(
-    path: Path, title: str, panels: Sequence[Panel], value_label: str, *, note: str
-) -> None:
-    """Write the panels and, below them, their legend as one picture.
-
-    Args:
-        path: Path of the picture.
-        title: Title of the picture.
-        panels: Cases, which share both axes.
-        value_label: Label of the vertical axis, with its unit.
-        note: Line below the title.
-    """
+def save_chart(path: Path, title: str, panels: Sequence[Panel], x: str, y: str) -> None:
+    """Write panels that share both axes, with the labels `x` and `y`, as one picture."""
     columns = min(COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
     with chart(path, PANEL[0] * max(columns, LEGEND) + 0.4, PANEL[1] * rows + 1.1) as figure:
-        figure.suptitle(f"{title}\n{note}", x=0.01, ha="left")
+        figure.suptitle(title, x=0.01, ha="left")
         every: list[Axes] = []
         named: dict[str, Artist] = {}
         for index, panel in enumerate(panels):
             first = every[0] if every else None
             axes = figure.add_subplot(rows, columns, index + 1, sharex=first, sharey=first)
             every.append(axes)
-            axes.set(title=panel.title, xscale="log", yscale="log", xlabel="time [s]")
+            axes.set(title=panel.title, xscale="log", yscale="log", xlabel=x)
             if index % columns == 0:
-                axes.set_ylabel(value_label)
+                axes.set_ylabel(y)
             for one in panel.series:
-                points = [(x, y) for x, y in one.points if y > 0]
-                if not points:
+                if not one.points:
                     continue
-                seconds, values = zip(*points, strict=True)
-                timed = axes.transData if any(seconds) else axes.get_yaxis_transform()
+                across, up = zip(*one.points, strict=True)
                 (named[one.name],) = axes.plot(
-                    seconds,
-                    values,
+                    across,
+                    up,
                     color=one.colour,
                     marker=one.mark,
                     linestyle="-" if one.joined else "",
-                    transform=timed,
+                    transform=axes.transData if any(across) else axes.get_yaxis_transform(),
                     clip_on=False,
                 )
         low, high = every[0].get_ylim()

@@ -1,12 +1,16 @@
-"""Solvers that are compared: tiers, meshes and precisions."""
+"""Solvers that are compared: tiers, meshes and precisions, and formulas."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
-from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.independent.formulas import cone, flat_punch, hertz
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
 from sim.layer import Layer
 from sim.metrics import tolerance_of
 from sim.mpm import Mpm
@@ -15,100 +19,67 @@ from sim.result import Outcome
 from sim.scene import Scene
 from sim.tiers import simulate_many
 
-# Maps a scene and a device to the outcome.
-Solve = Callable[[Scene, str], Outcome]
-
 # Finenesses of `fem` on contact-adapted meshes, besides the default.
 FINENESS = (0.5, 1.0, 1.4)
 # Requested tolerances, which the solver meets by error control.
 TOLERANCES = ("5 %", "2 %", "1 %")
-# Element sizes of `fem` on uniform meshes [m], coarse to fine.
-EVEN_SPACINGS = (1.25e-3, 0.8e-3, 0.5e-3)
-# Cell sizes of `mpm` [m], coarse to fine; two particles per cell and dimension.
-MPM_CELLS = (1.0e-3, 0.8e-3, 0.5e-3, 0.4e-3)
+# Element sizes of `fem` on uniform meshes [mm], coarse to fine.
+EVEN_SPACINGS = (1.25, 0.8, 0.5)
+# Cell sizes of `mpm` [mm], coarse to fine; two particles per cell and dimension.
+MPM_CELLS = (1.0, 0.8, 0.5, 0.4)
+# Formulas of a half-space for the cases that have one: Hertz, and Sneddon's punch and sharp cone.
+FORMULAS = {"sphere": hertz, "punch": flat_punch, "cone": cone}
 
 
 @dataclass(frozen=True, slots=True)
 class Competitor:
-    """One solver with its settings."""
+    """One solver with its settings: a step of a ladder."""
 
-    ladder: str
-    """Competitors of one ladder differ only in fineness and are joined by a line."""
     label: str
-    """Name of its step on the ladder."""
+    """Name of the step; competitors of one ladder differ only in fineness."""
     fineness: float
     """Fineness, which increases from coarse to fine."""
-    solve: Solve
-    cpu_only: bool = False
-    cpu_cases: tuple[str, ...] | None = None
-    """Cases that are measured on a CPU; None: all. The others would take hours there."""
+    solver: Layer | Fem | Mpm | str
+    """A tier, or a tolerance for which the tier is planned."""
 
-    @property
-    def name(self) -> str:
-        """Ladder and step."""
-        return f"{self.ladder} {self.label}".strip()
-
-
-def _layer(scene: Scene, _device: str) -> Outcome:
-    return simulate_many([scene], Layer())[0]
-
-
-def _fem(**chosen: Any) -> Solve:
-    """Return a solver that calls `fem` with these fields of `Fem`."""
-
-    def solve(scene: Scene, device: str) -> Outcome:
-        from sim.fem import Fem
-
-        return simulate_many([scene], Fem(**chosen), device=device)[0]
-
-    return solve
-
-
-def _within(tolerance: str) -> Solve:
-    def solve(scene: Scene, device: str) -> Outcome:
+    def solve(self, scene: Scene, device: str) -> Outcome:
+        """Solve a scene; a tolerance that cannot be met is no solution."""
+        if not isinstance(self.solver, str):
+            return simulate_many([scene], self.solver, device=device)[0]
         try:
-            return plan(scene, tolerance, device=device).run()
-        except SimulationDiverged as diverged:
-            return diverged
-        except SceneError as rejected:  # not attainable: reported as no solution
-            return SimulationDiverged(str(rejected))
-
-    return solve
-
-
-def _mpm(cell: float | None) -> Solve:
-    def solve(scene: Scene, device: str) -> Outcome:
-        tier = Mpm.authors() if cell is None else Mpm(cell=cell)
-        return simulate_many([scene], tier, device=device)[0]
-
-    return solve
-
-
-def competitors() -> list[Competitor]:
-    """Return all competitors, each ladder from coarse to fine."""
-    from sim.fem import Fem
-
-    default = Fem().fineness
-    everything = [Competitor("layer", "", 0.0, _layer, cpu_only=True)]
-    for one in sorted({*FINENESS, default}):
-        label = "default" if one == default else f"fineness {one:g}"
-        everything.append(Competitor("fem", label, one, _fem(fineness=one)))
-    everything.append(Competitor("fem float64", "default", default, _fem(precision="float64")))
-    for text in TOLERANCES:
-        fineness = tolerance_of(text).value ** -0.5
-        everything.append(Competitor("tolerance", text, fineness, _within(text)))
-    for spacing in EVEN_SPACINGS:
-        label = f"{spacing * 1e3:.3g} mm"
-        everything.append(Competitor("fem even", label, 1 / spacing, _fem(spacing=spacing)))
-    for cell in MPM_CELLS:
-        everything.append(Competitor("mpm", f"{cell * 1e3:.3g} mm", 1 / cell, _mpm(cell)))
-    published = Competitor("mpm as published", "", 0.0, _mpm(None), cpu_cases=("sphere",))
-    return [*everything, published]
+            return plan(scene, self.solver, device=device).run()
+        except (SimulationDiverged, SceneError) as error:
+            return SimulationDiverged(str(error))
 
 
 def ladders() -> dict[str, list[Competitor]]:
     """Return the competitors by ladder, each from coarse to fine."""
-    grouped: dict[str, list[Competitor]] = {}
-    for one in competitors():
-        grouped.setdefault(one.ladder, []).append(one)
-    return grouped
+    default = Fem().fineness
+    adapted = {one: f"fineness {one:g}" for one in FINENESS} | {default: "default"}
+    return {
+        "layer": [Competitor("", 0.0, Layer())],
+        "fem": [Competitor(adapted[one], one, Fem(fineness=one)) for one in sorted(adapted)],
+        "fem float64": [Competitor("default", default, Fem(precision="float64"))],
+        "tolerance": [Competitor(one, tolerance_of(one).value ** -0.5, one) for one in TOLERANCES],
+        "fem even": [
+            Competitor(f"{size:g} mm", 1e3 / size, Fem(spacing=size * 1e-3))
+            for size in EVEN_SPACINGS
+        ],
+        "mpm": [
+            Competitor(f"{size:g} mm", 1e3 / size, Mpm(cell=size * 1e-3)) for size in MPM_CELLS
+        ],
+        "mpm as published": [Competitor("", 0.0, Mpm.authors())],
+    }
+
+
+def closed_form(case: str, scene: Scene) -> NDArray[np.float64] | None:
+    """Return the force of a formula on the body (F, 3) [N], or None without a common formula."""
+    if case not in FORMULAS:
+        return None
+    values = scene.indenter.parts[0].values
+    size = math.acos(values[0]) if case == "cone" else values[2]
+    force = np.zeros((len(scene.motion), 3))
+    for frame, (_, _, z) in enumerate(scene.motion.tip):
+        depth = max(-z, 0.0)
+        force[frame, 2] = -FORMULAS[case](depth, size, scene.body.modulus, scene.body.poisson)
+    return force

@@ -12,15 +12,31 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from benchmarks.accuracy.effect_scenes import BODY, NUMERICS, TRIALS, scene
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, chart
 from sim.device import ready_device
+from sim.fem import Fem
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
+from sim.indenters import sphere
 from sim.result import Result
-from sim.scene import Scene
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity
 from sim.tiers import simulate
+
+# Press in which an effect's cost is visible: small, half a millimetre down, then 0.15 mm sideways,
+# in 1 ms, which is fast enough for inertia to matter.
+BODY = Body(size_x=12e-3, size_y=12e-3, thickness=4e-3)
+NUMERICS = Fem(spacing=1e-3, precision="float64")
+MOTION = Motion(
+    ((0.0, 0.0, 0.0), (0.0, 0.0, -0.5e-3), (0.15e-3, 0.0, -0.5e-3)), (0.0, 0.5e-3, 1e-3)
+)
+# Every effect, and its strength in words.
+TRIALS: dict[str, tuple[Any, str]] = {
+    "friction": (Friction(1.0), "coefficient 1"),
+    "viscosity": (Viscosity((1.0, 0.5), (1e-3, 1.0)), "ratios 1 and 0.5"),
+    "inertia": (Inertia(), "scale 1"),
+    "gravity": (Gravity((300.0, 0.0, -500.0)), "300 and -500 m/s^2"),
+}
 
 # Pairs of runs, of which times are the minimum.
 REPEATS, QUICK_REPEATS = 7, 1
@@ -28,13 +44,10 @@ REPEATS, QUICK_REPEATS = 7, 1
 # Arrays that tier `fem` keeps for each effect, as paths from the solver's `State`.
 STATE: dict[str, tuple[str, ...]] = {
     "friction": ("contact.traction", "contact.traction_old", "contact.limit", "_limit_relaxed"),
-    "viscosity": (
-        "_branches.arrays.history",
-        "_branches.arrays.bulk_history",
-        "_branches.arrays.rest",
-        "_branches.arrays.bulk_rest",
-        "_branches.arrays.branch",
-        "_branches.arrays.bulk_branch",
+    "viscosity": tuple(
+        f"_branches.arrays.{bulk}{name}"
+        for name in ("history", "rest", "branch")
+        for bulk in ("", "bulk_")
     ),
     "inertia": ("predicted", "inertia_rate"),
     "gravity": ("weight",),
@@ -88,6 +101,12 @@ KERNELS: dict[str, tuple[Variant, ...]] = {
 }
 
 
+def scene(*names: str) -> Scene:
+    """Return the press with the named effects, all others off."""
+    effects = Effects(**{name: TRIALS[name][0] for name in names})
+    return Scene(sphere(3e-3), MOTION, BODY, effects)
+
+
 def measure(run: Run) -> dict[str, Any]:
     """Return the cost of each effect, and fail if one that is off leaves a trace.
 
@@ -121,7 +140,10 @@ def cost(name: str, base: set[str], repeats: int) -> dict[str, Any]:
         simulate(scene(name), NUMERICS)
     # A factory may make other kernels too, which have no line of the effect.
     compiled = {one for variant in KERNELS[name] for one in variant.names_on()}
-    off, on = assembly(), assembly(name)
+    mesh = build_mesh(BODY, 1e-3)
+    off, on = (
+        Assembly([mesh], [one], NUMERICS, "float64", "cpu") for one in (scene(), scene(name))
+    )
     return {
         "name": name,
         "kernels_on": len(kernels - base),
@@ -156,12 +178,6 @@ def stored(state: Any, path: str) -> int:
         if array is None:
             return 0
     return int(np.size(array if isinstance(array, np.ndarray) else array.numpy()))
-
-
-def assembly(*names: str) -> Assembly:
-    """Return the solver of one press with these effects."""
-    mesh = build_mesh(BODY, NUMERICS.spacing or BODY.thickness)
-    return Assembly([mesh], [scene(*names)], NUMERICS, "float64", "cpu")
 
 
 def same_results(one: Result, two: Result) -> bool:
@@ -199,7 +215,7 @@ def section(values: dict[str, Any], page: Page) -> str:
         axes.invert_yaxis()
     rows = [
         [
-            f"{one['name']}, {TRIALS[one['name']].strength}",
+            f"{one['name']}, {TRIALS[one['name']][1]}",
             one["numbers_off"],
             f"{one['numbers_on']:,}",
             one["shared_kernels"],

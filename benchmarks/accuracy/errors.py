@@ -7,24 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.metrics import Kind, Outcome, displacement_at, force_errors, marker_errors
+from sim.metrics import Outcome, displacement_at, force_errors, marker_errors
 from sim.scene import Body
 
 Array = NDArray[np.float64]
 
 # Points along each side of the grid on which surfaces are compared.
 POINTS = 121
-
-
-def frames(outcome: Outcome, chosen: list[int]) -> Outcome:
-    """Return the outcome with these frames only."""
-    return Outcome(
-        outcome.force[chosen],
-        outcome.surface_x,
-        outcome.surface_y,
-        outcome.surface[chosen],
-        outcome.touched[chosen],
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +47,23 @@ def compare(outcome: Outcome, reference: Outcome, body: Body) -> Errors:
     spacing of the points may change along the surface.
     """
     force, fraction = force_errors(outcome, reference)
-    frames = range(len(force))
-    surface = np.array([_surface_errors(outcome, reference, frame) for frame in frames]).T
+    x = _shared(outcome.surface_x, reference.surface_x)
+    y = _shared(outcome.surface_y, reference.surface_y)
+    surface = np.empty((len(force), POINTS, POINTS))
+    for frame in range(len(force)):
+        moved = displacement_at(outcome, frame, x, y) - displacement_at(reference, frame, x, y)
+        surface[frame] = np.linalg.norm(moved, axis=-1)
     pixels = marker_errors(outcome, reference, body)
     return Errors(
         force=force,
         force_share=fraction,
-        surface=surface[0],
-        surface_rms=surface[1],
+        surface=surface.max(axis=(1, 2)),
+        surface_rms=np.sqrt(np.mean(surface**2, axis=(1, 2))),
         marker=pixels.max(axis=1),
         marker_rms=np.sqrt(np.mean(pixels**2, axis=1)),
     )
 
 
-def _surface_errors(outcome: Outcome, reference: Outcome, frame: int) -> tuple[float, float]:
-    """Return the largest and the root mean square distance [m]."""
-    x = _shared(outcome.surface_x, reference.surface_x)
-    y = _shared(outcome.surface_y, reference.surface_y)
-    difference = displacement_at(outcome, frame, x, y) - displacement_at(reference, frame, x, y)
-    distance = np.linalg.norm(difference, axis=-1)
-    return float(distance.max()), float(np.sqrt(np.mean(distance**2)))
-
-
 def _shared(one: Array, other: Array) -> Array:
     """Return points (POINTS,) across the range that both cover."""
     return np.linspace(max(one[0], other[0]), min(one[-1], other[-1]), POINTS)
-
-
-def worst_errors(one: Outcome, other: Outcome, body: Body) -> dict[Kind, float]:
-    """Return the largest differences of two outcomes by kind, in its unit: 1, N, px."""
-    force, fraction = force_errors(one, other)
-    pixels = marker_errors(one, other, body)
-    return {
-        "fraction": float(fraction.max()),
-        "force": float(force.max()),
-        "marker": float(np.sqrt(np.mean(pixels**2, axis=1)).max()),
-    }

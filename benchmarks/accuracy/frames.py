@@ -10,16 +10,17 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from benchmarks.accuracy.chart import Panel, Series, save_chart
 from benchmarks.accuracy.speed import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded
 from benchmarks.report import Page, Run, table
-from recorder.charts import BLUE, GREEN, ORANGE, RED, SKY, chart
+from recorder.charts import BLUE, GREEN, ORANGE, RED, SKY
 from recorder.processes import Workers, cores, several
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
@@ -54,33 +55,18 @@ PUBLISHED = (
     ("ETac, a learned model", 4096, 869.0),
 )
 COLOURS = (GREEN, SKY, ORANGE, BLUE, RED)
+# Way with the default settings of `fem`.
+DEFAULT = "fem, default"
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
-    """One way to solve the presses."""
-
-    name: str
-    tier: Layer | Fem
-    gpu_counts: Sequence[int] = COUNTS
-    """Numbers of simultaneous presses on a GPU."""
-
-    def tier_on(self, device: str) -> Layer | Fem:
-        """Return the tier; on a GPU all presses have one mesh topology."""
-        if isinstance(self.tier, Fem):
-            return replace(self.tier, one_topology=device != "cpu")
-        return self.tier
-
-
-def ways() -> list[Way]:
+def ways() -> dict[str, Layer | Fem]:
     """Return `layer`, coarse meshes of `fem` with matching tolerances, and the default."""
     coarse = Fem(tolerance=TOLERANCE, path_tolerance=PATH_TOLERANCE, augmentations=AUGMENTATIONS)
-    return [
-        *(Way(f"layer, {grid} pixels", Layer(grid=grid)) for grid in (48, 128)),
-        *(Way(f"fem, {size:g} mm", replace(coarse, spacing=size * MM)) for size in (1.0, 0.8)),
-        # Many of them in one process would take minutes.
-        Way("fem, default", Fem(), gpu_counts=COUNTS[:1]),
-    ]
+    return {
+        **{f"layer, {grid} pixels": Layer(grid=grid) for grid in (48, 128)},
+        **{f"fem, {size:g} mm": replace(coarse, spacing=size * MM) for size in (1.0, 0.8)},
+        DEFAULT: Fem(),
+    }
 
 
 def scenes(count: int) -> list[Scene]:
@@ -107,7 +93,8 @@ def errors(
 
 def measure(run: Run) -> list[Row]:
     """Return a row for every way, device and number of presses, except those that take long."""
-    chosen = ways()[::2][:2] if run.quick else ways()
+    names = list(ways())
+    chosen = names[:3:2] if run.quick else names
     fine = Fem(fineness=0.5 if run.quick else 1.5, elements_max=400_000)
     devices = devices_of(run.device)
     rows: list[Row] = []
@@ -125,41 +112,46 @@ def measure(run: Run) -> list[Row]:
 
 
 def _counted(
-    run: Run, way: Way, device: str, workers: Workers | None, truths: Sequence[Outcome]
+    run: Run, way: str, device: str, workers: Workers | None, truths: Sequence[Outcome]
 ) -> list[Row]:
     """Return the rows of one way: in one process, and several presses also by `workers`.
 
-    On a CPU one process solves only one press, as several would follow one another.
+    On a CPU one process solves only one press, as several would follow one another. On a GPU
+    `layer` solves all in one launch.
     """
     rows: list[Row] = []
-    alone: Row | None = None
-    counts = COUNTS if device == "cpu" else way.gpu_counts
-    _load_kernels(way, device, None)
-    ready = False
-    for count in counts[:1] if run.quick else counts:
-        name = f"{way.name}, {device}, {count} at once"
-        if (device != "cpu" or count == 1) and forecast(alone, count, 1) < ROW_SECONDS:
-            alone = run.once(name, partial(measured, way, count, device, None, truths))
-            rows.append(alone)
-        if workers is None or count == 1 or alone is None:
-            continue
-        if device != "cpu" and isinstance(way.tier, Layer):  # solves all in one launch
-            continue
-        if forecast(alone, count, workers.processes) > ROW_SECONDS:
-            continue
-        if not ready:
-            _load_kernels(way, device, workers)
-            ready = True
-        work = partial(measured, way, count, device, workers, truths)
-        rows.append(run.once(f"{name} by processes", work))
+    last: Row | None = None
+    # Many of the default in one process on a GPU would take minutes.
+    counts = COUNTS[:1] if run.quick or (way == DEFAULT and device != "cpu") else COUNTS
+    ready = set[Workers | None]()
+    for count in counts:
+        pools: list[Workers | None] = [None] if device != "cpu" or count == 1 else []
+        if workers is not None and count > 1 and (device == "cpu" or not way.startswith("layer")):
+            pools.append(workers)
+        for pool in pools:
+            if forecast(last, count, 1 if pool is None else pool.processes) > ROW_SECONDS:
+                continue
+            if pool not in ready:
+                _load_kernels(way, device, pool)
+                ready.add(pool)
+            name = f"{way}, {device}, {count} at once" + (" by processes" if pool else "")
+            rows.append(run.once(name, partial(measured, way, count, device, pool, truths)))
+            last = last if pool else rows[-1]
     return rows
 
 
-def _load_kernels(way: Way, device: str, workers: Workers | None) -> None:
+def _solved(some: Sequence[Scene], way: str, device: str, workers: Workers | None) -> list[Outcome]:
+    """Solve presses; on a GPU all have one mesh topology."""
+    tier = ways()[way]
+    if isinstance(tier, Fem):
+        tier = replace(tier, one_topology=device != "cpu")
+    return simulate_many(some, tier, device=device, processes=workers or 1)
+
+
+def _load_kernels(way: str, device: str, workers: Workers | None) -> None:
     """Solve a press of one frame, in this process or in each of `workers`."""
     some = scenes(1 if workers is None else workers.processes)
-    shallow = [replace(one, motion=press([FRAME])) for one in some]
-    simulate_many(shallow, way.tier_on(device), device=device, processes=workers or 1)
+    _solved([replace(one, motion=press([FRAME])) for one in some], way, device, workers)
 
 
 def forecast(last: Row | None, count: int, processes: int) -> float:
@@ -174,13 +166,11 @@ def forecast(last: Row | None, count: int, processes: int) -> float:
 
 
 def measured(
-    way: Way, count: int, device: str, workers: Workers | None, truths: Sequence[Outcome]
+    way: str, count: int, device: str, workers: Workers | None, truths: Sequence[Outcome]
 ) -> Row:
     """Solve `count` presses, and return their row."""
     began = time.perf_counter()
-    outcomes = simulate_many(
-        scenes(count), way.tier_on(device), device=device, processes=workers or 1
-    )
+    outcomes = _solved(scenes(count), way, device, workers)
     wall = time.perf_counter() - began
     good = [one for one in outcomes if not isinstance(one, SimulationDiverged)]
     mean, worst = errors(outcomes, truths)
@@ -189,7 +179,7 @@ def measured(
         mesh = good[0].record.get("mesh", {})
         elements = int(mesh.get("elements", good[0].traction[0, ..., 0].size))
     return {
-        "way": way.name,
+        "way": way,
         "device": device,
         "processes": 1 if workers is None else workers.processes,
         "at_once": count,
@@ -207,34 +197,28 @@ def measured(
 
 def section(rows: Sequence[Row], page: Page) -> str:
     """Return the picture and the table."""
-    names = list(dict.fromkeys(row["way"] for row in rows))
-    with chart(page.picture("frames"), 7.2, 3.6) as figure:
-        axes = figure.add_subplot()
-        axes.set(
-            title="Frames per second and the error of their forces",
-            xlabel="mean error of the force [%]",
-            ylabel="frames per second",
-            xscale="log",
-            yscale="log",
+    series = [
+        Series(
+            f"{name}, {kind}",
+            colour,
+            mark,
+            [
+                (100 * row["mean"], row["frames_per_second"])
+                for row in rows
+                if row["way"] == name and kind_of(row["device"]) == kind and row["mean"]
+            ],
+            joined=False,
         )
-        for name, colour in zip(names, COLOURS, strict=False):
-            for kind, mark in (("CPU", "o"), ("GPU", "D")):
-                some = [
-                    row
-                    for row in rows
-                    if row["way"] == name and kind_of(row["device"]) == kind and row["mean"]
-                ]
-                if not some:
-                    continue
-                axes.plot(
-                    [100 * row["mean"] for row in some],
-                    [row["frames_per_second"] for row in some],
-                    color=colour,
-                    marker=mark,
-                    linestyle="",
-                    label=f"{name}, {kind}",
-                )
-        figure.legend(loc="outside right upper")
+        for name, colour in zip(ways(), COLOURS, strict=True)
+        for kind, mark in (("CPU", "o"), ("GPU", "D"))
+    ]
+    save_chart(
+        page.picture("frames"),
+        "Frames per second and the error of their forces",
+        [Panel("", series)],
+        "mean error of the force [%]",
+        "frames per second",
+    )
     lines = []
     for name, device in dict.fromkeys((row["way"], row["device"]) for row in rows):
         some = [row for row in rows if (row["way"], row["device"]) == (name, device)]

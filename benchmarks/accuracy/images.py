@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
 
 from benchmarks.accuracy.raycast import cast_rays, marked
 from benchmarks.accuracy.states import RenderState, dent, fold, solved
 from benchmarks.accuracy.wording import devices_of, kind_of
 from benchmarks.report import Page, Run, table
-from recorder.plot import INK, PANEL, PAPER, font
+from recorder.charts import chart
 from sim.device import ready_device
 from sim.markers import SIMULATED, Camera, named
 from sim.markers.renderer import Renderer
@@ -31,10 +30,9 @@ RAYS, QUICK_RAYS = 5, 1
 ALLOWED = 1e-3
 # Frames at once, and runs of which the fastest counts.
 FRAMES, REPEATS = 9, 5
-# The picture: patterns, size of an image [px], lines of text, and colours.
+# The picture: patterns, and colours of the markers.
 DRAWN = ("Array3", "Circle1", "Diamond4")
-TILE, CAPTION, GAP, COLOURS = (360, 270), 30, 14, 64
-MARKER, BEFORE = np.array([40.0, 44.0, 54.0]), np.array([232.0, 150.0, 120.0])
+MARKER, BEFORE = np.array([0.16, 0.17, 0.21]), np.array([0.91, 0.59, 0.47])
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -42,7 +40,7 @@ def measure(run: Run) -> dict[str, Any]:
     ready_device(run.device)
     states = [dent(at=(2e-3, -1e-3), aside=(0.6e-3, 0.3e-3)), fold()]
     if not run.quick:
-        states += solved(device=run.device)
+        states += solved(run.device)
     compared = []
     for state in states:
         compared.append(difference(state, QUICK_RAYS if run.quick else RAYS, run.device))
@@ -144,18 +142,12 @@ def section(values: dict[str, Any], page: Page) -> str:
         + (" on a GPU" if kind_of(row["device"]) == "GPU" else "")
         for row in rates
     ]
-    head = [
-        "state",
-        "smallest overlap",
-        "pixels that differ",
-        "worst pattern",
-        "changed by the press",
-    ]
+    head = ["state", "smallest overlap", "pixels that differ", "worst pattern"]
     return f"""## Marker images
 
 {page.link("images", "Markers of a smooth dent, and in red where they were before")}
 
-{table(head, rows)}
+{table([*head, "changed by the press"], rows)}
 
 Masks ({", ".join(PATTERNS)}) are compared with rays through a mesh of 0.05 mm that share no code
 with the renderer; overlap is intersection over union.
@@ -166,25 +158,17 @@ with {len(SIMULATED)} patterns each; a displacement field is one a frame."""
 def draw(page: Page, state: RenderState) -> None:
     """Draw a state with each pattern: markers dark, and red where they were before alone."""
     ready_device("cpu")
-    width = GAP + len(DRAWN) * (TILE[0] + GAP)
-    sheet = Image.new("RGB", (width, TILE[1] + CAPTION + 2 * GAP), PAPER)
-    pen = ImageDraw.Draw(sheet)
     renderer = Renderer(state.body, Camera.paper())
     textures = renderer.textures([named(name) for name in DRAWN])
     before = renderer.undeformed().coverage(textures)[0]
     after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]
-    for column, name in enumerate(DRAWN):
-        left = GAP + column * (TILE[0] + GAP)
-        drawn = Image.fromarray(_blended(before[column], after[column]))
-        sheet.paste(drawn.resize(TILE, Image.Resampling.LANCZOS), (left, GAP))
-        pen.text((left, GAP + TILE[1] + 6), name, INK, font(15))
-    sheet.quantize(COLOURS).save(page.picture("images"), optimize=True)
-
-
-def _blended(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    colours = np.broadcast_to(np.array(PANEL, float), (*before.shape, 3))
-    for fraction, colour in ((before, BEFORE), (after, MARKER)):
-        part = fraction[..., None] / 255.0
-        colours = colours * (1 - part) + colour * part
-    blended: NDArray[np.uint8] = np.round(colours).astype(np.uint8)
-    return blended
+    with chart(page.picture("images"), 7.4, 2.1) as figure:
+        every = figure.subplots(1, len(DRAWN))
+        for axes, name, old, new in zip(every, DRAWN, before, after, strict=True):
+            pixels = np.ones((*old.shape, 3))
+            for coverage, colour in ((old, BEFORE), (new, MARKER)):
+                fraction = coverage[..., None] / 255
+                pixels = pixels * (1 - fraction) + colour * fraction
+            axes.imshow(pixels)
+            axes.set_axis_off()
+            axes.set_title(name)

@@ -6,21 +6,21 @@ ones on the same default mesh.
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks.accuracy.errors import worst_errors
 from benchmarks.accuracy.wording import percent, rounded, seconds
 from benchmarks.hard_cases.random_scenes.dice import Dice
-from benchmarks.hard_cases.random_scenes.scenes import drawn
+from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
 from sim.fem import Fem
 from sim.fem.mesh import meshes_of
 from sim.fem.sizing import stages_of
 from sim.fem.stepping import path_of
-from sim.metrics import outcome_of
+from sim.metrics import force_errors, outcome_of
 from sim.needed import FINENESS, plan_many
 from sim.result import Outcome, Result
 from sim.scene import Effects, Friction, Gravity, Inertia, Scene, Viscosity
@@ -37,17 +37,25 @@ ELEMENTS_MAX = 6000
 EFFECTS_STREAM = 1_000_000
 
 
-def scenes_of(seed: int, first: int, count: int, folder: Path) -> list[tuple[str, Scene]]:
-    """Return sensible scenes of `drawn`, with two or more effects drawn again, some weak."""
-    chosen: list[tuple[str, Scene]] = []
-    index = first
-    while len(chosen) < count:
+def sensible(seed: int, first: int, folder: Path) -> Iterator[Drawn]:
+    """Yield the scenes of a seed that are typical uses, from number `first` on."""
+    for index in itertools.count(first):
         one = drawn(seed, index, folder)
         if one.scene is not None and one.what.startswith("sensible"):
-            scene = replace(one.scene, effects=_effects(Dice(seed, EFFECTS_STREAM + index)))
-            if _steps(scene) <= STEPS_MAX and _elements(scene) <= COARSE_MAX:
-                chosen.append((one.name, scene))
-        index += 1
+            yield one
+
+
+def scenes_of(seed: int, first: int, count: int, folder: Path) -> list[Drawn]:
+    """Return sensible scenes, with two or more effects drawn again, some weak."""
+    chosen: list[Drawn] = []
+    for one in sensible(seed, first, folder):
+        assert one.scene is not None
+        effects = _effects(Dice(seed, EFFECTS_STREAM + one.index))
+        scene = replace(one.scene, effects=effects)
+        if _steps(scene) <= STEPS_MAX and _elements(scene) <= COARSE_MAX:
+            chosen.append(replace(one, scene=scene))
+            if len(chosen) == count:
+                break
     return chosen
 
 
@@ -89,12 +97,13 @@ def _elements(scene: Scene) -> int:
     return sum(len(one.elements) for one in meshes_of([scene] * len(sizes), numerics, sizes))
 
 
-def compared(named: tuple[str, Scene]) -> Row:
+def compared(one: Drawn) -> Row:
     """Plan a scene, and compare with both solutions if any effect is omitted."""
-    name, scene = named
+    scene = one.scene
+    assert scene is not None
     (planned,) = plan_many([scene], tolerance=TOLERANCE)
     row: Row = {
-        "scene": name,
+        "scene": one.name,
         "effects": list(scene.effects.key),
         "left_out": list(planned.omitted),
         "probe_seconds": rounded(planned.seconds),
@@ -110,8 +119,8 @@ def compared(named: tuple[str, Scene]) -> Row:
         "error": None,
     }
     if isinstance(full, Result) and isinstance(less, Result):
-        errors = worst_errors(outcome_of(less), outcome_of(full), scene.body)
-        row["error"] = rounded(errors["fraction"])
+        _, fraction = force_errors(outcome_of(less), outcome_of(full))
+        row["error"] = rounded(float(fraction.max()))
     return row
 
 

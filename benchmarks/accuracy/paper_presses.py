@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,8 @@ COLUMNS = ("indenter", "x_mm", "y_mm", "depth_mm", "fx", "fy", "fz")
 # Minimum depth for an error: at smaller depths, forces are a few hundredths of the largest.
 SHALLOW_MM = 0.6
 
-# Indenter, x, y, depth [mm].
-Key = tuple[str, float, float, float]
-# Force of the indenter on the body (3,) [N].
-Forces = dict[Key, NDArray[np.float64]]
+# Force of the indenter on the body (3,) [N], by indenter, x, y, depth [mm].
+Forces = dict[tuple[str, float, float, float], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,26 +64,6 @@ def quick_presses() -> list[TimedPress]:
     return [TimedPress(name, x, y, (0.3, 0.6)) for name in ("sphere", "wave") for x, y in places]
 
 
-@dataclass(frozen=True, slots=True)
-class Errors:
-    """|F - Fref| / |Fref| over common presses and depths; NaN if there are none."""
-
-    compared: int
-    """Number of presses."""
-    mean: float
-    most: float
-    """95th percentile."""
-    worst: float
-    worst_at: str
-
-    def values(self) -> dict[str, Any]:
-        """Return them as values of JSON, null without a value."""
-        return {
-            name: None if isinstance(one, float) and np.isnan(one) else one
-            for name, one in asdict(self).items()
-        }
-
-
 def forces_of(presses: Sequence[TimedPress], outcomes: Sequence[Outcome]) -> Forces:
     """Return the forces of the presses that have a solution."""
     return {
@@ -105,23 +83,25 @@ def extrapolated(fine: Forces, coarse: Forces, ratio: float) -> Forces:
     }
 
 
-def errors(forces: Forces, reference: Forces, from_mm: float = SHALLOW_MM) -> Errors:
-    """Return the errors of `forces` relative to `reference`, at depths of at least `from_mm`."""
+def errors(forces: Forces, reference: Forces, from_mm: float = SHALLOW_MM) -> dict[str, Any]:
+    """Return |F - Fref| / |Fref| over common presses, at depths of at least `from_mm`, in JSON.
+
+    `compared` is the number of presses, `most` the 95th percentile.
+    """
     both = [key for key in reference if key in forces and key[3] >= from_mm - 1e-9]
     if not both:
-        return Errors(0, np.nan, np.nan, np.nan, "")
+        return {"compared": 0, "mean": None, "most": None, "worst": None, "worst_at": ""}
     true = np.array([reference[key] for key in both])
     difference = np.array([forces[key] for key in both]) - true
     fraction = np.linalg.norm(difference, axis=1) / np.linalg.norm(true, axis=1)
-    worst = int(fraction.argmax())
-    name, x, y, depth = both[worst]
-    return Errors(
-        compared=len({key[:3] for key in both}),
-        mean=float(fraction.mean()),
-        most=float(np.percentile(fraction, 95)),
-        worst=float(fraction[worst]),
-        worst_at=f"{name} at ({x:g}, {y:g}) mm, {depth:g} mm deep",
-    )
+    name, x, y, depth = both[int(fraction.argmax())]
+    return {
+        "compared": len({key[:3] for key in both}),
+        "mean": float(fraction.mean()),
+        "most": float(np.percentile(fraction, 95)),
+        "worst": float(fraction.max()),
+        "worst_at": f"{name} at ({x:g}, {y:g}) mm, {depth:g} mm deep",
+    }
 
 
 def write_forces(forces: Forces, path: Path = REFERENCE) -> None:
@@ -134,16 +114,11 @@ def write_forces(forces: Forces, path: Path = REFERENCE) -> None:
 
 
 def read_forces(path: Path = REFERENCE) -> Forces:
-    """Read the forces written by `write_forces`.
-
-    Raises:
-        ValueError: The columns differ.
-    """
+    """Read the forces written by `write_forces`."""
+    forces: Forces = {}
     with path.open(newline="", encoding="utf-8") as file:
-        head, *rows = csv.reader(file)
-    if tuple(head) != COLUMNS:
-        raise ValueError(f"{path}: columns {head}; allowed: {', '.join(COLUMNS)}")
-    return {
-        (name, float(x), float(y), float(depth)): np.array([float(one) for one in force])
-        for name, x, y, depth, *force in rows
-    }
+        for row in csv.DictReader(file):
+            name, *numbers = (row[column] for column in COLUMNS)
+            x, y, depth, *force = map(float, numbers)
+            forces[name, x, y, depth] = np.array(force)
+    return forces

@@ -6,8 +6,6 @@ A check of `Renderer` that shares neither its interpolation, nor its rasteriser,
 textures. Slow: about 0.1 s for each ray per pixel.
 """
 
-import functools
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -23,31 +21,27 @@ Array = NDArray[np.float64]
 SPACING = 0.05e-3
 
 
-@functools.cache
-def _kernel():
-    @wp.kernel(enable_backward=False, module="unique")
-    def cast(
-        # Settings:
-        start: wp.vec3,
-        # In: the mesh, material points of its corners, directions
-        mesh: wp.uint64,
-        corner: wp.array[wp.vec2],
-        triangle: wp.array2d[int],
-        direction: wp.array[wp.vec3],
-        # Out:
-        material_out: wp.array[wp.vec2],
-    ):
-        k = wp.tid()
-        query = wp.mesh_query_ray(mesh, start, direction[k], 1.0e3)
-        if not query.result:
-            material_out[k] = wp.vec2(wp.NAN, wp.NAN)
-            return
-        a = corner[triangle[query.face, 0]]
-        b = corner[triangle[query.face, 1]]
-        c = corner[triangle[query.face, 2]]
-        material_out[k] = a * query.u + b * query.v + c * (1.0 - query.u - query.v)
-
-    return cast
+@wp.kernel(enable_backward=False)
+def _cast(
+    # Settings:
+    start: wp.vec3,
+    # In: the mesh, material points of its corners, directions
+    mesh: wp.uint64,
+    corner: wp.array[wp.vec2],
+    triangle: wp.array2d[int],
+    direction: wp.array[wp.vec3],
+    # Out:
+    material_out: wp.array[wp.vec2],
+):
+    k = wp.tid()
+    query = wp.mesh_query_ray(mesh, start, direction[k], 1.0e3)
+    if not query.result:
+        material_out[k] = wp.vec2(wp.NAN, wp.NAN)
+        return
+    a = corner[triangle[query.face, 0]]
+    b = corner[triangle[query.face, 1]]
+    c = corner[triangle[query.face, 2]]
+    material_out[k] = a * query.u + b * query.v + c * (1.0 - query.u - query.v)
 
 
 def smooth(x: Array, y: Array, values: Array, to_x: Array, to_y: Array) -> Array:
@@ -66,14 +60,13 @@ def cast_rays(
     surface: Array,
     *,
     samples: int = 1,
-    spacing: float = SPACING,
 ) -> Array:
     """Return the material point, x and y [m], of each sample (480 n, 640 n, 2) for n `samples`.
 
     `surface` is one frame (X, Y, 3) [m]; the camera must have no separate mount.
     """
     fine_x, fine_y = (
-        np.linspace(-size / 2, size / 2, round(size / spacing) + 1)
+        np.linspace(-size / 2, size / 2, round(size / SPACING) + 1)
         for size in (body.size_x, body.size_y)
     )
     moved = smooth(x, y, surface.astype(float), fine_x, fine_y)
@@ -89,9 +82,9 @@ def cast_rays(
     row = (np.arange(HEIGHT * samples) + 0.5) / samples - HEIGHT / 2
     right, down = np.meshgrid(column, row)
     rays = np.stack([right, -down, np.full_like(right, camera.focal)], axis=-1) / camera.focal
-    found = wp.empty(right.size, dtype=wp.vec2, device="cpu")
+    material_out = wp.empty(right.size, dtype=wp.vec2, device="cpu")
     wp.launch(
-        _kernel(),
+        _cast,
         dim=right.size,
         inputs=[
             wp.vec3(0.0, 0.0, -camera.distance),
@@ -100,10 +93,10 @@ def cast_rays(
             wp.array(triangles, dtype=wp.int32, device="cpu"),
             wp.array(rays.reshape(-1, 3), dtype=wp.vec3, device="cpu"),
         ],
-        outputs=[found],
+        outputs=[material_out],
         device="cpu",
     )
-    return found.numpy().astype(float).reshape(*right.shape, 2)
+    return material_out.numpy().astype(float).reshape(*right.shape, 2)
 
 
 def marked(pattern: Pattern, material: Array, samples: int) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
-from benchmarks.accuracy.chart import Mark, Panel, Series, save_chart
+from benchmarks.accuracy.chart import Panel, Series, save_chart
 from benchmarks.accuracy.paper_presses import (
     SHALLOW_MM,
     Forces,
@@ -21,7 +21,7 @@ from benchmarks.accuracy.paper_presses import (
     reference_presses,
     write_forces,
 )
-from benchmarks.accuracy.spent import Spent, spent_by
+from benchmarks.accuracy.spent import spent_by
 from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded, seconds
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, RED
@@ -78,17 +78,16 @@ def measure(run: Run) -> list[Row]:
         kind = kind_of(device).lower()
         spacings = QUICK_SPACINGS if run.quick else SPACINGS[kind]
         shared = run.options.processes or cores()
-        alone = 1 if device != "cpu" else shared
         warm_up(presses[0], device)
         with several(shared) as workers:
             solved = {}
             for step, spacing in enumerate(spacings):
                 tier = numerics(spacing, device)
-                solved[round(spacing, 4)] = _timed(
-                    presses, [tier], device, workers if alone > 1 else None
-                )
+                # Processes share a GPU only for pairs of meshes.
+                helpers = workers if device == "cpu" else None
+                solved[spacing] = timed(presses, [spacing], [tier], device, helpers)
                 run.progress((number + (step + 1) / (len(spacings) + 2)) / len(devices))
-            rows += _rows(solved, presses, reference, device, alone)
+            rows += _rows(solved, reference)
             if workers is not None and (device != "cpu" or not run.quick):
                 rows.append(_at_once(presses, reference, device, workers))
         run.progress((number + 1) / len(devices))
@@ -118,10 +117,14 @@ def warm_up(one: TimedPress, device: str) -> None:
         )
 
 
-def _timed(
-    presses: Sequence[TimedPress], tiers: Sequence[Fem], device: str, workers: Workers | None
-) -> tuple[list[list[Outcome]], Spent]:
-    """Return the outcomes by mesh, all solved at once by `workers`, and their cost."""
+def timed(
+    presses: Sequence[TimedPress],
+    sizes: Sequence[float],
+    tiers: Sequence[Fem],
+    device: str,
+    workers: Workers | None,
+) -> tuple[list[Forces], Row]:
+    """Return the forces by mesh, all solved at once by `workers`, and their row without errors."""
     scenes = [one.scene() for one in presses]
 
     def work() -> list[list[Outcome]]:
@@ -130,29 +133,29 @@ def _timed(
         calls = [submitted(workers, scenes, tier, device) for tier in tiers]
         return [gathered(workers, call) for call in calls]
 
-    return spent_by(work, device)
+    outcomes, spent = spent_by(work, device)
+    row = {
+        "device": device,
+        "processes": 1 if workers is None else workers.processes,
+        "meshes_mm": [round(size, 4) for size in sizes],
+        "presses": len(presses),
+        "seconds": rounded(spent.wall),
+        "failed": sum(isinstance(one, SimulationDiverged) for one in outcomes[0]),
+        "memory": spent.memory if workers is None else 0,
+        "at_once": len(tiers) > 1,
+    }
+    return [forces_of(presses, some) for some in outcomes], row
 
 
-def _rows(
-    solved: dict[float, tuple[list[list[Outcome]], Spent]],
-    presses: Sequence[TimedPress],
-    reference: Forces,
-    device: str,
-    processes: int,
-) -> list[Row]:
+def _rows(solved: dict[float, tuple[list[Forces], Row]], reference: Forces) -> list[Row]:
     """Return the rows of meshes, and of pairs of meshes, which take the time of both."""
-    rows, forces = [], {}
-    for spacing, ((outcomes,), spent) in solved.items():
-        forces[spacing] = forces_of(presses, outcomes)
-        row = _row([spacing], [outcomes], spent.wall, device, processes)
-        memory = spent.memory if processes == 1 else 0
-        rows.append(row | {"memory": memory} | errors(forces[spacing], reference).values())
-    by_spacing = {row["meshes_mm"][0]: row for row in rows}
-    for coarse, fine in combinations(by_spacing, 2):
-        if APART <= coarse / fine <= APART_MOST:
-            both = extrapolated(forces[fine], forces[coarse], coarse / fine)
-            pair = pair_of(by_spacing[coarse], by_spacing[fine])
-            rows.append(pair | errors(both, reference).values())
+    rows = [row | errors(forces, reference) for (forces,), row in solved.values()]
+    for coarse, fine in combinations(solved, 2):
+        ratio = coarse / fine
+        if APART <= ratio <= APART_MOST:
+            ((more,), coarser), ((less,), finer) = solved[coarse], solved[fine]
+            both = extrapolated(less, more, ratio)
+            rows.append(pair_of(coarser, finer) | errors(both, reference))
     return rows
 
 
@@ -177,32 +180,10 @@ def _at_once(
     sizes = AT_ONCE[kind_of(device).lower()]
     tiers = [numerics(size, device, AT_ONCE_TOLERANCE) for size in sizes]
     # A press for each process starts it and loads its kernels.
-    _timed(presses[: workers.processes], tiers, device, workers)
-    outcomes, spent = _timed(presses, tiers, device, workers)
-    fine, coarse = (forces_of(presses, some) for some in outcomes)
+    timed(presses[: workers.processes], sizes, tiers, device, workers)
+    (fine, coarse), row = timed(presses, sizes, tiers, device, workers)
     forces = fine | extrapolated(fine, coarse, sizes[1] / sizes[0])
-    row = _row(sizes, outcomes[:1], spent.wall, device, workers.processes)
-    return row | {"at_once": True} | errors(forces, reference).values()
-
-
-def _row(
-    sizes: Sequence[float],
-    outcomes: Sequence[Sequence[Outcome]],
-    wall: float,
-    device: str,
-    processes: int,
-) -> Row:
-    failed = max(sum(isinstance(one, SimulationDiverged) for one in some) for some in outcomes)
-    return {
-        "device": device,
-        "processes": processes,
-        "meshes_mm": [round(size, 4) for size in sizes],
-        "presses": len(outcomes[0]),
-        "seconds": rounded(wall),
-        "failed": failed,
-        "memory": 0,
-        "at_once": False,
-    }
+    return row | errors(forces, reference)
 
 
 # The page
@@ -220,14 +201,15 @@ def section(rows: Sequence[Row], page: Page) -> str:
     """Return the picture and the table of all meshes."""
     save_chart(
         page.picture("speed"),
-        f"The paper's {rows[0]['presses']} presses",
+        f"The paper's {rows[0]['presses']} presses\n"
+        "discs: one mesh; diamonds: two meshes, extrapolated to zero element size",
         [
             _panel(rows, "mean", "mean error"),
             _panel(rows, "most", "95 % of the errors below"),
             _panel(rows, "worst", "worst error"),
         ],
+        "time [s]",
         "error of the force [%]",
-        note="discs: one mesh; diamonds: two meshes, extrapolated to zero element size",
     )
     lines = [
         [
@@ -262,27 +244,24 @@ once {AT_ONCE_TOLERANCE:g}. `nvidia-cuda-mps-control -d` before lets processes s
 
 def unbeaten(rows: Sequence[Row]) -> list[Row]:
     """Return the rows that no other on the same device beats in time and mean error, by time."""
-    return sorted(
-        (
-            row
-            for row in rows
-            if row["mean"] is not None
-            and not any(
-                other["device"] == row["device"]
-                and other["mean"] is not None
-                and other["mean"] < row["mean"]
-                and other["seconds"] < row["seconds"]
-                for other in rows
-            )
-        ),
-        key=lambda row: (row["device"], row["seconds"]),
-    )
+    compared = [row for row in rows if row["mean"] is not None]
+    best = [
+        row
+        for row in compared
+        if not any(
+            other["device"] == row["device"]
+            and other["mean"] < row["mean"]
+            and other["seconds"] < row["seconds"]
+            for other in compared
+        )
+    ]
+    return sorted(best, key=lambda row: (row["device"], row["seconds"]))
 
 
 def _panel(rows: Sequence[Row], measure: str, title: str) -> Panel:
     series = []
     for kind, colour in (("CPU", BLUE), ("GPU", RED)):
-        for count, mark, words in _KINDS:
+        for count, mark, words in ((1, "o", "one mesh"), (2, "D", "two meshes")):
             points = sorted(
                 (row["seconds"], 100 * row[measure])
                 for row in rows
@@ -290,10 +269,5 @@ def _panel(rows: Sequence[Row], measure: str, title: str) -> Panel:
                 and len(row["meshes_mm"]) == count
                 and row[measure] is not None
             )
-            if points:
-                series.append(Series(f"{kind}, {words}", colour, mark, tuple(points), count == 1))
-    return Panel(title, tuple(series))
-
-
-# Number of meshes, their mark and name in the picture.
-_KINDS: tuple[tuple[int, Mark, str], ...] = ((1, "o", "one mesh"), (2, "D", "two meshes"))
+            series.append(Series(f"{kind}, {words}", colour, mark, points, count == 1))
+    return Panel(title, series)

@@ -8,20 +8,24 @@ error only; other errors are covered by `hard-cases` and `independent`.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Literal, TypeVar
+from itertools import islice
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.accuracy import needed
+from benchmarks.accuracy.chart import Panel, Series, save_chart
 from benchmarks.accuracy.wording import percent, rounded, seconds
 from benchmarks.hard_cases.random_scenes.judgement import OutOfTime, time_limit
 from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
 from benchmarks.processes import side_by_side
 from benchmarks.report import Page, Run, table
-from recorder.charts import BLUE, RED, chart
+from recorder.charts import BLUE, INK, RED
 from recorder.processes import cores
+from recorder.progress import span_of
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
@@ -33,8 +37,6 @@ from sim.tiers import simulate
 from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
 
 Row = dict[str, Any]
-Item = TypeVar("Item")
-Outcome = Literal["kept", "missed", "refused", "diverged", "timeout", "no truth"]
 
 # Number of scenes of each tolerance, and of those from which effects are left out; `--scenes` may
 # be lower.
@@ -52,71 +54,61 @@ FINER = 1.6
 COARSEST, QUICK_COARSEST = 0.75, 0.4
 # Maximum number of elements of a reference.
 TRUTH_ELEMENTS_MAX = {"cpu": 600_000, "cuda": 4_000_000}
-# Family of the drawn scenes to use: typical uses.
-FAMILY = "sensible"
 
 
 def measure(run: Run) -> dict[str, Any]:
     """Return a row for every scene of every tolerance, and for every scene without effects."""
-    counts = QUICK_SCENES if run.quick else SCENES
-    values: dict[str, Any] = {"tolerances": {}}
     ready_device(run.device)
-    before = 0.0
-    for tolerance, default in counts.items():
-        chosen = [drawn(SEED, QUICK_SCENE)] if run.quick else scenes(default, SEED)
-        chosen = chosen[: run.options.scenes or default]
+    tolerances: dict[str, list[Row]] = {}
+    for number, (tolerance, most) in enumerate((QUICK_SCENES if run.quick else SCENES).items()):
+        count = min(run.options.scenes or most, most)
+        chosen = (
+            [drawn(SEED, QUICK_SCENE, run.folder)] if run.quick else scenes(count, SEED, run.folder)
+        )
         coarsest = QUICK_COARSEST if run.quick else COARSEST
         compare = partial(compared, tolerance=tolerance, coarsest=coarsest, device=run.device)
-        named = [(one.name, one) for one in chosen]
-        rows: list[Row] = []
-        for row in _once_each(run, tolerance, compare, named, run.device):
-            rows.append(row)
-            run.progress(before + 0.4 * len(rows) / len(chosen))
-        before += 0.4
-        values["tolerances"][tolerance] = rows
-        kept, answers = _count(rows, "kept"), _count(rows, "kept") + _count(rows, "missed")
+        rows = _once_each(
+            run, tolerance, compare, chosen, span_of(run.progress, 0.4 * number, 0.4), run.device
+        )
+        tolerances[tolerance] = rows
+        kept, answers = _count(rows, "kept"), _count(rows, "kept", "missed")
         if kept < LEAST * answers:
             run.failures.append(f"{tolerance} kept in {kept} of {answers} answers")
     count = 1 if run.quick else min(run.options.scenes or NEEDED, NEEDED)
     first = QUICK_NEEDED if run.quick else 0
-    values["needed"] = []
     some = needed.scenes_of(NEEDED_SEED, first, count, run.folder)
-    named_pairs = [(name, (name, scene)) for name, scene in some]
-    for row in _once_each(run, "needed", needed.compared, named_pairs, "cpu"):
-        values["needed"].append(row)
-        run.progress(before + (1 - before) * len(values["needed"]) / count)
+    left_out = _once_each(run, "needed", needed.compared, some, span_of(run.progress, 0.8, 0.2))
     run.seeds, run.spread = [SEED, NEEDED_SEED], "single run of each scene"
-    return values
+    return {"tolerances": tolerances, "needed": left_out}
 
 
 def _once_each(
     run: Run,
     prefix: str,
-    work: Callable[[Item], Row],
-    named: Sequence[tuple[str, Item]],
-    device: str,
-) -> Iterator[Row]:
-    """Yield the rows of scenes, first those that an interrupted run has stored."""
-    stored = [name for name, _ in named if f"{prefix}: {name}" in run.rows]
-    yield from (run.rows[f"{prefix}: {name}"] for name in stored)
-    left = [item for name, item in named if name not in stored]
+    work: Callable[[Drawn], Row],
+    some: Sequence[Drawn],
+    progress: Callable[[float], None],
+    device: str = "cpu",
+) -> list[Row]:
+    """Return the rows of scenes, first those that an interrupted run has stored."""
+    stored = [one.name for one in some if f"{prefix}: {one.name}" in run.rows]
+    rows: list[Row] = [run.rows[f"{prefix}: {name}"] for name in stored]
+    left = [one for one in some if one.name not in stored]
     processes = min(run.options.processes or cores(), max(1, len(left)))
     for row in side_by_side(work, left, device, processes):
-        yield run.once(f"{prefix}: {row['scene']}", partial(dict, row))
+        rows.append(run.once(f"{prefix}: {row['scene']}", partial(dict, row)))
+        progress(len(rows) / len(some))
+    return rows
 
 
-def scenes(count: int, seed: int) -> list[Drawn]:
+def scenes(count: int, seed: int, folder: Path) -> list[Drawn]:
     """Return the first `count` sensible scenes of a seed with contact."""
-    chosen: list[Drawn] = []
-    index = 0
-    while len(chosen) < count:
-        one = drawn(seed, index)
-        index += 1
-        if one.what.split(",")[0] != FAMILY or one.scene is None:
-            continue
-        if one.scene.motion.depth_max > 0:
-            chosen.append(one)
-    return chosen
+    pressed = (
+        one
+        for one in needed.sensible(seed, 0, folder)
+        if one.scene is not None and one.scene.motion.depth_max > 0
+    )
+    return list(islice(pressed, count))
 
 
 def compared(one: Drawn, tolerance: str, coarsest: float, device: str) -> Row:
@@ -129,8 +121,9 @@ def compared(one: Drawn, tolerance: str, coarsest: float, device: str) -> Row:
         with time_limit(limit):
             result = plan(one.scene, tolerance, device=device).run()
     except (SceneError, SimulationDiverged, OutOfTime) as error:
+        outcome = {SceneError: "refused", OutOfTime: "timeout"}.get(type(error), "diverged")
         spent = rounded(time.perf_counter() - began)
-        return row | {"outcome": _outcome_of(error), "seconds": spent, "reported": str(error)}
+        return row | {"outcome": outcome, "seconds": spent, "reported": str(error)}
     row |= {"seconds": rounded(time.perf_counter() - began), "tier": result.tier}
     row["stated_percent"] = rounded(float(result.record["error"]["percent"]))
     try:
@@ -145,12 +138,6 @@ def compared(one: Drawn, tolerance: str, coarsest: float, device: str) -> Row:
         "error_percent": rounded(100 * error_),
         "reference_percent": rounded(100 * float((unsure / scale).max())),
     }
-
-
-def _outcome_of(error: Exception) -> Outcome:
-    if isinstance(error, SceneError):
-        return "refused"
-    return "diverged" if isinstance(error, SimulationDiverged) else "timeout"
 
 
 def _truth(
@@ -225,22 +212,28 @@ def _exceeded(tolerances: dict[str, list[Row]]) -> str:
 
 
 def _draw(page: Page, tolerances: dict[str, list[Row]]) -> None:
-    with chart(page.picture("tolerance"), 4.8, 4.0) as figure:
-        axes = figure.add_subplot()
-        axes.set(
-            title="Errors on random scenes",
-            xlabel="error that the answer states [%]",
-            ylabel="error [%]",
-            xscale="log",
-            yscale="log",
+    series = [
+        Series(
+            f"within {tolerance}",
+            colour,
+            "o",
+            [
+                (row["stated_percent"], row["error_percent"])
+                for row in rows
+                if row.get("error_percent")
+            ],
+            joined=False,
         )
-        for (tolerance, rows), colour in zip(tolerances.items(), (BLUE, RED), strict=False):
-            some = [row for row in rows if row.get("error_percent")]
-            stated = [row["stated_percent"] for row in some]
-            errors = [row["error_percent"] for row in some]
-            axes.plot(
-                stated, errors, color=colour, marker="o", linestyle="", label=f"within {tolerance}"
-            )
-        low, high = axes.get_xlim()
-        axes.plot((low, high), (low, high), color="black", linewidth=0.8, label="as stated")
-        axes.legend()
+        for (tolerance, rows), colour in zip(tolerances.items(), (BLUE, RED), strict=False)
+    ]
+    stated = [x for one in series for x, _ in one.points]
+    if stated:
+        ends = [(least, least) for least in (min(stated), max(stated))]
+        series.append(Series("as stated", INK, "", ends))
+    save_chart(
+        page.picture("tolerance"),
+        "Errors on random scenes",
+        [Panel("", series)],
+        "error that the answer states [%]",
+        "error [%]",
+    )

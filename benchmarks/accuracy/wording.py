@@ -11,8 +11,8 @@ def devices_of(device: str) -> list[str]:
 
 
 def kind_of(device: str) -> str:
-    """Return `CPU` or `GPU`."""
-    return "CPU" if device == "cpu" else "GPU"
+    """Return `CPU`, `GPU`, or `none` for a formula."""
+    return {"cpu": "CPU", "none": "none"}.get(device, "GPU")
 
 
 def seconds(value: float | None) -> str:

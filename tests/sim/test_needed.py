@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sim
-from benchmarks.accuracy.errors import worst_errors
+from benchmarks.accuracy.errors import compare
 from sim import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, SceneError, Viscosity
 from sim import needed as module
 from sim.effect_bounds import bounds_of
@@ -59,9 +59,11 @@ def test_what_is_said_is_what_leaving_it_out_changes_on_a_finer_mesh() -> None:
     assert found.joint_by == "probe"
     finer = Fem(fineness=0.5)
     full, less = (sim.simulate(one, finer) for one in (TWO, found.needed))
-    true = worst_errors(outcome_of(less), outcome_of(full), BODY)
-    assert 0.3 * found.joint.value("fraction") < true["fraction"] <= found.joint.value("fraction")
-    assert 0 < true["marker"] <= found.joint.marker
+    true = compare(outcome_of(less), outcome_of(full), BODY).worst()
+    assert (
+        0.3 * found.joint.value("fraction") < true["force_share"] <= found.joint.value("fraction")
+    )
+    assert 0 < true["marker_rms"] <= found.joint.marker
 
 
 @pytest.mark.slow
@@ -154,9 +156,9 @@ def test_a_bound_is_no_less_than_the_probe(speed: float) -> None:
     for name, less in zip(effects.key, rest, strict=True):
         assert isinstance(full, Result)
         assert isinstance(less, Result)
-        true = worst_errors(outcome_of(less), outcome_of(full), wide)
-        assert 0 < true["fraction"] <= bounds[name].value("fraction"), name
-        assert 0 < true["marker"] <= bounds[name].marker, name
+        true = compare(outcome_of(less), outcome_of(full), wide).worst()
+        assert 0 < true["force_share"] <= bounds[name].value("fraction"), name
+        assert 0 < true["marker_rms"] <= bounds[name].marker, name
 
 
 def test_what_layer_does_not_know_has_no_bound() -> None:
