@@ -169,7 +169,7 @@ def test_forces_are_kept_to_seven_digits(tmp_path: Path) -> None:
     presses.write_forces(forces, tmp_path / "a.csv")
     for key, force in presses.read_forces(tmp_path / "a.csv").items():
         np.testing.assert_allclose(force, forces[key], rtol=1e-6)
-    (tmp_path / "a.csv").write_text("run,indenter\n")
+    (tmp_path / "a.csv").write_text("run,indenter\n1,sphere\n")
     with pytest.raises(KeyError, match="x_mm"):
         presses.read_forces(tmp_path / "a.csv")
 
