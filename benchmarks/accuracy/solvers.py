@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from functools import partial
@@ -93,7 +93,7 @@ def _climbed(
     pool = ProcessPoolExecutor(max(1, cores() // 4), mp_context=context, max_tasks_per_child=1)
     with environment(OMP_NUM_THREADS="1"), pool:
         tasks: dict[Future[list[Row]], str] = {}
-        here: dict[str, Callable[[], list[Row]]] = {}
+        here: dict[str, partial[list[Row]]] = {}
         for case, ladder, device in climbs:
             name = f"{case.name}, {ladder}, {device}"
             work = partial(climb, case, ladder, device, truths[case.name])
