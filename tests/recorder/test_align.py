@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -90,6 +90,7 @@ def test_linear_lies_on_the_line_between_its_neighbours(
 
 
 @given(sample_times, query_times, st.integers(0, 10), ages)
+@example(LATE + np.array([5, 9]), LATE + np.array([10]), 10, 4e-9)
 def test_mean_is_that_of_the_samples_inside_or_else_the_line(
     times: Any, stop: Any, length: int, max_age: float
 ) -> None:
