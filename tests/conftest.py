@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,9 +88,11 @@ def _command(pid: int) -> str:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def folder_of_copies(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Give `support.copies` a folder that is removed with all others of the run."""
+def folders(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Give `support.copies` and `tempfile` folders that are removed with all others of the run."""
     copies.folders.append(tmp_path_factory.mktemp("copied"))
+    # A solver that diverges leaves its state in the folder of temporary files.
+    tempfile.tempdir = os.environ["TMPDIR"] = str(tmp_path_factory.mktemp("temporary"))
 
 
 @pytest.fixture(autouse=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -13,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of
+from support.collecting import Collection, faults_of, patient_bench
 from support.mock_errors import compare
 
 from benchmarks.faults.collection_kills import VICTIMS, kill_often
-from benchmarks.faults.collection_run import quick_bench
 from benchmarks.faults.judge import stored_in
 from learning.markers.recording import read_recording
 from recorder import OUTCOMES, Session
@@ -34,7 +32,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> Collected:
     """Two targets of the TacPalm, with ground truth."""
     folder = tmp_path_factory.mktemp("collected")
     truth = folder / "truth"
-    bench = quick_bench(folder, "tacpalm")
+    bench = patient_bench(folder, "tacpalm")
     run = Collection.start(
         *(folder / "s.zarr", "--targets", "2", "--truth", str(truth), "--bench", str(bench))
     )
@@ -101,7 +99,7 @@ def test_poses_and_forces_came_with_none_skipped_and_images_in_order(collected: 
 def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bench = quick_bench(tmp_path, "tacpalm")
+    bench = patient_bench(tmp_path, "tacpalm")
     run = Collection.start(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
     run.until(run.recording)
     run.until(lambda: run.segments() > 0)
@@ -144,7 +142,7 @@ def test_targets_of_a_complete_session_are_pressed_again(
 ) -> None:
     session = tmp_path / "s.zarr"
     shutil.copytree(collected[1].session, session)
-    more = ("--resume", str(session), "--bench", str(quick_bench(tmp_path, "tacpalm")))
+    more = ("--resume", str(session), "--bench", str(patient_bench(tmp_path, "tacpalm")))
     assert main(["collect", *more, "--again", "3"]) == 2
     assert "--again: found 3; allowed: targets 1 to 2" in capsys.readouterr().err
     run = Collection.start(session, *more, "--again", "1")
@@ -162,7 +160,7 @@ def test_targets_of_a_complete_session_are_pressed_again(
 def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> None:
     limits = {"force_rating_n": [12.0, 12.0, 0.4], "soft_fraction": 0.5, "hard_fraction": 5.0}
     limits |= {"horizon_ms": 20.0, "stiffness_n_per_mm": 0.005}
-    bench = quick_bench(tmp_path, "tacpalm", limits=json.dumps(limits))
+    bench = patient_bench(tmp_path, "tacpalm", limits=limits)
     run = Collection.start(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))
     assert run.wait() == 0, run.text
     limited = OUTCOMES.index("force_limited")
@@ -187,7 +185,7 @@ def test_twenty_kills_of_any_process_lose_nothing_and_sessions_are_resumed(tmp_p
 def test_beside_four_busy_processes_the_stated_uncertainty_covers_95_percent_of_the_errors(
     tmp_path: Path,
 ) -> None:
-    bench = quick_bench(tmp_path, "tacpalm")
+    bench = patient_bench(tmp_path, "tacpalm")
     # A loaded machine may lose a device while it starts, and nothing is recorded then.
     for attempt in range(5):
         session, truth = tmp_path / f"{attempt}.zarr", tmp_path / f"{attempt}.truth"

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, faults_of
+from support.collecting import ROOT, faults_of, patient_bench
 
-from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 from rig.bench.bench import BenchFile
 from rig.core.errors import ConfigError
@@ -126,7 +125,7 @@ def entry_points_of_each_test() -> Iterator[None]:
 
 
 def bench_of(folder: Path, more: str) -> Path:
-    path = quick_bench(folder, "uskin")
+    path = patient_bench(folder, "uskin")
     (folder / "foreign.yaml").write_text(f"extends: {path.name}\n{more}")
     return folder / "foreign.yaml"
 
@@ -183,7 +182,6 @@ def python(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.serial
 def test_the_contract_suite_tests_devices_of_other_packages(site: Path) -> None:
     # Those of skin that differ from the gauge's by its kind.
     chosen = "line_gauge or (skin and (columns or repeated or closing or fresh))"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import minimalmodbus
@@ -32,18 +33,27 @@ from rig.devices.gripper.settings import RobotiqConfig
 CLOSE = GripperCommand(go=True, position=255, speed=255, force=255)
 
 
+# Longest wait for an answer that comes [s].
+PATIENCE = 60.0
+
+
+@pytest.fixture
+def clock() -> FakeClock:
+    """The clock of fingers and driver: the driver's pauses move it, a busy machine does not."""
+    return FakeClock()
+
+
 @pytest.fixture(name="emulator")
-def running_emulator(tmp_path: Path) -> Iterator[RobotiqEmulator]:
-    clock = SystemClock()
+def running_emulator(clock: FakeClock, tmp_path: Path) -> Iterator[RobotiqEmulator]:
     fingers = Fingers(clock, object_at=120, holding=True)
-    with running(RobotiqEmulator(fingers, tmp_path / "gripper.tty", clock)) as emulator:
+    with running(RobotiqEmulator(fingers, tmp_path / "gripper.tty", SystemClock())) as emulator:
         yield emulator
         emulator.close()  # which may be called twice
 
 
 @pytest.fixture(name="driver")
-def opened(emulator: RobotiqEmulator) -> Iterator[RobotiqDriver]:
-    driver = RobotiqDriver(RobotiqConfig(emulator.address, speed=255, answer=0.5), SystemClock())
+def opened(emulator: RobotiqEmulator, clock: FakeClock) -> Iterator[RobotiqDriver]:
+    driver = RobotiqDriver(RobotiqConfig(emulator.address, speed=255, answer=PATIENCE), clock)
     driver.open(1.0)
     yield driver
     driver.close()
@@ -55,7 +65,7 @@ def public_client(emulator: RobotiqEmulator) -> Iterator[minimalmodbus.Instrumen
     client = minimalmodbus.Instrument(emulator.address, 9)
     assert client.serial is not None
     client.serial.baudrate = 115200
-    client.serial.timeout = 1.0
+    client.serial.timeout = PATIENCE
     yield client
     client.serial.close()
 
@@ -105,8 +115,11 @@ def test_minimalmodbus_reads_the_grip_by_both_functions(public: minimalmodbus.In
         assert (status.holding, status.position) == (True, 120)
 
 
-def test_minimalmodbus_opens_and_closes_the_fingers(public: minimalmodbus.Instrument) -> None:
+def test_minimalmodbus_opens_and_closes_the_fingers(
+    public: minimalmodbus.Instrument, clock: FakeClock
+) -> None:
     def status() -> GripperStatus:
+        clock.advance(0.1)
         return parse_status(public.read_registers(0x07D0, 3))
 
     public.write_registers(0x03E8, [0x0900, 0x0000, 0xFFFF])
@@ -116,6 +129,8 @@ def test_minimalmodbus_opens_and_closes_the_fingers(public: minimalmodbus.Instru
 
 
 def test_minimalmodbus_understands_the_refusals(public: minimalmodbus.Instrument) -> None:
+    assert public.serial is not None
+    public.serial.timeout = 1.0  # it waits for more than a refusal has
     for refused in (
         lambda: public.read_registers(0x0000, 3),
         lambda: public.read_registers(0x07D0, 4),
@@ -127,10 +142,11 @@ def test_minimalmodbus_understands_the_refusals(public: minimalmodbus.Instrument
 
 
 def test_another_slave_address_is_met_with_silence(public: minimalmodbus.Instrument) -> None:
-    public.address = 8
+    assert public.serial is not None
+    public.address, public.serial.timeout = 8, 0.2
     with pytest.raises(minimalmodbus.NoResponseError):
         public.read_registers(0x07D0, 3)
-    public.address = 9
+    public.address, public.serial.timeout = 9, PATIENCE
     assert parse_status(public.read_registers(0x07D0, 3)).holding
 
 
@@ -157,24 +173,22 @@ def test_the_driver_opens_closes_and_tells_what_it_holds(driver: RobotiqDriver) 
     assert driver.describe()["status"].startswith("active, holds")
 
 
-def test_the_driver_activates_a_gripper_that_is_reset(tmp_path: Path) -> None:
-    clock = SystemClock()
-    with (
-        running(RobotiqEmulator(Fingers(clock, object_at=120), tmp_path / "tty", clock)) as reset,
-        RobotiqDriver(RobotiqConfig(reset.address, speed=255), clock) as driver,
-    ):
-        driver.open(1.0)
-        with pytest.raises(DeviceLost, match="activate it first"):
-            driver.close_fingers()
-        assert driver.activate(10.0).state == ACTIVE
-        assert driver.close_fingers().holding
+def test_the_driver_activates_a_gripper_that_is_reset(
+    emulator: RobotiqEmulator, driver: RobotiqDriver, clock: FakeClock
+) -> None:
+    emulator.fingers = Fingers(clock, object_at=120)
+    with pytest.raises(DeviceLost, match="activate it first"):
+        driver.close_fingers()
+    assert driver.activate(10.0).state == ACTIVE
+    assert driver.close_fingers().holding
 
 
-def test_opening_moves_nothing_and_forgets_an_old_silence(emulator: RobotiqEmulator) -> None:
+def test_opening_moves_nothing_and_forgets_an_old_silence(
+    emulator: RobotiqEmulator, driver: RobotiqDriver
+) -> None:
     emulator.fingers.fail(SILENT_FAULT)
-    with RobotiqDriver(RobotiqConfig(emulator.address), SystemClock()) as driver:
-        driver.open(1.0)
-        status = driver.status()
+    driver.open(1.0)
+    status = driver.status()
     assert (status.fault, status.holding) == (0, True)
 
 
@@ -185,10 +199,13 @@ def test_opening_moves_nothing_and_forgets_an_old_silence(emulator: RobotiqEmula
 def test_a_broken_line_is_a_lost_device_and_a_mended_one_is_not(
     fault: str, word: str, emulator: RobotiqEmulator, driver: RobotiqDriver
 ) -> None:
+    patient = driver._config
+    driver._config = replace(patient, answer=0.5)
     emulator.inject(fault)
     with pytest.raises(DeviceLost, match=word):
         # The pty closes shortly after the fault was requested.
         until(lambda: driver.status() is None, 0.0)
+    driver._config = patient
     emulator.inject("clear")
     if fault == "unplug":
         until(Path(emulator.address).exists)
@@ -248,7 +265,7 @@ def test_a_bench_file_that_makes_no_sense_is_refused() -> None:
 
 
 def test_a_swap_waits_until_something_is_between_the_fingers(
-    emulator: RobotiqEmulator, driver: RobotiqDriver
+    emulator: RobotiqEmulator, driver: RobotiqDriver, clock: FakeClock
 ) -> None:
     reported: list[str] = []
 
@@ -259,16 +276,16 @@ def test_a_swap_waits_until_something_is_between_the_fingers(
         if len(reported) == 3:
             emulator.inject("insert", at=60)
 
-    status = swap_held(driver, "indenter prism", SystemClock(), say, pause=0.01, speed=255)
+    status = swap_held(driver, "indenter prism", clock, say, pause=0.01, speed=255)
     assert (status.holding, status.position) == (True, 60)
     assert reported[0].startswith("gripper: opens in")
     assert all(line.startswith("gripper: put indenter prism between") for line in reported[1:3])
 
 
 def test_a_swap_nobody_comes_for_is_device_lost(
-    emulator: RobotiqEmulator, driver: RobotiqDriver
+    emulator: RobotiqEmulator, driver: RobotiqDriver, clock: FakeClock
 ) -> None:
     emulator.inject("lose_grip")
     short = {"pause": 0.01, "patience": 0.5}
     with pytest.raises(DeviceLost, match=r"nothing to hold in 0\.5 s; indenter prism"):
-        swap_held(driver, "indenter prism", SystemClock(), lambda _: None, speed=255, **short)
+        swap_held(driver, "indenter prism", clock, lambda _: None, speed=255, **short)

@@ -21,10 +21,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from support.collecting import ROOT
+from support.collecting import ROOT, patient_bench
 from support.waiting import until
 
-from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 from rig.bench.bench import BenchFile
 from rig.core.geometry import invert, transform
@@ -42,7 +41,7 @@ class LabBench:
     """Emulators, and a bench file that knows their addresses only."""
 
     def __init__(self, folder: Path) -> None:
-        file = BenchFile.read(quick_bench(folder, "tacpalm"))
+        file = BenchFile.read(patient_bench(folder, "tacpalm"))
         self.run_folder = folder / "run"
         self.run_folder.mkdir()
         self.mock = MockBench(file, self.run_folder)
@@ -168,7 +167,7 @@ def test_anything_but_the_word_starts_nothing(
 
 @pytest.fixture(name="gripping")
 def bench_with_a_gripper(tmp_path: Path) -> Path:
-    content = BenchFile.read(quick_bench(tmp_path, "tacpalm")).content
+    content = BenchFile.read(patient_bench(tmp_path, "tacpalm")).content
     gripper = {"kind": "robotiq_2f", "port": str(tmp_path / "no-such-port"), "speed": 40}
     lab = {**content, "mock": False, "world": None, "simulated": None, "gripper": gripper}
     (tmp_path / "gripping.yaml").write_text(yaml.safe_dump(lab))

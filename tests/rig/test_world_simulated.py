@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.collecting import Collection, faults_of
+from support.collecting import Collection, faults_of, patient_bench
 
-from benchmarks.faults.collection_run import quick_bench
 from recorder import Session
 from rig.bench.bench import BenchFile, bench_from, find_bench, with_simulated_world
 from rig.core.clock import FakeClock
@@ -355,9 +354,8 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
 def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
     sensor: str, tmp_path: Path
 ) -> None:
-    more = "trajectory: {points: [1], angle_step_deg: 180.0}"
-    bench = quick_bench(tmp_path, sensor)
-    bench.write_text(bench.read_text() + more + "\n")
+    more = "trajectory: {points: [1], angle_step_deg: 180.0}\nsimulated: {behind_ms: 4000.0}"
+    bench = patient_bench(tmp_path, sensor, more=more)
     run = Collection.start(
         tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench), "--world", "sim",
         "--indenter", "sphere",

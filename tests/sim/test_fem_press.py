@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from sim import Body, Effects, Friction, Motion, Result, Scene, press, simulate, simulate_many
+from sim import (
+    Body,
+    Effects,
+    Friction,
+    Inertia,
+    Motion,
+    Result,
+    Scene,
+    press,
+    simulate,
+    simulate_many,
+)
 from sim.fem import Fem
 from sim.indenters import flat_punch, named, sphere
 from tests.support.few import few
@@ -108,3 +122,18 @@ def test_torque_is_about_the_tip_and_traction_adds_up_to_the_force() -> None:
     # A smooth sphere's force acts through its centre, one radius above the tip.
     torque = np.cross([0, 0, 3e-3], result.force[-1])
     assert result.wrench[-1, 3:] == pytest.approx(torque, abs=2e-3 * np.abs(torque).max())
+
+
+def test_force_scales_with_modulus_and_squared_size_and_mass_counts_in_a_fast_press_alone() -> None:
+    def force(modulus: float = 1e5, size: float = 1.0, speed: float = 1e-3, **more: Any) -> float:
+        body = Body(8e-3 * size, 8e-3 * size, 4e-3 * size, modulus=modulus)
+        motion = press([0.5e-3 * size], speed=speed)
+        scene = Scene(sphere(3e-3 * size), motion, body, Effects(**more))
+        return float(simulate(scene, replace(EXACT, spacing=4e-3 * size / 3)).force[-1, 2])
+
+    reference = force()
+    assert force(modulus=1e7) == pytest.approx(100 * reference, rel=1e-9)
+    assert force(size=10.0) == pytest.approx(100 * reference, rel=1e-9)
+    assert force(inertia=Inertia()) == pytest.approx(reference, rel=1e-5)
+    # 10 m/s is 0.4 of the speed of pressure waves: the body cannot yield.
+    assert force(speed=10.0, inertia=Inertia()) < 1.1 * reference < 0

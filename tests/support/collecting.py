@@ -14,15 +14,25 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from support.sessions import specs
 
+from benchmarks.faults.collection_run import quick_bench
 from benchmarks.faults.processes import family, kill, stream_process, wait_gone
 from recorder import OUTCOMES, SessionWriter, check, faults
 from trajectories import Plan, plan_to_json
 
 ROOT = Path(__file__).parents[2]
+
+
+def patient_bench(folder: Path, sensor: str, *, limits: Any = None, more: str = "") -> Path:
+    """Write a quick bench whose arm and guard wait seconds for what a busy machine delays."""
+    waits = {"stale_force_ms": 4000.0, "stale_pose_ms": 4000.0, **(limits or {})}
+    path = quick_bench(folder, sensor, limits=json.dumps(waits), more=more)
+    path.write_text(path.read_text().replace("arm: {", "arm: {watchdog_hz: 0.2, "))
+    return path
 
 
 def faults_of(session: Path, *, stopped: bool = False) -> list[str]:
