@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.learning_sessions import record
-from support.planned_archives import planned_archive
+from support.planned_archives import WRENCH, planned_archive, training_folder, write_mask
 
 from learning.data.genforce.format import (
     Compensation,
@@ -44,7 +44,6 @@ Change = Callable[[Path], Any]
 LAST = (4, 7, 9, 12)
 FRAMES = LAST[-1] + 1
 SENSORS, INDENTERS, POINTS = ("Array1", "uskin_a"), ("cone", "sphere"), 2
-HEADER = "Fx(N),Fy(N),Fz(N),Tx(Nmm),Ty(Nmm),Tz(Nmm)"
 
 
 @functools.cache
@@ -57,43 +56,14 @@ def force_of(number: int) -> Any:
     return np.array([[0.1 * k, -0.02 * k, -number - k / 8, k, 2 * k, -k] for k in range(FRAMES)])
 
 
-def training_folder(root: Path, *, depths: bool = True, suffix: str = ".npy") -> Path:
-    """Write a training folder in the published layout."""
-    images = root / "img" / suffix[1:]
-    for s, sensor in enumerate(SENSORS):
-        for i, indenter in enumerate(INDENTERS):
-            for point in range(1, POINTS + 1):
-                place = Path(sensor) / indenter / str(point)
-                folder = images / place
-                folder.mkdir(parents=True)
-                for frame in range(FRAMES):
-                    write(folder / f"{frame:04d}{suffix}", mask_of(s + i + point + frame))
-                names = [f"C:\\data\\{point}\\{frame:04d}{suffix}" for frame in LAST]
-                (folder / "last.csv").write_text("\n".join(names) + "\n")
-                forces = root / "force" / place
-                forces.mkdir(parents=True)
-                rows = [",".join(f"{v:.6f}" for v in row) for row in force_of(10 * i + point)]
-                (forces / "ft.csv").write_text("\n".join([HEADER, *rows]) + "\n")
-                if depths:
-                    folder = root / "depth" / place
-                    folder.mkdir(parents=True)
-                    depth = np.interp(np.arange(FRAMES), [0, 4, 9, 12], [0, point, point, 0]) / 5
-                    np.savetxt(folder / "inc_z.csv", depth[:8])
-                    np.savetxt(folder / "dec_z.csv", depth[8:])
-        write(images / f"{sensor}_ref{suffix}", mask_of(100 * s))
-    return root
-
-
-def write(path: Path, mask: Any) -> None:
-    if path.suffix == ".npy":
-        np.save(path, np.packbits(mask.astype(np.uint8)))
-    else:
-        Image.fromarray((mask * 255).astype(np.uint8)).save(path, quality=90)
+def written(root: Path, **options: Any) -> Path:
+    made = {"last": LAST, "mask_of": mask_of, "force_of": force_of, **options}
+    return training_folder(root, SENSORS, INDENTERS, POINTS, **made)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return training_folder(tmp_path_factory.mktemp("training") / "homo")
+    return written(tmp_path_factory.mktemp("training") / "homo", depths=True)
 
 
 @pytest.fixture
@@ -151,7 +121,7 @@ def test_fragments_of_a_reference_are_not_counted_as_markers(root: Path, tmp_pat
     # The authors' mask of a TacTip has two fragments, of 41 and 68 px, beside its 127 pins.
     mask[40:47, 40:46] = mask[40:48, 92:100] = True
     assert count_markers(mask) == markers + 2
-    write(root / "img" / "npy" / "Array1_ref.npy", mask)
+    write_mask(root / "img" / "npy" / "Array1_ref.npy", mask)
     sensor = imported(root)["Array1"]
     smallest = sensor.attrs["marker_check"]["smallest_px"]
     assert smallest == 80
@@ -221,7 +191,7 @@ def test_what_is_written_is_what_their_scripts_read(archive: MarkerArchive, tmp_
     last = np.loadtxt(point / "last.csv", dtype=str)
     assert [Path(name).name for name in last] == [f"{frame:04d}.npy" for frame in LAST]
     lines = (tmp_path / "out/force/Array1/sphere/2/ft.csv").read_text().splitlines()
-    assert lines[0] == HEADER
+    assert lines[0] == WRENCH
     assert len(lines) == FRAMES + 1
     z = [np.loadtxt(tmp_path / f"out/depth/Array1/sphere/2/{n}_z.csv") for n in ("inc", "dec")]
     assert [len(part) for part in z] == [8, 5]
@@ -229,7 +199,7 @@ def test_what_is_written_is_what_their_scripts_read(archive: MarkerArchive, tmp_
 
 
 def test_pictures_lists_apart_and_missing_depths_and_forces_are_read(tmp_path: Path) -> None:
-    root = training_folder(tmp_path / "jpg", depths=False, suffix=".jpg")
+    root = written(tmp_path / "jpg", suffix=".jpg")
     shutil.rmtree(root / "force" / "uskin_a")
     for path in (root / "img" / "jpg").rglob("last.csv"):
         apart = root / "img" / "jpg_csv" / path.relative_to(root / "img" / "jpg")
@@ -381,8 +351,8 @@ def test_simulated_pictures_are_numbered_as_simulated_archives_are(tmp_path: Pat
         for indenter in ("cone", "torus"):
             (root / indenter / name).mkdir(parents=True)
             for number, (x, y, depth) in enumerate(states):
-                write(root / indenter / name / f"{x}_{y}_{depth}.jpg", mask_of(number))
-        write(root / f"{name}_ref.jpg", mask_of(50))
+                write_mask(root / indenter / name / f"{x}_{y}_{depth}.jpg", mask_of(number))
+        write_mask(root / f"{name}_ref.jpg", mask_of(50))
     archive = imported(root)
     table = archive["Circle1"].table
     first = slice(0, len(states))
@@ -582,8 +552,8 @@ def test_another_folder_is_not_mixed_into_an_archive(root: Path, archive: Marker
 def test_presses_that_lack_a_phase_are_left_out_and_told_of(tmp_path: Path) -> None:
     root = tmp_path / "sim"
     (root / "cone" / "Array1").mkdir(parents=True)
-    write(root / "cone" / "Array1" / "0_0_0.3.jpg", mask_of(1))
-    write(root / "Array1_ref.jpg", mask_of(0))
+    write_mask(root / "cone" / "Array1" / "0_0_0.3.jpg", mask_of(1))
+    write_mask(root / "Array1_ref.jpg", mask_of(0))
     with pytest.raises(SessionError, match="no press has all of normal_inc"):
         export(imported(root).path, tmp_path / "out", "genforce")
     assert not (tmp_path / "out").exists()

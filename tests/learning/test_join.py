@@ -241,7 +241,7 @@ def test_states_of_one_press_stay_together(tmp_path: Path) -> None:
 
 
 def test_unknown_places_are_refused_and_a_plan_makes_them_known(tmp_path: Path) -> None:
-    folder = training_folder(tmp_path / "homo", SMALL, sensor="Array1", indenter="sphere")
+    folder = training_folder(tmp_path / "homo", ["Array1"], ["sphere"], len(SMALL))
     import_folder(folder, tmp_path / "homo.markers.zarr")
     ours = planned_archive(tmp_path / "a.markers.zarr", {"a": replace(SMALL, order="quadrants")})
     with pytest.raises(LearningError, match=r"Array1: position is 'unknown: 0'.* model of its own"):
@@ -264,7 +264,7 @@ def test_unknown_places_are_refused_and_a_plan_makes_them_known(tmp_path: Path) 
 
 
 def test_a_plan_for_a_sensor_or_a_press_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    folder = training_folder(tmp_path / "homo", SMALL, sensor="Array1", indenter="sphere")
+    folder = training_folder(tmp_path / "homo", ["Array1"], ["sphere"], len(SMALL))
     out = tmp_path / "a.markers.zarr"
     with pytest.raises(LearningError, match=r"plan: found one of Array2; .* has Array1"):
         import_folder(folder, out, choices=Choices(plans={"Array2": SMALL}))

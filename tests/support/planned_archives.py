@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 from support.learning_sessions import CONTACT_FRAME, PHASE_NS, T0, write_session
 
 from recorder import MarkerArchive, force_spec, pose_spec, taxels_spec
 from recorder.archive import ArchivePlan, ArchiveWriter, SensorPlan
-from recorder.markers import pack
+from recorder.markers import pack, unpack
 from trajectories import PHASES, PressShear, Target, plan_to_json
 
+WRENCH = "Fx(N),Fy(N),Fz(N),Tx(Nmm),Ty(Nmm),Tz(Nmm)"
 HEADER = "X(m),Y(m),Z(m),RX(rad),RY(rad),RZ(rad)"
 
 _YX = np.mgrid[:480, :640]
@@ -147,15 +150,53 @@ def raw_folder(root: Path, plan: PressShear, *, indenter: str) -> Path:
     return root
 
 
-def training_folder(root: Path, plan: PressShear, *, sensor: str, indenter: str) -> Path:
-    """Write a training folder of the paper's authors: masks by number, without places."""
-    images = root / "img" / "npy"
-    for target in plan.targets():
-        folder = images / sensor / indenter / str(target.index + 1)
+def training_folder(
+    root: Path,
+    sensors: Sequence[str],
+    indenters: Sequence[str],
+    points: int,
+    *,
+    last: Sequence[int] = (1, 3, 5, 7),
+    mask_of: Callable[[int], Any] = lambda _: unpack(MASK[0]),
+    force_of: Callable[[int], Any] | None = None,
+    depths: bool = False,
+    suffix: str = ".npy",
+) -> Path:
+    """Write a training folder of the paper's authors: masks by number, without places.
+
+    `last` are the last frames of the four phases of every press. `mask_of` is called with sensor,
+    indenter, point and frame added up, `force_of` with ten times the indenter and the point.
+    """
+    images = root / "img" / suffix[1:]
+    presses = product(enumerate(sensors), enumerate(indenters), range(1, points + 1))
+    for (s, sensor), (i, indenter), point in presses:
+        folder, forces, depth = (
+            kind / sensor / indenter / str(point)
+            for kind in (images, root / "force", root / "depth")
+        )
         folder.mkdir(parents=True)
-        for frame in range(8):
-            np.save(folder / f"{frame:04d}.npy", MASK[0])
-        names = [f"{frame:04d}.npy" for frame in (1, 3, 5, 7)]
+        for frame in range(last[-1] + 1):
+            write_mask(folder / f"{frame:04d}{suffix}", mask_of(s + i + point + frame))
+        names = [f"C:\\data\\{point}\\{frame:04d}{suffix}" for frame in last]
         (folder / "last.csv").write_text("\n".join(names) + "\n")
-    np.save(images / f"{sensor}_ref.npy", MASK[0])
+        if force_of is not None:
+            forces.mkdir(parents=True)
+            rows = [",".join(f"{v:.6f}" for v in row) for row in force_of(10 * i + point)]
+            (forces / "ft.csv").write_text("\n".join([WRENCH, *rows]) + "\n")
+        if depths:
+            depth.mkdir(parents=True)
+            ends = [0, last[0], last[2], last[3]]
+            below = np.interp(np.arange(last[3] + 1), ends, [0, point, point, 0]) / 5
+            np.savetxt(depth / "inc_z.csv", below[: last[1] + 1])
+            np.savetxt(depth / "dec_z.csv", below[last[1] + 1 :])
+    for s, sensor in enumerate(sensors):
+        write_mask(images / f"{sensor}_ref{suffix}", mask_of(100 * s))
     return root
+
+
+def write_mask(path: Path, mask: Any) -> None:
+    """Write a mask as the authors do: packed, or as a picture."""
+    if path.suffix == ".npy":
+        np.save(path, pack(mask[None])[0])
+    else:
+        Image.fromarray((mask * 255).astype(np.uint8)).save(path, quality=90)
