@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Sequence
 from typing import TypeVar
 
 Item = TypeVar("Item")
-
-# Significant digits of the numbers drawn, so that a scene can be read and typed.
-DIGITS = 3
 
 
 class Dice:
@@ -46,16 +42,10 @@ class Dice:
         for item, weight in items.items():
             left -= weight
             if left < 0:
-                return item
-        return list(items)[-1]
-
-    def signed(self, size: float) -> float:
-        """Return the size with a random sign."""
-        return size if self._draw() < 0.5 else -size
+                break
+        return item
 
 
-def rounded(value: float, digits: int = DIGITS) -> float:
-    """Return the value with this number of significant digits."""
-    if value == 0 or not math.isfinite(value):
-        return value
+def rounded(value: float, digits: int = 3) -> float:
+    """Return the value with this number of significant digits, so that it can be typed."""
     return float(f"{value:.{digits - 1}e}")

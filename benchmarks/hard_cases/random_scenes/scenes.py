@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
-from benchmarks.hard_cases.random_scenes.shapes import blade, draw_shape
+from benchmarks.hard_cases.random_scenes.shapes import MM, blade, draw_shape
 from sim.errors import SceneError
 from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of
 from sim.indenters import Indenter, shapes
-from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, through
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity
+from sim.scene import press, through
 
 # Default folder of STL files and counter-examples.
 FOLDER = Path("build/hard-cases")
@@ -24,12 +25,9 @@ FAMILIES: dict[str, float] = {"sensible": 70, "trap": 20, "absurd": 10}
 # Maximum number of elements of a scene (the paper's gel under a sphere has 6144), to which gels are
 # reduced in size. Takes seconds on one core.
 ELEMENTS_MAX = 6200
-# Longest tip travel with friction, in thicknesses; its steps are a fortieth of the thickness.
-TRAVEL_MAX = 1.0
 # Frequency of round gels, and their separate random stream, which leaves other draws unchanged.
 ROUND, ROUND_STREAM = 1 / 6, 2_000_000
-MM = 1e-3
-Point = tuple[float, float, float]
+NO_EFFECTS = Effects()
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,7 @@ class Drawn:
 
     @property
     def name(self) -> str:
-        """Seed and number, in the format of `--seed` and `--scene`."""
+        """Seed and number, in the format of `--seed` and `--first`."""
         return f"{self.seed}/{self.index}"
 
 
@@ -55,15 +53,20 @@ def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
     dice = Dice(seed, index)
     family = dice.weighted(FAMILIES)
     words = [family]
-    make = {"sensible": _sensible, "trap": _trap, "absurd": _absurd}[family]
+    scene, refusal = None, None
     try:
-        scene = make(dice, folder, words)
         if family == "sensible":
+            scene = _sensible(dice, folder, words)
             scene = _sometimes_round(Dice(seed, ROUND_STREAM + index), scene, words)
+        elif family == "trap":
+            scene = _trap(dice, folder, words)
+        else:
+            words.append(dice.one_of(sorted(_ABSURD)))
+            scene = _ABSURD[words[-1]](dice)
         scene = within_budget(scene)
     except Exception as error:
-        return Drawn(seed, index, ", ".join(words), refusal=error)
-    return Drawn(seed, index, ", ".join(words), scene)
+        scene, refusal = None, error
+    return Drawn(seed, index, ", ".join(words), scene, refusal)
 
 
 def within_budget(scene: Scene) -> Scene:
@@ -91,10 +94,11 @@ def _sensible(dice: Dice, folder: Path, words: list[str]) -> Scene:
     kind, indenter = draw_shape(dice, body.thickness / 4, folder)
     words.append(kind)
     place = _place(dice, body, words)
-    effects = _effects(dice, body, words)
+    effects = _effects(dice, words)
     depth = body.thickness * dice.scaled(0.01, 0.4)
-    motion = _motion(dice, body, depth, place, effects.friction is not None, words)
-    return Scene(indenter, motion, body, effects)
+    # The steps of friction are a fortieth of the thickness, so its path is limited to that.
+    most = math.inf if effects.friction is None else rounded(body.thickness / 3)
+    return Scene(indenter, _motion(dice, body, depth, most, place, words), body, effects)
 
 
 def _sometimes_round(dice: Dice, scene: Scene, words: list[str]) -> Scene:
@@ -110,9 +114,8 @@ def _sometimes_round(dice: Dice, scene: Scene, words: list[str]) -> Scene:
             words.append("dome")
             body = replace(body, dome_radius=radius)
     tip = scene.motion.tip
-    lowest = -0.89 * body.thickness
     rise = body.height(*tip[0][:2]) - scene.body.height(*tip[0][:2])
-    lowered = tuple((x, y, max(rounded(z + rise, 6), lowest)) for x, y, z in tip)
+    lowered = tuple((x, y, max(rounded(z + rise, 6), -0.89 * body.thickness)) for x, y, z in tip)
     return replace(scene, body=body, motion=replace(scene.motion, tip=lowered))
 
 
@@ -138,74 +141,68 @@ def _body(dice: Dice) -> Body:
 def _place(dice: Dice, body: Body, words: list[str]) -> tuple[float, float]:
     """Return the place of the press: centre, anywhere, at a rim, over it, or at a corner."""
     where = dice.weighted({"centre": 5, "anywhere": 4, "at the rim": 2, "at the corner": 1})
-    half = body.size_x / 2, body.size_y / 2
+    half_x, half_y = body.size_x / 2, body.size_y / 2
     if where == "centre":
         return 0.0, 0.0
     words.append(where)
     if where == "anywhere":
-        return rounded(half[0] * dice.even(-0.6, 0.6)), rounded(half[1] * dice.even(-0.6, 0.6))
-    x = rounded(dice.signed(half[0] * dice.even(0.8, 1.15)))
-    y = rounded(half[1] * dice.even(-0.5, 0.5))
+        return rounded(half_x * dice.even(-0.6, 0.6)), rounded(half_y * dice.even(-0.6, 0.6))
+    x = rounded(half_x * dice.even(0.8, 1.15) * dice.one_of([1, -1]))
+    y = rounded(half_y * dice.even(-0.5, 0.5))
     if where == "at the corner":
-        y = rounded(dice.signed(half[1] * dice.even(0.8, 1.1)))
-    return (x, y) if dice.chance(0.5) else (rounded(y * half[0] / half[1]), x * half[1] / half[0])
+        y = rounded(half_y * dice.even(0.8, 1.1) * dice.one_of([1, -1]))
+    return (x, y) if dice.chance(0.5) else (rounded(y * half_x / half_y), x * half_y / half_x)
 
 
-def _effects(dice: Dice, body: Body, words: list[str]) -> Effects:
+def _effects(dice: Dice, words: list[str]) -> Effects:
     friction = viscosity = inertia = gravity = None
     if dice.chance(0.35):
         friction = Friction(dice.one_of([0.0, 0.1, 0.3, 0.8, rounded(dice.even(0.0, 2.0))]))
+        words.append(f"friction {friction.coefficient:g}")
     if dice.chance(0.12):
-        branches = dice.whole(1, 3)
-        viscosity = Viscosity(
-            tuple(dice.scaled(0.1, 3.0) for _ in range(branches)),
-            tuple(dice.scaled(1e-2, 10.0) for _ in range(branches)),
-        )
+        branches = range(dice.whole(1, 3))
+        ratios = tuple(dice.scaled(0.1, 3.0) for _ in branches)
+        viscosity = Viscosity(ratios, tuple(dice.scaled(1e-2, 10.0) for _ in branches))
     if dice.chance(0.06):
         inertia = Inertia(dice.one_of([1.0, 1.0, 100.0]))
     if dice.chance(0.1):
         gravity = Gravity(dice.one_of([(0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0)]))
     effects = Effects(friction, viscosity, inertia, gravity)
-    words += [f"friction {friction.coefficient:g}"] if friction else []
     words += [name for name in effects.key if name != "friction"]
     return effects
 
 
 def _motion(
-    dice: Dice, body: Body, depth: float, place: tuple[float, float], rubs: bool, words: list[str]
+    dice: Dice, body: Body, depth: float, most: float, place: tuple[float, float], words: list[str]
 ) -> Motion:
-    """Return a press, a cycle, the same depth twice, a shear and its return, or a slide."""
+    """Return a press, a cycle, the same depth twice, a shear and its return, or a slide.
+
+    Neither depth nor travel is above `most` [m].
+    """
     kind = dice.weighted({"press": 5, "cycle": 2, "twice": 1, "shear": 3, "slide": 1})
     words.append(kind)
-    depth = rounded(min(depth, 0.89 * body.thickness))
     x, y = place
-    inside = abs(x) <= body.size_x / 2 and abs(y) <= body.size_y / 2
-    ground = body.height(x, y) if body.dome_radius is not None and inside else 0.0
-    most = rounded(TRAVEL_MAX / 3 * body.thickness) if rubs else math.inf
-    depth = min(depth, most)
-    away = rounded(0.1 * body.thickness)
-    deep = [rounded(depth * fraction) for fraction in (0.5, 1.0)]
+    depth = min(rounded(depth), most)
+    half, away = rounded(depth / 2), rounded(0.1 * body.thickness)
     if kind == "press":
         count = dice.whole(1, 4)
-        points = [(x, y, 0.0)]
-        points += [(x, y, -rounded(depth * ((step + 1) / count))) for step in range(count)]
+        levels = [0.0, *(-rounded(depth * ((step + 1) / count)) for step in range(count))]
     elif kind == "cycle":
-        down = [(x, y, away), (x, y, 0.0), *((x, y, -level) for level in deep)]
-        points = [*down, *reversed(down[:-1])]
-    elif kind == "twice":
-        points = [(x, y, 0.0), (x, y, -depth), (x, y, -deep[0]), (x, y, -depth)]
+        levels = [away, 0.0, -half, -depth, -half, 0.0, away]
     else:
+        levels = [0.0, -depth, -half, -depth]
+    points = [(x, y, level) for level in levels]
+    if kind in ("shear", "slide"):
         aside = min(rounded(depth * dice.scaled(0.1, 2.0)), most)
         angle = dice.one_of([0.0, math.pi / 2, dice.even(0.0, math.tau)])
-        low = (x, y, -depth)
-        over = (rounded(x + aside * math.cos(angle)), rounded(y + aside * math.sin(angle)), -depth)
-        points = [(x, y, 0.0), low, over]
-        if kind == "shear":
-            points += [low, (x, y, 0.0)]
-        points.append((points[-1][0], points[-1][1], away))
+        over = rounded(x + aside * math.cos(angle)), rounded(y + aside * math.sin(angle))
+        points = [(x, y, 0.0), (x, y, -depth), (*over, -depth)]
+        back = [(x, y, -depth), (x, y, 0.0), (x, y, away)]
+        points += back if kind == "shear" else [(*over, away)]
+    inside = abs(x) <= body.size_x / 2 and abs(y) <= body.size_y / 2
+    ground = body.height(x, y) if inside else 0.0
     lowered = [(px, py, max(pz + ground, -0.89 * body.thickness)) for px, py, pz in points]
-    speed = dice.one_of([10e-3, 10e-3, dice.scaled(1e-4, 1.0)])
-    return through(lowered, speed=speed)
+    return through(lowered, speed=dice.one_of([10e-3, 10e-3, dice.scaled(1e-4, 1.0)]))
 
 
 # Inputs known to break simulators.
@@ -217,14 +214,14 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
          "heavy": 1, "fast": 1, "friction": 1.5, "size": 1.5}
     )  # fmt: skip
     words.append(kind)
+    body = Body(size_x=16 * MM, size_y=16 * MM, poisson=dice.one_of([0.45, 0.45, 0.49, 0.3]))
+    ball = shapes.sphere(rounded(MM * dice.even(2.0, 6.0)))
 
     def shape() -> Indenter:
         name, indenter = draw_shape(dice, MM, folder)
         words.append(name)
         return indenter
 
-    body = Body(size_x=16 * MM, size_y=16 * MM, poisson=dice.one_of([0.45, 0.45, 0.49, 0.3]))
-    ball = shapes.sphere(rounded(MM * dice.even(2.0, 6.0)))
     if kind == "blade":
         return _down(blade(dice, MM), body, MM * dice.even(1.0, 3.0), steps=dice.whole(1, 3))
     if kind == "corner":
@@ -234,33 +231,35 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         return _down(indenter, body, MM * dice.even(1.5, 3.5), at=at, steps=dice.whole(1, 3))
     if kind == "first touch":
         indenter = shape()
-        at = (rounded(MM * dice.even(-3.0, 3.0)), rounded(MM * dice.even(-3.0, 3.0)))
+        at = (MM * dice.even(-3.0, 3.0), MM * dice.even(-3.0, 3.0))
         return _down(indenter, body, dice.scaled(1e-6, 20e-6), at=at, steps=dice.whole(1, 3))
     if kind == "deep":
         return _down(shape(), body, MM * dice.even(2.0, 3.59), steps=dice.whole(1, 4))
     if kind == "material":
-        hard = replace(body, modulus=dice.scaled(1e2, 1e9))
-        hard = replace(hard, poisson=dice.one_of([0.0, 0.4, 0.49, 0.499, 0.4999, 0.49995]))
-        return _down(shape(), hard, MM * dice.even(0.2, 1.5), steps=dice.whole(1, 3))
+        modulus = dice.scaled(1e2, 1e9)
+        poisson = dice.one_of([0.0, 0.4, 0.49, 0.499, 0.4999, 0.49995])
+        body = replace(body, modulus=modulus, poisson=poisson)
+        return _down(shape(), body, MM * dice.even(0.2, 1.5), steps=dice.whole(1, 3))
     if kind == "far aside":
         body = replace(body, size_x=12 * MM, size_y=10 * MM)
         depth, aside = MM * dice.even(0.5, 1.2), rounded(MM * dice.even(1.0, 3.0))
-        friction = Friction(dice.one_of([0.5, 1.0, 2.0]))
+        effects = Effects(friction=Friction(dice.one_of([0.5, 1.0, 2.0])))
         # Lifted during slip, before contact ends.
         lifts = [(aside, 0.0, -rounded(fraction * depth)) for fraction in (1.0, 0.6, 0.3)]
         points = [(0.0, 0.0, 0.0), (0.0, 0.0, -depth), *lifts, (aside, 0.0, MM)]
-        return Scene(ball, through(points, speed=10e-3), body, Effects(friction=friction))
+        return Scene(ball, through(points, speed=10e-3), body, effects)
     if kind == "heavy":
-        pull = dice.signed(dice.scaled(30.0, 1000.0))
+        pull = dice.scaled(30.0, 1000.0) * dice.one_of([1, -1])
         gravity = Gravity((0.0, 0.0, pull) if dice.chance(0.7) else (pull, 0.0, 0.0))
         soft = replace(body, modulus=dice.scaled(1e3, 1e5))
-        return replace(_down(ball, soft, MM), effects=Effects(gravity=gravity))
+        return _down(ball, soft, MM, effects=Effects(gravity=gravity))
     if kind == "fast":
-        scene = _down(ball, body, MM * dice.even(0.3, 1.5), speed=dice.scaled(0.3, 30.0))
-        return replace(scene, effects=Effects(inertia=Inertia()))
+        depth, speed = MM * dice.even(0.3, 1.5), dice.scaled(0.3, 30.0)
+        return _down(ball, body, depth, speed=speed, effects=Effects(inertia=Inertia()))
     if kind == "friction":
-        scene = _down(shape(), body, MM * dice.even(0.3, 1.5), up=True)
-        return replace(scene, effects=Effects(friction=Friction(dice.one_of([0.02, 0.9, 2.0]))))
+        indenter, depth = shape(), MM * dice.even(0.3, 1.5)
+        effects = Effects(friction=Friction(dice.one_of([0.02, 0.9, 2.0])))
+        return _down(indenter, body, depth, lift=True, effects=effects)
     factor = dice.one_of([0.03, 0.1, 10.0, 30.0])
     scale = {name: getattr(body, name) * factor for name in ("size_x", "size_y", "thickness")}
     indenter = shapes.sphere(4 * MM * factor)
@@ -275,33 +274,27 @@ def _down(
     at: tuple[float, float] = (0.0, 0.0),
     steps: int = 1,
     speed: float = 10e-3,
-    up: bool = False,
+    lift: bool = False,
+    effects: Effects = NO_EFFECTS,
 ) -> Scene:
     """Return a scene that touches, presses to `depth` [m] in equal steps, and optionally lifts."""
-    x, y = rounded(at[0]), rounded(at[1])
-    points = [(x, y, -rounded(depth * step / steps)) for step in range(steps + 1)]
-    if up:
-        points += [(x, y, -rounded(depth / 2)), (x, y, rounded(0.1 * body.thickness))]
-    return Scene(indenter, through(points, speed=speed), body)
+    depths = [rounded(depth * step / steps) for step in range(1, steps + 1)]
+    if lift:
+        depths += [rounded(depth / 2), -rounded(0.1 * body.thickness)]
+    motion = press(depths, at=(rounded(at[0]), rounded(at[1])), speed=speed)
+    return Scene(indenter, motion, body, effects)
 
 
 # Mistakes, and values beyond every limit.
 
 
 BALL = shapes.sphere(4 * MM)
-
-
-def _wrong_value(dice: Dice) -> Scene:
-    """Return a gel with a value that must be refused."""
-    name, value = dice.one_of(
-        [
-            ("modulus", 0.0), ("modulus", -1e5), ("modulus", 1.0), ("modulus", math.inf),
-            ("poisson", 0.5), ("poisson", 0.49999), ("poisson", -0.2), ("poisson", math.nan),
-            ("size_x", 20.0), ("thickness", 4.0), ("dome_radius", 5 * MM), ("dome_radius", 9 * MM),
-        ]
-    )  # fmt: skip
-    changed: dict[str, Any] = {name: value}
-    return _down(BALL, replace(Body(), **changed), MM)
+# Values of a gel that must be refused.
+WRONG_VALUES: list[tuple[str, Any]] = [
+    ("modulus", 0.0), ("modulus", -1e5), ("modulus", 1.0), ("modulus", math.inf),
+    ("poisson", 0.5), ("poisson", 0.49999), ("poisson", -0.2), ("poisson", math.nan),
+    ("size_x", 20.0), ("thickness", 4.0), ("dome_radius", 5 * MM), ("dome_radius", 9 * MM),
+]  # fmt: skip
 
 
 def _along_its_side(dice: Dice) -> Scene:
@@ -320,36 +313,25 @@ def _held(dice: Dice) -> Scene:
 
 def _sticky(dice: Dice) -> Scene:
     friction = Friction(dice.one_of([5.0, 10.0, 11.0, -0.1]))
-    return replace(_down(BALL, Body(), MM, up=True), effects=Effects(friction=friction))
+    return _down(BALL, Body(), MM, lift=True, effects=Effects(friction=friction))
 
 
 def _frozen(dice: Dice) -> Scene:
     """Return branches a hundred times stiffer than the equilibrium modulus."""
     viscosity = Viscosity((100.0,), (dice.scaled(1e-6, 1e6),))
-    return replace(_down(BALL, Body(), 0.5 * MM), effects=Effects(viscosity=viscosity))
-
-
-def _gel(dice: Dice, sizes: Point, low: float, high: float) -> Scene:
-    """Return a press between two depths [mm] into a gel of these sizes [mm]."""
-    size_x, size_y, thickness = (size * MM for size in sizes)
-    return _down(BALL, Body(size_x, size_y, thickness), MM * dice.even(low, high))
+    return _down(BALL, Body(), 0.5 * MM, effects=Effects(viscosity=viscosity))
 
 
 _ABSURD: dict[str, Callable[[Dice], Scene]] = {
-    "wrong value": _wrong_value,
+    "wrong value": lambda dice: _down(BALL, Body(**dict([dice.one_of(WRONG_VALUES)])), MM),
     "along its side": _along_its_side,
     "held": _held,
     "off the gel": lambda dice: _down(BALL, Body(), MM, at=(dice.even(15.0, 500.0) * MM, 0.0)),
     "millimetres": lambda dice: _down(BALL, Body(), dice.even(0.5, 2.0)),
-    "speck": lambda dice: _gel(dice, (0.1, 0.1, 0.1), 0.001, 0.08),
-    "column": lambda dice: _gel(dice, (2.0, 3.0, 20.0), 0.2, 3.0),
-    "sheet": lambda dice: _gel(dice, (4.0, 4.0, 0.5), 0.02, 0.4),
+    "speck": lambda dice: _down(BALL, Body(1e-4, 1e-4, 1e-4), MM * dice.even(0.001, 0.08)),
+    "column": lambda dice: _down(BALL, Body(2 * MM, 3 * MM, 20 * MM), MM * dice.even(0.2, 3.0)),
+    "sheet": lambda dice: _down(BALL, Body(4 * MM, 4 * MM, 0.5 * MM), MM * dice.even(0.02, 0.4)),
     "pin": lambda dice: _down(shapes.sphere(MM * dice.scaled(0.01, 0.3)), Body(), MM),
     "sticky": _sticky,
     "frozen": _frozen,
 }
-
-
-def _absurd(dice: Dice, _folder: Path, words: list[str]) -> Scene:
-    words.append(dice.one_of(sorted(_ABSURD)))
-    return _ABSURD[words[-1]](dice)

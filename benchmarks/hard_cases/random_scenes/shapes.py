@@ -26,11 +26,10 @@ TILT_MAX = 0.5
 def draw_shape(dice: Dice, unit: float, folder: Path) -> tuple[str, Indenter]:
     """Return a kind and an indenter for a body about 4 `unit` [m] thick; STLs go to `folder`."""
     kind = dice.weighted(KINDS)
-    indenter = _solid(dice, folder) if kind == "stl" else _of_parts(kind, dice, unit)
+    indenter = _frustum(dice, folder) if kind == "stl" else _of_parts(kind, dice, unit)
     if kind != "plane" and dice.chance(0.25):
         size = dice.one_of([0.01, 0.1, 0.3, TILT_MAX])
-        turn = dice.even(0.0, math.tau)
-        indenter = indenter.tilted(rounded(size * math.cos(turn)), rounded(size * math.sin(turn)))
+        indenter = indenter.tilted(*_turned(size, dice.even(0.0, math.tau)))
         kind = f"{kind}, tilted"
     return kind, indenter
 
@@ -39,33 +38,27 @@ def _of_parts(kind: str, dice: Dice, unit: float) -> Indenter:
     if kind == "sphere":
         return shapes.sphere(unit * dice.scaled(0.5, 8.0))
     if kind == "named":
-        name = dice.one_of(NAMES)
-        return named(name) if dice.chance(0.85) else named(name, 0.0)
+        return named(dice.one_of(NAMES), None if dice.chance(0.85) else 0.0)
     if kind == "blade":
         return blade(dice, unit)
     if kind == "box":
-        width, length = (unit * dice.even(1.5, 8.0) for _ in range(2))
-        return shapes.box(width, length, _edge(dice, min(width, length) / 2))
+        return _with_edge(dice, shapes.box(unit * dice.even(1.5, 8.0), unit * dice.even(1.5, 8.0)))
     if kind == "punch":
-        radius = unit * dice.scaled(0.7, 5.0)
-        return shapes.flat_punch(radius, _edge(dice, radius))
+        return _with_edge(dice, shapes.flat_punch(unit * dice.scaled(0.7, 5.0)))
     if kind == "cone":
         tip = unit * dice.even(0.2, 1.0)
-        half_angle = math.radians(dice.even(10.0, 75.0))
-        sharp = shapes.cone(half_angle, tip)
-        return replace(sharp, edge_radius=_edge(dice, sharp.edge_radius_max))
+        return _with_edge(dice, shapes.cone(math.radians(dice.even(10.0, 75.0)), tip))
     if kind == "rounded_cone":
         return shapes.rounded_cone(math.radians(dice.even(10.0, 75.0)), unit * dice.scaled(0.2, 2))
     if kind == "tube":
-        outer = unit * dice.even(1.5, 5.0)
-        wall = unit * dice.even(0.3, 1.4)
+        outer, wall = unit * dice.even(1.5, 5.0), unit * dice.even(0.3, 1.4)
         return shapes.tube(outer, outer - wall, _edge(dice, wall / 2))
     if kind == "torus":
         tube = unit * dice.even(0.4, 1.5)
         return shapes.torus(tube + unit * dice.even(0.2, 3.0), tube)
     if kind == "bar":
-        radius = unit * dice.scaled(0.6, 4.0)
-        return shapes.bar(radius, unit * dice.even(2.0, 14.0), _edge(dice, radius / 2))
+        radius, length = unit * dice.scaled(0.6, 4.0), unit * dice.even(2.0, 14.0)
+        return shapes.bar(radius, length, _edge(dice, radius / 2))
     if kind == "needle":
         return shapes.bar(unit * dice.even(0.15, 0.5), unit * dice.even(4.0, 12.0))
     if kind == "polygon":
@@ -84,10 +77,17 @@ def blade(dice: Dice, unit: float) -> Indenter:
     return replace(shapes.box(rounded(width), rounded(length), edge), name="blade")
 
 
+def _with_edge(dice: Dice, sharp: Indenter) -> Indenter:
+    return replace(sharp, edge_radius=_edge(dice, sharp.edge_radius_max))
+
+
 def _edge(dice: Dice, most: float) -> float:
     """Return an edge radius: usually a fraction of the maximum, sometimes zero or the maximum."""
-    fraction = dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
-    return float(fraction * min(most, 1.0))
+    return min(most, 1.0) * dice.weighted({0.0: 1, 0.1: 2, 0.3: 4, 0.6: 3, 1.0: 1})
+
+
+def _turned(radius: float, angle: float) -> tuple[float, float]:
+    return rounded(radius * math.cos(angle)), rounded(radius * math.sin(angle))
 
 
 def _polygon(dice: Dice, unit: float) -> Indenter:
@@ -96,31 +96,24 @@ def _polygon(dice: Dice, unit: float) -> Indenter:
     values: list[float] = []
     for corner in range(corners):
         angle = math.tau * (corner + 0.6 * (dice.even(0.0, 1.0) - 0.5)) / corners
-        radius = unit * dice.even(2.0, 5.0)
-        values += [rounded(radius * math.cos(angle)), rounded(radius * math.sin(angle)), 0.0]
-    sharp = replace(shapes.extruded(values), name="polygon")
-    return replace(sharp, edge_radius=_edge(dice, sharp.edge_radius_max))
+        values += [*_turned(unit * dice.even(2.0, 5.0), angle), 0.0]
+    return _with_edge(dice, replace(shapes.extruded(values), name="polygon"))
 
 
 def _composed(dice: Dice, unit: float) -> Indenter:
-    """Return spheres on a plate, a box with a bar across it, or a block with a recess."""
+    """Return spheres on a plate, a bar with a sphere, or a block with a recess."""
     which = dice.whole(0, 2)
     if which == 0:
         count, ring = dice.whole(2, 5), unit * dice.even(1.5, 4.0)
-        radius = unit * dice.even(0.5, 1.5)
-        dot = Part("turned", "circle", (0.0, radius, radius), "union")
+        (dot,) = shapes.sphere(radius := unit * dice.even(0.5, 1.5)).parts
         turns = [corner * math.tau / count for corner in range(count)]
-        dots = [
-            replace(dot, axis=(rounded(ring * math.cos(turn)), rounded(ring * math.sin(turn))))
-            for turn in turns
-        ]
+        dots = [replace(dot, axis=_turned(ring, turn)) for turn in turns]
         width = 2 * (ring + radius)
         plate = Part("side", "half_plane", (0.0, -1.0, -unit * dice.even(0.5, 2.0)))
         return Indenter("dots", (*shapes.block(width, width), plate, *dots))
     if which == 1:
         bar = shapes.bar(unit * dice.even(0.5, 1.5), unit * dice.even(6.0, 12.0))
-        sphere = Part("turned", "circle", (0.0, (size := unit * dice.even(1, 3)), size), "union")
-        return Indenter("cross", (*bar.parts, sphere))
+        return Indenter("cross", (*bar.parts, *shapes.sphere(unit * dice.even(1, 3)).parts))
     size, recess = unit * dice.even(5.0, 9.0), unit * dice.even(1.0, 2.0)
     hollow = Part("turned", "circle", (0.0, 0.0, recess), "subtract")
     parts = (*shapes.block(size, size), shapes.TIP_PLANE, hollow)
@@ -128,7 +121,7 @@ def _composed(dice: Dice, unit: float) -> Indenter:
     return Indenter("hollow", parts, rounded(narrowest * dice.even(0.1, 0.4)), narrowest)
 
 
-def _solid(dice: Dice, folder: Path) -> Indenter:
+def _frustum(dice: Dice, folder: Path) -> Indenter:
     """Return the frustum of a pyramid, read from an STL file in mm."""
     below, above = dice.even(2.0, 6.0), dice.even(5.0, 9.0)
     sides = dice.whole(3, 8)
