@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+from bisect import bisect_right
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -38,12 +40,8 @@ class Dice:
 
     def weighted(self, items: dict[Item, float]) -> Item:
         """Return a key with a probability proportional to its weight."""
-        left = self._draw() * sum(items.values())
-        for item, weight in items.items():
-            left -= weight
-            if left < 0:
-                break
-        return item
+        ends = list(accumulate(items.values()))
+        return list(items)[bisect_right(ends, self._draw() * ends[-1], hi=len(ends) - 1)]
 
 
 def rounded(value: float, digits: int = 3) -> float:

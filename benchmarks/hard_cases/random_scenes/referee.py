@@ -9,17 +9,19 @@ skipped.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from benchmarks.hard_cases.laws import Law, at_least, at_most
 from benchmarks.hard_cases.random_scenes import bounds, overlap
-from benchmarks.hard_cases.random_scenes.bounds import Point, footprint, half_wall, inside_by
+from benchmarks.hard_cases.random_scenes.bounds import footprint, half_wall, inside_by
 from sim.result import Result, force_scale
+from sim.scene import Point
 
 Array = NDArray[np.float64]
 
@@ -65,9 +67,7 @@ class Reading:
         self.elastic = effects.viscosity is None and effects.inertia is None
         self.weightless = effects.gravity is None
         self.pressed = self.weightless and effects.inertia is None
-        self.tips: list[Point] = [
-            (float(x), float(y), float(z)) for x, y, z in self.scene.motion.tip
-        ]
+        self.tips: tuple[Point, ...] = self.scene.motion.tip
         self.push: Array = -result.force[:, 2]
         self.size = np.linalg.norm(result.force, axis=1)
         self.nothing = FLOOR * body.modulus * body.thickness**2
@@ -91,10 +91,29 @@ class Reading:
                 frames.append(frame)
         return frames
 
-    def resolved(self, tip: Point) -> bool:
-        """Return True if the indenter overlaps the undeformed gel by more than a first touch."""
+    @cached_property
+    def bounded(self) -> list[tuple[float, float, float]]:
+        """Push of loading frames, its lower bound (0 for a first touch), and its upper bound."""
         least = max(TOUCH[0], TOUCH[1] * self.scene.body.thickness)
-        return footprint(self.scene, tip).deepest > least
+        rows = []
+        for frame in self.loading if self.pressed else ():
+            at = self.scene, self.tips[frame]
+            lower = bounds.least_force(*at) if footprint(*at).deepest > least else 0.0
+            rows.append((float(self.push[frame]), lower, bounds.most_force(*at)))
+        return rows
+
+    @cached_property
+    def overlaps(self) -> list[tuple[float, float]]:
+        """`overlap` of each frame."""
+        return [overlap.overlap(self.result, frame) for frame in range(len(self.tips))]
+
+
+def _least(says: str, values: Sequence[float], limit: float) -> list[Law]:
+    return [at_least(says, min(values), limit)] if values else []
+
+
+def _most(says: str, values: Sequence[float], limit: float) -> list[Law]:
+    return [at_most(says, max(values), limit)] if values else []
 
 
 def _above_base(it: Reading) -> list[Law]:
@@ -124,38 +143,25 @@ def _lets_go(it: Reading) -> list[Law]:
         for size, tip in zip(it.size, it.tips, strict=True)
         if footprint(scene, tip).deepest <= clear
     ]
-    return [at_most("force where nothing touches / largest", max(free), NOTHING)] if free else []
+    return _most("force where nothing touches / largest", free, NOTHING)
 
 
 def _touches(it: Reading) -> list[Law]:
     """There is a force if the indenter overlaps the undeformed gel."""
-    if not it.pressed:
-        return []
-    some = [
-        it.push[frame] / it.nothing
-        for frame in it.loading
-        if it.resolved(it.tips[frame]) and bounds.least_force(it.scene, it.tips[frame]) > it.nothing
-    ]
-    return [at_least("push where gel is overlapped / none", min(some), 1.0)] if some else []
+    some = [push / it.nothing for push, lower, _ in it.bounded if lower > it.nothing]
+    return _least("push where gel is overlapped / none", some, 1.0)
 
 
 def _within_bounds(it: Reading) -> list[Law]:
     """The push lies between the forces of discs inscribed in and around the indenter."""
-    scene = it.scene
-    if not it.pressed:
-        return []
-    viscosity = scene.effects.viscosity
+    viscosity = it.scene.effects.viscosity
     stiffer = 1.0 + (sum(viscosity.ratios) if viscosity else 0.0)
-    low, high = [], []
-    for frame in it.loading:
-        tip = it.tips[frame]
-        least, most = bounds.least_force(scene, tip), bounds.most_force(scene, tip)
-        if least > it.nothing and it.resolved(tip):
-            low.append(it.push[frame] / least)
-        if most > it.nothing and half_wall(scene) > 0:
-            high.append(it.push[frame] / (most * stiffer))
-    laws = [at_least("push / lower bound", min(low), bounds.LOWER)] if low else []
-    return laws + ([at_most("push / upper bound", max(high), bounds.UPPER)] if high else [])
+    low = [push / lower for push, lower, _ in it.bounded if lower > it.nothing]
+    high = [push / (upper * stiffer) for push, _, upper in it.bounded if upper > it.nothing]
+    return [
+        *_least("push / lower bound", low, bounds.LOWER),
+        *_most("push / upper bound", high, bounds.UPPER),
+    ]
 
 
 def _near_layer(it: Reading) -> list[Law]:
@@ -218,10 +224,10 @@ def _closed_loop(it: Reading) -> list[Law]:
     ]
     if not ends or scene.effects.inertia is not None:
         return []
-    force = it.result.force[: ends[-1]]
-    parts = np.einsum("ij,ij->i", (force[1:] + force[:-1]) / 2, np.diff(tips[: ends[-1]], axis=0))
-    most = max(float(np.cumsum(parts).max()), it.nothing * scene.body.thickness)
-    fraction, limit = float(parts.sum()) / most, RING[0] if it.smooth else RING[1]
+    end = ends[-1]
+    works = cumulative_trapezoid(it.result.force[:end], tips[:end], axis=0).sum(axis=1)
+    most = max(float(works.max()), it.nothing * scene.body.thickness)
+    fraction, limit = float(works[-1]) / most, RING[0] if it.smooth else RING[1]
     laws = [at_least("work in a closed loop / most", fraction, -limit)]
     if it.elastic and it.smooth:
         laws.append(at_most("work in an elastic loop / most", fraction, limit))
@@ -237,9 +243,7 @@ def _coulomb(it: Reading) -> list[Law]:
     friction = scene.effects.friction
     coefficient = friction.coefficient if friction else 0.0
     element = max(np.diff(result.surface_x).min(), np.diff(result.surface_y).min())
-    parts = scene.indenter.parts
-    edges = len(parts) > 1 or scene.indenter.solid or any(part.figure == "path" for part in parts)
-    radius = scene.indenter.edge_radius if edges else math.inf
+    radius = scene.indenter.sharpest
     if half_wall(scene) < 2 * element or radius < element:
         return []
     shears, pulls = [], []
@@ -256,38 +260,35 @@ def _coulomb(it: Reading) -> list[Law]:
         if pressure.sum() > 0.8 * it.size[frame] / math.hypot(1.0, coefficient):
             shears.append(float(shear.sum() / pressure.sum()))
             pulls.append(float(-np.minimum(pressure, 0.0).sum() / pressure.sum()))
-    if not shears:
-        return []
     limit = math.hypot(max(SHEAR, EDGE * element / radius), coefficient)
     return [
-        at_most("sum of shear / sum of pressure", max(shears), limit),
-        at_most("sum of tension / sum of pressure", max(pulls), TENSION),
+        *_most("sum of shear / sum of pressure", shears, limit),
+        *_most("sum of tension / sum of pressure", pulls, TENSION),
     ]
 
 
 def _sums_up(it: Reading) -> list[Law]:
     """Tractions on the top add up to the force if the whole contact is on the top."""
-    body, gaps = it.scene.body, []
-    for force, size, tip, traction in zip(
-        it.result.force, it.size, it.tips, it.result.traction, strict=True
-    ):
-        heavy = size >= 0.02 * it.largest and size > it.nothing
-        flat = body.dome_radius is None
-        if flat and heavy and inside_by(it.scene, tip, 0.5 * body.thickness):
-            total = np.einsum("ijk,ij->k", traction.astype(float), it.areas)
-            gaps.append(float(np.linalg.norm(total - force)) / size)
-    return [at_most("|sum of tractions - force| / force", max(gaps), SUM)] if gaps else []
+    body = it.scene.body
+    totals = np.einsum("fijk,ij->fk", it.result.traction.astype(float), it.areas)
+    gaps = np.linalg.norm(totals - it.result.force, axis=1)
+    some = [
+        gap / size
+        for gap, size, tip in zip(gaps, it.size, it.tips, strict=True)
+        if size >= max(0.02 * it.largest, it.nothing)
+        and body.dome_radius is None
+        and inside_by(it.scene, tip, 0.5 * body.thickness)
+    ]
+    return _most("|sum of tractions - force| / force", some, SUM)
 
 
 def _through_centre(it: Reading) -> list[Law]:
     """Without friction, the force on a sphere passes through its centre."""
     indenter = it.scene.indenter
-    if not it.smooth or len(indenter.parts) != 1 or indenter.tilt != (0.0, 0.0):
+    upright_sphere = indenter.name in ("sphere", "sphere_s") and indenter.tilt == (0.0, 0.0)
+    if not (it.smooth and upright_sphere):
         return []
-    (part,) = indenter.parts
-    if (part.view, part.figure, part.values[0]) != ("turned", "circle", 0.0) or any(part.axis):
-        return []
-    radius = part.values[2]
+    radius = indenter.sharpest
     expected = np.cross([0.0, 0.0, radius], it.result.force)
     gap = float(np.linalg.norm(it.result.wrench[:, 3:] - expected, axis=1).max())
     return [at_most("torque about the centre / force radius", gap / (radius * it.largest), LEVER)]
@@ -295,30 +296,26 @@ def _through_centre(it: Reading) -> list[Law]:
 
 def _no_overlap(it: Reading) -> list[Law]:
     """The deformed top is not inside the indenter."""
-    frames = range(len(it.tips))
-    worst = max(
-        overlap.overlap(it.result, frame)[0] / overlap.allowed(it.result, frame) for frame in frames
-    )
-    return [at_most("overlap / what a mesh may leave", worst, 1.0)]
+    some = [deep / overlap.allowed(it.result, frame) for frame, (deep, _) in enumerate(it.overlaps)]
+    return _most("overlap / what a mesh may leave", some, 1.0)
 
 
 def _not_through(it: Reading) -> list[Law]:
     """The gel is not above the indenter's lower side, as after a wall has passed through it."""
     some = [
-        overlap.overlap(it.result, frame)[1] / -tip[2]
-        for frame, tip in enumerate(it.tips)
+        above / -tip[2]
+        for (_, above), tip in zip(it.overlaps, it.tips, strict=True)
         if tip[2] < -3 * overlap.SMALL
     ]
-    return [at_most("gel above the lower side / depth", max(some), overlap.THROUGH)] if some else []
+    return _most("gel above the lower side / depth", some, overlap.THROUGH)
 
 
 def _no_crossing(it: Reading) -> list[Law]:
     """No skin passes through a wall from one side to the other between frames."""
-    ways = [overlap.crossed(it.result, frame) for frame in range(1, len(it.tips))]
     limit = half_wall(it.scene)
-    if not ways or not math.isfinite(limit):
-        return []
-    return [at_most("way through a wall / half of it", max(ways) / limit, overlap.OF_WALL)]
+    frames = range(1, len(it.tips) if math.isfinite(limit) else 0)
+    ways = [overlap.crossed(it.result, frame) / limit for frame in frames]
+    return _most("way through a wall / half of it", ways, overlap.OF_WALL)
 
 
 # Laws of one result; those of two results are in `twins`.

@@ -14,8 +14,7 @@ from sim.errors import SceneError
 from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of
 from sim.indenters import Indenter, shapes
-from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity
-from sim.scene import press, through
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, through
 
 # Default folder of STL files and counter-examples.
 FOLDER = Path("build/hard-cases")
@@ -278,10 +277,11 @@ def _down(
     effects: Effects = NO_EFFECTS,
 ) -> Scene:
     """Return a scene that touches, presses to `depth` [m] in equal steps, and optionally lifts."""
-    depths = [rounded(depth * step / steps) for step in range(1, steps + 1)]
+    x, y = rounded(at[0]), rounded(at[1])
+    levels = [-rounded(depth * step / steps) for step in range(steps + 1)]
     if lift:
-        depths += [rounded(depth / 2), -rounded(0.1 * body.thickness)]
-    motion = press(depths, at=(rounded(at[0]), rounded(at[1])), speed=speed)
+        levels += [-rounded(depth / 2), rounded(0.1 * body.thickness)]
+    motion = through([(x, y, level) for level in levels], speed=speed)
     return Scene(indenter, motion, body, effects)
 
 

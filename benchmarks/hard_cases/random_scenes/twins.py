@@ -11,20 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.hard_cases.laws import at_most
-from benchmarks.hard_cases.random_scenes.bounds import Point
 from benchmarks.hard_cases.random_scenes.referee import Named, Reading
 from sim.errors import SceneError
-from sim.indenters import Indenter, Part
+from sim.indenters import Part
 from sim.result import Result
-from sim.scene import Effects, Gravity, Motion, Scene
+from sim.scene import Effects, Gravity, Motion, Point, Scene
 
 Array = NDArray[np.float64]
 
 # Allowed difference of forces over the largest, or the errors that both results state, if larger:
-# symmetry error of default meshes.
-AGREE = 0.02
-# The same with friction, where a point that slips early or late affects others.
-AGREE_RUBBING = 0.05
+# symmetry error of default meshes; with friction, where a point that slips early or late affects
+# others.
+AGREE, AGREE_RUBBING = 0.02, 0.05
 LARGER = 10.0
 
 
@@ -46,8 +44,7 @@ def agrees(result: Result, name: str, twin: Twin, other: Result) -> Named:
     gap = np.linalg.norm(other.force - expected, axis=1) / scale
     stated = two.stated + one.stated[-len(gap) :] * ratio
     limit = np.maximum(AGREE if one.smooth else AGREE_RUBBING, stated / scale)
-    over = np.where(np.isnan(expected).any(axis=1), -np.inf, gap - limit)
-    worst = int(np.argmax(over))
+    worst = int(np.argmax(np.where(np.isnan(expected).any(axis=1), -np.inf, gap - limit)))
     law = at_most(f"{name}: |difference| / largest", gap[worst], float(limit[worst]))
     return f"twin-{name}", law
 
@@ -81,7 +78,7 @@ def _mirrored(scene: Scene, turn: Array) -> Twin | None:
         x, y = turn @ (x, y)
         return float(x), float(y), z
 
-    indenter = scene.indenter
+    indenter, effects = scene.indenter, scene.effects
     x, y, _ = turned(*indenter.tilt)
     # An angle changes sign in a mirror, because its axis is a pseudovector.
     other = replace(indenter, tilt=(-x, -y))
@@ -92,23 +89,23 @@ def _mirrored(scene: Scene, turn: Array) -> Twin | None:
         return None
     size_x, size_y = np.abs(turn) @ (scene.body.size_x, scene.body.size_y)
     body = replace(scene.body, size_x=float(size_x), size_y=float(size_y))
-    effects, gravity = scene.effects, scene.effects.gravity
-    if gravity is not None:
-        effects = replace(effects, gravity=Gravity(turned(*gravity.acceleration)))
+    if effects.gravity is not None:
+        effects = replace(effects, gravity=Gravity(turned(*effects.gravity.acceleration)))
     motion = replace(scene.motion, tip=tuple(turned(*tip) for tip in scene.motion.tip))
     return Twin(Scene(other, motion, body, effects), lambda force: force @ whole.T)
 
 
 def _larger(scene: Scene) -> Twin | None:
-    """Return a twin ten times as large and stiff: weight over stiffness is kept, mass slows it."""
-    factor, body, effects = LARGER, scene.body, scene.effects
+    """Return a twin ten times as large and stiff: weight over stiffness is kept, mass slows it.
+
+    If that is beyond the limits of a body, it is a tenth as large and stiff.
+    """
+    body, effects = scene.body, scene.effects
     if scene.indenter.solid is not None or scene.indenter.name == "plane":
         return None
-    sizes = (body.size_x, body.size_y, body.thickness)
-    if max(sizes) * factor > 1.0 or body.modulus * factor > 1e9:
-        factor = 1.0 / LARGER
-        if min(sizes) * factor < 1e-4 or body.modulus * factor < 1e2:
-            return None
+    longest = max(body.size_x, body.size_y, body.thickness)
+    fits = longest * LARGER <= 1.0 and body.modulus * LARGER <= 1e9
+    factor = LARGER if fits else 1.0 / LARGER
     lengths = ("size_x", "size_y", "thickness", "modulus", "dome_radius")
     values = {name: getattr(body, name) for name in lengths}
     scaled = {name: value and value * factor for name, value in values.items()}
@@ -118,31 +115,23 @@ def _larger(scene: Scene) -> Twin | None:
     if effects.viscosity is not None:
         times = tuple(time * slower for time in effects.viscosity.times)
         effects = replace(effects, viscosity=replace(effects.viscosity, times=times))
-    twin = Scene(_scaled(scene.indenter, factor), motion, replace(body, **scaled), effects)
+    indenter = replace(
+        scene.indenter,
+        parts=tuple(_scaled(part, factor) for part in scene.indenter.parts),
+        edge_radius=scene.indenter.edge_radius * factor,
+        narrowest=scene.indenter.narrowest * factor,
+    )
+    twin = Scene(indenter, motion, replace(body, **scaled), effects)
     return Twin(twin, lambda force: force * factor**3)
 
 
-# Values of a figure's part that are no lengths: directions, and how an arc turns.
-_UNSCALED = {"circle": (), "path": range(2, 10_000, 3)}
-
-
-def _scaled(indenter: Indenter, factor: float) -> Indenter:
-    def longer(part: Part) -> Part:
-        unscaled = _UNSCALED.get(part.figure, (0, 1))
-        values = (
-            value if index in unscaled else value * factor
-            for index, value in enumerate(part.values)
-        )
-        return replace(
-            part, values=tuple(values), axis=(part.axis[0] * factor, part.axis[1] * factor)
-        )
-
-    return replace(
-        indenter,
-        parts=tuple(longer(part) for part in indenter.parts),
-        edge_radius=indenter.edge_radius * factor,
-        narrowest=indenter.narrowest * factor,
-    )
+def _scaled(part: Part, factor: float) -> Part:
+    """Return the part with its lengths scaled, but not directions, and how an arc turns."""
+    straight = (1.0, 1.0, factor, factor)
+    factors = {"circle": (factor,) * 3, "path": (factor, factor, 1.0) * (len(part.values) // 3)}
+    pairs = zip(part.values, factors.get(part.figure, straight), strict=False)
+    axis = part.axis[0] * factor, part.axis[1] * factor
+    return replace(part, values=tuple(value * by for value, by in pairs), axis=axis)
 
 
 def _at_once(scene: Scene) -> Twin | None:
