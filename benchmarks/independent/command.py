@@ -16,7 +16,7 @@ from benchmarks.independent.axisymmetric import NotSolved
 from benchmarks.independent.cases import CASES, Case
 from benchmarks.independent.foreign_cases import CASES as FOREIGN
 from benchmarks.independent.foreign_cases import ForeignCase
-from benchmarks.independent.formulas import LinearLayer, layer_sphere
+from benchmarks.independent.linear_layer import LinearLayer, layer_sphere
 from benchmarks.independent.presses import Task, compared, tasks
 from benchmarks.processes import rows_of
 from benchmarks.report import Benchmark, Page, Part, Run, table

@@ -16,7 +16,6 @@ from scipy.linalg import eigh, expm
 from scipy.optimize import minimize_scalar
 
 from benchmarks.independent.formulas import (
-    LinearLayer,
     boussinesq,
     cerruti,
     compression_frequency,
@@ -26,12 +25,7 @@ from benchmarks.independent.formulas import (
     hereditary,
     hertz,
     hertz_contact_radius,
-    layer_compliance,
-    layer_deficit,
-    layer_punch,
-    layer_ratio,
     layer_sag,
-    layer_sphere,
     mindlin_displacement,
     mindlin_stick_radius,
     oedometric_modulus,
@@ -39,7 +33,15 @@ from benchmarks.independent.formulas import (
     simple_shear_stress,
     uniaxial_stress,
 )
-from benchmarks.independent.formulas.layer_contact import deficit_rule
+from benchmarks.independent.linear_layer import (
+    LinearLayer,
+    deficit_rule,
+    layer_compliance,
+    layer_deficit,
+    layer_punch,
+    layer_ratio,
+    layer_sphere,
+)
 from tests.support.few import few
 
 Array = NDArray[np.float64]

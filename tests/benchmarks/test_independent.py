@@ -16,7 +16,7 @@ from benchmarks.independent.axisymmetric import AxisymmetricPress, Layer
 from benchmarks.independent.cases import CASES, Case
 from benchmarks.independent.element import Elastic, Grid
 from benchmarks.independent.foreign_cases import CASES as FOREIGN
-from benchmarks.independent.formulas import LinearLayer, layer_punch, layer_sphere
+from benchmarks.independent.linear_layer import LinearLayer, layer_punch, layer_sphere
 from benchmarks.independent.mesh import Fine, layer_grid
 from benchmarks.independent.presses import foreign_scene, scene_of
 from benchmarks.independent.profile import Profile, cone, punch, sphere, torus, tube

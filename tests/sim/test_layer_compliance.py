@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.independent.formulas import layer_compliance
+from benchmarks.independent.linear_layer import layer_compliance
 from sim.layer.spectral import compliance
 
 THICKNESS, SHEAR = 4e-3, 5e4

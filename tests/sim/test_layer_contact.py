@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from benchmarks.independent.formulas import LinearLayer, layer_punch, layer_sphere
+from benchmarks.independent.linear_layer import LinearLayer, layer_punch, layer_sphere
 from sim.indenters import flat_punch, named, plane, sphere
 from sim.layer import Layer
 from sim.layer import solver as press_module

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.independent.formulas import LinearLayer, hereditary, layer_sphere
+from benchmarks.independent.formulas import hereditary
+from benchmarks.independent.linear_layer import LinearLayer, layer_sphere
 from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer

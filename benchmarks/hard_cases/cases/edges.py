@@ -11,7 +11,7 @@ from benchmarks.hard_cases import laws as law
 from benchmarks.hard_cases.cases.bodies import GEL, MM, PAD, ball, even
 from benchmarks.hard_cases.laws import Law, push
 from benchmarks.hard_cases.solver import Case, Solver, case
-from benchmarks.independent.formulas import LinearLayer, layer_punch
+from benchmarks.independent.linear_layer import LinearLayer, layer_punch
 from sim.errors import SimulationDiverged
 from sim.indenters import Indenter, named, shapes
 from sim.result import Result
