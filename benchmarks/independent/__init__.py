@@ -1,4 +1,4 @@
 """Presses solved by methods independent of `sim`, to verify `sim`.
 
-Only the comparison table (`comparison`) and its command import `sim`.
+Only `comparison` and the command import `sim`.
 """

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.independent import stored
-from benchmarks.independent.axisymmetric import NotSolved
-from benchmarks.independent.cases import CASES, Case
-from benchmarks.independent.foreign_cases import CASES as FOREIGN
-from benchmarks.independent.foreign_cases import ForeignCase
+from benchmarks.independent.comparison import compared, scene_of
 from benchmarks.independent.linear_layer import LinearLayer, layer_sphere
-from benchmarks.independent.presses import Task, compared, tasks
+from benchmarks.independent.presses import PRESSES, Press, store
+from benchmarks.independent.references import interpreter
+from benchmarks.independent.references import solved as solved_again
 from benchmarks.processes import rows_of
 from benchmarks.report import Benchmark, Page, Part, Run, table
 from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, chart
@@ -40,7 +37,7 @@ SOLVERS: dict[str, tuple[Fem | Layer | str, Fem | Layer | str]] = {
     TOLERANCE: (TOLERANCE, "15 %"),
 }
 QUICK = ("sphere 4 in 4, mu 0, nu 0.45, to 1.5", "sphere 2 in 2, mu 0.3", "two spheres 2")
-# Cases of the other method that a quick run solves again, and how exactly they must repeat [%].
+# The press that a quick run solves again, and how exactly all must repeat [%].
 AGAIN, REPEATS = "sphere 4 in 4, mu 0, nu 0.45, to 0.005", 0.1
 # Spheres on the gel of the paper by radius, and depths, over the gel's thickness.
 RADII, DEPTHS = (0.5, 1.0, 5.0), (0.01, 0.03, 0.1, 0.3)
@@ -59,17 +56,13 @@ def _options(parser: argparse.ArgumentParser) -> None:
 def presses(tier: str, run: Run) -> dict[str, Any]:
     """Compare the forces of a tier, or to a tolerance, with all that are stored."""
     ready_device(run.device)
-    every = tasks(QUICK if run.quick else ())
-    solve = partial(_compared, SOLVERS[tier][run.quick], run.device)
+    chosen = [press for press in PRESSES if not run.quick or press.name.startswith(QUICK)]
+    solve = partial(compared, SOLVERS[tier][run.quick], run.device)
     # Slender and small contacts take longest: they begin first.
-    longest = sorted(every, key=lambda task: task.scene.indenter.narrowest)
-    solved = rows_of(run, solve, {task.name: task for task in longest})
-    rows = [row for task in every for row in solved[task.name]]
+    longest = sorted(chosen, key=lambda press: scene_of(press).indenter.narrowest)
+    by_name = rows_of(run, solve, {press.name: press for press in longest})
+    rows = [row for press in chosen for row in by_name[press.name]]
     return {"tier": tier, "processes": run.options.processes, "rows": rows}
-
-
-def _compared(tier: Fem | Layer | str, device: str, task: Task) -> list[dict[str, Any]]:
-    return [asdict(row) for row in compared(task, tier, device)]
 
 
 def solved(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -85,28 +78,26 @@ def covered(row: Mapping[str, Any]) -> bool:
 
 def figures(values: Mapping[str, Any]) -> list[str]:
     """Return a row of the table of tiers."""
-    rows = values["rows"]
-    right = solved(rows)
+    rows, right = values["rows"], solved(values["rows"])
+    of = [_title(values["tier"]), f"{len(right)} of {len(rows)}"]
     if not right:
-        return [_title(values["tier"]), f"0 of {len(rows)}", *("-" for _ in range(6))]
-    errors = [abs(row["error_percent"]) for row in right]
-    near = [abs(row["error_percent"]) <= WITHIN + row["truth_percent"] for row in right]
+        return [*of, *("-" for _ in range(6))]
+    errors = np.abs([row["error_percent"] for row in right])
+    near = errors <= WITHIN + np.array([row["truth_percent"] for row in right])
     stating = [row for row in right if row["stated_percent"] is not None]
-    seconds = sorted({row["case"]: row["seconds"] for row in rows}.values())
+    seconds = [*{row["case"]: row["seconds"] for row in rows}.values()]
+    middle, high, largest = np.quantile(errors, (0.5, 0.9, 1.0))
     return [
-        _title(values["tier"]),
-        f"{len(right)} of {len(rows)}",
-        f"{np.median(errors):.2f} %",
-        f"{np.quantile(errors, 0.9):.2f} %",
-        f"{max(errors):.2f} %",
-        f"{sum(near)}",
+        *of,
+        *(f"{error:.2f} %" for error in (middle, high, largest)),
+        f"{near.sum()}",
         f"{sum(map(covered, stating))} of {len(stating)}",
-        f"{np.median(seconds):.1f} s, {seconds[-1]:.0f} s",
+        f"{np.median(seconds):.1f} s, {max(seconds):.0f} s",
     ]
 
 
 def _title(tier: str) -> str:
-    return f"`{tier}`" if tier in ("layer", "fem", "mpm") else f"to {tier}"
+    return f"`{tier}`" if tier in ("layer", "fem") else f"to {tier}"
 
 
 def summary(values: dict[str, Any]) -> str:
@@ -127,7 +118,7 @@ force. "Within" and "inside" allow for the other method's own uncertainty. The s
 
 def tier_section(values: dict[str, Any], page: Page) -> str:
     """Return the errors by form, and the forces outside the stated error; `fem` has a picture."""
-    rows, tier = values["rows"], values["tier"]
+    rows, tier, right = values["rows"], values["tier"], solved(values["rows"])
     lines: list[list[object]] = []
     for kind in dict.fromkeys(row["kind"] for row in rows):
         these = [row for row in rows if row["kind"] == kind]
@@ -137,28 +128,30 @@ def tier_section(values: dict[str, Any], page: Page) -> str:
         lines.append([kind, len({row["case"] for row in these}), len(these), *cells, inside])
     head = ["indenter", "presses", "forces", "median error", "largest", "inside the stated error"]
     texts = [f"## {_title(tier)}", table(head, lines)]
-    if outside := [row for row in solved(rows) if not covered(row)]:
+    if outside := [row for row in right if not covered(row)]:
         outside.sort(key=lambda row: -abs(row["error_percent"]))
-        count = len(outside)
-        rim = [
-            [
-                row["case"],
-                f"{row['depth_mm']:.3g}",
-                f"{row['error_percent']:+.2f} %",
-                "none" if row["stated_percent"] is None else f"{row['stated_percent']:.2f} %",
-                f"{row['truth_percent']:.2f} %",
-            ]
-            for row in outside[:6]
-        ]
+        rim = [_outside(row) for row in outside[:6]]
         head = ["press", "depth [mm]", "error", "stated", "uncertainty of the other"]
-        more = f" (the {len(rim)} largest)" if count > len(rim) else ""
-        texts.append(f"Forces outside the stated error: {count}{more}.\n\n{table(head, rim)}")
+        more = f" (the {len(rim)} largest)" if len(outside) > len(rim) else ""
+        texts.append(f"Forces outside the stated error: {len(outside)}{more}.")
+        texts.append(table(head, rim))
     reasons = {row["case"]: row["reason"].partition("\n")[0] for row in rows if row["reason"]}
     texts += [f"No solution of {case}: {reason}" for case, reason in reasons.items()]
-    if tier == "fem" and solved(rows):
-        draw(solved(rows), page)
+    if tier == "fem" and right:
+        draw(right, page)
         texts.append(page.link("fem", "Error of each force beside the error that is stated"))
     return "\n\n".join(texts)
+
+
+def _outside(row: Mapping[str, Any]) -> list[str]:
+    stated = row["stated_percent"]
+    return [
+        row["case"],
+        f"{row['depth_mm']:.3g}",
+        f"{row['error_percent']:+.2f} %",
+        "none" if stated is None else f"{stated:.2f} %",
+        f"{row['truth_percent']:.2f} %",
+    ]
 
 
 def draw(rows: Sequence[Mapping[str, Any]], page: Page) -> None:
@@ -169,27 +162,20 @@ def draw(rows: Sequence[Mapping[str, Any]], page: Page) -> None:
         for index, kind in enumerate(kinds):
             these = [row for row in rows if row["kind"] == kind and row["stated_percent"]]
             error = np.maximum([abs(row["error_percent"]) for row in these], 0.01)
-            stated = [row["stated_percent"] for row in these]
             bars = [row["truth_percent"] for row in these]
-            color = COLORS[index % len(COLORS)]
-            marker = "os^Dv"[index // len(COLORS)]
-            low = np.minimum(bars, 0.9 * error)
             axes.errorbar(
-                stated,
+                [row["stated_percent"] for row in these],
                 error,
-                yerr=[low, bars],
-                fmt=marker,
+                yerr=[np.minimum(bars, 0.9 * error), bars],
+                fmt="os^Dv"[index // len(COLORS)],
+                color=COLORS[index % len(COLORS)],
                 ms=4,
                 lw=0.7,
-                color=color,
                 label=kind,
             )
         axes.plot([0.03, 100], [0.03, 100], color=INK, lw=0.9, ls="--")
         axes.text(22, 30, "error = stated", fontsize=8, ha="right")
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlim(0.2, 40)
-        axes.set_ylim(0.008, 40)
+        axes.set(xscale="log", yscale="log", xlim=(0.2, 40), ylim=(0.008, 40))
         axes.set_xlabel("error that the result states [%]")
         axes.set_ylabel("difference from the other method [%]")
         axes.set_title("Forces of `fem`; bars: uncertainty of the other method")
@@ -204,56 +190,50 @@ def formulas(run: Run) -> list[dict[str, float]]:
     ready_device(run.device)
     rows: list[dict[str, float]] = []
     for radius in RADII[1:2] if run.quick else RADII:
-        thickness = Body().thickness
-        depths = [thickness * depth for depth in DEPTHS if depth < radius]
-        body = Body(14 * thickness, 14 * thickness)
-        layer = LinearLayer(thickness, body.modulus, body.poisson)
-        scene = Scene(sphere(radius * thickness), press(depths), body)
-        by_layer = simulate(scene, Layer(grid=256))
-        by_fem = simulate(scene, Fem(fineness=0.3 if run.quick else 1.0), device=run.device)
-        for frame, depth in enumerate(depths, 1):
-            exact = layer_sphere(depth, radius * thickness, layer).force
-            of_layer, of_fem = (
-                float(-result.force[frame, 2] / exact - 1) for result in (by_layer, by_fem)
-            )
-            rows.append(
-                {
-                    "radius": radius,
-                    "depth": depth / thickness,
-                    "exact_n": exact,
-                    "layer": of_layer,
-                    "fem": of_fem,
-                }
-            )
+        rows += run.once(f"radius {radius:g}", partial(_sphere, run, radius))
         run.progress(len(rows) / (len(RADII) * len(DEPTHS)))
     return rows
+
+
+def _sphere(run: Run, radius: float) -> list[dict[str, float]]:
+    """Return the force at each depth, and the differences of `layer` and `fem` from it."""
+    thickness = Body().thickness
+    body = Body(14 * thickness, 14 * thickness)
+    layer = LinearLayer(thickness, body.modulus, body.poisson)
+    depths = [thickness * depth for depth in DEPTHS if depth < radius]
+    exact = np.array([layer_sphere(depth, radius * thickness, layer).force for depth in depths])
+    scene = Scene(sphere(radius * thickness), press(depths), body)
+    fem = Fem(fineness=0.3 if run.quick else 1.0)
+    forces = {
+        "layer": simulate(scene, Layer(grid=256)).force,
+        "fem": simulate(scene, fem, device=run.device).force,
+    }
+    off = {name: (-force[1:, 2] / exact - 1).tolist() for name, force in forces.items()}
+    return [
+        {
+            "radius": radius,
+            "depth": depth / thickness,
+            "exact_n": float(exact[index]),
+            **{name: each[index] for name, each in off.items()},
+        }
+        for index, depth in enumerate(depths)
+    ]
 
 
 def formulas_section(rows: list[dict[str, float]], _: Page) -> str:
     """Return the table of spheres on a linear layer."""
     lines = [
-        [
-            f"{row['radius']:g}",
-            f"{row['depth']:g}",
-            f"{row['exact_n']:.4g}",
-            f"{100 * row['layer']:+.2f} %",
-            f"{100 * row['fem']:+.2f} %",
-        ]
+        [f"{row['radius']:g}", f"{row['depth']:g}", f"{row['exact_n']:.4g}"]
+        + [f"{100 * row[tier]:+.2f} %" for tier in ("layer", "fem")]
         for row in rows
     ]
-    head = [
-        "radius over thickness",
-        "depth over thickness",
-        "exact, linear [N]",
-        "`layer`",
-        "`fem`",
-    ]
+    head = ["radius over thickness", "depth over thickness", "exact, linear [N]"]
     return f"""## Beside the exact linear layer
 A sphere on a layer of 4 mm and 145 kPa, 14 thicknesses wide, by the integral equation of a bonded
 layer, which is exact for small strain. `layer` (256 pixels) solves the same equations, so its
 difference is that of its pixels; that of `fem` is also what large strain adds.
 
-{table(head, lines)}
+{table([*head, "`layer`", "`fem`"], lines)}
 """
 
 
@@ -261,48 +241,40 @@ difference is that of its pixels; that of `fem` is also what large strain adds.
 
 
 def references(run: Run) -> dict[str, Any]:
-    """Solve the cases of the other methods again, and add those that are not stored."""
-    cases = [case for case in CASES if not run.quick or case.name.startswith(AGAIN)]
-    differences: dict[str, float] = {}
-
-    def keep(name: str, path: Path, again: Sequence[stored.Truth]) -> None:
-        before = [row for row in stored.load(path) if row.case == name]
-        if not again:
+    """Solve the presses by the other methods again, and add forces that are not stored."""
+    chosen = {
+        press.name: press
+        for press in PRESSES
+        if (press.name == AGAIN if run.quick else press.axisymmetric or interpreter())
+    }
+    added, differences = dict[str, Press](), dict[str, float]()
+    for name, row in rows_of(run, solved_again, chosen).items():
+        press, forces = chosen[name], np.array(row["forces_n"])
+        if len(forces) < len(press.path):
             run.failures.append(f"{name}: not solved again")
-        elif not before:
-            stored.add(path, again)
+        elif not press.forces_n:
+            added[name] = replace(press, **row)
         else:
-            pairs = [
-                np.nan_to_num([new.force, old.force])
-                for new, old in zip(again, before, strict=True)
-            ]
-            each = [np.linalg.norm(new - old) / np.linalg.norm(old) for new, old in pairs]
-            differences[name] = 100 * float(max(each))
+            off = np.linalg.norm(forces - press.forces_n, axis=1)
+            each = off / np.linalg.norm(press.forces_n, axis=1)
+            differences[name] = 100 * float(each.max())
             if differences[name] > REPEATS:
                 run.failures.append(f"{name}: {differences[name]:.2f} % from the stored force")
-
-    by_name = rows_of(run, _again, {case.name: case for case in cases})
-    for name, rows in by_name.items():
-        keep(name, stored.AXISYMMETRIC, [stored.Truth(**row) for row in rows])
-    for case in FOREIGN if stored.interpreter() and not run.quick else ():
-        rows = run.once(case.name, partial(_again, case))
-        keep(case.name, stored.GETFEM, [stored.Truth(**row) for row in rows])
-    methods = {"axisymmetric": stored.AXISYMMETRIC, "GetFEM": stored.GETFEM}
+    every = [added.get(press.name, press) for press in PRESSES]
+    if added:
+        store(every)
     return {
         "differences_percent": differences,
         "uncertainties_percent": {
-            name: [row.error_percent for row in stored.load(path)] for name, path in methods.items()
+            method: [
+                percent
+                for press in every
+                if press.axisymmetric == (method == "axisymmetric")
+                for percent in press.uncertainty_percent
+            ]
+            for method in ("axisymmetric", "GetFEM")
         },
     }
-
-
-def _again(case: Case | ForeignCase) -> list[dict[str, Any]]:
-    if isinstance(case, ForeignCase):
-        return [*map(asdict, stored.by_getfem(case))]
-    try:
-        return [*map(asdict, stored.by_axisymmetric(case))]
-    except NotSolved:
-        return []
 
 
 def references_section(values: dict[str, Any], _: Page) -> str:

@@ -190,9 +190,9 @@ def simple_shear_stress(amount: float, modulus: float, poisson: float) -> tuple[
     return shear * amount, -shear * amount**2 / 3
 
 
-# Viscosity, weight and inertia of a linear body. The modulus is
-# E(t) = E (1 + sum_i ratio_i exp(-t/time_i)) with the equilibrium modulus E; nu is constant.
-# A wide bonded layer, from z = -h to 0, is a function of height at several heights from its sides.
+# Viscosity, weight and inertia of a linear body: E(t) = E (1 + sum_i ratio_i exp(-t/time_i)) with
+# the equilibrium modulus E; nu is constant. A wide bonded layer, from z = -h to 0, is a function of
+# height at several heights from its sides.
 
 
 def hereditary(
@@ -201,7 +201,8 @@ def hereditary(
     """Return the force at `time` (N,) [N] of a body whose equilibrium elastic force is `force`.
 
     int_0^t (E(t - s)/E) dF_el(s), exact if the elastic force is linear between the times (a punch
-    with linear motion); otherwise use many times. The contact must not shrink.
+    with linear motion); otherwise use many times. The contact must not shrink: Lee & Radok,
+    J. Appl. Mech. 27 (1960) 438.
 
     Raises:
         ValueError: Times that do not increase, or lengths that differ.

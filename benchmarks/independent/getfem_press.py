@@ -2,12 +2,12 @@
 
     python3 -m benchmarks.independent.getfem_press NAME SCALE
 
-prints one line of JSON per point of the path: force on the body [N] and number of elements. SCALE
-multiplies the size of every element. GetFEM (getfem.org; Debian: python3-getfem) assembles the weak
+prints the force on the body [N], as JSON, at each point of the path. SCALE multiplies the size of
+every element. GetFEM (getfem.org; Debian: python3-getfem) assembles the weak
 form written below and differentiates it; the mesh, Newton's method and the steps are ours. Elements
 are of second order (20 nodes), units are millimetres and newtons. Contact uses an augmented
 Lagrangian with a signed distance written in GetFEM's language; every indenter is a core grown by
-its edge radius. Equations are solved by pypardiso if installed, else by GetFEM's MUMPS.
+its edge radius.
 """
 
 from __future__ import annotations
@@ -20,16 +20,10 @@ from typing import Any
 
 import getfem
 import numpy as np
-import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from benchmarks.independent.foreign_cases import CASES, ForeignCase
 from benchmarks.independent.mesh import Fine, graded
-
-try:
-    import pypardiso
-except ImportError:
-    pypardiso = None
+from benchmarks.independent.presses import MODULUS, PRESSES, Press
 
 Array = NDArray[np.float64]
 
@@ -52,7 +46,7 @@ def lines(low: float, high: float, zones: Any, scale: float, coarsest: float) ->
     return graded(low, high, places, GROWTH, coarsest * scale)
 
 
-def mesh_of(case: ForeignCase, scale: float) -> Any:
+def mesh_of(case: Press, scale: float) -> Any:
     """Return hexahedra between lines; with a dome, of second order and stretched to it along z."""
     size_x, size_y, thick = case.size
     x = lines(0.0 if "x" in case.mirrors else -size_x / 2, size_x / 2, case.x_zones, scale, 3.0)
@@ -80,7 +74,7 @@ def mesh_of(case: ForeignCase, scale: float) -> Any:
     return mesh
 
 
-def turned(case: ForeignCase) -> tuple[Array, float]:
+def turned(case: Press) -> tuple[Array, float]:
     """Return the rotation of the indenter, and its rise that keeps its tip lowest [mm]."""
     about = np.radians(np.array([*case.tilt, 0.0]))
     angle = float(np.linalg.norm(about))
@@ -94,7 +88,7 @@ def turned(case: ForeignCase) -> tuple[Array, float]:
     return turn, far * math.sin(angle) + edge * (1 - math.cos(angle))
 
 
-def distance(case: ForeignCase) -> str:
+def distance(case: Press) -> str:
     """Return the signed distance as an expression of the place q in the indenter's frame."""
     measures = case.measures
     if case.shape == "spheres":
@@ -131,10 +125,9 @@ def _least(one: str, other: str) -> str:
 class Solver:
     """GetFEM model of a case, with Newton's method."""
 
-    def __init__(self, case: ForeignCase, scale: float) -> None:
+    def __init__(self, case: Press, scale: float) -> None:
         self.case = case
         mesh = mesh_of(case, scale)
-        self.elements = int(mesh.nbcvs())
         thick = case.size[2]
         mesh.set_region(BASE, mesh.outer_faces_with_direction([0, 0, -1], 0.01))
         mesh.set_region(TOP, mesh.outer_faces_with_direction([0, 0, 1], 0.6))
@@ -160,7 +153,7 @@ class Solver:
         case, model = self.case, getfem.Model("real")
         # Heaviside(t) with a derivative of 0, so that expressions with it can be differentiated.
         getfem.asm_define_function("step", 1, "Heaviside(t)", "0*t")
-        modulus = case.modulus * 1e-6
+        modulus = MODULUS * 1e-6
         model.add_fem_variable("u", self.field)
         model.add_initialized_data("G", modulus / (2 * (1 + case.poisson)))
         model.add_initialized_data("K", modulus / (3 * (1 - 2 * case.poisson)))
@@ -270,23 +263,8 @@ class Solver:
             self.model.set_variable("shear", self.model.interpolation("rub", self.vector, TOP))
 
     def _solve(self, right: Array) -> Array:
-        tangent = self.model.tangent_matrix()
-        if pypardiso is None:
-            matrix = getfem.Spmat("copy", tangent, self.free, self.free)
-            return np.ravel(getfem.linsolve_mumps(matrix, right))
-        starts, rows = tangent.csc_ind()
-        size = self.field.nbdof()
-        matrix = sparse.csc_matrix((tangent.csc_val(), rows, starts), shape=(size, size))
-        matrix = matrix[self.free][:, self.free].tocsr()
-        kind = 11 if self.case.friction else -2
-        if kind == -2:
-            matrix = sparse.triu(matrix).tocsr()
-        matrix.sort_indices()
-        solver = pypardiso.PyPardisoSolver(mtype=kind)
-        solver.factorize(matrix)
-        solution = solver.solve(matrix, right)
-        solver.free_memory(everything=True)
-        return np.asarray(solution)
+        matrix = getfem.Spmat("copy", self.model.tangent_matrix(), self.free, self.free)
+        return np.ravel(getfem.linsolve_mumps(matrix, right))
 
     def settle(self) -> None:
         """Update the multipliers, so that no penetration remains."""
@@ -305,7 +283,7 @@ class Solver:
 
 def main(name: str, scale: float) -> int:
     """Solve a case and print each of its forces."""
-    case = next(case for case in CASES if case.name == name)
+    case = next(press for press in PRESSES if press.name == name)
     solver = Solver(case, scale)
     start = np.array([case.path[0][0], case.path[0][1], 0.0])
     heading = np.zeros(3)
@@ -332,8 +310,7 @@ def main(name: str, scale: float) -> int:
                     return 1
         solver.settle()
         start = aim
-        force = [float(value) for value in solver.force()]
-        print(json.dumps({"force": force, "elements": solver.elements}), flush=True)
+        print(json.dumps(solver.force().tolist()), flush=True)
     return 0
 
 

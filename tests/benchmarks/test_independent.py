@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq
 from support.commands import run_module
 
-from benchmarks.independent import command
+from benchmarks.independent import command, presses
 from benchmarks.independent.axisymmetric import AxisymmetricPress, Layer
-from benchmarks.independent.cases import CASES, Case
+from benchmarks.independent.comparison import scene_of
 from benchmarks.independent.element import Elastic, Grid
-from benchmarks.independent.foreign_cases import CASES as FOREIGN
+from benchmarks.independent.formulas import uniaxial_stress
 from benchmarks.independent.linear_layer import LinearLayer, layer_punch, layer_sphere
 from benchmarks.independent.mesh import Fine, layer_grid
-from benchmarks.independent.presses import foreign_scene, scene_of
+from benchmarks.independent.presses import MODULUS, PRESSES, Press, Shape
 from benchmarks.independent.profile import Profile, cone, punch, sphere, torus, tube
-from benchmarks.independent.stored import AXISYMMETRIC, COARSE, GETFEM, load, solved
+from benchmarks.independent.references import COARSE, answers, fine_zones, profile_of, touched, way
 from benchmarks.report import Page
 
 MM = 1e-3
-MODULUS, POISSON = 0.145e6, 0.45
+POISSON = 0.45
+AXISYMMETRIC = [press for press in PRESSES if press.axisymmetric]
 
 
 def test_the_tangent_is_the_derivative_of_the_force_and_that_of_the_energy() -> None:
@@ -55,49 +56,38 @@ def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
     layer = Layer(3 * MM, 2 * MM, MODULUS, POISSON, base="sliding")
     grid = Grid(np.linspace(0, 3 * MM, 4), np.linspace(-2 * MM, 0, 3))
     press = AxisymmetricPress(layer, punch(1.0, 0.1), grid, 0.0, 3 * MM)
-    found = press.run([0.4 * MM], [0.2 * MM])[0]
+    answer = press.run([0.4 * MM], [0.2 * MM])[0]
+    expected = -uniaxial_stress(0.8, MODULUS, POISSON) * math.pi * (3 * MM) ** 2
+    assert answer.force == pytest.approx(expected, rel=1e-4)
+    assert answer.balance < 1e-6
 
-    def stress(across: float) -> tuple[float, float]:
-        stretch = 0.8
-        j, square = across**2 * stretch, 2 * across**2 + stretch**2
-        pressure = layer.bulk / 2 * (j - 1 / j) * j
-        scale = layer.shear * j ** (-2 / 3)
-        side = scale * (across**2 - square / 3) + pressure
-        return side, (scale * (stretch**2 - square / 3) + pressure) / stretch
 
-    across = brentq(lambda value: stress(value)[0], 1.0, 1.3, xtol=1e-14)
-    expected = -stress(across)[1] * math.pi * (3 * MM) ** 2
-    assert found.force == pytest.approx(expected, rel=1e-4)
-    assert found.balance < 1e-6
+def a_press(shape: Shape, measures: tuple[float, ...], thickness: float, *depths: float) -> Press:
+    """Return a press without friction into a body that is wide enough [mm]."""
+    press = Press("", shape, measures, tuple((0.0, 0.0, depth) for depth in depths))
+    width = 2.0 * math.ceil(touched(press, max(depths))[1] + 4 * thickness)
+    return replace(press, size=(width, width, thickness))
+
+
+def coarsely(press: Press) -> list[float]:
+    """Return the forces of a press on a coarse mesh [N]."""
+    return [answer.force for answer in answers(press, press.size[0] / 2 * MM, COARSE)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("case", "force"),
-    [
-        (
-            Case("sphere", (4,), 4, (0.02,)),
-            layer_sphere(0.02 * MM, 4 * MM, LinearLayer(4 * MM, MODULUS, POISSON)).force,
-        ),
-        (
-            Case("sphere", (10,), 1, (0.02,)),
-            layer_sphere(0.02 * MM, 10 * MM, LinearLayer(1 * MM, MODULUS, POISSON)).force,
-        ),
-    ],
-    ids=lambda value: value.name if isinstance(value, Case) else "",
-)
-def test_small_presses_follow_the_integral_equation(case: Case, force: float) -> None:
-    assert solved(case, case.size / 2 * MM, COARSE)[0].force == pytest.approx(force, rel=4e-3)
+@pytest.mark.parametrize(("radius", "thickness"), [(4, 4), (10, 1)])
+def test_small_presses_follow_the_integral_equation(radius: float, thickness: float) -> None:
+    layer = LinearLayer(thickness * MM, MODULUS, POISSON)
+    exact = layer_sphere(0.02 * MM, radius * MM, layer).force
+    force = coarsely(a_press("sphere", (radius,), thickness, 0.02))
+    assert force == pytest.approx([exact], rel=4e-3)
 
 
 @pytest.mark.slow
 def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
     """The rounded edge reduces the effective radius by about its part that is not in contact."""
     depth = 2e-3
-    forces = {}
-    for edge in (0.2, 0.1):
-        case = Case("punch", (3, edge), 4, (depth,))
-        forces[edge] = solved(case, case.size / 2 * MM, COARSE)[0].force
+    forces = {edge: coarsely(a_press("punch", (3, edge), 4, depth))[0] for edge in (0.2, 0.1)}
     sharp = layer_punch(depth * MM, 3 * MM, LinearLayer(4 * MM, MODULUS, POISSON)).force
     assert forces[0.2] < forces[0.1] < sharp
     within = layer_punch(depth * MM, 2.8 * MM, LinearLayer(4 * MM, MODULUS, POISSON)).force
@@ -106,19 +96,18 @@ def test_a_punch_with_a_small_edge_nears_the_sharp_one() -> None:
 
 @pytest.mark.slow
 def test_the_bench_sphere_has_its_known_forces() -> None:
-    case = Case("sphere", (4,), 4, (0.5, 1, 1.5))
-    found = [answer.force for answer in solved(case, case.size / 2 * MM, COARSE)]
-    assert found == pytest.approx([0.2662, 0.9267, 1.977], rel=1.5e-3)
+    forces = coarsely(a_press("sphere", (4,), 4, 0.5, 1, 1.5))
+    assert forces == pytest.approx([0.2662, 0.9267, 1.977], rel=1.5e-3)
 
 
 @pytest.mark.slow
 def test_friction_that_never_slips_is_the_limit_of_much_friction() -> None:
     layer = Layer(8 * MM, 2 * MM)
-    case = Case("sphere", (2,), 2, (0.4,))
-    grid = layer_grid(layer.radius, layer.thickness, case.places(10))
+    press = a_press("sphere", (2,), 2, 0.4)
+    grid = layer_grid(layer.radius, layer.thickness, fine_zones(press, 10))
     force = [
         AxisymmetricPress(layer, sphere(2 * MM), grid, friction, MM)
-        .run([0.4 * MM], case.path(10))[0]
+        .run([0.4 * MM], way(press, 10))[0]
         .force
         for friction in (0.0, 0.5, 5.0, 50.0)
     ]
@@ -148,33 +137,41 @@ def test_gradient_and_curvature_are_derivatives_of_the_distance(profile: Profile
     assert smooth.mean() > 0.97
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_the_outline_is_that_of_the_indenter_of_sim(case: Case) -> None:
-    indenter = scene_of(case).indenter
-    r = np.linspace(0, 1.1 * case.touched(max(case.depths))[1], 60) * MM
+@pytest.mark.parametrize("press", AXISYMMETRIC, ids=lambda press: press.name)
+def test_the_outline_is_that_of_the_indenter_of_sim(press: Press) -> None:
+    indenter = scene_of(press).indenter
+    r = np.linspace(0, 1.1 * touched(press, max(press.depths))[1], 60) * MM
     z = np.linspace(-0.3, 0.05, 60) * MM
     expected, _ = indenter.distance(np.stack([r, 0 * r, z], axis=1))
-    found = case.profile.distance(r, z)[0]
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(profile_of(press).distance(r, z)[0], expected, rtol=0, atol=1e-9)
 
 
-def test_all_scenes_can_be_built_and_have_different_names() -> None:
-    assert all(foreign_scene(case).motion.depth_max > 0 for case in FOREIGN)
-    names = [case.name for case in CASES] + [case.name for case in FOREIGN]
-    assert len(set(names)) == len(names)
+def test_all_presses_have_scenes_names_and_forces_that_are_good_enough() -> None:
+    assert (len(AXISYMMETRIC), len({press.name for press in PRESSES})) == (50, 61)
+    for press in PRESSES:
+        assert scene_of(press).motion.depth_max > 0
+        uncertain = 0.6 if press.axisymmetric else 1.6
+        for force, percent in zip(press.forces_n, press.uncertainty_percent, strict=True):
+            assert force[2] < 0 < percent < uncertain
+        assert len(press.forces_n) == len(press.path)
 
 
-def test_the_stored_forces_are_of_these_cases_and_good_enough() -> None:
-    tips = {case.name: [(0.0, 0.0, depth) for depth in case.depths] for case in CASES}
-    foreign = {case.name: list(case.path) for case in FOREIGN}
-    for path, cases, uncertain in ((AXISYMMETRIC, tips, 0.6), (GETFEM, foreign, 1.6)):
-        rows = load(path)
-        assert {row.case for row in rows} == set(cases)
-        for row in rows:
-            assert (row.x_mm, row.y_mm, row.depth_mm) in cases[row.case]
-            assert 0 < row.error_percent < uncertain
-            assert row.force_z_n < 0
-    assert (len(tips), len(foreign)) == (50, 11)
+def test_axisymmetric_presses_are_named_after_their_measures_and_wide_enough() -> None:
+    for press in AXISYMMETRIC:
+        measures = "/".join(f"{measure:g}" for measure in press.measures)
+        body = f"{press.size[2]:g}, mu {press.friction:g}, nu {press.poisson:g}"
+        assert press.name == f"{press.shape} {measures} in {body}, to {max(press.depths):g}"
+        reach = touched(press, max(press.depths))[1]
+        assert press.size[0] == press.size[1] >= 2 * (reach + 4 * press.size[2])
+
+
+def test_presses_are_stored_as_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = presses.FILE.read_text()
+    monkeypatch.setattr(presses, "FILE", tmp_path / "presses.json")
+    presses.store(PRESSES)
+    assert presses.FILE.read_text() == before
 
 
 @pytest.fixture(scope="module")

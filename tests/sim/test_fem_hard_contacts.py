@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.independent.foreign_cases import CASES
-from benchmarks.independent.stored import GETFEM, load
+from benchmarks.independent.presses import PRESSES
 from sim import Body, Effects, Friction, Layer, Motion, Result, Scene, press, simulate
 from sim.fem import Fem
 from sim.indenters import Indenter, box, plane, sphere
@@ -20,15 +19,14 @@ BLADE = box(0.5e-3, 12e-3, 0.2e-3)
 
 def _against_getfem(name: str, indenter: Indenter, fem: Fem = Fem()) -> Result:
     """Solve a case with `sim` and compare its forces with GetFEM's within both stated errors."""
-    path = next(case.path for case in CASES if case.name == name)
-    truths = [row for row in load(GETFEM) if row.case == name]
-    tip = [(x * 1e-3, y * 1e-3, -depth * 1e-3) for x, y, depth in path]
+    exact = next(press for press in PRESSES if press.name == name)
+    tip = [(x * 1e-3, y * 1e-3, -depth * 1e-3) for x, y, depth in exact.path]
     motion = Motion(tuple(tip), tuple(0.1 * index for index in range(len(tip))))
     result = simulate(Scene(indenter, motion), fem)
-    force = np.array([row.force for row in truths])
+    force = np.array(exact.forces_n)
     assert len(force) == len(result.force)
     off = np.linalg.norm(result.force - force, axis=1) / np.linalg.norm(force, axis=1)
-    known = np.array([row.error_percent for row in truths]) / 100
+    known = np.array(exact.uncertainty_percent) / 100
     assert (off < np.array(result.record["error"]["force"]) + known).all()
     return result
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import sim.tolerance as module
-from benchmarks.independent.presses import tasks
+from benchmarks.independent.comparison import scene_of
+from benchmarks.independent.presses import PRESSES
 from sim import Body, Fem, Layer, Scene, plan, press, simulate
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import flat_punch, named, sphere
@@ -69,11 +70,11 @@ def test_layer_is_taken_where_its_estimate_is_below_and_says_why() -> None:
 )
 @pytest.mark.usefixtures("no_meshes")
 def test_its_forces_are_within_the_tolerance_of_the_truth(name: str, percent: float) -> None:
-    (task,) = tasks([name])
-    result = plan(task.scene, f"{percent:g} %").run()
+    exact = next(press for press in PRESSES if press.name == name)
+    result = plan(scene_of(exact), f"{percent:g} %").run()
     assert result.tier == "layer"
-    truths = np.array([-truth[2] for truth in task.truths])
-    off = np.abs(-result.force[list(task.frames), 2] - truths)
+    truths = -np.array(exact.forces_n)[:, 2]
+    off = np.abs(-result.force[1:, 2] - truths)
     assert (off <= percent / 100 * np.maximum(truths, 0.1 * truths.max())).all()
 
 
