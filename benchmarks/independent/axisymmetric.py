@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from benchmarks.independent.element import Elastic, Grid, quadratic
+from benchmarks.independent.element import Elastic, Grid, assembled, outer, quadratic
+from benchmarks.independent.formulas import shear_and_bulk
 from benchmarks.independent.profile import Profile
 
 Array = NDArray[np.float64]
@@ -60,16 +61,6 @@ class Layer:
     base: Base = "bonded"
     """`sliding` lets the base move sideways, so that a press by a plane is uniform."""
 
-    @property
-    def shear(self) -> float:
-        """Shear modulus G [Pa]."""
-        return self.modulus / (2 * (1 + self.poisson))
-
-    @property
-    def bulk(self) -> float:
-        """Bulk modulus K [Pa]."""
-        return self.modulus / (3 * (1 - 2 * self.poisson))
-
 
 @dataclass(frozen=True)
 class Answer:
@@ -79,8 +70,6 @@ class Answer:
     """[m]."""
     force: float
     """Force along the axis [N]."""
-    contact_radius: float
-    """Largest deformed radius in contact [m]."""
     balance: float
     """|force + reaction of the base| over force."""
     det_f_min: float
@@ -119,7 +108,8 @@ class AxisymmetricPress:
         self, layer: Layer, profile: Profile, grid: Grid, friction: float, contact_radius: float
     ) -> None:
         self.layer, self.profile, self.grid, self.friction = layer, profile, grid, friction
-        self.elastic = Elastic(grid, layer.shear, layer.bulk)
+        shear, bulk = shear_and_bulk(layer.modulus, layer.poisson)
+        self.elastic = Elastic(grid, shear, bulk)
         self.stiffness = STIFFNESS * layer.modulus / min(contact_radius, layer.thickness)
         self.nodes = grid.nodes
         top = grid.top
@@ -130,7 +120,7 @@ class AxisymmetricPress:
         self.area = 2 * math.pi * self.r * weight * along
         self.unknowns = (2 * top[:, :, None] + np.arange(2)).reshape(len(top), 6)
         # Stresses are sums of terms as large as the bulk modulus, which sets the rounding error.
-        self.rounding = 2e-14 * layer.bulk * layer.radius * layer.thickness
+        self.rounding = 2e-14 * bulk * layer.radius * layer.thickness
         fixed = np.isclose(self.nodes[:, 0], 0)
         low = np.isclose(self.nodes[:, 1], -layer.thickness)
         held = np.zeros((len(self.nodes), 2), bool)
@@ -241,7 +231,8 @@ class AxisymmetricPress:
         return contact, residual, self.elastic.energy(u) + stored
 
     def _inverted(self, u: Array) -> bool:
-        return bool(min(values.min() for values in self.elastic.dilatation(u)) < DET_MIN)
+        _, j, theta = self.elastic.strain(u)
+        return bool(min(j.min(), theta.min()) < DET_MIN)
 
     def _tractions(self, old: RingState, u: Array, tip: float) -> Contact:
         """Return the tractions of the indenter on the top, and their derivative."""
@@ -253,11 +244,9 @@ class AxisymmetricPress:
         touching = pressure > 0
         normal = np.stack([normal_r, normal_z], axis=-1)
         tangent = np.stack([normal_z, -normal_r], axis=-1)
-        outer = normal[..., :, None] * normal[..., None, :]
-        across = tangent[..., :, None] * tangent[..., None, :]
-        stiff = touching[..., None, None] * (
-            self.stiffness * outer - (pressure * bend)[..., None, None] * across
-        )
+        across = outer(tangent, tangent)
+        stiff = self.stiffness * outer(normal, normal)
+        stiff = stiff - (pressure * bend)[..., None, None] * across
         traction = pressure[..., None] * normal
         shear = np.zeros_like(pressure)
         if self.friction:
@@ -271,21 +260,18 @@ class AxisymmetricPress:
             shear = np.where(slips, np.sign(trial) * limit, trial) * touching
             # d(tangent) = -bend (tangent . dx) normal, d(pressure) = -stiffness normal . dx
             off = np.sum(slip * normal, axis=-1)
-            mixed = tangent[..., :, None] * normal[..., None, :]
+            mixed = outer(tangent, normal)
             sticking = (fraction * (1 - off * bend))[..., None, None] * across
             sticking = -self.stiffness * (sticking + (along * rise)[..., None, None] * mixed)
             sliding = (-self.friction * self.stiffness * np.sign(trial))[..., None, None] * mixed
             change = np.where(slips[..., None, None], sliding, sticking)
-            turned = (shear * bend)[..., None, None] * (
-                normal[..., :, None] * tangent[..., None, :]
-            )
-            stiff = stiff - touching[..., None, None] * (change - turned)
+            stiff = stiff - change + (shear * bend)[..., None, None] * outer(normal, tangent)
             traction = traction + shear[..., None] * tangent
+        stiff = touching[..., None, None] * stiff
         weighted = traction * self.area[..., None]
         nodal = np.einsum("pn,spc->snc", self.shape, weighted).reshape(-1, 6)
         force = -float(weighted[..., 1].sum())
-        reach = float((r * touching).max(initial=0.0))
-        return Contact(pressure, shear, nodal, stiff, force, reach)
+        return Contact(pressure, shear, nodal, stiff, force)
 
     def _touched(self, old: RingState, before: Array, gap: Array) -> tuple[Array, Array]:
         """Return the fraction of the step in contact (S, P), and its derivative by the gap [1/m].
@@ -303,21 +289,17 @@ class AxisymmetricPress:
         local = np.einsum(
             "pn,spcd,sp,pm->sncmd", self.shape, contact.stiff, self.area, self.shape, optimize=True
         )
-        rows = np.repeat(self.unknowns, 6, axis=1).ravel()
-        columns = np.tile(self.unknowns, (1, 6)).ravel()
-        count = 2 * len(self.nodes)
-        return csc_matrix((local.ravel(), (rows, columns)), shape=(count, count))
+        return assembled(local, self.unknowns, 2 * len(self.nodes))
 
     def _answer(self, state: RingState, depth: float) -> Answer:
         contact = self._tractions(state, state.u, state.tip)
         force = self.elastic.force(state.u)
         balance = abs(contact.force - float(force[self.base].sum())) / contact.force
-        j, _ = self.elastic.dilatation(state.u)
         load = contact.pressure * self.area
         left = np.maximum(contact.pressure - state.multiplier, 0.0) / self.stiffness
         penetration = float(np.sum(load * left) / np.sum(load)) / depth
-        det = float(j.min())
-        return Answer(depth, contact.force, contact.reach, balance, det, penetration)
+        det = float(self.elastic.strain(state.u)[1].min())
+        return Answer(depth, contact.force, balance, det, penetration)
 
 
 @dataclass(frozen=True)
@@ -334,5 +316,3 @@ class Contact:
     """-d(traction)/d(place) at the points, (S, P, 2, 2) [Pa/m]."""
     force: float
     """Downward force of the indenter [N]."""
-    reach: float
-    """Largest r in contact [m]."""

@@ -124,26 +124,21 @@ class Elastic:
         self.linear = np.stack([np.ones_like(first), first, second], axis=1)
         mass = np.einsum("ep,pa,pb->eab", self.volume, self.linear, self.linear)
         self.inverse = np.linalg.inv(mass)
-        self._rows = np.repeat(self.unknowns, 18, axis=1).ravel()
-        self._columns = np.tile(self.unknowns, (1, 18)).ravel()
 
-    def gradients(self, u: Array) -> Array:
-        """Return F at the points of the elements, (E, P, 5), from displacements (2 N,) [m]."""
+    def strain(self, u: Array) -> tuple[Array, Array, Array]:
+        """Return F (E, P, 5), J and its projection theta, (E, P) each, at the points.
+
+        Args:
+            u: Displacements (2 N,) [m].
+        """
         f: Array = np.matmul(self.operator, u[self.unknowns][:, None, :, None])[..., 0]
         f[:, :, [0, 3, 4]] += 1
-        return f
-
-    def dilatation(self, u: Array) -> tuple[Array, Array]:
-        """Return J at the points and its projection theta, (E, P) each."""
-        f = self.gradients(u)
-        j = _determinant(f)
-        return j, self._projected(j)
+        j = (f[..., 0] * f[..., 3] - f[..., 1] * f[..., 2]) * f[..., 4]
+        return f, j, self._projected(j)
 
     def energy(self, u: Array) -> float:
         """Return the stored energy [J]; inf if an element is inverted."""
-        f = self.gradients(u)
-        j = _determinant(f)
-        theta = self._projected(j)
+        f, j, theta = self.strain(u)
         if min(j.min(), theta.min()) <= 0:
             return math.inf
         density = self.shear / 2 * (j ** (-2 / 3) * np.sum(f * f, axis=-1) - 3)
@@ -152,17 +147,11 @@ class Elastic:
 
     def force(self, u: Array) -> Array:
         """Return the first derivative of the energy (2 N,) [N]."""
-        f = self.gradients(u)
-        j = _determinant(f)
-        theta = self._projected(j)
-        cofactor = _cofactor(f)
-        square = np.sum(f * f, axis=-1)
-        stress = (self.shear * j ** (-2 / 3))[..., None] * (
-            f - (square / 3 / j)[..., None] * cofactor
-        )
-        # Pressure: the projection of dU/dtheta, which is the conjugate of J.
-        pressure = self._projected(self.bulk / 2 * (theta - 1 / theta))
-        stress += pressure[..., None] * cofactor
+        f, j, theta = self.strain(u)
+        cofactor, square = _cofactor(f), np.sum(f * f, axis=-1)
+        stress = f - (square / 3 / j)[..., None] * cofactor
+        stress *= (self.shear * j ** (-2 / 3))[..., None]
+        stress += self._pressure(theta)[..., None] * cofactor
         weighted = (stress * self.volume[..., None]).reshape(len(f), 1, -1)
         nodal = np.matmul(weighted, self.operator.reshape(len(f), -1, 18))
         whole = np.bincount(self.unknowns.ravel(), nodal.ravel(), self.count)
@@ -170,27 +159,20 @@ class Elastic:
 
     def tangent(self, u: Array) -> csc_matrix:
         """Return the second derivative of the energy (2 N, 2 N) [N/m]."""
-        f = self.gradients(u)
-        j = _determinant(f)
-        theta = self._projected(j)
+        f, j, theta = self.strain(u)
         cofactor, second = _cofactor(f), _second(f)
         square = np.sum(f * f, axis=-1)
         log_slope = cofactor / j[..., None]
-        scale = self.shear * j ** (-2 / 3)
-        pressure = self._projected(self.bulk / 2 * (theta - 1 / theta))
-        mixed = f[..., :, None] * log_slope[..., None, :]
+        mixed = outer(f, log_slope)
         stiff = np.eye(5) - 2 / 3 * (mixed + np.swapaxes(mixed, -1, -2))
-        stiff += (5 / 9 * square)[..., None, None] * (
-            log_slope[..., :, None] * log_slope[..., None, :]
-        )
+        stiff += (5 / 9 * square)[..., None, None] * outer(log_slope, log_slope)
         stiff -= (square / 3 / j)[..., None, None] * second
-        stiff = scale[..., None, None] * stiff + pressure[..., None, None] * second
+        stiff *= (self.shear * j ** (-2 / 3))[..., None, None]
+        stiff += self._pressure(theta)[..., None, None] * second
         weighted = np.matmul(stiff * self.volume[..., None, None], self.operator)
-        count = len(f)
-        tangent = np.matmul(
-            np.swapaxes(self.operator.reshape(count, -1, 18), 1, 2),
-            weighted.reshape(count, -1, 18),
-        )
+        shape = (len(f), -1, 18)
+        across = np.swapaxes(self.operator.reshape(shape), 1, 2)
+        tangent = np.matmul(across, weighted.reshape(shape))
         # Derivative of the coefficients of theta, (E, 3, 18), and the curvature of U along them.
         change = np.einsum("epi,epik->epk", cofactor, self.operator, optimize=True)
         moved = np.einsum("ep,pa,epk->eak", self.volume, self.linear, change, optimize=True)
@@ -198,9 +180,11 @@ class Elastic:
         bend = self.bulk / 2 * (1 + theta**-2) * self.volume
         curve = np.einsum("ep,pa,pb->eab", bend, self.linear, self.linear, optimize=True)
         tangent += np.matmul(np.swapaxes(moved, 1, 2), np.matmul(curve, moved))
-        return csc_matrix(
-            (tangent.ravel(), (self._rows, self._columns)), shape=(self.count, self.count)
-        )
+        return assembled(tangent, self.unknowns, self.count)
+
+    def _pressure(self, theta: Array) -> Array:
+        """Return the projection of dU/dtheta, which is the conjugate of J."""
+        return self._projected(self.bulk / 2 * (theta - 1 / theta))
 
     def _projected(self, values: Array) -> Array:
         """Return the linear function nearest to `values` (E, P) in each element."""
@@ -209,9 +193,16 @@ class Elastic:
         return projected
 
 
-def _determinant(f: Array) -> Array:
-    det: Array = (f[..., 0] * f[..., 3] - f[..., 1] * f[..., 2]) * f[..., 4]
-    return det
+def assembled(local: Array, unknowns: Index, count: int) -> csc_matrix:
+    """Return the sum (count, count) of matrices (E, M, M) of elements with `unknowns` (E, M)."""
+    rows, columns = np.broadcast_arrays(unknowns[:, :, None], unknowns[:, None, :])
+    return csc_matrix((local.ravel(), (rows.ravel(), columns.ravel())), shape=(count, count))
+
+
+def outer(one: Array, other: Array) -> Array:
+    """Return the products (..., M, N) of the entries of two vectors, (..., M) and (..., N)."""
+    products: Array = one[..., :, None] * other[..., None, :]
+    return products
 
 
 def _cofactor(f: Array) -> Array:
@@ -224,13 +215,7 @@ def _second(f: Array) -> Array:
     """Return the second derivative of the determinant, (..., 5, 5)."""
     rr, rz, zr, zz, hoop = np.moveaxis(f, -1, 0)
     second = np.zeros((*f.shape, 5))
-    for first, other, value in (
-        (0, 3, hoop),
-        (1, 2, -hoop),
-        (0, 4, zz),
-        (1, 4, -zr),
-        (2, 4, -rz),
-        (3, 4, rr),
-    ):
+    pairs = ((0, 3, hoop), (1, 2, -hoop), (0, 4, zz), (1, 4, -zr), (2, 4, -rz), (3, 4, rr))
+    for first, other, value in pairs:
         second[..., first, other] = second[..., other, first] = value
     return second

@@ -1,8 +1,8 @@
 """Closed forms of presses, which share no code with the simulator.
 
 SI units; a force that presses and a depth are positive. Displacements are in the contact frame: z
-points out of the material. E, nu: Young's modulus and Poisson's ratio; E* = E / (1 - nu^2);
-G = E / (2 (1 + nu)), K = E / (3 (1 - 2 nu)); M = K + 4 G / 3, the oedometric modulus.
+points out of the material. E is Young's modulus, nu Poisson's ratio; E*, M, G and K are those of
+the first functions.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def reduced_modulus(modulus: float, poisson: float) -> float:
-    """Return E* [Pa], the modulus of frictionless contact with a rigid body."""
+    """Return E* = E / (1 - nu^2) [Pa], the modulus of frictionless contact with a rigid body."""
     return modulus / (1 - poisson**2)
 
 
@@ -27,7 +27,8 @@ def oedometric_modulus(modulus: float, poisson: float) -> float:
     return modulus * (1 - poisson) / ((1 + poisson) * (1 - 2 * poisson))
 
 
-def _shear_and_bulk(modulus: float, poisson: float) -> tuple[float, float]:
+def shear_and_bulk(modulus: float, poisson: float) -> tuple[float, float]:
+    """Return G = E / (2 (1 + nu)) and K = E / (3 (1 - 2 nu)) [Pa]."""
     return modulus / (2 * (1 + poisson)), modulus / (3 * (1 - 2 * poisson))
 
 
@@ -131,7 +132,7 @@ def mindlin_displacement(
         ValueError: |T| above mu N.
     """
     fraction = _share(tangential, normal, coefficient)
-    shear, _ = _shear_and_bulk(modulus, poisson)
+    shear, _ = shear_and_bulk(modulus, poisson)
     shift = 3 * coefficient * normal * (2 - poisson) / (16 * contact_radius * shear)
     return math.copysign(shift * (1 - float(np.cbrt(1 - abs(fraction)) ** 2)), fraction)
 
@@ -155,7 +156,7 @@ def confined_stress(stretch: float, modulus: float, poisson: float) -> float:
     P = 2 G/3 (s^(1/3) - s^(-5/3)) + K/2 (s - 1/s), from W with J = s and tr(F^T F) = 2 + s^2; its
     slope at s = 1 is the oedometric modulus K + 4 G/3. This is a wide layer under a wide plate.
     """
-    shear, bulk = _shear_and_bulk(modulus, poisson)
+    shear, bulk = shear_and_bulk(modulus, poisson)
     isochoric = 2 * shear / 3 * (math.pow(stretch, 1 / 3) - math.pow(stretch, -5 / 3))
     return isochoric + bulk / 2 * (stretch - 1 / stretch)
 
@@ -167,7 +168,7 @@ def uniaxial_stress(stretch: float, modulus: float, poisson: float) -> float:
     K/2 (J - 1/J) = G/3 J^(-5/3) (s^2 - J/s). Then P = G J^(-5/3) (s^2 - q^2) q^2; its slope at
     s = 1 is E.
     """
-    shear, bulk = _shear_and_bulk(modulus, poisson)
+    shear, bulk = shear_and_bulk(modulus, poisson)
 
     def side_stress(volume: float) -> float:
         deviator = shear / 3 * math.pow(volume, -5 / 3) * (stretch**2 - volume / stretch)
@@ -186,7 +187,7 @@ def simple_shear_stress(amount: float, modulus: float, poisson: float) -> tuple[
     (G g, -G g^2/3): J = 1, so P = G (F - tr(F^T F)/3 F^-T). The face pushes outwards (negative
     normal stress) unless it is free to lift.
     """
-    shear, _ = _shear_and_bulk(modulus, poisson)
+    shear, _ = shear_and_bulk(modulus, poisson)
     return shear * amount, -shear * amount**2 / 3
 
 
@@ -237,7 +238,7 @@ def layer_sag(
     u_i = density a_i (h^2 - z^2) / (2 C_i), C = (G, G, M): the solution of C u'' + density a = 0,
     u(-h) = 0, u'(0) = 0. The top sinks by density g h^2 / (2 M).
     """
-    shear, _ = _shear_and_bulk(modulus, poisson)
+    shear, _ = shear_and_bulk(modulus, poisson)
     stiffness = np.array([shear, shear, oedometric_modulus(modulus, poisson)])
     profile = (thickness**2 - np.square(np.asarray(z, float))) / 2
     sag: Array = profile[..., None] * density * np.asarray(acceleration, float) / stiffness

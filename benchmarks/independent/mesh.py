@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,23 +40,15 @@ def graded(
         growth: Increase of the element length per distance from the refined intervals.
         coarsest: Maximum element length [m].
     """
-
-    def size(x: Array) -> Array:
-        wanted = np.full_like(x, coarsest)
-        for place in places:
-            away = np.maximum(np.maximum(place.low - x, x - place.high), 0.0)
-            wanted = np.minimum(wanted, place.size + growth * away)
-        return wanted
-
-    return _lines(low, high, size)
-
-
-def _lines(low: float, high: float, size: Callable[[Array], Array]) -> Array:
     # Half of the samples are dense at either end, where elements may be 1e-4 of the whole.
     fraction = np.linspace(0, 1, SAMPLES) ** 3
     x = np.unique(np.concatenate([low + (high - low) * fraction, high - (high - low) * fraction]))
     middle = (x[1:] + x[:-1]) / 2
-    count = np.concatenate([[0.0], np.cumsum(np.diff(x) / size(middle))])
+    size = np.full_like(middle, coarsest)
+    for place in places:
+        away = np.maximum(np.maximum(place.low - middle, middle - place.high), 0.0)
+        size = np.minimum(size, place.size + growth * away)
+    count = np.concatenate([[0.0], np.cumsum(np.diff(x) / size)])
     whole = max(2, int(np.ceil(count[-1])))
     lines: Array = np.interp(np.linspace(0, count[-1], whole + 1), count, x)
     return lines
