@@ -131,18 +131,14 @@ class AxisymmetricPress:
         self.free = np.flatnonzero(~held.ravel())
         self.base = 2 * np.flatnonzero(low) + 1
 
-    def start(self) -> RingState:
-        """Return the undeformed layer, with the tip at its top."""
-        none, still = np.zeros_like(self.r), np.zeros(2 * len(self.nodes))
-        return RingState(0.0, still, none, none, still)
-
     def run(self, depths: Sequence[float], path: Sequence[float]) -> list[Answer]:
         """Return the results at `depths` [m], passing through the depths of `path` [m].
 
         Raises:
             NotSolved: A step does not converge.
         """
-        state, answers, before = self.start(), [], 0.0
+        none, still = np.zeros_like(self.r), np.zeros(2 * len(self.nodes))
+        state, answers, before = RingState(0.0, still, none, none, still), [], 0.0
         for depth in sorted(depths):
             for middle in path:
                 if 1.0001 * before < middle < 0.9999 * depth:

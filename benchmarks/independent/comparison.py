@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from benchmarks.independent.presses import MM, MODULUS, Press
+from benchmarks.independent.presses import MM, MODULUS, Press, Shape
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import Indenter, bar, box, flat_punch, rounded_cone, sphere, torus, tube
@@ -17,6 +18,15 @@ from sim.layer import Layer
 from sim.planning import plan
 from sim.scene import Body, Effects, Friction, Scene, through
 from sim.tiers import simulate
+
+UPRIGHT: dict[Shape, Callable[..., Indenter]] = {
+    "sphere": sphere,
+    "punch": flat_punch,
+    "torus": torus,
+    "tube": tube,
+    "bar": bar,
+    "box": box,
+}
 
 
 def scene_of(press: Press) -> Scene:
@@ -31,30 +41,14 @@ def scene_of(press: Press) -> Scene:
 
 
 def _indenter(press: Press) -> Indenter:
-    lengths = [measure * MM for measure in press.measures]
-    indenter: Indenter
-    match press.shape:
-        case "sphere":
-            indenter = sphere(*lengths)
-        case "spheres":
-            radius, *centres = lengths
-            each = [
-                Part("turned", "circle", (0.0, radius, radius), "union", axis=(x, 0.0))
-                for x in centres or (0.0,)
-            ]
-            indenter = Indenter("spheres", tuple(each))
-        case "punch":
-            indenter = flat_punch(*lengths)
-        case "cone":
-            indenter = rounded_cone(math.radians(press.measures[0]), lengths[1])
-        case "torus":
-            indenter = torus(*lengths)
-        case "tube":
-            indenter = tube(*lengths)
-        case "bar":
-            indenter = bar(*lengths)
-        case "box":
-            indenter = box(*lengths)
+    first, *others = (measure * MM for measure in press.measures)
+    if press.shape == "spheres":
+        outline = (0.0, first, first)
+        each = [Part("turned", "circle", outline, "union", axis=(x, 0.0)) for x in others or (0.0,)]
+        return Indenter("spheres", tuple(each))
+    if press.shape == "cone":
+        return rounded_cone(math.radians(press.measures[0]), others[0])
+    indenter = UPRIGHT[press.shape](first, *others)
     return indenter.tilted(*map(math.radians, press.tilt)) if any(press.tilt) else indenter
 
 

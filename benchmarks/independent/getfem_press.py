@@ -15,13 +15,15 @@ from __future__ import annotations
 import json
 import math
 import sys
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import getfem
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from benchmarks.independent.formulas import shear_and_bulk
 from benchmarks.independent.mesh import Fine, graded
 from benchmarks.independent.presses import MODULUS, PRESSES, Press
 
@@ -57,35 +59,23 @@ def mesh_of(case: Press, scale: float) -> Any:
         return getfem.Mesh("cartesian", x, y, z)
     mesh = getfem.Mesh("empty", 3)
     half = np.array([0.0, 0.5, 1.0])
-    for x0, x1 in pairwise(x):
-        for y0, y1 in pairwise(y):
-            for z0, z1 in pairwise(z):
-                place = np.stack(
-                    np.meshgrid(
-                        z0 + half * (z1 - z0),
-                        y0 + half * (y1 - y0),
-                        x0 + half * (x1 - x0),
-                        indexing="ij",
-                    )
-                )[::-1].reshape(3, -1)
-                top = np.sqrt(case.dome**2 - place[0] ** 2 - place[1] ** 2) - case.dome
-                place[2] = -thick + (place[2] + thick) * (thick + top) / thick
-                mesh.add_convex(getfem.GeoTrans("GT_QK(3,2)"), place)
+    for spans in product(pairwise(x), pairwise(y), pairwise(z)):
+        lines_zyx = [start + half * (end - start) for start, end in reversed(spans)]
+        place = np.stack(np.meshgrid(*lines_zyx, indexing="ij"))[::-1].reshape(3, -1)
+        top = np.sqrt(case.dome**2 - place[0] ** 2 - place[1] ** 2) - case.dome
+        place[2] = -thick + (place[2] + thick) * (thick + top) / thick
+        mesh.add_convex(getfem.GeoTrans("GT_QK(3,2)"), place)
     return mesh
 
 
 def turned(case: Press) -> tuple[Array, float]:
     """Return the rotation of the indenter, and its rise that keeps its tip lowest [mm]."""
-    about = np.radians(np.array([*case.tilt, 0.0]))
-    angle = float(np.linalg.norm(about))
-    if angle == 0:
+    if not any(case.tilt):
         return np.eye(3), 0.0
-    x, y, _ = about / angle
-    across = np.array([[0, 0, y], [0, 0, -x], [-y, x, 0]])
-    turn = np.eye(3) + math.sin(angle) * across + (1 - math.cos(angle)) * across @ across
-    edge = case.measures[-1]
+    turn = Rotation.from_rotvec([*case.tilt, 0.0], degrees=True)
+    angle, edge = turn.magnitude(), case.measures[-1]
     far = case.measures[0] - edge if case.shape == "punch" else case.measures[1] / 2 - edge
-    return turn, far * math.sin(angle) + edge * (1 - math.cos(angle))
+    return turn.as_matrix(), far * math.sin(angle) + edge * (1 - math.cos(angle))
 
 
 def distance(case: Press) -> str:
@@ -98,20 +88,21 @@ def distance(case: Press) -> str:
             for middle in measures[1:] or (0.0,)
         ]
         return each[0] if len(each) == 1 else _least(*each)
-    edge = measures[-1]
+    first, length, edge = measures[0], measures[1], measures[-1]
+    flat_end = _beyond("-q(3)", -edge)
     if case.shape == "box":
-        out = "+".join(
-            f"2*half_sqr_pos_part({_abs(axis)}-{length / 2 - edge!r})"
-            for axis, length in ((1, measures[0]), (2, measures[1]))
-        )
-        return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
-    if case.shape == "punch":
-        out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(2))+1e-20)-{measures[0] - edge!r}))"
-        return f"sqrt({out}+2*half_sqr_pos_part(({edge!r}-q(3)))+1e-30)-{edge!r}"
-    radius = measures[0]
-    out = f"2*half_sqr_pos_part((sqrt(sqr(q(1))+sqr(q(3)-{radius!r})+1e-20)-{radius - edge!r}))"
-    end = f"2*half_sqr_pos_part({_abs(2)}-{measures[1] / 2 - edge!r})"
-    return f"sqrt({out}+{end}+1e-30)-{edge!r}"
+        sides = [_beyond(_abs(1), first / 2 - edge), _beyond(_abs(2), length / 2 - edge), flat_end]
+    elif case.shape == "punch":
+        sides = [_beyond("sqrt(sqr(q(1))+sqr(q(2))+1e-20)", first - edge), flat_end]
+    else:
+        across = f"sqrt(sqr(q(1))+sqr(q(3)-{first!r})+1e-20)"
+        sides = [_beyond(across, first - edge), _beyond(_abs(2), length / 2 - edge)]
+    return f"sqrt({'+'.join(sides)}+1e-30)-{edge!r}"
+
+
+def _beyond(place: str, limit: float) -> str:
+    """Return the square of what `place` exceeds the limit by, 0 below it."""
+    return f"2*half_sqr_pos_part({place}-({limit!r}))"
 
 
 def _abs(axis: int) -> str:
@@ -154,9 +145,10 @@ class Solver:
         # Heaviside(t) with a derivative of 0, so that expressions with it can be differentiated.
         getfem.asm_define_function("step", 1, "Heaviside(t)", "0*t")
         modulus = MODULUS * 1e-6
+        shear, bulk = shear_and_bulk(modulus, case.poisson)
         model.add_fem_variable("u", self.field)
-        model.add_initialized_data("G", modulus / (2 * (1 + case.poisson)))
-        model.add_initialized_data("K", modulus / (3 * (1 - 2 * case.poisson)))
+        model.add_initialized_data("G", shear)
+        model.add_initialized_data("K", bulk)
         model.add_macro("F", "(Id(3)+Grad_u)")
         model.add_nonlinear_term(volume, LAW)
         model.add_initialized_data("eps", STIFFNESS * modulus / 2.0)
@@ -220,7 +212,8 @@ class Solver:
                 model.set_variable("u", before + guess)
             model.set_variable("mu", self.case.friction)
         if self._balanced():
-            self._remember()
+            if self.case.friction:
+                model.set_variable("shear", model.interpolation("rub", self.vector, TOP))
             return True
         model.set_variable("u", before)
         model.set_variable("tip", was)
@@ -257,10 +250,6 @@ class Solver:
         if not finite:
             return math.nan
         return self._residual(start + min(finite, key=lambda fraction: left[fraction]) * change)
-
-    def _remember(self) -> None:
-        if self.case.friction:
-            self.model.set_variable("shear", self.model.interpolation("rub", self.vector, TOP))
 
     def _solve(self, right: Array) -> Array:
         matrix = getfem.Spmat("copy", self.model.tangent_matrix(), self.free, self.free)

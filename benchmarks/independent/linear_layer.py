@@ -118,11 +118,6 @@ class LinearLayer:
     poisson: float
     points: int = 64
 
-    @property
-    def reduced(self) -> float:
-        """E* [Pa]."""
-        return reduced_modulus(self.modulus, self.poisson)
-
 
 class LayerContact:
     """Contact of one radius, solved.
@@ -159,7 +154,8 @@ class LayerContact:
     @property
     def force(self) -> float:
         """Pressing force [N]: pi E* int phi dt."""
-        return math.pi * self.layer.reduced * float(np.sum(self.load))
+        reduced = reduced_modulus(self.layer.modulus, self.layer.poisson)
+        return math.pi * reduced * float(np.sum(self.load))
 
     def displacement(self, r: ArrayLike) -> Array:
         """Return the height of the surface above the undeformed plane at `r` from the axis [m].
