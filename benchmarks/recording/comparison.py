@@ -11,14 +11,17 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.recording import storing
 from benchmarks.recording.child import ChildFailed, answer, start
-from benchmarks.recording.stores import MCAP, OURS, STORES, Entry
+from benchmarks.recording.stores import MCAP, OURS, STORES
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, SKY, chart
 
 # A writer is killed after a random number of frames in this range.
 _KILL_AFTER = (70, 300)
 _KILL_TIMEOUT = 120.0
+# Least rate of random windows of JPEG, relative to MCAP's.
+OF_MCAP = 1.5
 _RATES = tuple(itertools.product(("written", "read"), ("cpu", "seconds")))
 # Seconds and bytes of writing, and seconds of reading, of a full run and of a quick one.
 _FULL, _QUICK = (3.0, 400_000_000, 1.5), (0.3, 20_000_000, 0.2)
@@ -27,57 +30,42 @@ _FULL, _QUICK = (3.0, 400_000_000, 1.5), (0.3, 20_000_000, 0.2)
 def measure(run: Run) -> list[dict[str, Any]]:
     """Write and read each store once in every repeat, in alternating order; then kill writers."""
     repeats, kills = (1, 1) if run.quick else (run.options.repeats, 2)
-    place, scale = run.folder, _QUICK if run.quick else _FULL
     rows: dict[str, dict[str, Any]] = {
-        one.key: {
-            "key": one.key,
-            "missing": "",
-            "written": [],
-            "read": [],
-            "decoded": [],
-            "kills": [],
-        }
-        for one in STORES
+        key: {"key": key, "missing": "", "written": [], "read": [], "decoded": [], "kills": []}
+        for key in STORES
     }
-    for repeat in range(repeats):
-        entries = STORES if repeat % 2 == 0 else STORES[::-1]
-        for number, one in enumerate(entries):
-            run.progress((repeat + number / len(entries)) / (repeats + 1))
-            if not rows[one.key]["missing"]:
-                _measure_once(one, place / f"{one.key}-{repeat}", scale, repeat, rows[one.key])
-    for number, one in enumerate(STORES):
-        run.progress((repeats + number / len(STORES)) / (repeats + 1))
-        row = rows[one.key]
+    orders = [list(STORES), list(STORES)[::-1]]
+    steps = [(repeat, key) for repeat in range(repeats) for key in orders[repeat % 2]]
+    steps += [(repeats, key) for key in STORES]
+    for number, (repeat, key) in enumerate(steps):
+        run.progress(number / len(steps))
+        row = rows[key]
         if row["missing"]:
             continue
         try:
-            row["kills"] = [kill(one, place, seed) for seed in range(kills)]
+            if repeat < repeats:
+                _measure_once(row, run.folder / f"{key}-{repeat}", run.quick, repeat)
+            else:
+                row["kills"] = [kill(key, run.folder, seed) for seed in range(kills)]
         except ChildFailed as error:
             row["missing"] = str(error)
     run.seeds = range(repeats)
     run.spread = f"median of {repeats} runs, interleaved" if repeats > 1 else ""
-    for row in rows.values():
-        for each in row["kills"] if row["key"].startswith("ours") else ():
+    for key, row in rows.items():
+        for each in row["kills"] if STORES[key].ours else ():
             if each["lost"] > 1 or each["wrong"]:
-                run.failures.append(f"{row['key']} after a kill: {each}")
+                run.failures.append(f"{key} after a kill: {each}")
     return list(rows.values())
 
 
-def _measure_once(
-    one: Entry, path: Path, scale: tuple[float, int, float], seed: int, row: dict[str, Any]
-) -> None:
-    seconds, most_bytes, reading = scale
+def _measure_once(row: dict[str, Any], path: Path, quick: bool, seed: int) -> None:
+    seconds, most_bytes, reading = _QUICK if quick else _FULL
+    key = row["key"]
     try:
-        written = answer(start(one, "write", path, seconds=seconds, most_bytes=most_bytes))
-        if "missing" in written:
-            row["missing"] = written["missing"]
-            return
-        row["written"].append(written)
-        row["read"].append(answer(start(one, "read", path, seconds=reading, seed=seed)))
-        if one.key == OURS:
-            row["decoded"].append(answer(start(one, "decode", path, seconds=reading)))
-    except ChildFailed as error:
-        row["missing"] = str(error)
+        row["written"].append(answer(start(storing.write, key, path, seconds, most_bytes)))
+        row["read"].append(answer(start(storing.read, key, path, reading, seed)))
+        if key == OURS:
+            row["decoded"].append(answer(start(storing.read, "decoder", path, reading, seed)))
     finally:
         if path.is_dir():
             shutil.rmtree(path)
@@ -85,17 +73,17 @@ def _measure_once(
             path.unlink(missing_ok=True)
 
 
-def kill(one: Entry, folder: Path, seed: int) -> dict[str, Any]:
+def kill(key: str, folder: Path, seed: int) -> dict[str, Any]:
     """Kill a writer with SIGKILL at a random time and count the remaining frames.
 
     Raises:
         ChildFailed: It ended by itself, or the result could not be inspected.
     """
     rng = np.random.default_rng(seed)
-    path, count = folder / f"killed-{one.key}-{seed}", folder / f"accepted-{one.key}-{seed}"
+    path, count = folder / f"killed-{key}-{seed}", folder / f"accepted-{key}-{seed}"
     count.write_bytes(bytes(8))
     wanted = int(rng.integers(*_KILL_AFTER))
-    child = start(one, "kill", path, accepted=str(count))
+    child = start(storing.append_until_killed, key, path, count)
     deadline = time.monotonic() + _KILL_TIMEOUT
     try:
         while int.from_bytes(count.read_bytes(), "little") < wanted:
@@ -107,24 +95,20 @@ def kill(one: Entry, folder: Path, seed: int) -> dict[str, Any]:
         child.kill()
         child.communicate()
     accepted = int.from_bytes(count.read_bytes(), "little")
-    return left_after_kill(accepted, answer(start(one, "inspect", path)))
+    return left_after_kill(accepted, answer(start(storing.inspect, key, path)))
 
 
-def left_after_kill(accepted: int, found: dict[str, Any]) -> dict[str, Any]:
+def left_after_kill(accepted: int, inspected: dict[str, Any]) -> dict[str, Any]:
     """Return how many accepted frames a store still has, and how many frames it shows wrongly.
 
     A frame is there if it is in its place; its own repair counts if it finds more.
     """
-    ways = {name: found[name] for name in ("left", "repaired")}
-    whole = {
-        name: None
-        if numbers is None
-        else sum(number == place for place, number in enumerate(numbers[:accepted]))
-        for name, numbers in ways.items()
-    }
-    wrong = sum(number != place for place, number in enumerate(found["left"] or ()))
-    lost = accepted - max(each or 0 for each in whole.values())
-    return {"accepted": accepted, **whole, "wrong": wrong, "lost": lost}
+    whole = [
+        sum(number == place for place, number in enumerate((inspected[way] or [])[:accepted]))
+        for way in ("left", "repaired")
+    ]
+    wrong = sum(number != place for place, number in enumerate(inspected["left"] or []))
+    return {"accepted": accepted, "wrong": wrong, "lost": accepted - max(whole)}
 
 
 def rates(row: dict[str, Any], what: str, by: str) -> list[float]:
@@ -137,10 +121,10 @@ def rate(row: dict[str, Any], what: str, by: str) -> float:
     return statistics.median(rates(row, what, by) or [0.0])
 
 
-def ratios(rows: list[dict[str, Any]], what: str, by: str, other: str = MCAP) -> list[float]:
-    """Return our rate of JPEGs divided by that of another store, for each repeat."""
+def ratios(rows: list[dict[str, Any]], what: str, by: str) -> list[float]:
+    """Return our rate of JPEGs divided by that of MCAP, for each repeat."""
     of = {row["key"]: rates(row, what, by) for row in rows}
-    return [ours / theirs for ours, theirs in zip(of[OURS], of[other], strict=False)]
+    return [ours / theirs for ours, theirs in zip(of[OURS], of[MCAP], strict=False)]
 
 
 def survives(row: dict[str, Any]) -> bool:
@@ -148,13 +132,43 @@ def survives(row: dict[str, Any]) -> bool:
     return bool(row["kills"]) and all(each["lost"] < each["accepted"] for each in row["kills"])
 
 
+def goals(rows: list[dict[str, Any]]) -> list[tuple[str, str, bool]]:
+    """Return what the stores must reach, what they reach, and whether it is enough."""
+    measured = {row["key"]: row for row in rows if row["written"]}
+    lines = []
+    kills = [one for key, row in measured.items() if STORES[key].ours for one in row["kills"]]
+    if kills:
+        lost, wrong = max(one["lost"] for one in kills), sum(one["wrong"] for one in kills)
+        figures = f"{lost} lost at most, {wrong} invented, in {len(kills)} kills"
+        goal = "kill -9: at most 1 frame lost, none invented"
+        lines.append((goal, figures, lost <= 1 and not wrong))
+    if {OURS, MCAP} <= measured.keys():
+        for what, goal, least in (
+            ("written", "JPEG is written at least as fast as by MCAP's default", 1.0),
+            ("read", f"random windows of JPEG at {OF_MCAP:g} of MCAP's rate or more", OF_MCAP),
+        ):
+            for by, name in (("cpu", "per CPU-second"), ("seconds", "by the clock")):
+                ratio = statistics.median(ratios(rows, what, by))
+                lines.append((f"{goal}, {name}", f"{ratio:.2f}", ratio >= least))
+    others = [
+        rate(row, "written", "cpu")
+        for key, row in measured.items()
+        if survives(row) and not STORES[key].ours and STORES[key].frames == "pixels"
+    ]
+    if "ours-zstd" in measured and others:
+        ours = rate(measured["ours-zstd"], "written", "cpu")
+        figures = f"{ours:,.0f} frames per CPU-second; the next {max(others):,.0f}"
+        goal = "lossless: the fastest store that survives a kill"
+        lines.append((goal, figures, ours > max(others)))
+    return lines
+
+
 def section(rows: list[dict[str, Any]], page: Page) -> str:
     """Return the tables of the stores, and draw their rates."""
-    entries = {one.key: one for one in STORES}
     measured = [row for row in rows if row["written"]]
     lines = []
     for row in measured:
-        one, last = entries[row["key"]], row["written"][-1]
+        one, last = STORES[row["key"]], row["written"][-1]
         speeds = [f"{rate(row, what, by):,.0f}" for what, by in _RATES]
         sizes = [f"{last['append_ms']['p99']:.2f}", f"{last['bytes'] / last['frames'] / 1e3:.0f}"]
         lost = max((each["lost"] for each in row["kills"]), default=0)
@@ -173,7 +187,7 @@ def section(rows: list[dict[str, Any]], page: Page) -> str:
         )
     missing = [row for row in rows if not row["written"]]
     for reason, some in itertools.groupby(missing, lambda row: str(row["missing"])):
-        names = ", ".join(entries[row["key"]].title for row in some)
+        names = ", ".join(STORES[row["key"]].title for row in some)
         texts.append(f"Not measured: {names} ({reason}).")
     return "\n\n".join(["## Stores", *texts])
 
@@ -201,7 +215,7 @@ def _pairs(rows: list[dict[str, Any]]) -> list[list[str]]:
 
 
 def _draw(rows: list[dict[str, Any]], page: Page) -> str:
-    titles = {one.key: one.title.replace("*", "").replace("`", "") for one in STORES}
+    titles = [STORES[row["key"]].title.replace("*", "").replace("`", "") for row in rows]
     panels = (
         ("written and closed [frames per CPU-second]", "written"),
         ("random windows of 16 [images per CPU-second]", "read"),
@@ -211,9 +225,9 @@ def _draw(rows: list[dict[str, Any]], page: Page) -> str:
         for axes, (label, what) in zip(every, panels, strict=True):
             values = [rate(row, what, "cpu") for row in rows]
             bars = axes.barh(
-                [titles[row["key"]] for row in rows],
+                titles,
                 [max(value, 1) for value in values],
-                color=[BLUE if row["key"].startswith("ours") else SKY for row in rows],
+                color=[BLUE if STORES[row["key"]].ours else SKY for row in rows],
             )
             axes.bar_label(bars, [f"{value:,.0f}" for value in values], padding=3, fontsize="small")
             axes.set(xlabel=label, xscale="log", xlim=(1, 8 * max(*values, 10)))

@@ -10,27 +10,20 @@ a late receiver, so they count as late.
 
 from __future__ import annotations
 
-import contextlib
 import shutil
-import signal
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from multiprocessing import get_context
 from pathlib import Path
+from threading import Barrier
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
-from benchmarks.recording.measure import (
-    answer_of,
-    cpu_seconds,
-    resident_bytes,
-    spawned,
-    spread_ms,
-    tree_bytes,
-)
+from benchmarks.recording.measure import cpu_seconds, resident_bytes, spread_ms, tree_bytes
 from recorder import (
     SessionError,
     SessionWriter,
@@ -41,6 +34,7 @@ from recorder import (
     pose_spec,
     taxels_spec,
 )
+from recorder.processes import Workers
 from rig.core.clock import SECOND_NS, Pacer, SystemClock
 from rig.core.driver import Inbox
 from rig.core.realtime import enable_realtime
@@ -75,9 +69,32 @@ class Feed:
         """Return the storage layout of the stream."""
         if self.kind == "camera":
             return camera_spec(self.rate_hz, height=HEIGHT, width=WIDTH, codec=self.codec)
-        return {"force": force_spec, "pose": pose_spec, "taxels": taxels_spec}[self.kind](
-            self.rate_hz
-        )
+        specs = {"force": force_spec, "pose": pose_spec, "taxels": taxels_spec}
+        return specs[self.kind](self.rate_hz)
+
+    def samples(self) -> Callable[[int], dict[str, Any]]:
+        """Return a function that gives the columns of sample `number`, except its time."""
+        rng = np.random.default_rng(0)
+        if self.kind == "camera":
+            frames = GelFrames()
+            make = frames.jpeg if self.codec == "jpeg" else frames.pixels
+            return lambda number: {"value": make(number), "device_t": float("nan")}
+        values: NDArray[Any]
+        if self.kind == "taxels":
+            values = rng.integers(20_000, 40_000, (1024, 16, 3)).astype(np.int32)
+        else:
+            values = rng.normal(0.0, 1.0, (1024, 6))
+        others: dict[str, Callable[[int], dict[str, Any]]] = {
+            "force": lambda number: {"seq": number, "status": 0},
+            "pose": lambda number: {"device_t": number / self.rate_hz, "speed_scaling": 1.0},
+            "taxels": lambda number: {"device_t": number / self.rate_hz, "seq": number},
+        }
+        other = others[self.kind]
+        return lambda number: {"value": values[number % 1024]} | other(number)
+
+
+# All processes of one recording wait here until each is ready; set in each of them.
+_ready: Barrier
 
 
 def record(feeds: Sequence[Feed], seconds: float, place: Path) -> list[dict[str, Any]]:
@@ -92,55 +109,47 @@ def record(feeds: Sequence[Feed], seconds: float, place: Path) -> list[dict[str,
         size on the disk, and the memory after a fifth of the run and at its end [bytes].
 
     Raises:
-        ConfigError: A process did not start.
+        BrokenBarrierError: A process was not ready in time.
     """
     place.mkdir(parents=True)
-    with contextlib.ExitStack() as stack:
-        stack.callback(shutil.rmtree, place, ignore_errors=True)
-        pipes = [
-            stack.enter_context(spawned(_run, feed, place / f"{number}.zarr"))
-            for number, feed in enumerate(feeds)
-        ]
-        for feed, pipe in zip(feeds, pipes, strict=True):
-            answer_of(pipe, _READY_TIMEOUT, feed.title)
-        start_ns = SystemClock().now_ns() + round(_LEAD * SECOND_NS)
-        for pipe in pipes:
-            pipe.send((start_ns, seconds))
-        return [
-            answer_of(pipe, seconds + _READY_TIMEOUT, feed.title)
-            for feed, pipe in zip(feeds, pipes, strict=True)
-        ]
+    barrier = get_context("spawn").Barrier(len(feeds))
+    try:
+        with Workers(len(feeds), _begin, barrier) as workers:
+            tasks = [
+                workers.submit(_run, feed, place / f"{number}.zarr", seconds)
+                for number, feed in enumerate(feeds)
+            ]
+            return [task.result() for task in tasks]
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
 
 
-def _run(feed: Feed, path: Path, pipe: Connection) -> None:
-    """Run the process of one stream."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _begin(barrier: Barrier) -> None:
+    global _ready
+    _ready = barrier
+
+
+def _run(feed: Feed, path: Path, seconds: float) -> dict[str, Any]:
+    """Record one stream, in its process."""
     granted = enable_realtime()["sched_fifo"]
-    sample = samples(feed)
+    sample = feed.samples()
     targets = {"point": np.zeros(0, np.int16)}
     with SessionWriter.create(path, attrs={}, streams=[feed.spec()], targets=targets) as session:
         writer = StreamWriter.open(session.stream_path(feed.kind))
         try:
-            pipe.send("ready")
-            start_ns, seconds = pipe.recv()
-            fed = _feed(feed, sample, writer, start_ns, seconds)
-            pipe.send(fed | {"punctual": granted, "bytes": tree_bytes(path)})
-        except (EOFError, BrokenPipeError):
-            return  # the measuring process is gone
+            _ready.wait(_READY_TIMEOUT)
+            fed = _feed(feed, sample, writer, seconds)
         finally:
             writer.close()
+    return fed | {"punctual": granted, "bytes": tree_bytes(path)}
 
 
 def _feed(
-    feed: Feed,
-    sample: Callable[[int], dict[str, Any]],
-    writer: StreamWriter,
-    start_ns: int,
-    seconds: float,
+    feed: Feed, sample: Callable[[int], dict[str, Any]], writer: StreamWriter, seconds: float
 ) -> dict[str, Any]:
     clock = SystemClock()
     inbox = Inbox(clock, CAPACITY[feed.kind])
-    clock.sleep_until(start_ns)
+    clock.sleep_until(clock.now_ns() + round(_LEAD * SECOND_NS))
     pacer = Pacer(clock, feed.rate_hz)
     ticks = max(round(seconds * feed.rate_hz), 1)
     buffered = feed.kind != "camera"
@@ -153,10 +162,10 @@ def _feed(
     settled_ns = began + round(_SETTLE * seconds * SECOND_NS)
     while True:
         alive = receiver.is_alive()
-        taken = inbox.take(_READ_TIMEOUT)
-        if not taken and not alive:
+        received = inbox.take(_READ_TIMEOUT)
+        if not received and not alive:
             break
-        for one in taken:
+        for one in received:
             before = clock.now_ns()
             late += before - one["t_ns"] > period_ns
             if not failure:
@@ -196,29 +205,3 @@ def _receive(
         while number < due:
             inbox.put(sample(number))
             number += 1
-
-
-def samples(feed: Feed) -> Callable[[int], dict[str, Any]]:
-    """Return a function that gives the columns of sample `number`, except its time."""
-    rng = np.random.default_rng(0)
-    nan = float("nan")
-    if feed.kind == "camera":
-        frames = GelFrames()
-        make = frames.jpeg if feed.codec == "jpeg" else frames.pixels
-        return lambda number: {"value": make(number), "device_t": nan}
-    if feed.kind == "force":
-        wrench = rng.normal(0.0, 1.0, (1024, 6))
-        return lambda number: {"value": wrench[number % 1024], "seq": number, "status": 0}
-    if feed.kind == "pose":
-        poses = rng.normal(0.0, 0.1, (1024, 6))
-        return lambda number: {
-            "value": poses[number % 1024],
-            "device_t": number / feed.rate_hz,
-            "speed_scaling": 1.0,
-        }
-    counts = rng.integers(20_000, 40_000, (1024, 16, 3)).astype(np.int32)
-    return lambda number: {
-        "value": counts[number % 1024],
-        "device_t": number / feed.rate_hz,
-        "seq": number,
-    }

@@ -8,16 +8,21 @@ the frames that a killed writer leaves from zeros and from wrong frames.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from rig.devices.camera.jpeg import frame_stamp, stamped
 
 Image = NDArray[np.uint8]
+# A frame as it is stored: pixels (480, 640, 3), or a JPEG.
+Frame = Image | bytes
 
-HEIGHT, WIDTH = 480, 640
+SHAPE = HEIGHT, WIDTH, _ = 480, 640, 3
 # Standard deviation of the noise [grey levels].
 NOISE = 2.0
 # JPEG quality, 4:2:2 as UVC cameras send it.
@@ -43,14 +48,10 @@ class GelFrames:
         noisy = [base + rng.normal(0.0, NOISE, base.shape) for _ in range(_DIFFERENT)]
         self._pixels = [np.clip(image, 0, 255).round().astype(np.uint8) for image in noisy]
         if decoded:
-            import simplejpeg
-
             self._pixels = [simplejpeg.decode_jpeg(jpeg).copy() for jpeg in self._jpegs]
 
     @cached_property
     def _jpegs(self) -> list[bytes]:
-        import simplejpeg
-
         return [
             simplejpeg.encode_jpeg(image, quality=QUALITY, colorsubsampling="422")
             for image in self._pixels
@@ -69,19 +70,24 @@ class GelFrames:
         return stamped(self._jpegs[number % _DIFFERENT], number, 0)
 
 
-def number_in_pixels(image: Image) -> int | None:
-    """Return the number of a frame, or None if the image is not a complete frame."""
-    head = image.reshape(-1)[: 2 * _NUMBER].tobytes()
+def number_in(frame: Frame) -> int | None:
+    """Return the number of a stored frame, or None if it is not a complete frame."""
+    if isinstance(frame, bytes):
+        stamp = frame_stamp(frame)
+        return None if stamp is None else stamp[0]
+    head = frame.reshape(-1)[: 2 * _NUMBER].tobytes()
     code, complement = head[:_NUMBER], head[_NUMBER:]
     if any(a + b != 255 for a, b in zip(code, complement, strict=True)):
         return None
     return int.from_bytes(code, "little")
 
 
-def number_in_jpeg(jpeg: bytes) -> int | None:
-    """Return the number of a frame, or None if it is not a frame."""
-    stamp = frame_stamp(jpeg)
-    return None if stamp is None else stamp[0]
+def decoded(jpegs: Iterable[Any], count: int) -> Image:
+    """Return `count` JPEGs as pixels (count, 480, 640, 3), decoded one after the other."""
+    out = np.empty((count, *SHAPE), np.uint8)
+    for image, jpeg in zip(out, jpegs, strict=True):
+        simplejpeg.decode_jpeg(jpeg, buffer=image)
+    return out
 
 
 def _gel() -> NDArray[np.float64]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,159 +29,99 @@ from recorder.charts import SOFT, chart
 PRESETS = ("paper", "tiny", "displacement")
 # Target rate of a live model.
 LIVE_HZ = 60
-# Warm-up frames that are not timed.
-_WARM_UP = 5
+# Frames whose forces are compared, warm-up frames that are not timed, and threads of a step.
+_COMPARED, _WARM_UP, _THREADS = 10, 5, 2
 _MARKS = {"fp32": "o", "bf16": "s"}
-
-
-@dataclass(frozen=True, slots=True)
-class Variant:
-    """One combination of runtime and precision."""
-
-    runtime: str
-    precision: str
-
-
+# Runtime and precision.
 VARIANTS = (
-    Variant("torch", "fp32"),
-    Variant("torch", "bf16"),
-    Variant("torch.compile", "fp32"),
-    Variant("torch.compile", "bf16"),
-    Variant("onnxruntime", "fp32"),
-    Variant("openvino", "fp32"),
-    Variant("openvino", "bf16"),
+    ("torch", "fp32"),
+    ("torch", "bf16"),
+    ("torch.compile", "fp32"),
+    ("torch.compile", "bf16"),
+    ("onnxruntime", "fp32"),
+    ("openvino", "fp32"),
+    ("openvino", "bf16"),
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """One row of the table."""
-
-    model: str
-    weights: int
-    """Number of weights."""
-    runtime: str
-    precision: str
-    p50_ms: float | None = None
-    """Median time of a frame [ms]; None: this runtime is not available here."""
-    p99_ms: float | None = None
-    difference_n: float | None = None
-    """Largest difference of a force from torch in fp32 [N]."""
-    remark: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """Frames that are timed and compared: presses, one after the other."""
-
-    frames: NDArray[np.uint8] | NDArray[np.float32]
-    """Frames in the model's input format (n, ...)."""
-    starts: NDArray[np.int64]
-    """First frame of each press, followed by n."""
-    references: NDArray[np.uint8] | None
-    """Undeformed image of each press (P, 256, 256), if the model needs it."""
 
 
 def measure(run: Run) -> list[dict[str, Any]]:
     """Time each preset in each variant."""
-    presets: Sequence[str] = PRESETS
-    frames = 100
-    variants: Sequence[Variant] = VARIANTS
+    presets, frames, variants = list(PRESETS), 100, list(VARIANTS)
     if run.quick:  # without compiling
-        presets, frames, variants = ("tiny",), 3, (VARIANTS[0], VARIANTS[4])
-    rows: list[Cost] = []
-    for number, name in enumerate(presets):
+        presets, frames, variants = ["tiny"], 3, [VARIANTS[0], VARIANTS[4]]
+    rows: list[dict[str, Any]] = []
+    for number, preset in enumerate(presets):
 
-        def progress(done: int, total: int, number: int = number) -> None:
-            run.progress((number + done / total) / len(presets))
+        def progress(fraction: float, number: int = number) -> None:
+            run.progress((number + fraction) / len(presets))
 
-        model = _untrained(name)
-        sample = sample_of_noise(model, 10)
-        rows += costs(
-            name,
-            model,
-            sample,
-            run.folder,
-            least_frames=frames,
-            variants=variants,
-            progress=progress,
-        )
-    return [asdict(row) for row in rows]
-
-
-def _untrained(preset: str) -> ForceModel:
-    """Return a model of a preset with random weights and the authors' force range."""
-    settings = read_settings(ForceModelSettings, PRESET_FOLDER, preset)
-    seed_torch(settings.seed, "force", "weights")
-    model = ForceModel(settings.network, settings.input)
-    model.set_range(AUTHORS)
-    return model.eval()
-
-
-def sample_of_noise(model: ForceModel, count: int) -> Sample:
-    """Return synthetic frames, which take as long as real ones."""
-    frames = random_frames(model, count + 1)
-    needed = model.inputs.needs_reference
-    return Sample(frames[1:], np.array([0, count]), frames[:1] if needed else None)
+        # Random weights, and the authors' force range.
+        settings = read_settings(ForceModelSettings, PRESET_FOLDER, preset)
+        seed_torch(settings.seed, "force", "weights")
+        model = ForceModel(settings.network, settings.input)
+        model.set_range(AUTHORS)
+        rows += costs(preset, model.eval(), run.folder, variants, frames, progress)
+    return rows
 
 
 def costs(
     name: str,
     model: ForceModel,
-    sample: Sample,
     folder: Path,
-    *,
-    threads: int = 2,
-    least_frames: int = 100,
-    variants: Sequence[Variant] = VARIANTS,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[Cost]:
-    """Return the cost of running a model in each variant.
+    variants: Sequence[tuple[str, str]],
+    count: int,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> list[dict[str, Any]]:
+    """Return the cost of running a model in each variant, on random frames.
 
     Args:
         name: Name of the model in the table.
-        model: The model, on the CPU or another device; exported ones run on the CPU.
-        sample: Frames to process.
-        folder: Folder for temporary exported models.
-        threads: Threads of a step on the CPU.
-        least_frames: Minimum number of frames to time; the sample is repeated.
-        variants: Variants to measure.
-        progress: Called with the number of variants done and the total.
+        model: The model.
+        folder: Folder for the exported model.
+        variants: Runtime and precision of each.
+        count: Number of frames to time.
+        progress: Called with the fraction of the variants that is done.
+
+    Returns:
+        For each variant the number of `weights`, the median and 99th percentile of the time of a
+        frame [ms], and the largest difference of a force from torch in fp32 [N]; None and a
+        `remark` if the runtime is not available here.
     """
-    torch.set_num_threads(threads)
+    torch.set_num_threads(_THREADS)
     exported = folder / f"{name}.onnx"
     export_onnx(model, exported)
     weights = sum(weight.numel() for weight in model.parameters())
-    truth = _forces(torch_stream(model), sample)
+    frames = random_frames(model, _COMPARED + 1)
+    truth = _forces(torch_stream(model), model, frames)
     rows = []
-    for done, variant in enumerate(variants):
-        progress(done, len(variants))
-        about = (name, weights, variant.runtime, variant.precision)
+    for number, (runtime, precision) in enumerate(variants):
+        progress(number / len(variants))
+        row = {"model": name, "weights": weights, "runtime": runtime, "precision": precision}
+        rows.append(row | {"p50_ms": None, "p99_ms": None, "difference_n": None, "remark": ""})
         try:
-            stream = _stream(variant, model, exported, threads)
-            found = _forces(stream, sample)
-            times = _times(stream, sample, least_frames) * 1e3
+            stream = _stream(runtime, precision, model, exported)
+            forces = _forces(stream, model, frames)
+            times = _times_ms(stream, frames[1:], count)
         except (LearningError, ImportError, RuntimeError) as error:
-            why = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-            rows.append(Cost(*about, remark=f"does not run: {why[:100]}"))
+            reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+            rows[-1]["remark"] = f"does not run: {reason[:100]}"
             continue
         p50, p99 = np.percentile(times, [50, 99]).tolist()
-        rows.append(Cost(*about, p50, p99, float(np.abs(found - truth).max())))
+        difference = float(np.abs(forces - truth).max())
+        rows[-1] |= {"p50_ms": p50, "p99_ms": p99, "difference_n": difference}
     return rows
 
 
-def _stream(variant: Variant, model: ForceModel, exported: Path, threads: int) -> ForceStream:
-    if variant.runtime in ("torch", "torch.compile"):
-        narrow = variant.precision == "bf16"
-        one = OneFrame(_bf16(model) if narrow else model).eval()
-        if variant.runtime == "torch.compile":
-            torch.compiler.reset()
-            one.compile(dynamic=False)
-        return torch_stream(model, one)
-    runtime = "onnx" if variant.runtime == "onnxruntime" else variant.runtime
-    if variant.precision == "bf16":
-        runtime += "-bf16"
-    return open_exported(exported, runtime=runtime, threads=threads)
+def _stream(runtime: str, precision: str, model: ForceModel, exported: Path) -> ForceStream:
+    if not runtime.startswith("torch"):
+        name = "onnx" if runtime == "onnxruntime" else runtime
+        narrow = "" if precision == "fp32" else f"-{precision}"
+        return open_exported(exported, runtime=name + narrow, threads=_THREADS)
+    one = OneFrame(_bf16(model) if precision == "bf16" else model).eval()
+    if runtime == "torch.compile":
+        torch.compiler.reset()
+        one.compile(dynamic=False)
+    return torch_stream(model, one)
 
 
 def _bf16(model: ForceModel) -> ForceModel:
@@ -194,25 +133,19 @@ def _bf16(model: ForceModel) -> ForceModel:
     return copy.eval()
 
 
-def _forces(stream: ForceStream, sample: Sample) -> NDArray[np.float64]:
-    """Return the forces (n, 3) N of a sample."""
-    found = []
-    for press, (first, end) in enumerate(zip(sample.starts, sample.starts[1:], strict=False)):
-        stream.reset(None if sample.references is None else sample.references[press])
-        found += [stream.step(frame) for frame in sample.frames[first:end]]
-    return np.array(found)
+def _forces(stream: ForceStream, model: ForceModel, frames: np.ndarray) -> NDArray[np.float64]:
+    """Return the forces (n - 1, 3) N of a press; its first frame is the one without contact."""
+    stream.reset(frames[0] if model.inputs.needs_reference else None)
+    return np.array([stream.step(frame) for frame in frames[1:]])
 
 
-def _times(stream: ForceStream, sample: Sample, least_frames: int) -> NDArray[np.float64]:
-    """Return the time per frame (n,) s, after a few warm-up frames."""
-    if sample.references is not None:
-        stream.reset(sample.references[0])
+def _times_ms(stream: ForceStream, frames: np.ndarray, count: int) -> NDArray[np.float64]:
+    """Return the time per frame (count,) ms, after a few warm-up frames."""
     times = []
-    for number in range(_WARM_UP + max(least_frames, 1)):
-        frame = sample.frames[number % len(sample.frames)]
+    for number in range(_WARM_UP + count):
         began = time.perf_counter()
-        stream.step(frame)
-        times.append(time.perf_counter() - began)
+        stream.step(frames[number % len(frames)])
+        times.append(1e3 * (time.perf_counter() - began))
     return np.array(times[_WARM_UP:])
 
 

@@ -24,40 +24,45 @@ _RATE = {"zstd": 60 * 1.0e6, "jpeg": 60 * 1.0e5}
 _FREE = 1.5
 # Numbers of cameras that are tried, until a frame is dropped.
 COUNTS = (1, 2, 4, 6, 8, 10, 12, 16, 24, 32)
+# Largest time to append a frame (p99) [ms], and share of a core of all streams at once.
+APPEND_MS, CORE = 5.0, 0.60
 
 
 def measure(run: Run) -> dict[str, Any]:
     """Record each stream by itself, more and more cameras, and everything at once."""
     single, cameras, full = (0.6, 0.6, 1.5) if run.quick else (10.0, 6.0, 60.0)
     counts = COUNTS[:2] if run.quick else COUNTS
-    place, done = run.folder, 0
-
-    def step() -> None:
-        nonlocal done
-        run.progress(min(done / (len(SINGLE) + 2 * len(counts) + 4), 1.0))
-        done += 1
-
     alone = []
     for number, feed in enumerate(SINGLE):
-        step()
-        alone += record([feed], single, place / f"alone-{number}")
+        run.progress(0.3 * number / len(SINGLE))
+        alone += record([feed], single, run.folder / f"alone-{number}")
     trials: dict[str, list[dict[str, Any]]] = {"zstd": [], "jpeg": []}
-    for codec, tried in trials.items():
-        for count in counts:
-            step()
-            require_room(place, count * cameras * _RATE[codec])
-            fed = record([Feed("camera", 60.0, codec)] * count, cameras, place / f"{codec}-{count}")
-            tried.append(trial_of(fed))
+    for part, (codec, tried) in enumerate(trials.items()):
+        for number, count in enumerate(counts):
+            run.progress(0.3 + 0.2 * (part + number / len(counts)))
+            require_room(run.folder, count * cameras * _RATE[codec])
+            feeds = [Feed("camera", 60.0, codec)] * count
+            tried.append(trial_of(record(feeds, cameras, run.folder / f"{codec}-{count}")))
             if tried[-1]["dropped"]:
                 break
-    require_room(place, full * 2 * _RATE["zstd"])
-    at_once = record(TOGETHER, full, place / "together")
-    return {
-        "alone": alone,
-        "trials": trials,
-        "together": at_once,
-        "seconds": full,
-    }
+    run.progress(0.7)
+    require_room(run.folder, full * 2 * _RATE["zstd"])
+    at_once = record(TOGETHER, full, run.folder / "together")
+    return {"alone": alone, "trials": trials, "together": at_once, "seconds": full}
+
+
+def goals(values: dict[str, Any]) -> list[tuple[str, str, bool]]:
+    """Return what the streams must reach, what they reach, and whether it is enough."""
+    fed = values["together"]
+    dropped = sum(one["dropped"] + bool(one["failure"]) for one in fed)
+    p99 = max(one["append_ms"]["p99"] for one in fed)
+    cores = sum(one["cpu"] for one in fed)
+    what = "two lossless cameras, force 1 kHz, pose 500 Hz, taxels"
+    return [
+        (f"{what}: nothing dropped", f"{dropped} dropped", not dropped),
+        (f"the same: append p99 below {APPEND_MS:g} ms", f"{p99:.2f} ms", p99 < APPEND_MS),
+        (f"the same: below {100 * CORE:.0f} % of a core", f"{100 * cores:.0f} %", cores < CORE),
+    ]
 
 
 def trial_of(fed: list[dict[str, Any]]) -> dict[str, float]:

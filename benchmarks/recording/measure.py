@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
 import os
 import resource
-from collections.abc import Callable, Iterator, Sequence
-from multiprocessing.connection import Connection
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from rig.core.errors import ConfigError
+# Number of images in a window.
+WINDOW = 16
 
 
 def spread_ms(nanoseconds: Sequence[int]) -> dict[str, float]:
@@ -23,37 +20,6 @@ def spread_ms(nanoseconds: Sequence[int]) -> dict[str, float]:
         return dict.fromkeys(("p50", "p99", "most"), float("nan"))
     p50, p99 = np.percentile(values, [50, 99])
     return {"p50": float(p50), "p99": float(p99), "most": float(values.max())}
-
-
-@contextlib.contextmanager
-def spawned(target: Callable[..., None], *args: Any) -> Iterator[Connection]:
-    """Run `target(*args, pipe)` in a process that ends with the block; yield our end of it."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=target, args=(*args, theirs), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        yield ours
-    finally:
-        ours.close()
-        process.join(5.0)
-        if process.is_alive():
-            process.kill()
-            process.join()
-        process.close()
-
-
-def answer_of(pipe: Connection, timeout: float, title: str) -> Any:
-    """Return what a spawned process sends.
-
-    Raises:
-        ConfigError: It ended or did not answer.
-    """
-    with contextlib.suppress(EOFError):
-        if pipe.poll(timeout):
-            return pipe.recv()
-    raise ConfigError(f"{title}: its process ended or did not answer")
 
 
 def cpu_seconds() -> float:
@@ -76,21 +42,3 @@ def files_of(path: Path) -> list[Path]:
 def tree_bytes(path: Path) -> int:
     """Return the size of a file, or of all files below a folder [bytes]."""
     return sum(file.stat().st_size for file in files_of(path))
-
-
-def sync_tree(path: Path) -> None:
-    """Flush a file, or all files below a folder, to the disk."""
-    for file in files_of(path):
-        fd = os.open(file, os.O_RDONLY)
-        try:
-            os.fsync(fd)
-        finally:
-            os.close(fd)
-
-
-def warm(path: Path) -> None:
-    """Read a file, or all files below a folder, into the page cache."""
-    for file in files_of(path):
-        with file.open("rb") as content:
-            while content.read(1 << 22):
-                pass

@@ -50,15 +50,15 @@ _LEAD = 0.5
 _ORIGIN_NS = 1_000 * SECOND_NS
 
 
-def world_spec() -> AnalyticSpec:
-    """Return a GelSight-like sensor under a flat punch, with friction and hysteresis."""
-    return AnalyticSpec(
-        layer=Layer(modulus=150e3, poisson=0.48, thickness=4e-3),
-        indenter=Punch(radius=3e-3),
-        markers=MarkerView(layout="grid", pitch=1.5e-3, radius=0.25e-3, pixel=0.025e-3),
-        friction=0.8,
-        hysteresis=Hysteresis(fraction=0.2, relaxation=0.6),
-    )
+# A GelSight-like sensor under a flat punch, with friction and hysteresis.
+_MARKERS = MarkerView(layout="grid", pitch=1.5e-3, radius=0.25e-3, pixel=0.025e-3)
+_WORLD = AnalyticSpec(
+    layer=Layer(modulus=150e3, poisson=0.48, thickness=4e-3),
+    indenter=Punch(radius=3e-3),
+    markers=_MARKERS,
+    friction=0.8,
+    hysteresis=Hysteresis(fraction=0.2, relaxation=0.6),
+)
 
 
 class Motion:
@@ -69,10 +69,9 @@ class Motion:
     """
 
     def __init__(self, seconds: float) -> None:
-        self._spec = world_spec()
-        assumed = self._spec.indenter.force(self._spec.layer, 1e-3) / 1e-3
+        assumed = _WORLD.indenter.force(_WORLD.layer, 1e-3) / 1e-3
         self._depth = PEAK / (assumed * (1.0 + 0.2))
-        world = AnalyticWorld(self._spec, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        world = AnalyticWorld(_WORLD, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         count = round(seconds / _STEP) + 1
         self._t: Floats = np.arange(count, dtype=np.float64) * _STEP
         self._states = np.zeros(count, WORLD_STATE)
@@ -82,13 +81,7 @@ class Motion:
         self._wrench: Floats = self._states["wrench"]
         means = 0.5 * (self._wrench[1:] + self._wrench[:-1])
         self._summed: Floats = np.concatenate([np.zeros((1, 6)), np.cumsum(means * _STEP, axis=0)])
-        self._camera = MarkerCamera(self._markers())
-
-    def _markers(self) -> MarkerView:
-        markers = self._spec.markers
-        if markers is None:
-            raise ValueError("the World has no camera")
-        return markers
+        self._camera = MarkerCamera(_MARKERS)
 
     def position(self, t: Floats) -> Floats:
         """Return the tip (n, 3) at times (n,) [s] in the contact frame [m]."""
@@ -117,7 +110,7 @@ class Motion:
         """Return marker centres (n, m, 2) at times (n,) [px], from the World's nearest step."""
         rows = np.clip(np.round(t / _STEP).astype(np.int64), 0, len(self._t) - 1)
         return np.stack(
-            [self._camera.pixels(surface_of(self._spec, self._states[row])) for row in rows]
+            [self._camera.pixels(surface_of(_WORLD, self._states[row])) for row in rows]
         )
 
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 from onnx import TensorProto, helper
 from support.force_models import TOY, noise_presses
 
-from benchmarks.recording.latency import Variant, costs, sample_of_noise, section
+from benchmarks.recording.latency import costs, section
 from benchmarks.report import Page
 from learning.data.presses import ForceRange
 from learning.errors import LearningError
@@ -85,7 +84,7 @@ def test_an_export_overwrites_nothing(model: ForceModel, exported: Path) -> None
     assert exported.read_bytes() == before
 
 
-FEW = (Variant("torch", "fp32"), Variant("torch", "bf16"), Variant("onnxruntime", "int8"))
+FEW = (("torch", "fp32"), ("torch", "bf16"), ("onnxruntime", "int8"))
 
 
 @pytest.mark.slow
@@ -94,16 +93,11 @@ def test_costs_are_of_every_way_to_run_a_model(
 ) -> None:
     # The calibration's progress bar would keep a thread for the life of the process.
     monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)
-    sample = sample_of_noise(model, 3)
-    rows = costs("toy", model, sample, tmp_path, threads=1, least_frames=3, variants=FEW)
-    assert [(row.runtime, row.precision) for row in rows] == [
-        ("torch", "fp32"),
-        ("torch", "bf16"),
-        ("onnxruntime", "int8"),
-    ]
-    assert rows[0].difference_n == 0.0
-    assert all(row.difference_n is not None and 0 < row.difference_n < 1 for row in rows[1:])
-    text = section([asdict(row) for row in rows], Page(tmp_path / "page.md"))
+    rows = costs("toy", model, tmp_path, FEW, 3)
+    assert [(row["runtime"], row["precision"]) for row in rows] == [*FEW]
+    assert rows[0]["difference_n"] == 0.0
+    assert all(0 < row["difference_n"] < 1 for row in rows[1:])
+    text = section(rows, Page(tmp_path / "page.md"))
     assert text.count("| toy |") == 3
     assert (tmp_path / "images" / "page-latency.png").read_bytes().startswith(b"\x89PNG")
 

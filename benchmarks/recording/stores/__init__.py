@@ -9,37 +9,34 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from benchmarks.recording.frames import Frame, Image, number_in
 
-from benchmarks.recording.frames import number_in_jpeg, number_in_pixels
-
-Image = NDArray[np.uint8]
-# A frame as it is stored: pixels (480, 640, 3), or a JPEG.
-Frame = Image | bytes
 # Number of frames in a store, and a function that decodes n images from a first one.
 Opened = tuple[int, Callable[[int, int], Image]]
-# Numbers of the frames found, in order; None for a frame that differs from the one written.
+# Numbers of the frames that a store has, in order; None for one that differs from that written.
 Numbers = list[int | None]
 
 
-class Appender:
-    """A store being written."""
+class FrameStore:
+    """One way to store frames on disk; each module has a subclass `Store`.
+
+    Args:
+        profile: How the frames are stored.
+    """
+
+    def __init__(self, profile: str) -> None:
+        self.profile = profile
+
+    def create(self, path: Path) -> None:
+        """Create a new store at `path`, to be written."""
+        raise NotImplementedError
 
     def append(self, frame: Frame, t_ns: int) -> None:
         """Append one frame, pixels or JPEG bytes depending on the store."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Finish the store; here every append is complete."""
-
-
-class FrameStore:
-    """One way to store frames on disk; each module has a subclass `Store`."""
-
-    def create(self, path: Path) -> Appender:
-        """Create a new store at `path`."""
-        raise NotImplementedError
+        """Finish writing; here every append is complete."""
 
     def finish(self, path: Path) -> None:
         """Do what a store has still to do before it is read, which is not measured."""
@@ -55,31 +52,24 @@ class FrameStore:
             Exception: Any exception of the reader if the store cannot be opened.
         """
         with self.reader(path) as (count, images):
-            return [number_in_pixels(images(row, 1)[0]) for row in range(count)]
+            return [number_in(images(row, 1)[0]) for row in range(count)]
 
     def repaired(self, path: Path) -> Numbers | None:
         """Return the same after the store's own repair; None if it has no repair."""
         return None
 
 
-def number_in(frame: Frame) -> int | None:
-    """Return the number of a stored frame, or None if it is not a complete frame."""
-    return number_in_jpeg(frame) if isinstance(frame, bytes) else number_in_pixels(frame)
-
-
 @dataclass(frozen=True, slots=True)
 class Entry:
     """One row of the comparison."""
 
-    key: str
-    """Short name, for the command line of the measuring process."""
     title: str
     """Title on the page."""
     module: str
     """Module of this package that defines `Store`."""
     profile: str
-    """Argument of `Store`: how the frames are stored."""
-    takes: Literal["pixels", "decoded", "jpeg"]
+    """Argument of `Store`."""
+    frames: Literal["pixels", "decoded", "jpeg"]
     """Raw pixels, pixels of a decoded JPEG, or the JPEG itself."""
     checksum: str
     """Checksum over the frame that the store writes, and whether its reader verifies it."""
@@ -95,8 +85,7 @@ class Entry:
         Raises:
             ImportError: The library is not installed.
         """
-        module = importlib.import_module(f"{__name__}.{self.module}")
-        store: FrameStore = module.Store(self.profile)
+        store: FrameStore = importlib.import_module(f"{__name__}.{self.module}").Store(self.profile)
         return store
 
 
@@ -104,25 +93,16 @@ _CRC = "CRC-32C, verified"
 _MCAP = "CRC-32 of a chunk, verified on request"
 _ZLIB = "Adler-32 of gzip, verified"
 OURS, MCAP = "ours-jpeg", "mcap-jpeg"
-STORES = (
-    Entry(OURS, "**ours**, JPEG", "ours", "jpeg", "jpeg", _CRC),
-    Entry("ours-zstd", "**ours**, lossless", "ours", "zstd", "pixels", _CRC),
-    Entry("ours-decoded", "**ours**, lossless, of a decoded JPEG", "ours", "zstd", "decoded", _CRC),
-    Entry(MCAP, "MCAP, JPEG", "mcap", "jpeg", "jpeg", _MCAP),
-    Entry("mcap-each-jpeg", "MCAP, JPEG, each written at once", "mcap", "each", "jpeg", _MCAP),
-    Entry("mcap-zstd", "MCAP, raw images, zstd", "mcap", "pixels", "pixels", _MCAP),
-    Entry("h5py-jpeg", "h5py, JPEG", "hdf5", "jpeg", "jpeg", "none"),
-    Entry("h5py-blosc", "h5py, blosc lz4 bitshuffle", "hdf5", "blosc", "pixels", "none"),
-    Entry("h5py-gzip", "h5py, gzip 1", "hdf5", "gzip", "pixels", _ZLIB),
-    Entry("png", "PNG files (OpenCV)", "png", "level 1", "pixels", "CRC-32, verified"),
-    Entry("zarr-append", "zarr, `append`", "zarr_append", "zstd 1", "pixels", "none"),
-)
-
-
-def entry(key: str) -> Entry:
-    """Return the entry with that key.
-
-    Raises:
-        KeyError: No such entry.
-    """
-    return {one.key: one for one in STORES}[key]
+STORES = {
+    OURS: Entry("**ours**, JPEG", "ours", "jpeg", "jpeg", _CRC),
+    "ours-zstd": Entry("**ours**, lossless", "ours", "zstd", "pixels", _CRC),
+    "ours-decoded": Entry("**ours**, lossless, of a decoded JPEG", "ours", "zstd", "decoded", _CRC),
+    MCAP: Entry("MCAP, JPEG", "mcap", "jpeg", "jpeg", _MCAP),
+    "mcap-each-jpeg": Entry("MCAP, JPEG, each written at once", "mcap", "each", "jpeg", _MCAP),
+    "mcap-zstd": Entry("MCAP, raw images, zstd", "mcap", "pixels", "pixels", _MCAP),
+    "h5py-jpeg": Entry("h5py, JPEG", "hdf5", "jpeg", "jpeg", "none"),
+    "h5py-blosc": Entry("h5py, blosc lz4 bitshuffle", "hdf5", "blosc", "pixels", "none"),
+    "h5py-gzip": Entry("h5py, gzip 1", "hdf5", "gzip", "pixels", _ZLIB),
+    "png": Entry("PNG files (OpenCV)", "png", "1", "pixels", "CRC-32, verified"),
+    "zarr-append": Entry("zarr, `append`", "zarr_append", "1", "pixels", "none"),
+}

@@ -9,63 +9,42 @@ from typing import Any
 
 import h5py
 import numpy as np
-import simplejpeg
 
-from benchmarks.recording.frames import HEIGHT, WIDTH
-from benchmarks.recording.stores import (
-    Appender,
-    Frame,
-    FrameStore,
-    Image,
-    Numbers,
-    Opened,
-    number_in,
-)
+from benchmarks.recording.frames import SHAPE, Frame, Image, decoded, number_in
+from benchmarks.recording.stores import FrameStore, Numbers, Opened
 
 _NAME = "frames"
 
 
-class _Appender(Appender):
-    def __init__(self, path: Path, profile: str) -> None:
-        self._file = h5py.File(path, "w")
-        self._count = 0
-        if profile == "jpeg":
+class Store(FrameStore):
+    """One file, of profile `blosc`, `gzip` or `jpeg`."""
+
+    def create(self, path: Path) -> None:
+        """Create a new file."""
+        self._file, self._count = h5py.File(path, "w"), 0
+        if self.profile == "jpeg":
             kind = h5py.vlen_dtype(np.uint8)
             self._data = self._file.create_dataset(_NAME, (0,), kind, maxshape=(None,))
             return
         filters: dict[str, Any] = {"compression": "gzip", "compression_opts": 1}
-        if profile == "blosc":
+        if self.profile == "blosc":
             import hdf5plugin
 
             filters = dict(hdf5plugin.Blosc("lz4", clevel=5, shuffle=hdf5plugin.Blosc.BITSHUFFLE))
-        shape = (HEIGHT, WIDTH, 3)
         self._data = self._file.create_dataset(
-            _NAME, (0, *shape), np.uint8, maxshape=(None, *shape), chunks=(1, *shape), **filters
+            _NAME, (0, *SHAPE), np.uint8, maxshape=(None, *SHAPE), chunks=(1, *SHAPE), **filters
         )
 
     def append(self, frame: Frame, t_ns: int) -> None:
+        """Append one frame."""
         self._count += 1
         self._data.resize(self._count, axis=0)
         value = np.frombuffer(frame, np.uint8) if isinstance(frame, bytes) else frame
         self._data[self._count - 1] = value
 
     def close(self) -> None:
+        """Close the file."""
         self._file.close()
-
-
-class Store(FrameStore):
-    """One file.
-
-    Args:
-        profile: `blosc`, `gzip` or `jpeg`.
-    """
-
-    def __init__(self, profile: str) -> None:
-        self._profile = profile
-
-    def create(self, path: Path) -> _Appender:
-        """Create a new file."""
-        return _Appender(path, self._profile)
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
@@ -74,19 +53,14 @@ class Store(FrameStore):
             data = file[_NAME]
 
             def read(first: int, count: int) -> Image:
-                return np.asarray(data[first : first + count])
+                rows = data[first : first + count]
+                return decoded(rows, count) if self.profile == "jpeg" else np.asarray(rows)
 
-            def read_jpeg(first: int, count: int) -> Image:
-                out = np.empty((count, HEIGHT, WIDTH, 3), np.uint8)
-                for image, row in zip(out, data[first : first + count], strict=True):
-                    simplejpeg.decode_jpeg(row, buffer=image)
-                return out
-
-            yield len(data), read_jpeg if self._profile == "jpeg" else read
+            yield len(data), read
 
     def left(self, path: Path) -> Numbers:
         """Return the frames that h5py finds; it rejects a file that was not closed and flushed."""
-        if self._profile != "jpeg":
+        if self.profile != "jpeg":
             return super().left(path)
         with h5py.File(path, "r") as file:
             return [number_in(row.tobytes()) for row in file[_NAME]]

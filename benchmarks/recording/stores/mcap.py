@@ -7,69 +7,48 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import simplejpeg
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from benchmarks.recording.frames import HEIGHT, WIDTH
-from benchmarks.recording.stores import (
-    Appender,
-    Frame,
-    FrameStore,
-    Image,
-    Numbers,
-    Opened,
-    number_in,
-)
+from benchmarks.recording.frames import SHAPE, Frame, Image, decoded, number_in
+from benchmarks.recording.stores import FrameStore, Numbers, Opened
 
 _PERIOD_NS = 16_666_667
-
-
-class _Appender(Appender):
-    def __init__(self, path: Path, jpeg: bool, at_once: bool) -> None:
-        self._at_once = at_once
-        self._file = path.open("wb")
-        packed = CompressionType.NONE if jpeg else CompressionType.ZSTD
-        if at_once:
-            self._writer = Writer(self._file, compression=packed, chunk_size=1)
-        else:
-            self._writer = Writer(self._file, compression=packed)
-        self._writer.start()
-        self._channel = self._writer.register_channel("/camera", "frame", 0)
-        self._count = 0
-
-    def append(self, frame: Frame, t_ns: int) -> None:
-        data = frame if isinstance(frame, bytes) else frame.tobytes()
-        # Evenly spaced times, from which the reader finds a window.
-        at_ns = self._count * _PERIOD_NS
-        self._writer.add_message(self._channel, at_ns, data, at_ns, self._count)
-        self._count += 1
-        if self._at_once:
-            self._file.flush()
-
-    def close(self) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.close()
 
 
 class Store(FrameStore):
     """One file.
 
-    Args:
-        profile: `pixels`, `jpeg`, or `each` for JPEGs of which each is written as it comes, in a
-            chunk of its own, so that a kill costs none; by default, chunks are of a megabyte.
+    Its profile is `pixels`, `jpeg`, or `each` for JPEGs of which each is written as it comes, in a
+    chunk of its own, so that a kill costs none; by default, chunks are of a megabyte.
     """
 
-    def __init__(self, profile: str) -> None:
-        self._at_once = profile == "each"
-        self._jpeg = profile != "pixels"
-
-    def create(self, path: Path) -> _Appender:
+    def create(self, path: Path) -> None:
         """Create a new file."""
-        return _Appender(path, self._jpeg, self._at_once)
+        self._file, self._count = path.open("wb"), 0
+        packed = CompressionType.ZSTD if self.profile == "pixels" else CompressionType.NONE
+        size = 1 if self.profile == "each" else 1 << 20  # by default
+        self._writer = Writer(self._file, compression=packed, chunk_size=size)
+        self._writer.start()
+        self._channel = self._writer.register_channel("/camera", "frame", 0)
+
+    def append(self, frame: Frame, t_ns: int) -> None:
+        """Append one frame."""
+        data = frame if isinstance(frame, bytes) else frame.tobytes()
+        # Evenly spaced times, from which the reader finds a window.
+        at_ns = self._count * _PERIOD_NS
+        self._writer.add_message(self._channel, at_ns, data, at_ns, self._count)
+        self._count += 1
+        if self.profile == "each":
+            self._file.flush()
+
+    def close(self) -> None:
+        """Write the summary and close the file."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
@@ -83,13 +62,13 @@ class Store(FrameStore):
 
             def read(first: int, n: int) -> Image:
                 start, end = first * _PERIOD_NS, (first + n) * _PERIOD_NS
-                out = np.empty((n, HEIGHT, WIDTH, 3), np.uint8)
                 messages = reader.iter_messages(starting_at=start, ending_before=end)
-                for image, (_, _, message) in zip(out, messages, strict=True):
-                    if self._jpeg:
-                        simplejpeg.decode_jpeg(message.data, buffer=image)
-                    else:
-                        image[...] = _image(message.data)
+                frames = (message.data for _, _, message in messages)
+                if self.profile != "pixels":
+                    return decoded(frames, n)
+                out = np.empty((n, *SHAPE), np.uint8)
+                for image, data in zip(out, frames, strict=True):
+                    image[...] = _image(data)
                 return out
 
             yield count, read
@@ -102,19 +81,19 @@ class Store(FrameStore):
 
     def repaired(self, path: Path) -> Numbers:
         """Return the frames found record by record, which is how `mcap recover` works."""
-        found: Numbers = []
+        numbers: Numbers = []
         with path.open("rb") as file:
             try:
                 for record in StreamReader(file).records:
                     if isinstance(record, Message):
-                        found.append(self._number(record))
+                        numbers.append(self._number(record))
             except (McapError, EOFError, ValueError):
-                return found  # truncated end of the file
-        return found
+                return numbers  # truncated end of the file
+        return numbers
 
     def _number(self, message: Message) -> int | None:
-        return number_in(message.data if self._jpeg else _image(message.data))
+        return number_in(_image(message.data) if self.profile == "pixels" else message.data)
 
 
 def _image(data: bytes) -> Image:
-    return np.frombuffer(data, np.uint8).reshape(HEIGHT, WIDTH, 3)
+    return np.frombuffer(data, np.uint8).reshape(SHAPE)

@@ -8,39 +8,29 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.recording.frames import HEIGHT, WIDTH
-from benchmarks.recording.stores import Appender, Frame, FrameStore, Numbers, Opened, number_in
+from benchmarks.recording.frames import HEIGHT, WIDTH, Frame, number_in
+from benchmarks.recording.stores import FrameStore, Numbers, Opened
 from recorder import Session, SessionWriter, StreamWriter, camera_spec, recover
 
 
-class _Appender(Appender):
-    def __init__(self, path: Path, codec: str) -> None:
-        spec = camera_spec(60.0, height=HEIGHT, width=WIDTH, codec=codec)
+class Store(FrameStore):
+    """The recorder; its profile is the codec, `jpeg` or `zstd`."""
+
+    def create(self, path: Path) -> None:
+        """Create a new session."""
+        spec = camera_spec(60.0, height=HEIGHT, width=WIDTH, codec=self.profile)
         targets = {"point": np.zeros(0, np.int16)}
         self._session = SessionWriter.create(path, attrs={}, streams=[spec], targets=targets)
         self._writer = StreamWriter.open(self._session.stream_path("camera"))
 
     def append(self, frame: Frame, t_ns: int) -> None:
+        """Append one frame."""
         self._writer.append(value=frame, device_t=float("nan"), t_ns=t_ns)
 
     def close(self) -> None:
+        """Seal the stream."""
         self._writer.close()
         self._session.close()
-
-
-class Store(FrameStore):
-    """The recorder.
-
-    Args:
-        codec: `jpeg` or `zstd`.
-    """
-
-    def __init__(self, codec: str) -> None:
-        self._codec = codec
-
-    def create(self, path: Path) -> _Appender:
-        """Create a new session."""
-        return _Appender(path, self._codec)
 
     def finish(self, path: Path) -> None:
         """Write the view of synchronised rows and the manifest, as at the end of a collection."""

@@ -9,38 +9,26 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.recording.frames import number_in_pixels
-from benchmarks.recording.stores import Appender, Frame, FrameStore, Image, Numbers, Opened
-
-
-class _Appender(Appender):
-    def __init__(self, path: Path, level: int) -> None:
-        path.mkdir()
-        self._options = [cv2.IMWRITE_PNG_COMPRESSION, level]
-        self._path = path
-        self._count = 0
-
-    def append(self, frame: Frame, t_ns: int) -> None:
-        # The channel order does not affect the cost.
-        name = str(self._path / f"{self._count:06d}.png")
-        if not cv2.imwrite(name, np.asarray(frame), self._options):
-            raise OSError(f"{name}: could not be written")
-        self._count += 1
+from benchmarks.recording.frames import Frame, Image, number_in
+from benchmarks.recording.stores import FrameStore, Numbers, Opened
 
 
 class Store(FrameStore):
-    """One file per frame.
+    """One file per frame; its profile is the level of compression."""
 
-    Args:
-        profile: Level of compression.
-    """
-
-    def __init__(self, profile: str) -> None:
-        self._level = int(profile.split()[-1])
-
-    def create(self, path: Path) -> _Appender:
+    def create(self, path: Path) -> None:
         """Create a new folder."""
-        return _Appender(path, self._level)
+        path.mkdir()
+        self._path, self._count = path, 0
+
+    def append(self, frame: Frame, t_ns: int) -> None:
+        """Write one file; the channel order does not affect the cost."""
+        name = str(self._path / f"{self._count:06d}.png")
+        if not cv2.imwrite(
+            name, np.asarray(frame), [cv2.IMWRITE_PNG_COMPRESSION, int(self.profile)]
+        ):
+            raise OSError(f"{name}: could not be written")
+        self._count += 1
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
@@ -54,5 +42,5 @@ class Store(FrameStore):
 
     def left(self, path: Path) -> Numbers:
         """Return the frames of all files; one that was being written is truncated."""
-        found = [cv2.imread(str(file)) for file in sorted(path.glob("*.png"))]
-        return [None if image is None else number_in_pixels(np.asarray(image)) for image in found]
+        pixels = [cv2.imread(str(file)) for file in sorted(path.glob("*.png"))]
+        return [None if image is None else number_in(np.asarray(image)) for image in pixels]

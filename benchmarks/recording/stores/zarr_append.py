@@ -10,37 +10,23 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
-from benchmarks.recording.frames import HEIGHT, WIDTH
-from benchmarks.recording.stores import Appender, Frame, FrameStore, Opened
-
-
-class _Appender(Appender):
-    def __init__(self, path: Path, level: int) -> None:
-        self._array = zarr.create_array(
-            path,
-            shape=(0, HEIGHT, WIDTH, 3),
-            chunks=(1, HEIGHT, WIDTH, 3),
-            dtype="uint8",
-            compressors=[ZstdCodec(level=level)],
-        )
-
-    def append(self, frame: Frame, t_ns: int) -> None:
-        self._array.append(np.asarray(frame)[None])
+from benchmarks.recording.frames import SHAPE, Frame
+from benchmarks.recording.stores import FrameStore, Opened
 
 
 class Store(FrameStore):
-    """Array that grows by one frame at a time.
+    """Array that grows by one frame at a time; its profile is the level of zstd."""
 
-    Args:
-        profile: Codec and level.
-    """
-
-    def __init__(self, profile: str) -> None:
-        self._level = int(profile.split()[-1])
-
-    def create(self, path: Path) -> _Appender:
+    def create(self, path: Path) -> None:
         """Create a new array."""
-        return _Appender(path, self._level)
+        codec = ZstdCodec(level=int(self.profile))
+        self._array = zarr.create_array(
+            path, shape=(0, *SHAPE), chunks=(1, *SHAPE), dtype="uint8", compressors=[codec]
+        )
+
+    def append(self, frame: Frame, t_ns: int) -> None:
+        """Append one frame."""
+        self._array.append(np.asarray(frame)[None])
 
     @contextmanager
     def reader(self, path: Path) -> Iterator[Opened]:
