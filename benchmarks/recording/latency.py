@@ -6,7 +6,7 @@ Their error against true forces is that of the benchmark `paper`.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,16 +51,13 @@ def measure(run: Run) -> list[dict[str, Any]]:
         presets, frames, variants = ["tiny"], 3, [VARIANTS[0], VARIANTS[4]]
     rows: list[dict[str, Any]] = []
     for number, preset in enumerate(presets):
-
-        def progress(fraction: float, number: int = number) -> None:
-            run.progress((number + fraction) / len(presets))
-
+        run.progress(number / len(presets))
         # Random weights, and the authors' force range.
         settings = read_settings(ForceModelSettings, PRESET_FOLDER, preset)
         seed_torch(settings.seed, "force", "weights")
         model = ForceModel(settings.network, settings.input)
         model.set_range(AUTHORS)
-        rows += costs(preset, model.eval(), run.folder, variants, frames, progress)
+        rows += costs(preset, model.eval(), run.folder, variants, frames)
     return rows
 
 
@@ -70,7 +67,6 @@ def costs(
     folder: Path,
     variants: Sequence[tuple[str, str]],
     count: int,
-    progress: Callable[[float], None] = lambda fraction: None,
 ) -> list[dict[str, Any]]:
     """Return the cost of running a model in each variant, on random frames.
 
@@ -80,7 +76,6 @@ def costs(
         folder: Folder for the exported model.
         variants: Runtime and precision of each.
         count: Number of frames to time.
-        progress: Called with the fraction of the variants that is done.
 
     Returns:
         For each variant the number of `weights`, the median and 99th percentile of the time of a
@@ -94,8 +89,7 @@ def costs(
     frames = random_frames(model, _COMPARED + 1)
     truth = _forces(torch_stream(model), model, frames)
     rows = []
-    for number, (runtime, precision) in enumerate(variants):
-        progress(number / len(variants))
+    for runtime, precision in variants:
         row = {"model": name, "weights": weights, "runtime": runtime, "precision": precision}
         rows.append(row | {"p50_ms": None, "p99_ms": None, "difference_n": None, "remark": ""})
         try:

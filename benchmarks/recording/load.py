@@ -106,16 +106,17 @@ def section(values: dict[str, Any], page: Page) -> str:
         whole = [trial["cameras"] for trial in tried if not trial["dropped"]]
         more = " or more" if len(whole) == len(tried) else ""
         held.append(f"{max(whole, default=0)}{more} {names[codec]}")
-    fraction = sum(one["cpu"] for one in values["together"])
-    memory = [sum(one[key] for one in values["together"]) / 1e6 for key in ("rss_start", "rss_end")]
+    cpu, start, end = (
+        sum(one[key] for one in values["together"]) for key in ("cpu", "rss_start", "rss_end")
+    )
     return "\n\n".join(
         [
             "## Load of the streams",
             f"{_ABOUT} SCHED_FIFO was {granted}. Each stream by itself:",
             _streams(values["alone"]),
             f"Two lossless cameras and everything else at once, for {values['seconds']:g} s: "
-            f"{100 * fraction:.0f} % of a core; memory of all processes {memory[0]:.0f} MB after a "
-            f"fifth of the time and {memory[1]:.0f} MB at the end.",
+            f"{100 * cpu:.0f} % of a core; memory of all processes {start / 1e6:.0f} MB after a "
+            f"fifth of the time and {end / 1e6:.0f} MB at the end.",
             _streams(values["together"]),
             f"Cameras of 640x480 at 60 Hz without a dropped frame: {' and '.join(held)}.",
         ]

@@ -84,7 +84,7 @@ def test_an_export_overwrites_nothing(model: ForceModel, exported: Path) -> None
     assert exported.read_bytes() == before
 
 
-FEW = (("torch", "fp32"), ("torch", "bf16"), ("onnxruntime", "int8"))
+FEW = (("torch", "fp32"), ("torch", "bf16"), ("onnxruntime", "fp32"), ("onnxruntime", "int8"))
 
 
 @pytest.mark.slow
@@ -96,9 +96,10 @@ def test_costs_are_of_every_way_to_run_a_model(
     rows = costs("toy", model, tmp_path, FEW, 3)
     assert [(row["runtime"], row["precision"]) for row in rows] == [*FEW]
     assert rows[0]["difference_n"] == 0.0
-    assert all(0 < row["difference_n"] < 1 for row in rows[1:])
+    assert all(0 < row["difference_n"] < 1 for row in rows[1:3])
+    assert "runtime: found 'onnx-int8'" in rows[3]["remark"]
     text = section(rows, Page(tmp_path / "page.md"))
-    assert text.count("| toy |") == 3
+    assert text.count("| toy |") == 4
     assert (tmp_path / "images" / "page-latency.png").read_bytes().startswith(b"\x89PNG")
 
 

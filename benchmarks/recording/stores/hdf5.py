@@ -19,6 +19,14 @@ _NAME = "frames"
 class Store(FrameStore):
     """One file, of profile `blosc`, `gzip` or `jpeg`."""
 
+    def __init__(self, profile: str) -> None:
+        super().__init__(profile)
+        self._filters: dict[str, Any] = {"compression": "gzip", "compression_opts": 1}
+        if profile == "blosc":
+            from hdf5plugin import Blosc  # also makes it readable
+
+            self._filters = dict(Blosc("lz4", clevel=5, shuffle=Blosc.BITSHUFFLE))
+
     def create(self, path: Path) -> None:
         """Create a new file."""
         self._file, self._count = h5py.File(path, "w"), 0
@@ -26,13 +34,8 @@ class Store(FrameStore):
             kind = h5py.vlen_dtype(np.uint8)
             self._data = self._file.create_dataset(_NAME, (0,), kind, maxshape=(None,))
             return
-        filters: dict[str, Any] = {"compression": "gzip", "compression_opts": 1}
-        if self.profile == "blosc":
-            import hdf5plugin
-
-            filters = dict(hdf5plugin.Blosc("lz4", clevel=5, shuffle=hdf5plugin.Blosc.BITSHUFFLE))
         self._data = self._file.create_dataset(
-            _NAME, (0, *SHAPE), np.uint8, maxshape=(None, *SHAPE), chunks=(1, *SHAPE), **filters
+            _NAME, (0, *SHAPE), "u1", maxshape=(None, *SHAPE), chunks=(1, *SHAPE), **self._filters
         )
 
     def append(self, frame: Frame, t_ns: int) -> None:
