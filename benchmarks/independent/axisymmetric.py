@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,6 @@ from benchmarks.independent.formulas import shear_and_bulk
 from benchmarks.independent.profile import Profile
 
 Array = NDArray[np.float64]
-Base = Literal["bonded", "sliding"]
 
 # Contact stiffness in modulus per contact radius, or per thickness where that is less.
 STIFFNESS = 3000.0
@@ -58,8 +56,8 @@ class Layer:
     modulus: float = 0.145e6
     """Young's modulus [Pa]."""
     poisson: float = 0.45
-    base: Base = "bonded"
-    """`sliding` lets the base move sideways, so that a press by a plane is uniform."""
+    sliding: bool = False
+    """True: the base may move sideways, so that a press by a plane is uniform."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class AxisymmetricPress:
     def __init__(
         self, layer: Layer, profile: Profile, grid: Grid, friction: float, contact_radius: float
     ) -> None:
-        self.layer, self.profile, self.grid, self.friction = layer, profile, grid, friction
+        self.profile, self.friction = profile, friction
         shear, bulk = shear_and_bulk(layer.modulus, layer.poisson)
         self.elastic = Elastic(grid, shear, bulk)
         self.stiffness = STIFFNESS * layer.modulus / min(contact_radius, layer.thickness)
@@ -121,13 +119,10 @@ class AxisymmetricPress:
         self.unknowns = (2 * top[:, :, None] + np.arange(2)).reshape(len(top), 6)
         # Stresses are sums of terms as large as the bulk modulus, which sets the rounding error.
         self.rounding = 2e-14 * bulk * layer.radius * layer.thickness
-        fixed = np.isclose(self.nodes[:, 0], 0)
         low = np.isclose(self.nodes[:, 1], -layer.thickness)
         held = np.zeros((len(self.nodes), 2), bool)
-        held[fixed, 0] = True
-        held[low, 1] = True
-        if layer.base == "bonded":
-            held[low, 0] = True
+        held[low] = not layer.sliding, True
+        held[np.isclose(self.nodes[:, 0], 0), 0] = True
         self.free = np.flatnonzero(~held.ravel())
         self.base = 2 * np.flatnonzero(low) + 1
 
@@ -146,8 +141,8 @@ class AxisymmetricPress:
             state = self._moved(state, -depth)
             # The next step starts from the state before the multiplier updates, so adding a depth
             # changes no other result. With friction, the updates would alter stick and slip.
-            found = state if self.friction else self._settled(state)
-            answers.append(self._answer(found, depth))
+            settled = state if self.friction else self._settled(state)
+            answers.append(self._answer(settled, depth))
             before = depth
         return answers
 
@@ -156,28 +151,27 @@ class AxisymmetricPress:
         step, failed = target - state.tip, 0
         while state.tip != target:
             last = abs(target - state.tip) <= 1.001 * abs(step)
-            found = self._balanced(state, target if last else state.tip + step)
-            if found is None:
+            balanced = self._balanced(state, target if last else state.tip + step)
+            if balanced is None:
                 failed, step = failed + 1, step / 2
                 if failed > FAILURES:
                     raise NotSolved(f"at a depth of {-state.tip * 1e3:.4g} mm")
             else:
-                state, step = found, 2 * step
+                state, step = balanced, 2 * step
         return state
 
     def _settled(self, state: RingState) -> RingState:
         """Return the state with updated multipliers, as far as Newton's method converges."""
-        force, fraction = self._tractions(state, state.u, state.tip).force, 1.0
+        contact, fraction = self._tractions(state, state.u, state.tip), 1.0
         for _ in range(AUGMENTATIONS):
-            pressure = self._tractions(state, state.u, state.tip).pressure
-            multiplier = state.multiplier + fraction * (pressure - state.multiplier)
-            found = self._balanced(replace(state, multiplier=multiplier), state.tip)
-            if found is None:
+            multiplier = state.multiplier + fraction * (contact.pressure - state.multiplier)
+            balanced = self._balanced(replace(state, multiplier=multiplier), state.tip)
+            if balanced is None:
                 fraction /= 2
                 continue
-            before, force = force, self._tractions(found, found.u, found.tip).force
-            state = found
-            if abs(force - before) < STANDS_STILL * fraction * abs(force):
+            before, state = contact.force, balanced
+            contact = self._tractions(state, state.u, state.tip)
+            if abs(contact.force - before) < STANDS_STILL * fraction * abs(contact.force):
                 break
         return state
 

@@ -23,7 +23,8 @@ from sim.device import ready_device
 from sim.fem import Fem
 from sim.indenters import sphere
 from sim.layer import Layer
-from sim.scene import Body, Scene, press
+from sim.scene import Body, Scene
+from sim.scene import press as pressing
 from sim.tiers import simulate
 
 # Error that counts as small [%], beside the uncertainty of the other solution.
@@ -202,21 +203,19 @@ def _sphere(run: Run, radius: float) -> list[dict[str, float]]:
     layer = LinearLayer(thickness, body.modulus, body.poisson)
     depths = [thickness * depth for depth in DEPTHS if depth < radius]
     exact = np.array([layer_sphere(depth, radius * thickness, layer).force for depth in depths])
-    scene = Scene(sphere(radius * thickness), press(depths), body)
+    scene = Scene(sphere(radius * thickness), pressing(depths), body)
     fem = Fem(fineness=0.3 if run.quick else 1.0)
-    forces = {
-        "layer": simulate(scene, Layer(grid=256)).force,
-        "fem": simulate(scene, fem, device=run.device).force,
-    }
-    off = {name: (-force[1:, 2] / exact - 1).tolist() for name, force in forces.items()}
+    results = simulate(scene, Layer(grid=256)), simulate(scene, fem, device=run.device)
+    off = [(-result.force[1:, 2] / exact - 1).tolist() for result in results]
     return [
         {
             "radius": radius,
             "depth": depth / thickness,
-            "exact_n": float(exact[index]),
-            **{name: each[index] for name, each in off.items()},
+            "exact_n": force,
+            "layer": by_layer,
+            "fem": by_fem,
         }
-        for index, depth in enumerate(depths)
+        for depth, force, by_layer, by_fem in zip(depths, exact.tolist(), *off, strict=True)
     ]
 
 
@@ -263,18 +262,11 @@ def references(run: Run) -> dict[str, Any]:
     every = [added.get(press.name, press) for press in PRESSES]
     if added:
         store(every)
-    return {
-        "differences_percent": differences,
-        "uncertainties_percent": {
-            method: [
-                percent
-                for press in every
-                if press.axisymmetric == (method == "axisymmetric")
-                for percent in press.uncertainty_percent
-            ]
-            for method in ("axisymmetric", "GetFEM")
-        },
-    }
+    uncertainties: dict[str, list[float]] = {"axisymmetric": [], "GetFEM": []}
+    for press in every:
+        method = "axisymmetric" if press.axisymmetric else "GetFEM"
+        uncertainties[method] += press.uncertainty_percent
+    return {"differences_percent": differences, "uncertainties_percent": uncertainties}
 
 
 def references_section(values: dict[str, Any], _: Page) -> str:

@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
@@ -57,30 +58,23 @@ class Grid:
         return nodes
 
     @property
-    def rows(self) -> int:
-        """Number of nodes in a column along z."""
-        return 2 * len(self.z) - 1
-
-    @property
     def elements(self) -> Index:
         """Node numbers (E, 9) of the elements, r slowest."""
-        first = np.add.outer(
-            2 * np.arange(len(self.r) - 1) * self.rows, 2 * np.arange(len(self.z) - 1)
-        )
-        patch = np.add.outer(np.arange(3) * self.rows, np.arange(3)).ravel()
-        return np.add.outer(first.ravel(), patch)
+        return sliding_window_view(self._numbers, (3, 3))[::2, ::2].reshape(-1, 9)
 
     @property
     def top(self) -> Index:
         """Node numbers (S, 3) of the element edges along the top."""
-        first = 2 * np.arange(len(self.r) - 1) * self.rows + self.rows - 1
-        return np.add.outer(first, np.arange(3) * self.rows)
+        return sliding_window_view(self._numbers[:, -1], 3)[::2]
+
+    @property
+    def _numbers(self) -> Index:
+        rows, columns = 2 * len(self.r) - 1, 2 * len(self.z) - 1
+        return np.arange(rows * columns).reshape(rows, columns)
 
 
 def _with_middles(lines: Array) -> Array:
-    both = np.empty(2 * len(lines) - 1)
-    both[::2], both[1::2] = lines, (lines[1:] + lines[:-1]) / 2
-    return both
+    return np.sort(np.concatenate([lines, (lines[1:] + lines[:-1]) / 2]))
 
 
 class Elastic:
@@ -104,13 +98,11 @@ class Elastic:
         along_z = np.einsum("pi,qj->pqij", value, slope).reshape(-1, 9)
         r = np.einsum("pn,en->ep", shape, nodes[elements, 0])
         flat = np.outer(weight, weight).ravel()
-        # Derivatives of position by reference coordinates (E, P, 2), then shape slopes by position.
-        first_way = np.einsum("pn,enc->epc", along_r, nodes[elements])
-        second_way = np.einsum("pn,enc->epc", along_z, nodes[elements])
-        area = first_way[..., 0] * second_way[..., 1] - first_way[..., 1] * second_way[..., 0]
-        over_r = second_way[..., 1, None] * along_r - first_way[..., 1, None] * along_z
-        over_z = first_way[..., 0, None] * along_z - second_way[..., 0, None] * along_r
-        over_r, over_z = over_r / area[..., None], over_z / area[..., None]
+        # Derivatives of position by reference coordinates (E, P, 2, 2), and of shapes by position.
+        slopes = np.stack([along_r, along_z])
+        ways = np.einsum("dpn,enc->epcd", slopes, nodes[elements])
+        area = np.linalg.det(ways)
+        over_r, over_z = np.einsum("epdc,dpn->cepn", np.linalg.inv(ways), slopes)
         self.volume: Array = 2 * math.pi * r * flat * area
         # Operator from the 18 displacements to the five entries of F, (E, P, 5, 18).
         self.operator = np.zeros((*r.shape, 5, 18))

@@ -119,7 +119,6 @@ class Solver:
     def __init__(self, case: Press, scale: float) -> None:
         self.case = case
         mesh = mesh_of(case, scale)
-        thick = case.size[2]
         mesh.set_region(BASE, mesh.outer_faces_with_direction([0, 0, -1], 0.01))
         mesh.set_region(TOP, mesh.outer_faces_with_direction([0, 0, 1], 0.6))
         self.field = getfem.MeshFem(mesh, 3)
@@ -128,13 +127,13 @@ class Solver:
         self.surface = getfem.MeshIm(mesh, getfem.Integ("IM_GAUSS_PARALLELEPIPED(3,6)"))
         self.number = getfem.MeshImData(self.surface, TOP, 1)
         self.vector = getfem.MeshImData(self.surface, TOP, 3)
-        self.free = self._free(thick)
+        self.free = self._free()
         self.model = self._model(volume)
 
-    def _free(self, thick: float) -> NDArray[np.int64]:
+    def _free(self) -> NDArray[np.int64]:
         places = self.field.basic_dof_nodes()
         axis = np.arange(places.shape[1]) % 3
-        held = np.abs(places[2] + thick) < 1e-9
+        held = np.abs(places[2] + self.case.size[2]) < 1e-9
         for index, name in enumerate("xy"):
             if name in self.case.mirrors:
                 held |= (np.abs(places[index]) < 1e-9) & (axis == index)
@@ -185,11 +184,8 @@ class Solver:
         """Return the force of the indenter on the whole body (3,) [N]."""
         nodal = getfem.asm_generic(self.surface, 1, self.contact, TOP, self.model)
         sums = -np.asarray(nodal).reshape(-1, 3)[: self.field.nbdof() // 3].sum(axis=0)
-        copies = 2.0 ** len(self.case.mirrors)
-        for index, name in enumerate("xy"):
-            if name in self.case.mirrors:
-                sums[index] = 0.0
-        return np.asarray(copies * sums)
+        whole = [name not in self.case.mirrors for name in "xyz"]
+        return np.asarray(2.0 ** len(self.case.mirrors) * np.where(whole, sums, 0.0))
 
     def move(self, tip: Array, guess: Array | float = 0.0) -> bool:
         """Apply Newton's method to a tip at `tip`; return True if it converges.
@@ -234,12 +230,16 @@ class Solver:
         """Return the norm of the residual with displacements `u` [N]."""
         self.model.set_variable("u", u)
         self.model.assembly("build_all")
-        return float(np.linalg.norm(np.asarray(self.model.rhs())[self.free]))
+        return float(np.linalg.norm(self._unbalanced()))
+
+    def _unbalanced(self) -> Array:
+        return np.asarray(self.model.rhs())[self.free]
 
     def _improved(self, norm: float) -> float:
         """Take one Newton step, shortened if that helps; return the norm of the residual [N]."""
         start, change = self.model.variable("u"), np.zeros(self.field.nbdof())
-        change[self.free] = self._solve(np.asarray(self.model.rhs())[self.free])
+        matrix = getfem.Spmat("copy", self.model.tangent_matrix(), self.free, self.free)
+        change[self.free] = np.ravel(getfem.linsolve_mumps(matrix, self._unbalanced()))
         left = {}
         for fraction in FRACTIONS:
             left[fraction] = self._residual(start + fraction * change)
@@ -250,10 +250,6 @@ class Solver:
         if not finite:
             return math.nan
         return self._residual(start + min(finite, key=lambda fraction: left[fraction]) * change)
-
-    def _solve(self, right: Array) -> Array:
-        matrix = getfem.Spmat("copy", self.model.tangent_matrix(), self.free, self.free)
-        return np.ravel(getfem.linsolve_mumps(matrix, right))
 
     def settle(self) -> None:
         """Update the multipliers, so that no penetration remains."""

@@ -36,14 +36,11 @@ class Profile:
         """Return the signed distance [m], its gradient in r and in z, and its curvature [1/m]."""
         if self.kind == "cone":
             return self._from_cone(r, z)
+        round_section = self.kind in ("sphere", "torus")
         near_r = np.clip(r, self.inner, self.outer)
-        top = self.rounding if self.kind in ("sphere", "torus") else np.inf
-        near_z = np.clip(z, self.rounding, top)
+        near_z = np.clip(z, self.rounding, self.rounding if round_section else np.inf)
         length = np.maximum(np.hypot(r - near_r, z - near_z), 1e-300)
-        corner = (near_r != r) & (near_z != z)
-        if self.kind in ("sphere", "torus"):
-            corner = np.ones_like(corner)
-        bend = np.where(corner, 1 / length, 0.0)
+        bend = np.where(round_section | (near_r != r) & (near_z != z), 1 / length, 0.0)
         return length - self.rounding, (r - near_r) / length, (z - near_z) / length, bend
 
     def _from_cone(self, r: Array, z: Array) -> tuple[Array, Array, Array, Array]:

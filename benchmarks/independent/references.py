@@ -8,7 +8,7 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -100,18 +100,15 @@ def answers(press: Press, radius: float, fineness: Fineness) -> list[Answer]:
 def profile_of(press: Press) -> profile.Profile:
     """Return the outline of the indenter."""
     lengths = [measure * MM for measure in press.measures]
-    match press.shape:
-        case "sphere":
-            return profile.sphere(*lengths)
-        case "punch":
-            return profile.punch(*lengths)
-        case "torus":
-            return profile.torus(*lengths)
-        case "tube":
-            return profile.tube(*lengths)
-        case "cone":
-            return profile.cone(math.radians(press.measures[0]), lengths[1])
-    raise ValueError(f"{press.name}: no axis")
+    if press.shape == "cone":
+        return profile.cone(math.radians(press.measures[0]), lengths[1])
+    make: dict[str, Callable[..., profile.Profile]] = {
+        "sphere": profile.sphere,
+        "punch": profile.punch,
+        "torus": profile.torus,
+        "tube": profile.tube,
+    }
+    return make[press.shape](*lengths)
 
 
 def touched(press: Press, depth: float) -> tuple[float, float]:

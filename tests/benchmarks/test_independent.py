@@ -53,7 +53,7 @@ def test_a_uniform_strain_is_met_by_any_mesh() -> None:
 
 
 def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
-    layer = Layer(3 * MM, 2 * MM, MODULUS, POISSON, base="sliding")
+    layer = Layer(3 * MM, 2 * MM, MODULUS, POISSON, sliding=True)
     grid = Grid(np.linspace(0, 3 * MM, 4), np.linspace(-2 * MM, 0, 3))
     press = AxisymmetricPress(layer, punch(1.0, 0.1), grid, 0.0, 3 * MM)
     answer = press.run([0.4 * MM], [0.2 * MM])[0]
