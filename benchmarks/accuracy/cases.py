@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.accuracy.errors import compare
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
-from sim.indenters import flat_punch, rounded_cone, sphere, tube
+from sim.indenters import Indenter, flat_punch, rounded_cone, sphere, tube
 from sim.metrics import Outcome, outcome_of
 from sim.scene import Effects, Friction, Motion, Scene, Viscosity, press
 from sim.tiers import simulate_many
@@ -41,66 +41,53 @@ class Case:
     """Fineness of the reference's mesh."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """Reference of one scene, and its accuracy."""
-
-    outcome: Outcome
-    uncertainty: dict[str, float]
-    """Difference of the two finest meshes for each error of `Errors.worst`; empty: not known."""
-
-
 _BALL = sphere(4 * MM)
-# Without friction the skin under an edge or a tip slides until it creases, in one of many ways, so
-# there is no unique solution to compare with.
-_RUB = Effects(friction=Friction(0.5))
+
+
+def _rubbed(indenter: Indenter, motion: Motion) -> Scene:
+    """Return a press with friction.
+
+    Without it the skin under an edge or a tip slides until it creases, in one of many ways, so
+    there is no unique solution to compare with.
+    """
+    return Scene(indenter, motion, effects=Effects(friction=Friction(0.5)))
+
+
+_PUNCH = _rubbed(flat_punch(3 * MM, EDGE), press(DEPTHS))
+_CONE = _rubbed(rounded_cone(math.radians(45), EDGE), press(DEPTHS))
+_TUBE = _rubbed(tube(3.5 * MM, 2.5 * MM, 0.4 * MM), press(DEPTHS))
+_LOOP = _rubbed(_BALL, press([1.0 * MM], shear=1.0 * MM, steps=2))
+_HOLD = Scene(
+    _BALL,
+    press([1.0 * MM], hold=1.0, steps=4, speed=1.0 * MM / 0.1),
+    effects=Effects(viscosity=Viscosity((0.5,), (0.2,))),
+)
 # Body: the paper's gel, 20 x 20 x 4 mm, 0.145 MPa, nu 0.45.
 CASES: tuple[Case, ...] = (
     Case("sphere", "sphere R 4 mm", Scene(_BALL, press(DEPTHS))),
-    Case(
-        "punch",
-        "punch R 3, edge 0.5; friction",
-        Scene(flat_punch(3 * MM, EDGE), press(DEPTHS), effects=_RUB),
-    ),
-    Case(
-        "cone",
-        "cone 45 deg, tip R 0.5; friction",
-        Scene(rounded_cone(math.radians(45), EDGE), press(DEPTHS), effects=_RUB),
-    ),
-    Case(
-        "tube",
-        "tube 3.5 / 2.5, edge 0.4; friction",
-        Scene(tube(3.5 * MM, 2.5 * MM, 0.4 * MM), press(DEPTHS), effects=_RUB),
-    ),
-    Case(
-        "loop",
-        "press, shear, return; friction",
-        Scene(_BALL, press([1.0 * MM], shear=1.0 * MM, steps=2), effects=_RUB),
-    ),
-    Case(
-        "hold",
-        "viscous: ramp and hold",
-        Scene(
-            _BALL,
-            press([1.0 * MM], hold=1.0, steps=4, speed=1.0 * MM / 0.1),
-            effects=Effects(viscosity=Viscosity((0.5,), (0.2,))),
-        ),
-    ),
+    Case("punch", "punch R 3, edge 0.5; friction", _PUNCH),
+    Case("cone", "cone 45 deg, tip R 0.5; friction", _CONE),
+    Case("tube", "tube 3.5 / 2.5, edge 0.4; friction", _TUBE),
+    Case("loop", "press, shear, return; friction", _LOOP),
+    Case("hold", "viscous: ramp and hold", _HOLD),
 )
 
 # Smallest of all, for quick runs.
 QUICK_CASE = replace(CASES[0], scene=Scene(_BALL, press(DEPTHS[:1])), fineness=0.8)
 
 
-def reference_of(case: Case, device: str) -> Reference | None:
-    """Return the reference of a case, or None if there is no solution."""
+def reference_of(case: Case, device: str) -> tuple[Outcome | None, dict[str, float]]:
+    """Return the reference of a case, and the difference of the two finest meshes by error.
+
+    None if there is no solution; no difference if there is none on the coarser mesh.
+    """
     true, rough = (
         solve_reference(case.scene, fineness, device)
         for fineness in (case.fineness, case.fineness / COARSER)
     )
     if true is None or rough is None:
-        return None if true is None else Reference(true, {})
-    return Reference(true, compare(rough, true, case.scene.body).worst())
+        return true, {}
+    return true, compare(rough, true, case.scene.body).worst()
 
 
 def solve_reference(scene: Scene, fineness: float, device: str) -> Outcome | None:

@@ -25,12 +25,10 @@ class Series:
 
     name: str
     colour: str
-    mark: str
-    """Mark as matplotlib names it; empty: none."""
+    style: str
+    """Mark and line as matplotlib names them, e.g. `o-`."""
     points: Sequence[tuple[float, float]]
     """In the order in which they are joined; x of 0 is drawn at the left edge."""
-    joined: bool = True
-    """True if a line joins the points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +63,8 @@ def save_chart(path: Path, title: str, panels: Sequence[Panel], x: str, y: str) 
                 (named[one.name],) = axes.plot(
                     across,
                     up,
+                    one.style,
                     color=one.colour,
-                    marker=one.mark,
-                    linestyle="-" if one.joined else "",
                     transform=axes.transData if any(across) else axes.get_yaxis_transform(),
                     clip_on=False,
                 )

@@ -15,7 +15,7 @@ from sim.layer import Layer
 from sim.metrics import tolerance_of
 from sim.mpm import Mpm
 from sim.planning import plan
-from sim.result import Outcome
+from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many
 
@@ -70,6 +70,16 @@ def ladders() -> dict[str, list[Competitor]]:
         ],
         "mpm as published": [Competitor("", 0.0, Mpm.authors())],
     }
+
+
+def elements_of(result: Result) -> int:
+    """Return the number of elements, particles, or pixels."""
+    mesh = result.record.get("mesh", {})
+    return int(
+        result.record.get("particles")
+        or mesh.get("elements")
+        or np.prod(result.traction.shape[1:3])
+    )
 
 
 def closed_form(case: str, scene: Scene) -> NDArray[np.float64] | None:

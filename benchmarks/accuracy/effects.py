@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
-import time
-from collections.abc import Iterator, Sequence
+import inspect
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,10 +11,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from benchmarks.accuracy.spent import spent_by
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, chart
 from sim.device import ready_device
-from sim.fem import Fem
+from sim.fem import Fem, balance, contact, element, lanes
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
 from sim.indenters import sphere
@@ -58,18 +58,15 @@ STATE: dict[str, tuple[str, ...]] = {
 class Variant:
     """A kernel factory that compiles an effect's lines in where its flag is on."""
 
-    module: str
-    factory: str
+    factory: Callable[..., Any]
     flag: str
 
     def kernels(self, *, on: bool) -> list[Any]:
         """Return its kernels in float64 with the flag on or off and all other effects off."""
-        factory = getattr(importlib.import_module(self.module), self.factory)
-        code = getattr(factory, "__wrapped__", factory).__code__
-        names = code.co_varnames[: code.co_argcount]
+        names = inspect.signature(self.factory).parameters
         flags = {one.flag: False for some in KERNELS.values() for one in some if one.flag in names}
-        made = factory(wp.float64, **(flags | {self.flag: on}))
-        return list(made) if isinstance(made, tuple) else [made]
+        variant = self.factory(wp.float64, **(flags | {self.flag: on}))
+        return list(variant) if isinstance(variant, tuple) else [variant]
 
     def names_on(self) -> set[str]:
         """Return the names of the kernels that differ with the flag on."""
@@ -80,23 +77,23 @@ class Variant:
 # The code of each effect in kernels.
 KERNELS: dict[str, tuple[Variant, ...]] = {
     "friction": (
-        Variant("sim.fem.contact", "contact_kernels", "friction"),
-        Variant("sim.fem.balance", "work_kernel", "friction"),
-        Variant("sim.fem.balance", "reading_kernels", "friction"),
+        Variant(contact.contact_kernels, "friction"),
+        Variant(balance.work_kernel, "friction"),
+        Variant(balance.reading_kernels, "friction"),
     ),
     "viscosity": (
-        Variant("sim.fem.element", "element_kernels", "viscous"),
-        Variant("sim.fem.element", "element_rows_kernel", "viscous"),
-        Variant("sim.fem.lanes", "forces_kernel", "viscous"),
-        Variant("sim.fem.lanes", "blocks_kernel", "viscous"),
+        Variant(element.element_kernels, "viscous"),
+        Variant(element.element_rows_kernel, "viscous"),
+        Variant(lanes.forces_kernel, "viscous"),
+        Variant(lanes.blocks_kernel, "viscous"),
     ),
     "inertia": (
-        Variant("sim.fem.balance", "residual_kernel", "inertia"),
-        Variant("sim.fem.balance", "reading_kernels", "inertia"),
+        Variant(balance.residual_kernel, "inertia"),
+        Variant(balance.reading_kernels, "inertia"),
     ),
     "gravity": (
-        Variant("sim.fem.balance", "residual_kernel", "gravity"),
-        Variant("sim.fem.balance", "reading_kernels", "gravity"),
+        Variant(balance.residual_kernel, "gravity"),
+        Variant(balance.reading_kernels, "gravity"),
     ),
 }
 
@@ -177,7 +174,7 @@ def stored(state: Any, path: str) -> int:
         array = getattr(array, name)
         if array is None:
             return 0
-    return int(np.size(array if isinstance(array, np.ndarray) else array.numpy()))
+    return int(np.asarray(array).size)
 
 
 def same_results(one: Result, two: Result) -> bool:
@@ -189,15 +186,14 @@ def same_results(one: Result, two: Result) -> bool:
     return all(bool(np.array_equal(a, b, equal_nan=True)) for a, b in pairs)
 
 
-def _ratio(first: Scene, second: Scene, repeats: int) -> float:
+def _ratio(one: Scene, other: Scene, repeats: int) -> float:
     """Return the CPU time of one press over that of another, with kernels compiled."""
-    times: tuple[list[float], list[float]] = ([], [])
-    for _ in range(repeats):
-        for each, spent in zip((first, second), times, strict=True):
-            began = time.process_time()
-            simulate(each, NUMERICS)
-            spent.append(time.process_time() - began)
-    return min(times[0]) / min(times[1])
+
+    def spent(scene: Scene) -> float:
+        return spent_by(lambda: simulate(scene, NUMERICS), "cpu")[1].cpu
+
+    pairs = [(spent(one), spent(other)) for _ in range(repeats)]
+    return min(first for first, _ in pairs) / min(second for _, second in pairs)
 
 
 # The page
@@ -205,7 +201,7 @@ def _ratio(first: Scene, second: Scene, repeats: int) -> float:
 
 def section(values: dict[str, Any], page: Page) -> str:
     """Return the picture and the table of effects."""
-    costs: Sequence[dict[str, Any]] = values["effects"]
+    costs = values["effects"]
     with chart(page.picture("effects"), 4.8, 2.2) as figure:
         axes = figure.add_subplot()
         names = [one["name"] for one in costs]

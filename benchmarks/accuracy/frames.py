@@ -1,9 +1,4 @@
-"""Frames per second of presses in small steps, one or many at once.
-
-A frame is 0.05 mm of motion. Spheres of 3 to 5 mm go 1 mm into the paper's gel, each at a different
-place: 20 frames per press. Errors are those of the forces from 0.1 mm on, relative to the default
-mesh with elements half as long, for the first presses.
-"""
+"""Frames per second of presses in small steps, one or many at once, and their errors."""
 
 from __future__ import annotations
 
@@ -12,13 +7,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from benchmarks.accuracy.chart import Panel, Series, save_chart
+from benchmarks.accuracy.competitors import elements_of
 from benchmarks.accuracy.speed import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
-from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded
+from benchmarks.accuracy.wording import Row, chosen, devices_of, kind_of, percent, rounded
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, GREEN, ORANGE, RED, SKY
 from recorder.processes import Workers, cores, several
@@ -28,10 +23,8 @@ from sim.fem import Fem
 from sim.indenters import sphere
 from sim.layer import Layer
 from sim.result import Outcome, force_scale
-from sim.scene import Body, Scene, press
+from sim.scene import Scene, press
 from sim.tiers import simulate_many
-
-Row = dict[str, Any]
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
@@ -74,12 +67,10 @@ def scenes(count: int) -> list[Scene]:
     random = np.random.default_rng(SEED)
     drawn = random.uniform([3 * MM, -4 * MM, -4 * MM], [5 * MM, 4 * MM, 4 * MM], (count, 3))
     depths = [FRAME * frame for frame in range(1, FRAMES + 1)]
-    return [Scene(sphere(r), press(depths, at=(x, y)), Body()) for r, x, y in drawn]
+    return [Scene(sphere(r), press(depths, at=(x, y))) for r, x, y in drawn]
 
 
-def errors(
-    outcomes: Sequence[Outcome], truths: Sequence[Outcome]
-) -> tuple[float | None, float | None]:
+def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> dict[str, float | None]:
     """Return mean and largest error of the presses that have a reference, as fractions."""
     fractions = [
         (np.linalg.norm(one.force - truth.force, axis=1) / force_scale(truth.force))[FROM:]
@@ -87,8 +78,9 @@ def errors(
         if not isinstance(one, SimulationDiverged) and not isinstance(truth, SimulationDiverged)
     ]
     if not fractions:
-        return None, None
-    return rounded(float(np.mean(fractions))), rounded(float(np.max(fractions)))
+        return {"mean": None, "worst": None}
+    mean, worst = float(np.mean(fractions)), float(np.max(fractions))
+    return {"mean": rounded(mean), "worst": rounded(worst)}
 
 
 def measure(run: Run) -> list[Row]:
@@ -100,11 +92,10 @@ def measure(run: Run) -> list[Row]:
     rows: list[Row] = []
     run.seeds, run.spread = [SEED], "single run of each"
     ready_device(run.device)
-    shared = run.options.processes or cores()
     truths = simulate_many(scenes(1 if run.quick else COMPARED), fine, device=run.device)
     for number, device in enumerate(devices):
         ready_device(device)
-        with several(shared) as workers:
+        with several(run.options.processes or cores()) as workers:
             for step, way in enumerate(chosen):
                 rows += _counted(run, way, device, workers, truths)
                 run.progress((number + (step + 1) / len(chosen)) / len(devices))
@@ -173,22 +164,15 @@ def measured(
     outcomes = _solved(scenes(count), way, device, workers)
     wall = time.perf_counter() - began
     good = [one for one in outcomes if not isinstance(one, SimulationDiverged)]
-    mean, worst = errors(outcomes, truths)
-    elements = 0
-    if good:
-        mesh = good[0].record.get("mesh", {})
-        elements = int(mesh.get("elements", good[0].traction[0, ..., 0].size))
-    return {
+    return errors(outcomes, truths) | {
         "way": way,
         "device": device,
         "processes": 1 if workers is None else workers.processes,
         "at_once": count,
-        "elements": elements,
+        "elements": elements_of(good[0]) if good else 0,
         "seconds": rounded(wall),
         "frames_per_second": rounded(FRAMES * len(good) / wall),
         "failed": len(outcomes) - len(good),
-        "mean": mean,
-        "worst": worst,
     }
 
 
@@ -201,16 +185,15 @@ def section(rows: Sequence[Row], page: Page) -> str:
         Series(
             f"{name}, {kind}",
             colour,
-            mark,
+            style,
             [
                 (100 * row["mean"], row["frames_per_second"])
-                for row in rows
-                if row["way"] == name and kind_of(row["device"]) == kind and row["mean"]
+                for row in chosen(rows, kind, way=name)
+                if row["mean"]
             ],
-            joined=False,
         )
         for name, colour in zip(ways(), COLOURS, strict=True)
-        for kind, mark in (("CPU", "o"), ("GPU", "D"))
+        for kind, style in (("CPU", "o"), ("GPU", "D"))
     ]
     save_chart(
         page.picture("frames"),
@@ -221,7 +204,7 @@ def section(rows: Sequence[Row], page: Page) -> str:
     )
     lines = []
     for name, device in dict.fromkeys((row["way"], row["device"]) for row in rows):
-        some = [row for row in rows if (row["way"], row["device"]) == (name, device)]
+        some = chosen(rows, way=name, device=device)
         alone = min(some, key=lambda row: int(row["at_once"]))
         fastest = max(some, key=lambda row: float(row["frames_per_second"]))
         lines.append(

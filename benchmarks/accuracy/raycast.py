@@ -23,25 +23,15 @@ SPACING = 0.05e-3
 
 @wp.kernel(enable_backward=False)
 def _cast(
-    # Settings:
     start: wp.vec3,
-    # In: the mesh, material points of its corners, directions
     mesh: wp.uint64,
-    corner: wp.array[wp.vec2],
-    triangle: wp.array2d[int],
     direction: wp.array[wp.vec3],
-    # Out:
-    material_out: wp.array[wp.vec2],
+    material_out: wp.array[wp.vec3],
 ):
     k = wp.tid()
     query = wp.mesh_query_ray(mesh, start, direction[k], 1.0e3)
-    if not query.result:
-        material_out[k] = wp.vec2(wp.NAN, wp.NAN)
-        return
-    a = corner[triangle[query.face, 0]]
-    b = corner[triangle[query.face, 1]]
-    c = corner[triangle[query.face, 2]]
-    material_out[k] = a * query.u + b * query.v + c * (1.0 - query.u - query.v)
+    if query.result:
+        material_out[k] = wp.mesh_eval_velocity(mesh, query.face, query.u, query.v)
 
 
 def smooth(x: Array, y: Array, values: Array, to_x: Array, to_y: Array) -> Array:
@@ -72,31 +62,30 @@ def cast_rays(
     moved = smooth(x, y, surface.astype(float), fine_x, fine_y)
     material = np.stack(np.meshgrid(fine_x, fine_y, indexing="ij"), axis=-1)
     rest = body.heights_at(material[..., 0], material[..., 1])
-    place = np.concatenate([material, rest[..., None]], axis=-1) + moved
-    triangles = _triangles(len(fine_x), len(fine_y))
+    rest = np.concatenate([material, rest[..., None]], axis=-1)
     mesh = wp.Mesh(
-        points=wp.array(place.reshape(-1, 3), dtype=wp.vec3, device="cpu"),
-        indices=wp.array(triangles.ravel(), dtype=wp.int32, device="cpu"),
+        points=wp.array((rest + moved).reshape(-1, 3), dtype=wp.vec3, device="cpu"),
+        indices=wp.array(_triangles(len(fine_x), len(fine_y)), dtype=wp.int32, device="cpu"),
+        # A quantity that Warp interpolates between corners: here the material point.
+        velocities=wp.array(rest.reshape(-1, 3), dtype=wp.vec3, device="cpu"),
     )
     column = (np.arange(WIDTH * samples) + 0.5) / samples - WIDTH / 2
     row = (np.arange(HEIGHT * samples) + 0.5) / samples - HEIGHT / 2
     right, down = np.meshgrid(column, row)
     rays = np.stack([right, -down, np.full_like(right, camera.focal)], axis=-1) / camera.focal
-    material_out = wp.empty(right.size, dtype=wp.vec2, device="cpu")
+    material_out = wp.full(right.size, wp.vec3(np.nan), dtype=wp.vec3, device="cpu")
     wp.launch(
         _cast,
         dim=right.size,
         inputs=[
             wp.vec3(0.0, 0.0, -camera.distance),
             mesh.id,
-            wp.array(material.reshape(-1, 2), dtype=wp.vec2, device="cpu"),
-            wp.array(triangles, dtype=wp.int32, device="cpu"),
             wp.array(rays.reshape(-1, 3), dtype=wp.vec3, device="cpu"),
         ],
         outputs=[material_out],
         device="cpu",
     )
-    return material_out.numpy().astype(float).reshape(*right.shape, 2)
+    return material_out.numpy().astype(float).reshape(*right.shape, 3)[..., :2]
 
 
 def marked(pattern: Pattern, material: Array, samples: int) -> NDArray[np.bool_]:
@@ -121,8 +110,7 @@ def fraction_of(pattern: Pattern, material: Array, samples: int) -> Array:
 
 
 def _triangles(across: int, along: int) -> NDArray[np.int32]:
-    """Return corners (n, 3) of two triangles per cell, split opposite to the rasteriser's."""
+    """Return corners (3 n,) of two triangles per cell, split opposite to the rasteriser's."""
     number = np.arange(across * along).reshape(across, along)
     a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    cells = np.stack([np.stack([a, b, d], -1), np.stack([b, c, d], -1)], axis=2)
-    return cells.reshape(-1, 3).astype(np.int32)
+    return np.stack([a, b, d, b, c, d], axis=-1).ravel().astype(np.int32)

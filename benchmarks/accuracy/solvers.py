@@ -10,24 +10,19 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from benchmarks.accuracy.cases import CASES, COARSER, QUICK_CASE, Case, Reference, reference_of
+from benchmarks.accuracy.cases import CASES, COARSER, QUICK_CASE, Case, reference_of
 from benchmarks.accuracy.chart import Panel, Series, save_chart
-from benchmarks.accuracy.competitors import Competitor, closed_form, ladders
+from benchmarks.accuracy.competitors import Competitor, closed_form, elements_of, ladders
 from benchmarks.accuracy.errors import compare
 from benchmarks.accuracy.spent import spent_by
-from benchmarks.accuracy.wording import devices_of, kind_of, percent, rounded, seconds
+from benchmarks.accuracy.wording import Row, chosen, devices_of, kind_of, percent, rounded, seconds
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT
 from recorder.processes import cores, environment
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
-from sim.metrics import force_errors, outcome_of
-from sim.result import Result
+from sim.metrics import Outcome, force_errors, outcome_of
 from sim.scene import press
-
-Row = dict[str, Any]
 
 # Depth of the press that loads the kernels before a measurement [m].
 WARM = 0.02e-3
@@ -62,9 +57,10 @@ def measure(run: Run) -> dict[str, Any]:
     a GPU they run at the same time.
     """
     cases = (QUICK_CASE,) if run.quick else CASES
-    truths: dict[str, Reference | None] = {}
+    truths, floors = {}, {}
     for number, case in enumerate(cases):
-        truths[case.name] = reference_of(case, run.device)
+        truths[case.name], uncertainty = reference_of(case, run.device)
+        floors[case.name] = _rounded(uncertainty)
         run.progress(0.3 * (number + 1) / len(cases))
     # The slowest begins first, so that it is not left at the end.
     names = [SLOWEST, *(name for name in ladders() if name != SLOWEST)]
@@ -80,12 +76,11 @@ def measure(run: Run) -> dict[str, Any]:
         rows += climbed
         run.progress(0.3 + 0.7 * (number + 1) / len(climbs))
     run.spread = "single run of each"
-    floors = {name: _rounded(truth.uncertainty if truth else {}) for name, truth in truths.items()}
     return {"rows": rows, "floors": floors}
 
 
 def _climbed(
-    run: Run, climbs: Sequence[tuple[Case, str, str]], truths: dict[str, Reference | None]
+    run: Run, climbs: Sequence[tuple[Case, str, str]], truths: dict[str, Outcome | None]
 ) -> Iterator[list[Row]]:
     """Yield the rows of each ladder: on a CPU on one core each, a quarter of them at once."""
     # Spawned: Warp's state does not survive a fork.
@@ -107,7 +102,7 @@ def _climbed(
             yield run.once(tasks[task], task.result)
 
 
-def climb(case: Case, ladder: str, device: str, truth: Reference | None) -> list[Row]:
+def climb(case: Case, ladder: str, device: str, truth: Outcome | None) -> list[Row]:
     """Return the rows of one ladder, up to the step that is expected to take too long."""
     ready_device(device)
     rows: list[Row] = []
@@ -122,7 +117,7 @@ def climb(case: Case, ladder: str, device: str, truth: Reference | None) -> list
     return rows
 
 
-def measured(case: Case, one: Competitor, device: str, truth: Reference | None) -> Row:
+def measured(case: Case, one: Competitor, device: str, truth: Outcome | None) -> Row:
     """Measure `one` on a case in this process, with kernels compiled before."""
     try:
         one.solve(replace(case.scene, motion=press([WARM])), device)
@@ -136,9 +131,9 @@ def measured(case: Case, one: Competitor, device: str, truth: Reference | None) 
     }
     if isinstance(outcome, SimulationDiverged):
         return row | {"elements": 0, "failed": 1, "note": str(outcome)}
-    row |= {"elements": _elements(outcome), "failed": 0, "note": ""}
+    row |= {"elements": elements_of(outcome), "failed": 0, "note": ""}
     if truth is not None:
-        errors = compare(outcome_of(outcome), truth.outcome, case.scene.body)
+        errors = compare(outcome_of(outcome), truth, case.scene.body)
         row |= _rounded(errors.worst())
     return row
 
@@ -147,24 +142,15 @@ def _rounded(errors: dict[str, float]) -> dict[str, float | None]:
     return {name: rounded(value) for name, value in errors.items()}
 
 
-def _closed_form_rows(case: Case, truth: Reference | None) -> list[Row]:
+def _closed_form_rows(case: Case, truth: Outcome | None) -> list[Row]:
     """Return the row of the formula, or none without a common formula or a reference."""
     force = closed_form(case.name, case.scene)
     if force is None or truth is None:
         return []
-    _, fraction = force_errors(replace(truth.outcome, force=force), truth.outcome)
+    _, fraction = force_errors(replace(truth, force=force), truth)
     row = {"case": case.name, "ladder": CLOSED_FORM, "label": "", "fineness": 0.0, "device": "none"}
     errors = {"force_share": float(fraction.max()), "force_last": float(fraction[-1].max())}
     return [row | {"seconds": 0.0, "failed": 0} | errors]
-
-
-def _elements(result: Result) -> int:
-    """Return the number of elements, particles, or pixels."""
-    record = result.record
-    if "particles" in record:
-        return int(record["particles"])
-    mesh = record["mesh"]
-    return int(mesh["elements"] if "elements" in mesh else np.prod(mesh["grid"]))
 
 
 # The page
@@ -179,61 +165,44 @@ def solved(rows: Sequence[Row], case: str, kind: str) -> list[Row]:
     """Return the rows of a case that have all solutions, on a CPU or a GPU."""
     return [
         row
-        for row in rows
-        if row["case"] == case
-        and kind_of(row["device"]) == kind
-        and row.get("force_share") is not None
-        and not row["failed"]
+        for row in chosen(rows, kind, case=case)
+        if row.get("force_share") is not None and not row["failed"]
     ]
 
 
-def shortest(rows: Sequence[Row], goal: float) -> Row | None:
-    """Return the fastest row whose error of the force is at most `goal`."""
-    return min(
-        (row for row in rows if row["force_share"] <= goal),
-        key=lambda row: float(row["seconds"]),
-        default=None,
-    )
-
-
-def most_exact(rows: Sequence[Row], within: float) -> Row | None:
-    """Return the row with the smallest error of the force within a time [s]."""
-    return min(
-        (row for row in rows if row["seconds"] <= within),
-        key=lambda row: float(row["force_share"]),
-        default=None,
-    )
+def least(rows: Sequence[Row], name: str, within: str, limit: float) -> Row | None:
+    """Return the row with the least of one value among those whose other is within a limit."""
+    some = [row for row in rows if row[within] <= limit]
+    return min(some, key=lambda row: float(row[name]), default=None)
 
 
 def summary(values: dict[str, Any]) -> str:
     """Return the table of the shortest times, and the sentences about one second."""
     rows = values["accuracy"]["rows"]
-    lines, sentences = [], []
-    best: dict[str, dict[str, Row]] = {"CPU": {}, "GPU": {}}
+    lines = []
+    in_time: dict[str, dict[str, float]] = {"CPU": {}, "GPU": {}}
     for case in CASES:
-        for kind, exact in best.items():
+        for kind, errors in in_time.items():
             some = solved(rows, case.name, kind)
             if not some:
                 continue
+            fastest = [least(some, "seconds", "force_share", goal) for goal in GOALS]
             cells = [
-                "-" if row is None else f"{seconds(row['seconds'])}, {name_of(row)}"
-                for row in (shortest(some, goal) for goal in GOALS)
+                f"{seconds(row['seconds'])}, {name_of(row)}" if row else "-" for row in fastest
             ]
-            row = most_exact(some, WITHIN)
-            if row is not None:
-                exact[case.title] = row
-            error = "-" if row is None else f"{percent(row['force_share'])}, {name_of(row)}"
-            lines.append([case.title, kind, *cells, error])
-    for kind, where in (("CPU", "one CPU core"), ("GPU", "a GPU")):
-        errors = {title: float(row["force_share"]) for title, row in best[kind].items()}
-        sphere = CASES[0].title
-        if sphere in errors:
-            hardest = max(errors, key=lambda title: errors[title])
-            sentences.append(
-                f"In {WITHIN:g} s on {where} a force is exact to {percent(errors[sphere])} under "
-                f"the sphere; of {len(errors)} presses the hardest is `{hardest}`, "
-                f"{percent(errors[hardest])}."
-            )
+            exact = least(some, "force_share", "seconds", WITHIN)
+            if exact:
+                errors[case.title] = exact["force_share"]
+            cells.append(f"{percent(exact['force_share'])}, {name_of(exact)}" if exact else "-")
+            lines.append([case.title, kind, *cells])
+    sphere = CASES[0].title
+    sentences = [
+        f"In {WITHIN:g} s on {where} a force is exact to {percent(errors[sphere])} under the "
+        f"sphere; of {len(errors)} presses the hardest is `{max(errors, key=errors.__getitem__)}`, "
+        f"{percent(max(errors.values()))}."
+        for where, errors in zip(("one CPU core", "a GPU"), in_time.values(), strict=True)
+        if sphere in errors
+    ]
     head = ["press", "on", *(f"{100 * goal:g} %" for goal in GOALS), f"error in {WITHIN:g} s"]
     return (
         "**Shortest time to an error of the force, and the solver; and the smallest error in "
@@ -244,9 +213,7 @@ def summary(values: dict[str, Any]) -> str:
 
 def _unmeasured(rows: Sequence[Row]) -> str:
     """Return which solvers were measured on a CPU alone, so that no row of a GPU can name them."""
-    on_cpu, on_gpu = (
-        {row["ladder"] for row in rows if kind_of(row["device"]) == kind} for kind in ("CPU", "GPU")
-    )
+    on_cpu, on_gpu = ({row["ladder"] for row in chosen(rows, kind)} for kind in ("CPU", "GPU"))
     missing = [name for name in COLOURS if name in on_cpu - on_gpu]
     return f"Not measured on the GPU: {', '.join(missing)}." if on_gpu and missing else ""
 
@@ -288,22 +255,17 @@ def _table(rows: Sequence[Row], case: str) -> str:
     """Return the table of the finest step of each ladder, and the default, on a case."""
     lines = []
     for ladder in COLOURS:
-        steps = [row for row in rows if (row["case"], row["ladder"]) == (case, ladder)]
-        steps.sort(key=lambda row: float(row["fineness"]))
+        steps = _by_fineness(chosen(rows, case=case, ladder=ladder))
         for name in dict.fromkeys(map(name_of, steps)):
             if name not in ("fem default", name_of(steps[-1])):
                 continue
             on = {kind_of(row["device"]): row for row in steps if name_of(row) == name}
             first = next(iter(on.values()))
             surface, marker = first.get("surface_rms"), first.get("marker_rms")
-            cells = [
-                cell
-                for row in (on.get("CPU", {}), on.get("GPU", {}))
-                for cell in (
-                    seconds(row.get("seconds")),
-                    f"{row['memory'] / 2**20:.0f}" if row.get("memory") else "-",
-                )
-            ]
+            cells = []
+            for row in (on.get("CPU", {}), on.get("GPU", {})):
+                memory = f"{row['memory'] / 2**20:.0f}" if row.get("memory") else "-"
+                cells += [seconds(row.get("seconds")), memory]
             lines.append(
                 [
                     name,
@@ -321,16 +283,14 @@ def _table(rows: Sequence[Row], case: str) -> str:
 def _panel(case: Case, rows: Sequence[Row], floors: dict[str, Any]) -> Panel:
     series = []
     for ladder, colour in COLOURS.items():
-        for kind, mark in (("none", "<"), ("CPU", "o"), ("GPU", "D")):
-            chosen = [
-                row
-                for row in rows
-                if (row["case"], row["ladder"], kind_of(row["device"])) == (case.name, ladder, kind)
-                and row.get("force_share") is not None
-            ]
-            chosen.sort(key=lambda row: float(row["fineness"]))
+        for kind, style in (("none", "<-"), ("CPU", "o-"), ("GPU", "D-")):
+            steps = _by_fineness(chosen(solved(rows, case.name, kind), ladder=ladder))
+            points = [(row["seconds"], 100 * row["force_share"]) for row in steps]
             name = f"{ladder}, GPU" if kind == "GPU" else ladder
-            points = [(row["seconds"], 100 * row["force_share"]) for row in chosen]
-            series.append(Series(name, colour, mark, points))
+            series.append(Series(name, colour, style, points))
     floor = floors.get(case.name, {}).get("force_share")
     return Panel(case.title, series, math.nan if floor is None else 100 * floor)
+
+
+def _by_fineness(rows: Sequence[Row]) -> list[Row]:
+    return sorted(rows, key=lambda row: float(row["fineness"]))

@@ -3,22 +3,27 @@
 The reference of a tolerance is extrapolated (Richardson 1911, order 2) from the answer's mesh, or
 one as fine, and one `FINER` times finer. It uses the same solver, so it measures discretisation
 error only; other errors are covered by `hard-cases` and `independent`.
+
+For the second question each scene is planned with `effects="needed"`, and solved with all effects
+and without the omitted ones on the same default mesh.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.accuracy import needed
 from benchmarks.accuracy.chart import Panel, Series, save_chart
-from benchmarks.accuracy.wording import percent, rounded, seconds
+from benchmarks.accuracy.spent import spent_by
+from benchmarks.accuracy.wording import Row, kind_of, percent, rounded, seconds
+from benchmarks.hard_cases.random_scenes.dice import Dice
 from benchmarks.hard_cases.random_scenes.judgement import OutOfTime, time_limit
 from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
 from benchmarks.processes import side_by_side
@@ -29,14 +34,16 @@ from recorder.progress import span_of
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
-from sim.metrics import tolerance_of
+from sim.fem.mesh import meshes_of
+from sim.fem.sizing import stages_of
+from sim.fem.stepping import path_of
+from sim.metrics import force_errors, outcome_of, tolerance_of
+from sim.needed import FINENESS, plan_many
 from sim.planning import plan
 from sim.result import Result, force_scale
-from sim.scene import Scene
-from sim.tiers import simulate
+from sim.scene import Effects, Friction, Gravity, Inertia, Scene, Viscosity
+from sim.tiers import simulate, simulate_many
 from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
-
-Row = dict[str, Any]
 
 # Number of scenes of each tolerance, and of those from which effects are left out; `--scenes` may
 # be lower.
@@ -45,7 +52,7 @@ SCENES, NEEDED = {"3 %": 200, "1 %": 60}, 60
 QUICK_SCENES, QUICK_SCENE, QUICK_NEEDED = {"20 %": 1}, 9, 140
 SEED, NEEDED_SEED = 0, 1
 # Limit of a solve [s]; that of a reference is four times as long.
-SECONDS = {"cpu": 300.0, "cuda": 120.0}
+SECONDS = {"CPU": 300.0, "GPU": 120.0}
 # Fraction of the answers that must keep their tolerance.
 LEAST = 0.95
 # Element size of the answer over that of the reference.
@@ -53,7 +60,16 @@ FINER = 1.6
 # Minimum fineness of the coarser mesh of a reference.
 COARSEST, QUICK_COARSEST = 0.75, 0.4
 # Maximum number of elements of a reference.
-TRUTH_ELEMENTS_MAX = {"cpu": 600_000, "cuda": 4_000_000}
+TRUTH_ELEMENTS_MAX = {"CPU": 600_000, "GPU": 4_000_000}
+
+# Tolerance of the plans that leave effects out.
+TOLERANCE, LIMIT = "2 %", 0.02
+# Maximum steps of a motion and elements of a probe's mesh, for scenes that take seconds.
+STEPS_MAX, COARSE_MAX = 15, 700
+# Maximum number of elements in the meshes that check the plans.
+ELEMENTS_MAX = 6000
+# Offset of a scene's number, to draw its effects from a separate random stream.
+EFFECTS_STREAM = 1_000_000
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -61,10 +77,8 @@ def measure(run: Run) -> dict[str, Any]:
     ready_device(run.device)
     tolerances: dict[str, list[Row]] = {}
     for number, (tolerance, most) in enumerate((QUICK_SCENES if run.quick else SCENES).items()):
-        count = min(run.options.scenes or most, most)
-        chosen = (
-            [drawn(SEED, QUICK_SCENE, run.folder)] if run.quick else scenes(count, SEED, run.folder)
-        )
+        first = QUICK_SCENE if run.quick else 0
+        chosen = scenes(SEED, first, min(run.options.scenes or most, most), run.folder)
         coarsest = QUICK_COARSEST if run.quick else COARSEST
         compare = partial(compared, tolerance=tolerance, coarsest=coarsest, device=run.device)
         rows = _once_each(
@@ -76,10 +90,10 @@ def measure(run: Run) -> dict[str, Any]:
             run.failures.append(f"{tolerance} kept in {kept} of {answers} answers")
     count = 1 if run.quick else min(run.options.scenes or NEEDED, NEEDED)
     first = QUICK_NEEDED if run.quick else 0
-    some = needed.scenes_of(NEEDED_SEED, first, count, run.folder)
-    left_out = _once_each(run, "needed", needed.compared, some, span_of(run.progress, 0.8, 0.2))
+    some = scenes_of(NEEDED_SEED, first, count, run.folder)
+    needed = _once_each(run, "needed", left_out_error, some, span_of(run.progress, 0.8, 0.2))
     run.seeds, run.spread = [SEED, NEEDED_SEED], "single run of each scene"
-    return {"tolerances": tolerances, "needed": left_out}
+    return {"tolerances": tolerances, "needed": needed}
 
 
 def _once_each(
@@ -101,20 +115,28 @@ def _once_each(
     return rows
 
 
-def scenes(count: int, seed: int, folder: Path) -> list[Drawn]:
-    """Return the first `count` sensible scenes of a seed with contact."""
+def sensible(seed: int, first: int, folder: Path) -> Iterator[Drawn]:
+    """Yield the scenes of a seed that are typical uses, from number `first` on."""
+    for index in itertools.count(first):
+        one = drawn(seed, index, folder)
+        if one.scene is not None and one.what.startswith("sensible"):
+            yield one
+
+
+def scenes(seed: int, first: int, count: int, folder: Path) -> list[Drawn]:
+    """Return `count` sensible scenes of a seed with contact, from number `first` on."""
     pressed = (
         one
-        for one in needed.sensible(seed, 0, folder)
+        for one in sensible(seed, first, folder)
         if one.scene is not None and one.scene.motion.depth_max > 0
     )
-    return list(islice(pressed, count))
+    return list(itertools.islice(pressed, count))
 
 
 def compared(one: Drawn, tolerance: str, coarsest: float, device: str) -> Row:
     """Solve a scene within a tolerance and again on finer meshes, and compare."""
     assert one.scene is not None
-    limit = SECONDS["cpu" if device == "cpu" else "cuda"]
+    limit = SECONDS[kind_of(device)]
     row: Row = {"scene": one.name, "what": one.what}
     began = time.perf_counter()
     try:
@@ -149,7 +171,7 @@ def _truth(
         SceneError: The limit on elements makes both meshes too similar.
         SimulationDiverged: A mesh found no solution.
     """
-    most = TRUTH_ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
+    most = TRUTH_ELEMENTS_MAX[kind_of(device)]
     fineness = max(coarsest, result.record["mesh"].get("fineness", coarsest))
     finest, middle = (
         simulate(scene, Fem(fineness=one, elements_max=most), device=device)
@@ -160,6 +182,87 @@ def _truth(
         raise SceneError(f"reference: a mesh of more than {most} elements; allowed: fewer")
     step = (finest.force - middle.force) * left_of_difference(ratio)
     return finest.force + step, np.abs(step).max(axis=1) / 2
+
+
+def scenes_of(seed: int, first: int, count: int, folder: Path) -> list[Drawn]:
+    """Return sensible scenes, with two or more effects drawn again, some weak."""
+    chosen: list[Drawn] = []
+    for one in sensible(seed, first, folder):
+        assert one.scene is not None
+        effects = _effects(Dice(seed, EFFECTS_STREAM + one.index))
+        scene = replace(one.scene, effects=effects)
+        if _steps(scene) <= STEPS_MAX and _elements(scene) <= COARSE_MAX:
+            chosen.append(replace(one, scene=scene))
+            if len(chosen) == count:
+                break
+    return chosen
+
+
+def _effects(dice: Dice) -> Effects:
+    """Return two to four effects, each weak as often as strong."""
+    while True:
+        branches = dice.whole(1, 2)
+        effects = Effects(
+            Friction(dice.scaled(1e-3, 1.0)) if dice.chance(0.6) else None,
+            Viscosity(
+                tuple(dice.scaled(1e-3, 1.0) for _ in range(branches)),
+                tuple(dice.scaled(1e-4, 10.0) for _ in range(branches)),
+            )
+            if dice.chance(0.5)
+            else None,
+            Inertia(dice.one_of([1.0, 1.0, 100.0])) if dice.chance(0.6) else None,
+            Gravity(dice.one_of([(0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0)]))
+            if dice.chance(0.6)
+            else None,
+        )
+        if len(effects.key) >= 2:
+            return effects
+
+
+def _steps(scene: Scene) -> int:
+    """Return the number of steps of the motion, without rejected ones."""
+    path = path_of(scene, Fem())
+    total = 0
+    for segment in range(1, len(scene.motion)):
+        path.segment = segment
+        total += round(1 / path.limit)
+    return total
+
+
+def _elements(scene: Scene) -> int:
+    """Return the number of elements of a probe's mesh, as planned before it is solved."""
+    sizes = [stage.sizes for stage in stages_of(scene)]
+    numerics = Fem(fineness=FINENESS)
+    return sum(len(one.elements) for one in meshes_of([scene] * len(sizes), numerics, sizes))
+
+
+def left_out_error(one: Drawn) -> Row:
+    """Plan a scene, and compare with both solutions if any effect is omitted."""
+    scene = one.scene
+    assert scene is not None
+    (planned,) = plan_many([scene], tolerance=TOLERANCE)
+    row: Row = {
+        "scene": one.name,
+        "effects": list(scene.effects.key),
+        "left_out": list(planned.omitted),
+        "probe_seconds": rounded(planned.seconds),
+    }
+    if not planned.omitted:
+        return row
+    ((full,), cost), ((less,), cost_less) = (
+        spent_by(partial(simulate_many, [some], Fem(elements_max=ELEMENTS_MAX)), "cpu")
+        for some in (scene, planned.needed)
+    )
+    row |= {
+        "stated": rounded(planned.joint.value("fraction")),
+        "seconds": rounded(cost.wall),
+        "seconds_without": rounded(cost_less.wall),
+        "error": None,
+    }
+    if isinstance(full, Result) and isinstance(less, Result):
+        _, fraction = force_errors(outcome_of(less), outcome_of(full))
+        row["error"] = rounded(float(fraction.max()))
+    return row
 
 
 # The page
@@ -199,7 +302,7 @@ extrapolated, by the same solver. *Kept* are those of the answers whose error is
 their depth, with little friction or none, which have no smooth solution
 ([independent](independent.md)).
 
-{needed.section(values.get("needed", []))}"""
+{left_out(values.get("needed", []))}"""
 
 
 def _exceeded(tolerances: dict[str, list[Row]]) -> str:
@@ -222,14 +325,13 @@ def _draw(page: Page, tolerances: dict[str, list[Row]]) -> None:
                 for row in rows
                 if row.get("error_percent")
             ],
-            joined=False,
         )
         for (tolerance, rows), colour in zip(tolerances.items(), (BLUE, RED), strict=False)
     ]
     stated = [x for one in series for x, _ in one.points]
     if stated:
         ends = [(least, least) for least in (min(stated), max(stated))]
-        series.append(Series("as stated", INK, "", ends))
+        series.append(Series("as stated", INK, "-", ends))
     save_chart(
         page.picture("tolerance"),
         "Errors on random scenes",
@@ -237,3 +339,25 @@ def _draw(page: Page, tolerances: dict[str, list[Row]]) -> None:
         "error that the answer states [%]",
         "error [%]",
     )
+
+
+def left_out(some: Sequence[Row]) -> str:
+    """Return gain and cost of leaving effects out, in words."""
+    if not some:
+        return ""
+    less = [row for row in some if row.get("error") is not None]
+    within = sum(row["error"] <= LIMIT for row in less)
+    as_stated = sum(row["error"] <= row["stated"] for row in less)
+    worst = max(less, key=lambda row: float(row["error"]), default=None)
+    saved = sum(row["seconds"] - row["seconds_without"] for row in less)
+    text = (
+        f'**Effects left out** by `plan(scene, "{TOLERANCE}", effects="needed")`: of {len(some)} '
+        f"scenes with two or more effects {len(less)} lose some, and are solved with and without "
+        f"them on the same mesh. The error is within {TOLERANCE} in {within}, and within what the "
+        f"plan states in {as_stated}"
+    )
+    if worst is not None:
+        error, stated = percent(worst["error"]), percent(worst["stated"])
+        text += f"; the largest is {error}, where {stated} is stated"
+    probes = sum(row["probe_seconds"] for row in some)
+    return f"{text}. Leaving out saved {seconds(saved)}, the probes took {seconds(probes)}."

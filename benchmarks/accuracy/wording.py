@@ -1,8 +1,12 @@
-"""Numbers in words of the page, and the devices of a run."""
+"""Numbers in words of the page, rows to show, and the devices of a run."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
+
+Row = dict[str, Any]
 
 
 def devices_of(device: str) -> list[str]:
@@ -13,6 +17,16 @@ def devices_of(device: str) -> list[str]:
 def kind_of(device: str) -> str:
     """Return `CPU`, `GPU`, or `none` for a formula."""
     return {"cpu": "CPU", "none": "none"}.get(device, "GPU")
+
+
+def chosen(rows: Iterable[Row], kind: str = "", **values: object) -> list[Row]:
+    """Return the rows with these values, of `CPU`, `GPU` or `none` alone if one is named."""
+    return [
+        row
+        for row in rows
+        if kind in ("", kind_of(row["device"]))
+        and all(row[name] == value for name, value in values.items())
+    ]
 
 
 def seconds(value: float | None) -> str:

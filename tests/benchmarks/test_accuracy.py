@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from support.commands import run_module
 
-from benchmarks.accuracy import command, effects, frames, needed, solvers, speed, tolerance
-from benchmarks.accuracy import paper_presses as presses
-from benchmarks.accuracy.cases import CASES, Reference, finer, solve_reference
+from benchmarks.accuracy import command, effects, frames, solvers, speed, tolerance
+from benchmarks.accuracy.cases import CASES, finer, solve_reference
 from benchmarks.accuracy.competitors import closed_form, ladders
-from benchmarks.accuracy.paper_presses import TimedPress, extrapolated, forces_of
+from benchmarks.accuracy.speed import TimedPress, extrapolated, forces_of
 from benchmarks.accuracy.spent import spent_by
 from benchmarks.independent.formulas import hertz
 from sim import Layer, simulate, simulate_many
@@ -84,8 +83,10 @@ def test_memory_and_time_of_a_computation_are_measured() -> None:
 def test_the_shortest_time_and_the_error_in_a_second_are_those_of_complete_rows() -> None:
     cpu = solvers.solved(ROWS, "sphere", "CPU")
     assert [each["label"] for each in cpu] == ["coarse", "even", "fine"]
-    assert [solvers.shortest(cpu, goal) for goal in (0.1, 0.03, 0.003, 1e-3)] == [*cpu, None]
-    assert solvers.most_exact(cpu, 1.0) == cpu[1]
+    assert [
+        solvers.least(cpu, "seconds", "force_share", goal) for goal in (0.1, 0.03, 0.003, 1e-3)
+    ] == [*cpu, None]
+    assert solvers.least(cpu, "force_share", "seconds", 1.0) == cpu[1]
     on_cpu = row("", 0.04, 0.02) | {"ladder": "layer"}
     text = solvers.summary({"accuracy": {"rows": [*ROWS, on_cpu]}})
     assert "| sphere R 4 mm | CPU | 0.010 s, fem coarse | 0.80 s, fem even | 9.00 s, fem" in text
@@ -103,35 +104,38 @@ def test_a_row_has_the_error_and_cost_of_its_press_and_slow_steps_are_left_out(
     case = replace(BY_NAME["sphere"], scene=scene)
     true = solve_reference(scene, 0.5, "cpu")
     monkeypatch.setattr(solvers, "SECONDS_MAX", 1e-6)
-    (only,) = solvers.climb(case, "fem even", "cpu", Reference(true, {}))  # type: ignore[arg-type]
+    (only,) = solvers.climb(case, "fem even", "cpu", true)
     assert 0 < only["force_share"] < 0.5
     assert only["seconds"] > 0
     assert only["elements"] == 16 * 16 * 3
 
 
 def test_the_papers_presses_are_162_of_which_54_have_a_reference() -> None:
-    everything, reference = presses.paper_presses(), presses.reference_presses()
+    everything, reference = (
+        speed.presses_at(places) for places in (speed.PLACES, speed.REFERENCE_AT)
+    )
     assert len(everything) == len(set(everything)) == 18 * 9
     assert len(set(reference) & set(everything)) == len(reference) == 54
-    assert {key[:3] for key in presses.read_forces()} <= {
+    assert {key[:3] for key in speed.read_forces()} <= {
         (one.indenter, one.x, one.y) for one in reference
     }
 
 
-def test_errors_are_fractions_of_the_reference_where_both_have_a_force() -> None:
-    reference = {("cone", 0.0, 0.0, depth): np.array([3.0, 0.0, -4.0]) for depth in (0.3, 0.6, 0.9)}
+def test_errors_are_fractions_of_the_reference_where_both_have_a_force_below_the_surface() -> None:
+    depths = (0.3, 0.6, 0.9, 1.2)
+    reference = {("cone", 0.0, 0.0, depth): np.array([3.0, 0.0, -4.0]) for depth in depths}
     forces = {
-        ("cone", 0.0, 0.0, 0.3): np.array([3.0, 0.0, -6.5]),
-        ("cone", 0.0, 0.0, 0.6): np.array([3.0, 0.5, -4.0]),
+        ("cone", 0.0, 0.0, 0.3): np.array([9.0, 9.0, 9.0]),
+        ("cone", 0.0, 0.0, 0.6): np.array([3.0, 0.0, -6.5]),
+        ("cone", 0.0, 0.0, 0.9): np.array([3.0, 0.5, -4.0]),
         ("wave", 0.0, 0.0, 0.6): np.array([9.0, 9.0, 9.0]),
     }
-    everywhere = presses.errors(forces, reference, from_mm=0.0)
-    assert everywhere["compared"] == 1
-    assert (everywhere["mean"], everywhere["worst"]) == pytest.approx((0.3, 0.5))
-    assert everywhere["most"] == pytest.approx(0.1 + 0.95 * 0.4)
-    assert everywhere["worst_at"] == "cone at (0, 0) mm, 0.3 mm deep"
-    assert presses.errors(forces, reference)["mean"] == pytest.approx(0.1)
-    assert presses.errors({}, reference)["mean"] is None
+    errors = speed.errors(forces, reference)
+    assert errors["compared"] == 1
+    assert (errors["mean"], errors["worst"]) == pytest.approx((0.3, 0.5))
+    assert errors["most"] == pytest.approx(0.1 + 0.95 * 0.4)
+    assert errors["worst_at"] == "cone at (0, 0) mm, 0.6 mm deep"
+    assert speed.errors({}, reference)["mean"] is None
 
 
 def test_two_meshes_are_extrapolated_and_take_the_time_of_both() -> None:
@@ -166,12 +170,12 @@ def test_forces_are_kept_to_seven_digits(tmp_path: Path) -> None:
     some = [TimedPress("sphere", -4.0, 0.0, (0.3, 0.6)), TimedPress("sphere", 0.0, 4.0, (0.3,))]
     forces = forces_of(some, simulate_many([one.scene() for one in some], Layer(grid=32)))
     assert [key[1:] for key in forces] == [(-4, 0, 0.3), (-4, 0, 0.6), (0, 4, 0.3)]
-    presses.write_forces(forces, tmp_path / "a.csv")
-    for key, force in presses.read_forces(tmp_path / "a.csv").items():
+    speed.write_forces(forces, tmp_path / "a.csv")
+    for key, force in speed.read_forces(tmp_path / "a.csv").items():
         np.testing.assert_allclose(force, forces[key], rtol=1e-6)
     (tmp_path / "a.csv").write_text("run,indenter\n1,sphere\n")
     with pytest.raises(KeyError, match="x_mm"):
-        presses.read_forces(tmp_path / "a.csv")
+        speed.read_forces(tmp_path / "a.csv")
 
 
 def test_a_cpu_is_forecast_by_its_processes_and_a_gpu_from_as_many_presses_as_fill_it() -> None:
@@ -196,7 +200,7 @@ def test_effects_left_out_are_told_with_the_largest_error_and_what_it_saved() ->
             "seconds_without": 8.0,
         },
     ]
-    text = needed.section(some)
+    text = tolerance.left_out(some)
     assert "of 2 scenes with two or more effects 1 lose some" in text
     assert "within 2 % in 0, and within what the plan states in 0" in text
     assert "the largest is 3.0 %, where 1.0 % is stated" in text
@@ -204,8 +208,10 @@ def test_effects_left_out_are_told_with_the_largest_error_and_what_it_saved() ->
 
 
 def test_random_scenes_press_and_are_the_same_for_every_count(tmp_path: Path) -> None:
-    some = tolerance.scenes(3, 0, tmp_path)
-    assert [one.name for one in tolerance.scenes(2, 0, tmp_path)] == [one.name for one in some[:2]]
+    some = tolerance.scenes(0, 0, 3, tmp_path)
+    assert [one.name for one in tolerance.scenes(0, 0, 2, tmp_path)] == [
+        one.name for one in some[:2]
+    ]
     assert all(one.scene is not None and one.scene.motion.depth_max > 0 for one in some)
 
 

@@ -10,9 +10,8 @@ import pytest
 from scipy.ndimage import binary_dilation, label
 from support.devices import DEVICES
 
-from benchmarks.accuracy.images import iou, mismatch
+from benchmarks.accuracy.images import RenderState, dent, fold, iou, mismatch, state_of
 from benchmarks.accuracy.raycast import cast_rays, fraction_of, marked, smooth
-from benchmarks.accuracy.states import RenderState, dent, fold, state_of
 from recorder.markers import Lattice, count_markers, pack
 from sim.errors import SceneError
 from sim.fem import Fem
