@@ -13,8 +13,8 @@ from recorder.charts import BAND, chart
 if TYPE_CHECKING:
     from recorder.charts import Artist, Axes
 
-# Most panels in a row, and the columns of the legend.
-COLUMNS, LEGEND = 3, 3
+# Most panels in a row, and columns of the legend.
+COLUMNS = 3
 # Width and height of a panel [inch].
 PANEL = 2.4, 2.5
 
@@ -45,7 +45,7 @@ def save_chart(path: Path, title: str, panels: Sequence[Panel], x: str, y: str) 
     """Write panels that share both axes, with the labels `x` and `y`, as one picture."""
     columns = min(COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
-    with chart(path, PANEL[0] * max(columns, LEGEND) + 0.4, PANEL[1] * rows + 1.1) as figure:
+    with chart(path, PANEL[0] * COLUMNS + 0.4, PANEL[1] * rows + 1.1) as figure:
         figure.suptitle(title, x=0.01, ha="left")
         every: list[Axes] = []
         named: dict[str, Artist] = {}
@@ -74,4 +74,4 @@ def save_chart(path: Path, title: str, panels: Sequence[Panel], x: str, y: str) 
                 band = axes.axhspan(low, min(panel.bound, high), color=BAND, zorder=0)
                 named["below the reference's accuracy"] = band
         every[0].set_ylim(low, high)
-        figure.legend(named.values(), named, loc="outside lower left", ncols=LEGEND)
+        figure.legend(named.values(), named, loc="outside lower left", ncols=COLUMNS)

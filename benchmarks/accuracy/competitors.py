@@ -19,14 +19,6 @@ from sim.result import Outcome, Result
 from sim.scene import Scene
 from sim.tiers import simulate_many
 
-# Finenesses of `fem` on contact-adapted meshes, besides the default.
-FINENESS = (0.5, 1.0, 1.4)
-# Requested tolerances, which the solver meets by error control.
-TOLERANCES = ("5 %", "2 %", "1 %")
-# Element sizes of `fem` on uniform meshes [mm], coarse to fine.
-EVEN_SPACINGS = (1.25, 0.8, 0.5)
-# Cell sizes of `mpm` [mm], coarse to fine; two particles per cell and dimension.
-MPM_CELLS = (1.0, 0.8, 0.5, 0.4)
 # Formulas of a half-space for the cases that have one: Hertz, and Sneddon's punch and sharp cone.
 FORMULAS = {"sphere": hertz, "punch": flat_punch, "cone": cone}
 
@@ -53,21 +45,23 @@ class Competitor:
 
 
 def ladders() -> dict[str, list[Competitor]]:
-    """Return the competitors by ladder, each from coarse to fine."""
+    """Return the competitors by ladder, each from coarse to fine.
+
+    Labels have finenesses of meshes that follow the contact, tolerances that are met by error
+    control, elements of uniform meshes, and cells of two particles a dimension.
+    """
     default = Fem().fineness
-    adapted = {one: f"fineness {one:g}" for one in FINENESS} | {default: "default"}
+    adapted = {one: f"fineness {one:g}" for one in (0.5, 1.0, 1.4)} | {default: "default"}
+    within = ("5 %", "2 %", "1 %")
+    elements = {size: Fem(spacing=size * 1e-3) for size in (1.25, 0.8, 0.5)}
+    cells = {size: Mpm(cell=size * 1e-3) for size in (1.0, 0.8, 0.5, 0.4)}
     return {
         "layer": [Competitor("", 0.0, Layer())],
         "fem": [Competitor(adapted[one], one, Fem(fineness=one)) for one in sorted(adapted)],
         "fem float64": [Competitor("default", default, Fem(precision="float64"))],
-        "tolerance": [Competitor(one, tolerance_of(one).value ** -0.5, one) for one in TOLERANCES],
-        "fem even": [
-            Competitor(f"{size:g} mm", 1e3 / size, Fem(spacing=size * 1e-3))
-            for size in EVEN_SPACINGS
-        ],
-        "mpm": [
-            Competitor(f"{size:g} mm", 1e3 / size, Mpm(cell=size * 1e-3)) for size in MPM_CELLS
-        ],
+        "tolerance": [Competitor(one, tolerance_of(one).value ** -0.5, one) for one in within],
+        "fem even": [Competitor(f"{size:g} mm", 1e3 / size, elements[size]) for size in elements],
+        "mpm": [Competitor(f"{size:g} mm", 1e3 / size, cells[size]) for size in cells],
         "mpm as published": [Competitor("", 0.0, Mpm.authors())],
     }
 

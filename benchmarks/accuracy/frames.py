@@ -28,6 +28,7 @@ from sim.tiers import simulate_many
 
 MM = 1e-3
 FRAME, FRAMES = 0.05 * MM, 20
+DEPTHS = tuple(FRAME * frame for frame in range(1, FRAMES + 1))
 # Numbers of simultaneous presses.
 COUNTS = (1, 64, 512)
 # Number of presses whose errors are measured.
@@ -48,25 +49,20 @@ PUBLISHED = (
     ("ETac, a learned model", 4096, 869.0),
 )
 COLOURS = (GREEN, SKY, ORANGE, BLUE, RED)
-# Way with the default settings of `fem`.
+# Ways: `layer`, coarse meshes of `fem` with matching tolerances, and the default.
 DEFAULT = "fem, default"
+COARSE = Fem(tolerance=TOLERANCE, path_tolerance=PATH_TOLERANCE, augmentations=AUGMENTATIONS)
+WAYS: dict[str, Layer | Fem] = {
+    **{f"layer, {grid} pixels": Layer(grid=grid) for grid in (48, 128)},
+    **{f"fem, {size:g} mm": replace(COARSE, spacing=size * MM) for size in (1.0, 0.8)},
+    DEFAULT: Fem(),
+}
 
 
-def ways() -> dict[str, Layer | Fem]:
-    """Return `layer`, coarse meshes of `fem` with matching tolerances, and the default."""
-    coarse = Fem(tolerance=TOLERANCE, path_tolerance=PATH_TOLERANCE, augmentations=AUGMENTATIONS)
-    return {
-        **{f"layer, {grid} pixels": Layer(grid=grid) for grid in (48, 128)},
-        **{f"fem, {size:g} mm": replace(coarse, spacing=size * MM) for size in (1.0, 0.8)},
-        DEFAULT: Fem(),
-    }
-
-
-def scenes(count: int) -> list[Scene]:
+def scenes(count: int, depths: Sequence[float] = DEPTHS) -> list[Scene]:
     """Return the first `count` presses, which are the same for every count."""
     random = np.random.default_rng(SEED)
     drawn = random.uniform([3 * MM, -4 * MM, -4 * MM], [5 * MM, 4 * MM, 4 * MM], (count, 3))
-    depths = [FRAME * frame for frame in range(1, FRAMES + 1)]
     return [Scene(sphere(r), press(depths, at=(x, y))) for r, x, y in drawn]
 
 
@@ -85,7 +81,7 @@ def errors(outcomes: Sequence[Outcome], truths: Sequence[Outcome]) -> dict[str, 
 
 def measure(run: Run) -> list[Row]:
     """Return a row for every way, device and number of presses, except those that take long."""
-    names = list(ways())
+    names = list(WAYS)
     chosen = names[:3:2] if run.quick else names
     fine = Fem(fineness=0.5 if run.quick else 1.5, elements_max=400_000)
     devices = devices_of(run.device)
@@ -123,7 +119,8 @@ def _counted(
             if forecast(last, count, 1 if pool is None else pool.processes) > ROW_SECONDS:
                 continue
             if pool not in ready:
-                _load_kernels(way, device, pool)
+                shallow = scenes(1 if pool is None else pool.processes, [FRAME])
+                _solved(shallow, way, device, pool)
                 ready.add(pool)
             name = f"{way}, {device}, {count} at once" + (" by processes" if pool else "")
             rows.append(run.once(name, partial(measured, way, count, device, pool, truths)))
@@ -133,16 +130,10 @@ def _counted(
 
 def _solved(some: Sequence[Scene], way: str, device: str, workers: Workers | None) -> list[Outcome]:
     """Solve presses; on a GPU all have one mesh topology."""
-    tier = ways()[way]
+    tier = WAYS[way]
     if isinstance(tier, Fem):
         tier = replace(tier, one_topology=device != "cpu")
     return simulate_many(some, tier, device=device, processes=workers or 1)
-
-
-def _load_kernels(way: str, device: str, workers: Workers | None) -> None:
-    """Solve a press of one frame, in this process or in each of `workers`."""
-    some = scenes(1 if workers is None else workers.processes)
-    _solved([replace(one, motion=press([FRAME])) for one in some], way, device, workers)
 
 
 def forecast(last: Row | None, count: int, processes: int) -> float:
@@ -192,7 +183,7 @@ def section(rows: Sequence[Row], page: Page) -> str:
                 if row["mean"]
             ],
         )
-        for name, colour in zip(ways(), COLOURS, strict=True)
+        for name, colour in zip(WAYS, COLOURS, strict=True)
         for kind, style in (("CPU", "o"), ("GPU", "D"))
     ]
     save_chart(

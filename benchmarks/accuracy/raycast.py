@@ -43,13 +43,7 @@ def smooth(x: Array, y: Array, values: Array, to_x: Array, to_y: Array) -> Array
 
 
 def cast_rays(
-    body: Body,
-    camera: Camera,
-    x: Array,
-    y: Array,
-    surface: Array,
-    *,
-    samples: int = 1,
+    body: Body, camera: Camera, x: Array, y: Array, surface: Array, *, samples: int = 1
 ) -> Array:
     """Return the material point, x and y [m], of each sample (480 n, 640 n, 2) for n `samples`.
 

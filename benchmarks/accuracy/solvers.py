@@ -10,11 +10,10 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from benchmarks.accuracy.cases import CASES, COARSER, QUICK_CASE, Case, reference_of
+from benchmarks.accuracy.cases import CASES, COARSER, QUICK_CASE, Case, compare, reference_of
 from benchmarks.accuracy.chart import Panel, Series, save_chart
 from benchmarks.accuracy.competitors import Competitor, closed_form, elements_of, ladders
-from benchmarks.accuracy.errors import compare
-from benchmarks.accuracy.spent import spent_by
+from benchmarks.accuracy.spent import WARM, spent_by
 from benchmarks.accuracy.wording import Row, chosen, devices_of, kind_of, percent, rounded, seconds
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, SOFT
@@ -24,8 +23,6 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.metrics import Outcome, force_errors, outcome_of
 from sim.scene import press
 
-# Depth of the press that loads the kernels before a measurement [m].
-WARM = 0.02e-3
 # Assumed power law of the time of a press with fineness, used to skip slow measurements.
 GROWTH = 4.0
 # Measurements of a case that are expected to take longer are skipped [s].

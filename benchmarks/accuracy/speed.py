@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.accuracy.chart import Panel, Series, save_chart
-from benchmarks.accuracy.spent import spent_by
+from benchmarks.accuracy.spent import WARM, spent_by
 from benchmarks.accuracy.wording import Row, chosen, devices_of, kind_of, percent, rounded, seconds
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, RED
@@ -56,8 +56,6 @@ TOLERANCE, PATH_TOLERANCE, AUGMENTATIONS = 1.5e-2, 0.1, 1
 # The same of the reference, and its element height [mm]. With tighter ones the skin creases under
 # sharp edges, where there are many solutions, and the solver fails.
 REFERENCE_TOLERANCE, REFERENCE_AUGMENTATIONS, REFERENCE_SPACING = 3e-4, 5, 0.4
-# Depth of the press that loads the kernels [m].
-WARM = 0.02e-3
 
 
 # Force of the indenter on the body (3,) [N], by indenter, x, y, depth [mm].
@@ -283,14 +281,6 @@ def _at_once(
 # The page
 
 
-def meshes(row: Row) -> str:
-    """Return the meshes of a row in words."""
-    sizes = " and ".join(f"{size:.3g}" for size in row["meshes_mm"])
-    if row["at_once"]:
-        return f"{sizes} mm at once, extrapolated"
-    return f"{sizes} mm, extrapolated" if len(row["meshes_mm"]) > 1 else f"{sizes} mm"
-
-
 def section(rows: Sequence[Row], page: Page) -> str:
     """Return the picture and the table of all meshes."""
     save_chart(
@@ -305,10 +295,13 @@ def section(rows: Sequence[Row], page: Page) -> str:
         "time [s]",
         "error of the force [%]",
     )
+    way = {1: "", 2: ", extrapolated"}
     lines = [
         [
             kind_of(row["device"]),
-            meshes(row),
+            " and ".join(f"{size:.3g}" for size in row["meshes_mm"])
+            + (" mm at once" if row["at_once"] else " mm")
+            + way[len(row["meshes_mm"])],
             row["processes"],
             seconds(row["seconds"]),
             seconds(row["seconds"] / row["presses"]),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.accuracy.errors import compare
+from benchmarks.accuracy.cases import compare
 from sim.markers.camera import DISTANCE, FOCAL
 from sim.metrics import Outcome, marker_pixels, marker_places
 from sim.result import WEAK

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sim
-from benchmarks.accuracy.errors import compare
+from benchmarks.accuracy.cases import compare
 from sim import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, SceneError, Viscosity
 from sim import needed as module
 from sim.effect_bounds import bounds_of
