@@ -25,7 +25,8 @@ from sim.result import Result
 from sim.scene import Body, Effects, Friction, Scene, press
 from sim.tiers import simulate
 
-Mask, Array = NDArray[np.bool_], NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Array = NDArray[np.float64]
 
 PATTERNS = ("Array1", "Circle1", "Diamond1", "Array3")
 # Rays along each side of a pixel.
@@ -37,7 +38,6 @@ FRAMES, REPEATS = 9, 5
 # The picture: patterns, and colours of the markers.
 DRAWN = ("Array3", "Circle1", "Diamond4")
 MARKER, BEFORE = np.array([0.16, 0.17, 0.21]), np.array([0.91, 0.59, 0.47])
-
 # Radius of a dent [m].
 RADIUS = 3e-3
 
