@@ -6,36 +6,26 @@ import argparse
 from typing import Any
 
 from benchmarks.hard_cases import mistakes, named_cases, refinement
-from benchmarks.hard_cases.cases import chosen
 from benchmarks.hard_cases.random_scenes import part as random_scenes
 from benchmarks.report import QUICK_RESULTS, Benchmark, Part
 from recorder.command_line.options import add_seed, whole
-from sim.errors import SceneError
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--processes", type=whole(1, 256), default=2, help="parallel processes (%(default)s)"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("--processes", type=whole(1, 256), default=2, help="parallel processes (%(default)s)")
+    add(
         "--case",
         action="append",
         default=[],
         metavar="NAME",
         help="run this case only, * and ? are wildcards (may be repeated)",
     )
-    parser.add_argument(
-        "--scenes",
-        type=whole(1, 100_000),
-        default=300,
-        metavar="N",
-        help="number of random scenes (%(default)s)",
-    )
-    parser.add_argument(
-        "--first", type=whole(0, 10**9), default=0, metavar="I", help="first scene (%(default)s)"
-    )
+    count = whole(1, 100_000)
+    add("--scenes", type=count, default=300, metavar="N", help="random scenes (%(default)s)")
+    add("--first", type=whole(0), default=0, metavar="I", help="first scene (%(default)s)")
     add_seed(parser)
-    parser.add_argument(
+    add(
         "--seconds",
         type=whole(1, 3600),
         default=60,
@@ -86,13 +76,6 @@ def run(options: argparse.Namespace) -> int:
     Raises:
         SceneError: Unknown case or device.
     """
-    from sim.device import ready_device
-
-    try:
-        chosen(options.case)
-    except ValueError as error:
-        raise SceneError(f"--case: {error}") from error
-    ready_device(options.device)
     if (options.case or options.first) and options.out is None:
         options.out = QUICK_RESULTS / "hard-cases.md"
     return BENCHMARK.run(options)

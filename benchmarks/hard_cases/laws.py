@@ -7,7 +7,7 @@ tolerance or float32, and a factor of 2 to 5 above the measured value.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -32,8 +32,6 @@ SLIP = 1e-5
 LAST_DIGITS = 2e-5
 # Two paths to one elastic state, relative force: each is accepted with a residual of 1e-4.
 SAME = 5e-4
-# Words of `smooth`.
-KINK = "largest second difference / largest force"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +62,11 @@ class Law:
         return max(0.0, over / under)
 
     def __str__(self) -> str:
-        return f"{self.says}: {self.measured:.3g} {self.sense} {self.limit:.3g}"
+        sense = "≤" if self.sense == "<=" else "≥"
+        return f"{self.says}: {self.measured:.3g} {sense} {self.limit:.3g}"
+
+
+Laws = Iterable[Law]
 
 
 def at_most(says: str, measured: float, limit: float) -> Law:
@@ -77,30 +79,34 @@ def at_least(says: str, measured: float, limit: float) -> Law:
     return Law(says, float(measured), ">=", limit)
 
 
-def validity_laws(*results: Result, det_f: float = 0.1, pull: float = 1e-6) -> list[Law]:
-    """Return the laws of every press: no inverted element, forces in balance, and no pull.
+def validity_laws(*results: Result, det_f: float = 0.1, pull: float = 1e-6) -> Laws:
+    """Yield the laws of every press: no inverted element, forces in balance, no pull, and friction.
 
     `det_f` is the smallest determinant of the deformation gradient; the solver's own limit is 0.05.
     `pull` is the largest upward traction: zero, unless friction above 1 acts on a steep flank.
+    Lifted to the undeformed surface, the indenter has left.
     """
     pulls, unbalanced = [], []
     for result in results:
-        push = -result.traction[..., 2].astype(float)
-        pulls.append(max(0.0, -push.min()) / max(float(np.abs(push).max()), 1e-30))
+        down = -result.traction[..., 2].astype(float)
+        pulls.append(max(0.0, -down.min()) / max(float(np.abs(down).max()), 1e-30))
         force = np.linalg.norm(result.force, axis=1)
         fraction = force / max(float(force.max()) * LIGHT, 1e-30)
-        unbalanced.append(result.quality.balance * np.minimum(1.0, fraction))
-    return [
-        at_least("smallest det F", _least(r.quality.det_f_min for r in results), det_f),
-        at_most("balance", _most(unbalanced), BALANCE),
-        at_most("tension / largest pressure", max(pulls), pull),
-    ]
+        unbalanced.append((result.quality.balance * np.minimum(1.0, fraction)).max())
+    least = np.min([result.quality.det_f_min.min() for result in results])
+    yield at_least("smallest det F", least, det_f)
+    yield at_most("balance", np.max(unbalanced), BALANCE)
+    yield at_most("tension / largest pressure", max(pulls), pull)
+    if any(result.scene.effects.friction for result in results):
+        yield slides(*results)
+    for result in results:
+        if result.scene.motion.tip[-1][2] >= 0 and result.force.any():
+            yield lets_go(result)
 
 
-def conserves(result: Result, limit: float) -> Law:
+def conserves(result: Result, limit: float, says: str = "|work - stored energy| / work") -> Law:
     """Return the law that, if elastic and frictionless, the net work is stored in the end."""
-    gap = abs(result.quality.energy_gap[-1])
-    return at_most("|work - stored energy| / work", gap, limit)
+    return at_most(says, abs(result.quality.energy_gap[-1]), limit)
 
 
 def dissipates(result: Result, limit: float) -> Law:
@@ -109,9 +115,10 @@ def dissipates(result: Result, limit: float) -> Law:
     return at_least("(work - stored energy) / work, least", least, -limit)
 
 
-def slides(*results: Result, limit: float = SLIP) -> Law:
+def slides(*results: Result) -> Law:
     """Return Coulomb's law: no point's shear traction exceeds coefficient times pressure."""
-    return at_most("|t| - mu p", _most(r.quality.slip_excess for r in results), limit)
+    excess = [one.quality.slip_excess.max() for one in results if one.scene.effects.friction]
+    return at_most("|t| - mu p", np.max(excess), SLIP)
 
 
 def lets_go(result: Result) -> Law:
@@ -120,12 +127,12 @@ def lets_go(result: Result) -> Law:
     return at_most("force after lift-off / largest", force[-1] / force.max(), 1e-6)
 
 
-def same_force(says: str, first: Result, second: Result, limit: float) -> Law:
+def same_force(says: str, first: Result, second: Result) -> Law:
     """Return the law of equal forces in every frame, relative to the largest."""
-    return at_most(says, difference(first.force, second.force), limit)
+    return at_most(says, difference(first.force, second.force), SAME)
 
 
-def same_end(says: str, first: Result, second: Result, limit: float) -> Law:
+def same_end(first: Result, second: Result, limit: float = SAME, says: str = "force") -> Law:
     """Return the law of equal forces in the last frame, on any path."""
     return at_most(says, difference(first.force[-1], second.force[-1]), limit)
 
@@ -138,10 +145,10 @@ def difference(first: ArrayLike, second: ArrayLike) -> float:
     return float(np.abs(one - other).max() / max(float(np.abs(one).max()), 1e-30))
 
 
-def alike(first: Result, second: Result) -> list[Law]:
+def alike(first: Result, second: Result) -> Law:
     """Return the law that no value differs in any bit."""
     pairs = [(getattr(first, n), getattr(second, n)) for n in ("wrench", "surface", "traction")]
-    return [at_most("values that differ", sum(int((a != b).sum()) for a, b in pairs), 0)]
+    return at_most("values that differ", sum(int((a != b).sum()) for a, b in pairs), 0)
 
 
 def mirrored(first: Result, second: Result, limit: float) -> Law:
@@ -156,16 +163,22 @@ def swapped(first: Result, second: Result, limit: float) -> Law:
     return at_most("x-y swap: |du| / |u|", difference(first.surface, turned), limit)
 
 
-def smooth(says: str, values: Sequence[float] | Array, limit: float) -> Law:
-    """Return the law of no jump: largest second difference over largest value, at even steps."""
+def smooth(values: ArrayLike, limit: float) -> Law:
+    """Return the law that a force at even steps has no jump."""
     curve = np.asarray(values, float)
-    return at_most(says, np.abs(np.diff(curve, 2)).max() / np.abs(curve).max(), limit)
+    kink = np.abs(np.diff(curve, 2)).max() / np.abs(curve).max()
+    return at_most("largest second difference / largest force", kink, limit)
 
 
-def rises(says: str, values: Sequence[float] | Array, least: float = 0.0) -> Law:
+def rises(says: str, values: ArrayLike, least: float = 0.0) -> Law:
     """Return the law that values increase: smallest increase over the largest value."""
     curve = np.asarray(values, float)
     return at_least(says, np.diff(curve).min() / np.abs(curve).max(), least)
+
+
+def deeper(result: Result) -> Law:
+    """Return the law that the push increases from frame to frame."""
+    return rises("force rises with depth", push(result))
 
 
 def straight(result: Result, limit: float) -> Law:
@@ -179,30 +192,25 @@ def push(result: Result) -> Array:
     return -result.force[:, 2]
 
 
-def evidence(diverged: SimulationDiverged) -> list[Law]:
-    """Return the laws of a rejection; the dump is read and removed.
+def ends(results: Iterable[Result]) -> list[float]:
+    """Return the push of each result in its last frame [N]."""
+    return [float(push(result)[-1]) for result in results]
+
+
+def evidence(diverged: SimulationDiverged) -> Laws:
+    """Yield the laws of a rejection; the dump is read and removed.
 
     If the indenter passed through the skin, the waypoint is named and there is no other state.
     """
     if "passes through the skin" in str(diverged):
-        return [at_least("names of the waypoint", str(diverged).count("waypoint"), 1)]
+        yield at_least("names of the waypoint", str(diverged).count("waypoint"), 1)
+        return
     numbers, missing = 0, 1
     if diverged.dump is not None:
         with np.load(diverged.dump) as dump:
-            state = {name: dump[name] for name in dump.files}
+            missing = len({"scene", "tip", "u", "nodes"} - set(dump.files))
+            numbers = sum(int((~np.isfinite(dump[n])).sum()) for n in ("tip", "u", "nodes"))
         diverged.forget_dump()
-        missing = len({"scene", "tip", "u", "nodes"} - set(state))
-        numbers = int(sum((~np.isfinite(state[name])).sum() for name in ("tip", "u", "nodes")))
-    return [
-        at_least("attempts listed", len(diverged.tried), 1),
-        at_most("missing in the dump", missing, 0),
-        at_most("numbers in the dump that are not finite", numbers, 0),
-    ]
-
-
-def _least(values: Iterable[Array]) -> float:
-    return float(min(np.min(each) for each in values))
-
-
-def _most(values: Iterable[Array]) -> float:
-    return float(max(np.max(each) for each in values))
+    yield at_least("attempts listed", len(diverged.tried), 1)
+    yield at_most("missing in the dump", missing, 0)
+    yield at_most("numbers in the dump that are not finite", numbers, 0)

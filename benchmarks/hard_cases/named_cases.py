@@ -4,28 +4,67 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Sequence
+from fnmatch import fnmatch
 from functools import partial
 from typing import Any
 
-from benchmarks.hard_cases.cases import BY_FAMILY, CASES, LONGEST, QUICK, asserts, chosen
+from benchmarks.hard_cases.cases import (
+    edges,
+    friction,
+    in_time,
+    precision,
+    pressing,
+    steps,
+    wrong_input,
+)
 from benchmarks.hard_cases.laws import Law
 from benchmarks.hard_cases.solver import Case, Solver
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
-from sim.errors import SimulationDiverged
+from recorder.charts import BAND, BLUE, RED, chart
+from sim.errors import SceneError, SimulationDiverged
 
-# A case's laws, the seconds that it took, and what did not hold.
+# Cases by name, of each family by the title of its file.
+BY_FAMILY = {
+    (family.__doc__ or "").split(":")[0]: {
+        name.replace("_", "-"): case
+        for name, case in vars(family).items()
+        if isinstance(case, Case)
+    }
+    for family in (pressing, edges, friction, steps, precision, in_time, wrong_input)
+}
+CASES = {name: case for cases in BY_FAMILY.values() for name, case in cases.items()}
+# At least one of each family, all together some seconds.
+QUICK = (
+    "poisson-0-3", "flat-punch-between-bounds", "lifted-while-it-slips", "never-touches",
+    "starts-at-touch", "metres-and-millimetres", "mirror-symmetry", "inertia-of-no-mass",
+    "millimetres-for-metres", "one-newton-iteration", "phases-without-time",
+)  # fmt: skip
+
+# What a case asserts, its laws, what did not hold, and the seconds that it took.
 Report = dict[str, Any]
 
 
-def judge(case: Case, solver: Solver) -> Report:
-    """Run one case in this process; any exception counts as its failure and affects no other."""
+def chosen(patterns: list[str]) -> list[str]:
+    """Return the names that match any pattern (with `*` and `?`), or all without patterns.
+
+    Raises:
+        SceneError: A pattern that matches nothing.
+    """
+    for pattern in patterns:
+        if not any(fnmatch(name, pattern) for name in CASES):
+            allowed = ", ".join(CASES)
+            raise SceneError(f"--case: no case is called {pattern!r}; allowed: {allowed}")
+    return [name for name in CASES if any(fnmatch(name, each) for each in patterns or ["*"])]
+
+
+def judge(solver: Solver, name: str) -> Report:
+    """Run a case in this process; any exception counts as its failure and affects no other."""
     began = time.perf_counter()
+    case = CASES[name]
     laws: list[Law] = []
-    failures = []
     try:
-        laws = case(solver)
+        laws = list(case.laws(solver))
         failures = [str(law) for law in laws if not law.holds]
         if not laws:
             failures = ["no law was measured"]
@@ -36,41 +75,38 @@ def judge(case: Case, solver: Solver) -> Report:
         last = traceback.extract_tb(error.__traceback__)[-1]
         failures = [f"{type(error).__name__}: {error} ({last.filename}:{last.lineno})"]
     return {
+        "asserts": case.says,
         "laws": [[law.says, law.measured, law.sense, law.limit, law.used] for law in laws],
         "failures": failures,
         "seconds": round(time.perf_counter() - began, 1),
     }
 
 
-def judge_named(device: str, name: str) -> Report:
-    """Judge the solver by the case of this name."""
-    return {"asserts": asserts(CASES[name])} | judge(CASES[name], Solver(device))
-
-
 def measure(run: Run) -> dict[str, Report]:
     """Run the cases."""
     names = list(QUICK) if run.quick else chosen(run.options.case)
-    order = sorted(names, key=lambda name: name not in LONGEST)
-    reports = rows_of(run, partial(judge_named, run.device), {name: name for name in order})
+    reports = rows_of(run, partial(judge, Solver(run.device)), {name: name for name in names})
     for name, report in reports.items():
         run.failures += [f"{name}: {failure}" for failure in report["failures"]]
-    return {name: reports[name] for name in names}
+    return reports
 
 
 def section(reports: dict[str, Report], page: Page) -> str:
     """Return the table of the families, and the laws that do not hold."""
     by_family = {
-        family: some
+        family: {name: reports[name] for name in cases if name in reports}
         for family, cases in BY_FAMILY.items()
-        if (some := {name: reports[name] for name in cases if name in reports})
     }
+    by_family = {family: some for family, some in by_family.items() if some}
     _draw(by_family, page)
     rows = []
     for family, some in by_family.items():
         laws = [(*law, name) for name, report in some.items() for law in report["laws"]]
         inexact = [law for law in laws if law[1] != law[3]]
-        nearest = max(inexact, key=lambda law: law[4], default=None)
-        words = "none" if nearest is None else f"{_law(nearest)} (`{nearest[5]}`)"
+        words = "none"
+        if inexact:
+            *law, _, name = max(inexact, key=lambda law: law[4])
+            words = f"{escaped(str(Law(*law)))} (`{name}`)"
         passed = sum(not report["failures"] for report in some.values())
         seconds = sum(report["seconds"] for report in some.values())
         rows.append([family, len(some), passed, len(laws), words, f"{seconds:.0f}"])
@@ -97,11 +133,6 @@ def section(reports: dict[str, Report], page: Page) -> str:
     return "\n\n".join([text, picture, table(columns, rows), not_held])
 
 
-def _law(law: Sequence[Any]) -> str:
-    says, measured, sense, limit = law[:4]
-    return escaped(f"{says}: {measured:.3g} {'≤' if sense == '<=' else '≥'} {limit:.3g}")
-
-
 def escaped(text: str) -> str:
     """Return the text for a cell of a Markdown table."""
     return text.replace("<", "&lt;").replace("|", "\\|")
@@ -109,24 +140,18 @@ def escaped(text: str) -> str:
 
 def _draw(by_family: dict[str, dict[str, Report]], page: Page) -> None:
     """Draw each law of each case as a point: the part of its allowance that it uses."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(9, 3.2), layout="constrained")
     least, first, middles = 1e-4, 0, []
-    for some in by_family.values():
-        for number, report in enumerate(some.values(), start=first):
-            used = [max(law[4], least) for law in report["laws"]]
-            color = ["tab:blue" if each <= 1 else "tab:red" for each in used]
-            axes.scatter([number] * len(used), used, s=8, c=color)
-        middles.append(first + (len(some) - 1) / 2)
-        first += len(some)
-        axes.axvline(first - 0.5, color="0.85", linewidth=0.8)
-    axes.axhline(1, color="tab:red", linewidth=1)
-    axes.set(yscale="log", ylabel="part of the allowance used", xlim=(-0.5, first - 0.5))
-    axes.set_xticks(middles, [name.replace(" and ", "\nand ") for name in by_family], fontsize=8)
-    axes.tick_params(axis="x", length=0)
-    figure.savefig(page.picture("laws"), dpi=150)
-    pyplot.close(figure)
+    with chart(page.picture("laws"), 9, 3.2) as figure:
+        axes = figure.subplots()
+        for some in by_family.values():
+            for number, report in enumerate(some.values(), start=first):
+                used = [max(law[4], least) for law in report["laws"]]
+                color = [BLUE if each <= 1 else RED for each in used]
+                axes.scatter([number] * len(used), used, s=8, c=color)
+            middles.append(first + (len(some) - 1) / 2)
+            first += len(some)
+            axes.axvline(first - 0.5, color=BAND, linewidth=0.8)
+        axes.axhline(1, color=RED, linewidth=1)
+        axes.set(yscale="log", ylabel="part of the allowance used", xlim=(-0.5, first - 0.5))
+        axes.set_xticks(middles, [name.replace(" and ", "\nand ") for name in by_family])
+        axes.tick_params(axis="x", length=0)

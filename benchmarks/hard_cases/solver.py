@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from benchmarks.hard_cases.laws import Law, validity_laws
+from benchmarks.hard_cases.laws import Laws, alike, evidence, validity_laws
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.result import Outcome, Result
@@ -45,17 +45,8 @@ class Solver:
             for scene, outcome in zip(scenes, outcomes, strict=True)
         ]
 
-    def one(self, scene: Scene, **numerics: Any) -> Result:
-        """Return the result of one scene, as `many`."""
-        return self.many([scene], **numerics)[0]
-
-    def many(
-        self, scenes: Sequence[Scene], spacing: float | None = 1e-3, **numerics: Any
-    ) -> list[Result]:
+    def many(self, scenes: Sequence[Scene], spacing: float = 1e-3, **numerics: Any) -> list[Result]:
         """Return the results of scenes solved in one call.
-
-        Elements of 1 mm are coarse, but laws of mechanics hold on them as well; with a spacing of
-        None the mesh adapts to the contact, as by default.
 
         Raises:
             SimulationDiverged: One of them has no solution.
@@ -67,33 +58,57 @@ class Solver:
             results.append(outcome)
         return results
 
+    def one(self, scene: Scene, **numerics: Any) -> Result:
+        """Return the result of one scene, as `many`."""
+        return self.many([scene], **numerics)[0]
 
-# A case: its docstring says what it asserts.
-Case = Callable[[Solver], list[Law]]
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A hard case: what it asserts in one sentence, and what solves scenes and measures laws."""
+
+    says: str
+    laws: Callable[[Solver], Laws]
+
+
+def by_hand(laws: Callable[[Solver], Laws]) -> Case:
+    """Make a case of a function that calls the solver itself; its docstring says the assertion."""
+    return Case((laws.__doc__ or "").split("\n")[0], laws)
 
 
 def case(
-    says: str,
-    scenes: Sequence[Scene],
-    laws: Callable[..., list[Law]],
-    *,
+    *scenes: Scene,
+    says: str = "",
     variants: Sequence[Mapping[str, Any]] = ({},),
-    det_f: float | None = 0.5,
+    det_f: float = 0.5,
     pull: float = 1e-6,
+    or_none: bool = False,
     **numerics: Any,
-) -> Case:
-    """Return the case that scenes, solved in one call for each variant of numerics, obey laws.
+) -> Callable[[Callable[..., Laws]], Case]:
+    """Make a case of a function that returns the laws of the results of these scenes, in order.
 
-    `laws` gets the results in this order. The laws of every press are added, with `det_f` and
-    `pull` as their limits, unless `det_f` is None.
+    Without `says`, its docstring says what it asserts. The scenes are solved in one call for each
+    variant of the numerics. The laws of every press are added, with `det_f` and `pull` as their
+    limits. If `or_none`, there may be no solution, with evidence.
     """
 
-    def judged(solver: Solver) -> list[Law]:
-        results = [
-            result for variant in variants for result in solver.many(scenes, **numerics, **variant)
-        ]
-        valid = [] if det_f is None else validity_laws(*results, det_f=det_f, pull=pull)
-        return [*valid, *laws(*results)]
+    def made(laws: Callable[..., Laws]) -> Case:
+        def judged(solver: Solver) -> Laws:
+            try:
+                solved = [solver.many(scenes, **numerics, **variant) for variant in variants]
+            except SimulationDiverged as diverged:
+                if not or_none:
+                    raise
+                return evidence(diverged)
+            results = [result for each in solved for result in each]
+            return [*validity_laws(*results, det_f=det_f, pull=pull), *laws(*results)]
 
-    judged.__doc__ = says
-    return judged
+        return Case(says or by_hand(laws).says, judged)
+
+    return made
+
+
+def same_as_alone(solver: Solver, scenes: Sequence[Scene]) -> Laws:
+    """Yield the laws that scenes of one batch equal those solved alone, bit for bit."""
+    for scene, result in zip(scenes, solver.many(scenes), strict=True):
+        yield alike(solver.one(scene), result)

@@ -2,14 +2,15 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.hard_cases.cases import CASES, QUICK, asserts, chosen
 from benchmarks.hard_cases.laws import (
     Law,
+    Laws,
     at_least,
     at_most,
     difference,
@@ -18,8 +19,8 @@ from benchmarks.hard_cases.laws import (
     smooth,
 )
 from benchmarks.hard_cases.mistakes import MISTAKES
-from benchmarks.hard_cases.named_cases import judge
-from benchmarks.hard_cases.solver import Case, Solver
+from benchmarks.hard_cases.named_cases import CASES, QUICK, chosen, judge
+from benchmarks.hard_cases.solver import Solver, by_hand
 from sim.errors import SimulationDiverged
 
 # In less than a second or so; the others are slow.
@@ -35,7 +36,8 @@ FAST = (
     "name", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in CASES]
 )
 def test_every_case_passes(name: str) -> None:
-    assert judge(CASES[name], Solver())["failures"] == []
+    _, report = judge(Solver(), name)
+    assert report["failures"] == []
 
 
 @pytest.mark.parametrize(
@@ -48,12 +50,13 @@ def test_every_case_passes(name: str) -> None:
 def test_a_wrong_solver_is_noticed_by_its_case(name: str) -> None:
     """The right one passes: see above."""
     mistake = MISTAKES[name]
-    assert judge(CASES[mistake.case], mistake.solver)["failures"]
+    _, report = judge(mistake.solver, mistake.case)
+    assert report["failures"]
 
 
 def test_there_are_cases_of_each_family_and_each_says_what_it_asserts() -> None:
-    assert len(CASES) > 90
-    assert all(asserts(case).endswith(".") for case in CASES.values())
+    assert len(CASES) == 99
+    assert all(case.says.endswith(".") for case in CASES.values())
     assert set(QUICK) <= set(CASES)
 
 
@@ -87,8 +90,8 @@ def test_difference_is_relative_and_infinite_for_unlike_shapes() -> None:
 
 def test_smooth_sees_a_jump_and_rises_sees_a_fall() -> None:
     line = [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert smooth("x", line, 1e-12).holds
-    assert smooth("x", [0.0, 1.0, 3.0, 4.0, 5.0], 0.1).measured == pytest.approx(0.2)
+    assert smooth(line, 1e-12).holds
+    assert smooth([0.0, 1.0, 3.0, 4.0, 5.0], 0.1).measured == pytest.approx(0.2)
     assert rises("x", line).holds
     assert not rises("x", [0.0, 2.0, 1.0]).holds
 
@@ -97,39 +100,39 @@ def test_a_divergence_without_evidence_breaks_its_laws() -> None:
     assert not all(law.holds for law in evidence(SimulationDiverged("nothing kept")))
 
 
-def _diverges(_solver: Solver) -> list[Law]:
+def _diverges(_solver: Solver) -> Laws:
     raise SimulationDiverged("no state")
 
 
-def _crashes(_solver: Solver) -> list[Law]:
+def _crashes(_solver: Solver) -> Laws:
     return [at_most("one over zero", 1 / 0, 1.0)]
 
 
-def _measures_nothing(_solver: Solver) -> list[Law]:
+def _measures_nothing(_solver: Solver) -> Laws:
     return []
 
 
-def _breaks_a_law(_solver: Solver) -> list[Law]:
+def _breaks_a_law(_solver: Solver) -> Laws:
     return [at_least("a|b", 0.25, 0.5)]
 
 
 @pytest.mark.parametrize(
-    ("case", "message"),
+    ("laws", "message"),
     [
         (_diverges, "no converged state: no state"),
         (_crashes, "ZeroDivisionError"),
         (_measures_nothing, "no law was measured"),
-        (_breaks_a_law, "a|b: 0.25 >= 0.5"),
+        (_breaks_a_law, "a|b: 0.25 ≥ 0.5"),
     ],
 )
 def test_the_command_fails_with_a_case_and_says_why(
-    case: Case,
+    laws: Callable[[Solver], Laws],
     message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setitem(CASES, "never-touches", case)
+    monkeypatch.setitem(CASES, "never-touches", by_hand(laws))
     page = tmp_path / "page.md"
     options = ["--only", "cases", "--case", "never-*", "--processes", "1", "--out", str(page)]
     assert main(["hard-cases", *options]) == 1

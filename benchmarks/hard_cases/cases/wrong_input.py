@@ -3,65 +3,66 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from benchmarks.hard_cases.cases.bodies import MM, PAD, SPHERE
-from benchmarks.hard_cases.laws import Law, alike, at_least, at_most, difference, evidence
-from benchmarks.hard_cases.solver import Case, Solver
+from benchmarks.hard_cases.bodies import MM, PAD, ball, down
+from benchmarks.hard_cases.laws import Laws, alike, at_least, at_most, evidence
+from benchmarks.hard_cases.solver import Solver, by_hand, case, same_as_alone
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import Part, named, shapes
-from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
+from sim.result import Result
+from sim.scene import Body, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 
-# Sets one field of a scene to a number, which must be rejected.
-Make = Callable[[float], object]
+# The name that a rejection must contain, and what sets one field of a scene to a number.
+Field = tuple[str, Callable[[Any], object]]
+ORIGIN = (0.0, 0.0, 0.0)
+CIRCLE = Part("turned", "circle", (0.0, MM, MM), "union")
+# Every number of a scene.
+FIELDS: list[Field] = [
+    ("size_x", lambda value: Body(size_x=value)),
+    ("size_y", lambda value: Body(size_y=value)),
+    ("thickness", lambda value: Body(thickness=value)),
+    ("modulus", lambda value: Body(modulus=value)),
+    ("poisson", lambda value: Body(poisson=value)),
+    ("dome_radius", lambda value: Body(dome_radius=value)),
+    ("density", lambda value: Body(density=value)),
+    ("coefficient", Friction),
+    ("ratios", lambda value: Viscosity(ratios=(value,), times=(1.0,))),
+    ("times", lambda value: Viscosity(ratios=(1.0,), times=(value,))),
+    ("scale", Inertia),
+    ("acceleration[0]", lambda value: Gravity((value, 0.0, 0.0))),
+    ("acceleration[1]", lambda value: Gravity((0.0, value, 0.0))),
+    ("acceleration[2]", lambda value: Gravity((0.0, 0.0, value))),
+    ("tip[1]", lambda value: Motion((ORIGIN, (value, 0.0, 0.0)), (0.0, 1.0))),
+    ("tip[1]", lambda value: Motion((ORIGIN, (0.0, value, 0.0)), (0.0, 1.0))),
+    ("tip[1]", lambda value: Motion((ORIGIN, (0.0, 0.0, value)), (0.0, 1.0))),
+    ("time", lambda value: Motion((ORIGIN, ORIGIN), (0.0, value))),
+    ("time", lambda value: Motion((ORIGIN, ORIGIN), (value, 1.0))),
+    ("speed", lambda value: down(1, speed=value)),
+    ("depths[0]", lambda value: down(value)),
+    ("motion.at", lambda value: down(1, at=(value, 0.0))),
+    ("shear", lambda value: down(1, shear=value)),
+    ("tip", lambda value: down(1, shear=1, angle=value)),
+    ("hold", lambda value: down(1, hold=value)),
+    ("edge_radius", lambda value: named("prism", value)),
+    ("narrowest", lambda value: replace(named("prism"), narrowest=value)),
+    ("radius", shapes.sphere),
+    ("radius", lambda value: shapes.flat_punch(value, 0.1 * MM)),
+    ("half_angle", lambda value: shapes.cone(value, 0.3 * MM)),
+    ("values", lambda value: replace(CIRCLE, values=(0.0, value, MM))),
+    ("values", lambda value: shapes.extruded((0, 0, 0, MM, 0, 0, MM, value, 0))),
+    ("cosine", lambda value: replace(CIRCLE, cosine=value)),
+    ("axis", lambda value: replace(CIRCLE, axis=(0.0, value))),
+]
+# Those that may be negative.
+SIGNED = ("acceleration", "tip", "depths", "motion.at", "shear", "values", "axis", "cosine")
 
 
-def _with(owner: Any, name: str, value: float) -> object:
-    return replace(owner, **{name: value})
-
-
-def _along(axis: int, value: float) -> tuple[float, ...]:
-    return tuple(value if axis == each else 0.0 for each in range(3))
-
-
-def _fields() -> Iterator[tuple[str, Make]]:
-    """Yield every number of a scene: the name that its rejection must contain, and its setter."""
-    for name in ("size_x", "size_y", "thickness", "modulus", "poisson", "dome_radius", "density"):
-        yield name, partial(_with, Body(), name)
-    yield "coefficient", Friction
-    yield "ratios", lambda value: Viscosity(ratios=(value,), times=(1.0,))
-    yield "times", lambda value: Viscosity(ratios=(1.0,), times=(value,))
-    yield "scale", Inertia
-    start: Any = (0.0, 0.0, 0.0)
-    for axis in range(3):
-        pull: Any = partial(_along, axis)
-        yield f"acceleration[{axis}]", lambda value, pull=pull: Gravity(pull(value))  # type: ignore[misc]
-        yield "tip[1]", lambda value, pull=pull: Motion((start, pull(value)), (0.0, 1.0))  # type: ignore[misc]
-    yield "time", lambda value: Motion((start, start), (0.0, value))
-    yield "time", lambda value: Motion((start, start), (value, 1.0))
-    yield "speed", lambda value: press([1 * MM], speed=value)
-    yield "depths[0]", lambda value: press([value])
-    yield "motion.at", lambda value: press([1 * MM], at=(value, 0.0))
-    yield "shear", lambda value: press([1 * MM], shear=value)
-    yield "tip", lambda value: press([1 * MM], shear=1 * MM, angle=value)
-    yield "hold", lambda value: press([1 * MM], hold=value)
-    yield "edge_radius", lambda value: named("prism", value)
-    yield "narrowest", partial(_with, named("prism"), "narrowest")
-    yield "radius", shapes.sphere
-    yield "radius", lambda value: shapes.flat_punch(value, 0.1 * MM)
-    yield "half_angle", lambda value: shapes.cone(value, 0.3 * MM)
-    circle = Part("turned", "circle", (0.0, MM, MM), "union")
-    yield "values", lambda value: _with(circle, "values", (0.0, value, MM))  # type: ignore[arg-type]
-    yield "values", lambda value: shapes.extruded((0, 0, 0, MM, 0, 0, MM, value, 0))
-    yield "cosine", partial(_with, circle, "cosine")
-    yield "axis", lambda value: replace(circle, axis=(0.0, value))
-
-
-def _refusals(fields: Iterable[tuple[str, Make]], value: float) -> list[Law]:
+def _refusals(value: float, fields: Iterable[Field]) -> Laws:
     """Count the fields that accepted the value, and those rejected without their name."""
     accepted, nameless = [], []
     for name, make in fields:
@@ -71,113 +72,93 @@ def _refusals(fields: Iterable[tuple[str, Make]], value: float) -> list[Law]:
         except ValueError as error:
             if not isinstance(error, SceneError) or name not in str(error):
                 nameless.append(name)
-    return [
-        at_most(f"fields that accepted {value:g} {accepted or ''}", len(accepted), 0),
-        at_most(f"rejections of {value:g} without a name {nameless or ''}", len(nameless), 0),
-    ]
+    yield at_most(f"fields that accepted {value:g} {accepted or ''}", len(accepted), 0)
+    yield at_most(f"rejections of {value:g} without a name {nameless or ''}", len(nameless), 0)
 
 
-def _not_a_number(_solver: Solver) -> list[Law]:
+@by_hand
+def not_a_number(_solver: Solver) -> Laws:
     """NaN in any number of a scene is rejected by the field's name; no scene is created."""
-    return _refusals(_fields(), math.nan)
+    return _refusals(math.nan, FIELDS)
 
 
-def _infinite(_solver: Solver) -> list[Law]:
+@by_hand
+def infinite(_solver: Solver) -> Laws:
     """Infinity likewise, except for the widest wall, where it means none."""
-    return _refusals([field for field in _fields() if field[0] != "narrowest"], math.inf)
+    return _refusals(math.inf, [field for field in FIELDS if field[0] != "narrowest"])
 
 
-def _below_zero(_solver: Solver) -> list[Law]:
+@by_hand
+def below_zero(_solver: Solver) -> Laws:
     """Negative lengths, moduli, coefficients and times are rejected."""
-    signed = ("acceleration", "tip", "depths", "motion.at", "shear", "values", "axis", "cosine")
-    return _refusals([field for field in _fields() if not field[0].startswith(signed)], -1.0)
+    return _refusals(-1.0, [field for field in FIELDS if not field[0].startswith(SIGNED)])
 
 
-def _millimetres_for_metres(_solver: Solver) -> list[Law]:
+@by_hand
+def millimetres_for_metres(_solver: Solver) -> Laws:
     """A body or a depth in millimetres is rejected; the message asks about the units."""
-    fields: list[tuple[str, Make]] = [
-        ("size_x", lambda value: Body(size_x=20 * value, size_y=20 * value, thickness=4 * value)),
-        ("are the units metres?", lambda value: Scene(SPHERE, press([1.5 * value]))),
-        ("radius", lambda value: shapes.sphere(4 * value)),
-    ]
-    return _refusals(fields, 1.0)
+    body: Field = ("size_x", lambda value: Body(20 * value, 20 * value, 4 * value))
+    depth: Field = ("are the units metres?", lambda value: ball(press([1.5 * value])))
+    radius: Field = ("radius", lambda value: shapes.sphere(4 * value))
+    return _refusals(1.0, [body, depth, radius])
 
 
-def _phases_without_time(_solver: Solver) -> list[Law]:
+@by_hand
+def phases_without_time(_solver: Solver) -> Laws:
     """Phases of zero length (the same depth twice, the same time twice) are rejected: no time."""
-    fields: list[tuple[str, Make]] = [
-        ("depths", lambda value: press([1 * MM, 1 * MM + value])),
-        ("time", lambda value: Motion(tip=((value, value, value),) * 2, time=(0.0, value))),
-    ]
-    return _refusals(fields, 0.0)
+    depths: Field = ("depths", lambda value: press([1 * MM, 1 * MM + value]))
+    time: Field = ("time", lambda value: Motion(((value, value, value),) * 2, (0.0, value)))
+    return _refusals(0.0, [depths, time])
 
 
-def _numerics_not_a_number(solver: Solver) -> list[Law]:
+@by_hand
+def numerics_not_a_number(solver: Solver) -> Laws:
     """NaN in the solver's settings is rejected by name, before a step is taken."""
     steps: list[float] = []
-    scene = Scene(SPHERE, press([0.2 * MM]), Body(4 * MM, 4 * MM, 3 * MM))
+    scene = ball(down(0.2), Body(4 * MM, 4 * MM, 3 * MM))
 
     def solve(name: str, value: float) -> object:
-        numerics: Any = _with(Fem(spacing=1 * MM, halvings=0), name, value)
+        numerics = replace(Fem(spacing=1 * MM, halvings=0), **{name: value})  # type: ignore[arg-type]
         return solver.outcomes([scene], numerics, progress=steps.append)
 
     names = ("spacing", "tolerance", "penalty", "step_travel")
-    laws = _refusals([(name, partial(solve, name)) for name in names], math.nan)
-    return [*laws, at_most("steps that were taken", len(steps), 0)]
+    yield from _refusals(math.nan, [(name, partial(solve, name)) for name in names])
+    yield at_most("steps that were taken", len(steps), 0)
 
 
-def _unlike_bodies_in_a_batch(solver: Solver) -> list[Law]:
+@by_hand
+def unlike_bodies_in_a_batch(solver: Solver) -> Laws:
     """Bodies of different size, or effects, in one call: each gets the same result as alone."""
-    base = Scene(SPHERE, press([0.5 * MM]), PAD)
-    scenes = [
-        base,
-        replace(base, body=replace(PAD, thickness=5 * MM)),
-        replace(base, body=replace(PAD, size_x=11 * MM)),
-        replace(base, effects=Effects(friction=Friction(0.1))),
-    ]
-    return [
-        at_most("difference from the result alone", difference(solver.one(scene).force, both), 0)
-        for scene, both in zip(scenes, (r.force for r in solver.many(scenes)), strict=True)
-    ]
+    motion = down(0.5)
+    bodies = (PAD, replace(PAD, thickness=5 * MM), replace(PAD, size_x=11 * MM))
+    rubbed = ball(motion, PAD, friction=Friction(0.1))
+    return same_as_alone(solver, [*(ball(motion, body) for body in bodies), rubbed])
 
 
-def _gives_up(solver: Solver, **numerics: object) -> list[Law]:
-    try:
-        solver.one(Scene(SPHERE, press([1 * MM]), PAD), **numerics)
-    except SimulationDiverged as diverged:
-        return evidence(diverged)
-    return [at_least("refused", 0, 1)]
+REFUSED = at_least("refused", 0, 1)
+PRESS = ball(down(1), PAD)
 
 
-def _one_newton_iteration(solver: Solver) -> list[Law]:
+@case(PRESS, or_none=True, newton_max=1, halvings=1)
+def one_newton_iteration(_result: Result) -> Laws:
     """Limited to one Newton iteration and one halving, it reports this and its last state."""
-    return _gives_up(solver, newton_max=1, halvings=1)
+    return [REFUSED]
 
 
-def _out_of_reach(solver: Solver) -> list[Law]:
+@case(PRESS, or_none=True, precision="float32", tolerance=1e-9, halvings=2)
+def out_of_reach(_result: Result) -> Laws:
     """A tolerance below float32's digits is rejected in float32, not ignored."""
-    return _gives_up(solver, precision="float32", tolerance=1e-9, halvings=2)
+    return [REFUSED]
 
 
-def _diverges_in_a_batch(solver: Solver) -> list[Law]:
+@by_hand
+def diverges_in_a_batch(solver: Solver) -> Laws:
     """A press that does not converge does not affect another in the same batch."""
-    good = Scene(SPHERE, press([0.5 * MM]), PAD)
-    bad = Scene(named("prism"), press([3.4 * MM]), PAD)
+    good, bad = ball(down(0.5), PAD), Scene(named("prism"), down(3.4), PAD)
     numerics = Fem(spacing=1 * MM, newton_max=20, halvings=0, step_travel=1.0)
     (alone,) = solver.outcomes([good], numerics)
     beside, rejected = solver.outcomes([good, bad], numerics)
-    if isinstance(alone, SimulationDiverged) or isinstance(beside, SimulationDiverged):
-        return [at_least("the good press solved", 0, 1)]
-    if not isinstance(rejected, SimulationDiverged):
-        return [at_least("the bad press refused", 0, 1)]
-    return [*alike(alone, beside), *evidence(rejected)]
-
-
-CASES: dict[str, Case] = {
-    case.__name__.strip("_").replace("_", "-"): case
-    for case in (
-        _not_a_number, _infinite, _below_zero, _millimetres_for_metres, _phases_without_time,
-        _numerics_not_a_number, _unlike_bodies_in_a_batch, _one_newton_iteration, _out_of_reach,
-        _diverges_in_a_batch,
-    )
-}  # fmt: skip
+    assert isinstance(alone, Result), "the good press was refused"
+    assert isinstance(beside, Result), "the good press was refused beside the bad one"
+    assert isinstance(rejected, SimulationDiverged), "the bad press was solved"
+    return [alike(alone, beside), *evidence(rejected)]
