@@ -25,12 +25,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--scenes", type=count, default=300, metavar="N", help="random scenes (%(default)s)")
     add("--first", type=whole(0), default=0, metavar="I", help="first scene (%(default)s)")
     add_seed(parser)
-    add(
-        "--seconds",
-        type=whole(1, 3600),
-        default=60,
-        help="time limit of the solve of a random scene (%(default)s)",
-    )
+    add("--seconds", type=whole(1, 3600), default=60, help="limit of a random scene (%(default)s)")
 
 
 def _summary(values: dict[str, Any]) -> str:

@@ -39,7 +39,6 @@ class Law:
     """A law with its measured value and limit."""
 
     says: str
-    """Description of the measured value."""
     measured: float
     sense: Literal["<=", ">="]
     limit: float
@@ -97,8 +96,9 @@ def validity_laws(*results: Result, det_f: float = 0.1, pull: float = 1e-6) -> L
     yield at_least("smallest det F", least, det_f)
     yield at_most("balance", np.max(unbalanced), BALANCE)
     yield at_most("tension / largest pressure", max(pulls), pull)
-    if any(result.scene.effects.friction for result in results):
-        yield slides(*results)
+    beyond = [one.quality.slip_excess.max() for one in results if one.scene.effects.friction]
+    if beyond:  # Coulomb: no point's shear traction exceeds coefficient times pressure
+        yield at_most("|t| - mu p", np.max(beyond), SLIP)
     for result in results:
         if result.scene.motion.tip[-1][2] >= 0 and result.force.any():
             yield lets_go(result)
@@ -113,12 +113,6 @@ def dissipates(result: Result, limit: float) -> Law:
     """Return the law of passivity: the work returned never exceeds the work done."""
     least = result.quality.energy_gap.min()
     return at_least("(work - stored energy) / work, least", least, -limit)
-
-
-def slides(*results: Result) -> Law:
-    """Return Coulomb's law: no point's shear traction exceeds coefficient times pressure."""
-    excess = [one.quality.slip_excess.max() for one in results if one.scene.effects.friction]
-    return at_most("|t| - mu p", np.max(excess), SLIP)
 
 
 def lets_go(result: Result) -> Law:

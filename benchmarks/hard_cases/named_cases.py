@@ -21,7 +21,7 @@ from benchmarks.hard_cases.laws import Law
 from benchmarks.hard_cases.solver import Case, Solver
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
-from recorder.charts import BAND, BLUE, RED, chart
+from recorder.charts import BLUE, RED, SOFT, chart
 from sim.errors import SceneError, SimulationDiverged
 
 # Cases by name, of each family by the title of its file.
@@ -150,8 +150,8 @@ def _draw(by_family: dict[str, dict[str, Report]], page: Page) -> None:
                 axes.scatter([number] * len(used), used, s=8, c=color)
             middles.append(first + (len(some) - 1) / 2)
             first += len(some)
-            axes.axvline(first - 0.5, color=BAND, linewidth=0.8)
+            axes.axvline(first - 0.5, color=SOFT, linewidth=0.8)
         axes.axhline(1, color=RED, linewidth=1)
         axes.set(yscale="log", ylabel="part of the allowance used", xlim=(-0.5, first - 0.5))
         axes.set_xticks(middles, [name.replace(" and ", "\nand ") for name in by_family])
-        axes.tick_params(axis="x", length=0)
+        axes.tick_params(axis="x", length=0, grid_alpha=0)

@@ -18,11 +18,11 @@ LOOP = down(1, shear=1, steps=5)
 ASIDE, BACK = 10, 15
 # Work is summed by the trapezoid rule over about 50 steps of a loop: an error of at most 1 %.
 QUADRATURE = 0.01
-COSINE = math.sqrt(0.5)
 ASIDE_2, BELOW = (0.3, 0.0, -0.6), (0.0, 0.0, -0.6)
 # Small steps back and forth [mm].
 SWAY = [0.05, 0.1, 0.15, 0.2, 0.25, 0.2, 0.15, 0.1, 0.05, 0.0]
 SWAY += [-value for value in SWAY]
+DRAGGED = way((-1.5, 0, 0), *((x / 2, 0, -0.15) for x in range(-3, 4)))
 
 
 def _rubbed(coefficient: float, motion: Motion = LOOP, body: Body = MAT) -> Scene:
@@ -108,10 +108,7 @@ def stick_slip_reversals(result: Result) -> Laws:
 
 # A light press ploughs little: its flank is 0.15 mm high on a contact of 0.7 mm, and points enter
 # in front and leave behind, which tilts the mean normal by a few degrees.
-@case(
-    _rubbed(0.4, way((-1.5, 0, 0), *((x / 2, 0, -0.15) for x in range(-3, 4))), PAD),
-    spacing=0.67 * MM,
-)
+@case(_rubbed(0.4, DRAGGED, PAD), spacing=0.67 * MM)
 def light_press_long_slide(result: Result) -> Laws:
     """Pressed 0.15 mm and dragged 3 mm, it slips everywhere, and shear over push becomes mu."""
     yield law.dissipates(result, QUADRATURE)
@@ -138,7 +135,7 @@ def shear_along_y(along_x: Result, along_y: Result) -> Laws:
 def shear_along_the_diagonal(straight: Result, turned: Result) -> Laws:
     """Shear at 45 degrees gives the rotated force of shear along x."""
     x, y, z = turned.force.T
-    along, across = (x + y) * COSINE, (y - x) * COSINE
+    along, across = (x + y) / math.sqrt(2), (y - x) / math.sqrt(2)
     back = np.stack([along, across, z], axis=1)
     # The square body and its elements are not round: sides are nearer by a factor of sqrt 2, and
     # about 20 contact points lie differently.

@@ -22,7 +22,6 @@ FOUR_BRANCHES = Viscosity((1.0, 0.5, 0.3, 0.2), (1e-3, 0.05, 0.5, 10.0), relaxes
 ELASTIC = ball(down(1), PAD)
 # Equal steps down and up [mm].
 CYCLE = (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)
-FAST = down(0.25, 0.5, 0.75, 1, speed=2.0)
 INSIDE = Motion(tip=((0.0, 0.0, -1 * MM),) * 2, time=(0.0, 50 * TIME))
 # Pressed within 0.1 s, released within 0.1 ms, and watched for 10 ms.
 RELEASED = Motion(
@@ -94,7 +93,7 @@ def slow_press_with_mass(moving: Result, still: Result) -> Laws:
     yield law.same_force("against quasi-static", still, moving)
 
 
-@case(*_with_and_without(FAST, inertia=Inertia()), det_f=0.3)
+@case(*_with_and_without(down(0.25, 0.5, 0.75, 1, speed=2.0), inertia=Inertia()), det_f=0.3)
 def fast_press_with_mass(moving: Result, still: Result) -> Laws:
     """Pressed at 2 m/s, a third of the shear wave speed, mass adds to the force."""
     ratio = push(moving)[1] / push(still)[1]
