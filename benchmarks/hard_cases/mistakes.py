@@ -98,7 +98,7 @@ def measure(run: Run) -> dict[str, list[str]]:
     noticed = {}
     for done, name in enumerate(names, start=1):
         mistake = MISTAKES[name]
-        _, report = judge(replace(mistake.solver, device=run.device), mistake.case)
+        report = judge(replace(mistake.solver, device=run.device), mistake.case)
         noticed[name] = report["failures"]
         if not report["failures"]:
             run.failures.append(f"{name}: not noticed by {mistake.case}")
