@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from benchmarks.hard_cases import mistakes, named_cases, refinement
-from benchmarks.hard_cases.random_scenes import part as random_scenes
+from benchmarks.hard_cases.random_scenes import judgement as random_scenes
 from benchmarks.report import QUICK_RESULTS, Benchmark, Part
 from recorder.command_line.options import add_seed, whole
 

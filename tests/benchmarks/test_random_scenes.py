@@ -13,19 +13,25 @@ import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.hard_cases.mistakes import MISTAKES
-from benchmarks.hard_cases.random_scenes import bounds, judgement
-from benchmarks.hard_cases.random_scenes import part as random_part
-from benchmarks.hard_cases.random_scenes.bounds import footprint, half_wall
+from benchmarks.hard_cases.random_scenes import judgement
+from benchmarks.hard_cases.random_scenes.geometry import footprint, half_wall
 from benchmarks.hard_cases.random_scenes.judgement import (
     OutOfTime,
     SceneOutcome,
     covered,
-    judge,
     judge_scene,
     of_laws,
     time_limit,
+    unsolved,
 )
-from benchmarks.hard_cases.random_scenes.referee import LAWS, Reading, measured
+from benchmarks.hard_cases.random_scenes.referee import (
+    LAWS,
+    Reading,
+    layer_force,
+    least_force,
+    measured,
+    most_force,
+)
 from benchmarks.hard_cases.random_scenes.scenes import ELEMENTS_MAX, Drawn, drawn
 from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
 from sim.errors import SceneError, SimulationDiverged
@@ -51,7 +57,7 @@ def _made_up(scene: Scene) -> Result:
         height = scene.indenter.heights((x - tip[0])[:, None], (x - tip[1])[None])
         deep = np.maximum(-tip[2] - height, 0.0)
         surface[frame, ..., 2] = -deep
-        push = bounds.layer_force(scene, tip) or 0.0
+        push = layer_force(scene, tip) or 0.0
         wrench[frame, 2] = -push
         if deep.any():
             place = np.stack([*np.meshgrid(x, x, indexing="ij"), -deep], axis=-1) - np.array(tip)
@@ -294,18 +300,18 @@ def test_a_footprint_is_as_wide_as_the_sphere_there() -> None:
 
 def test_the_layer_lies_between_the_bounds() -> None:
     tip = (0.0, 0.0, -0.4 * MM)
-    layer = bounds.layer_force(BALL, tip)
+    layer = layer_force(BALL, tip)
     assert layer is not None
-    assert bounds.least_force(BALL, tip) < layer < bounds.most_force(BALL, tip)
+    assert least_force(BALL, tip) < layer < most_force(BALL, tip)
 
 
 def test_a_ring_around_a_round_body_has_no_push_on_the_layer_either() -> None:
     ring = shapes.tube(3.3 * MM, 2.7 * MM)
     body = Body(4.5 * MM, 4.5 * MM, 2.5 * MM)
     tip = (0.0, 0.0, -0.1 * MM)
-    assert bounds.layer_force(Scene(ring, press([0.1 * MM]), body), tip) is None  # at the rim
+    assert layer_force(Scene(ring, press([0.1 * MM]), body), tip) is None  # at the rim
     round_body = replace(body, footprint="ellipse")
-    assert bounds.layer_force(Scene(ring, press([0.1 * MM]), round_body), tip) == 0.0
+    assert layer_force(Scene(ring, press([0.1 * MM]), round_body), tip) == 0.0
 
 
 def test_loading_ends_where_the_tip_goes_aside(good: Result) -> None:
@@ -315,18 +321,22 @@ def test_loading_ends_where_the_tip_goes_aside(good: Result) -> None:
 # Classes, shrinking and the command.
 
 
-def _of(error: Exception | None, scene: Scene | None = None) -> SceneOutcome:
-    return judge(Drawn(0, 0, "x", scene, error))
-
-
-def test_every_exception_has_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert _of(SceneError("body.modulus: 0; allowed: 1")).kind == "refused"
-    assert _of(SceneError("no")).kind == "crash"
-    assert _of(ZeroDivisionError("1/0")).kind == "crash"
-    assert "ZeroDivisionError: 1/0" in _of(ZeroDivisionError("1/0")).message
-    assert _of(SimulationDiverged("on the way to waypoint 2", ("a",))).kind == "diverged"
-    assert _of(SimulationDiverged("no")).kind == "crash"
-    assert _of(OutOfTime("1 s")).kind == "timeout"
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (SceneError("body.modulus: 0; allowed: 1"), "refused"),
+        (SceneError("no"), "crash"),
+        (ZeroDivisionError("1/0"), "crash"),
+        (SimulationDiverged("on the way to waypoint 2", ("a",)), "diverged"),
+        (SimulationDiverged("no"), "crash"),
+        (OutOfTime("1 s"), "timeout"),
+    ],
+)
+def test_every_exception_has_its_class(error: Exception, kind: str) -> None:
+    outcome = unsolved(error)
+    assert outcome.kind == kind
+    assert str(error) in outcome.message
+    assert kind != "crash" or outcome.message.startswith(type(error).__name__)
 
 
 def test_a_solve_is_ended_although_the_first_call_comes_within_a_destructor(
@@ -358,14 +368,16 @@ def test_a_silent_scene_is_stored_fails_the_run_and_is_on_the_page(
     """The others are counted by class."""
     pulls = of_laws(good, measured(replace(good, wrench=-good.wrench)))
 
-    def judged(one: Drawn, *_settings: object) -> SceneOutcome:
-        return SceneOutcome("timeout", "no | answer") if one.index == 3 else pulls
+    scenes = {2: BALL, 3: LOOP}
 
-    monkeypatch.setattr(random_part, "judge", judged)
+    def judged(scene: Scene, *_settings: object) -> SceneOutcome:
+        return pulls if scene is BALL else SceneOutcome("timeout", "no | answer")
+
+    monkeypatch.setattr(judgement, "judge_scene", judged)
     monkeypatch.setattr(
-        random_part, "drawn", lambda seed, index: Drawn(seed, index, "trap, x", BALL)
+        judgement, "drawn", lambda seed, index: Drawn(seed, index, "trap, x", scenes[index])
     )
-    monkeypatch.setattr(random_part, "FOLDER", tmp_path)
+    monkeypatch.setattr(judgement, "FOLDER", tmp_path)
     page = tmp_path / "page.md"
     options = ["--only", "random", "--first", "2", "--scenes", "2", "--processes", "1"]
     assert main(["hard-cases", *options, "--out", str(page)]) == 1

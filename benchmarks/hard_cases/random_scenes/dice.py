@@ -12,10 +12,14 @@ Item = TypeVar("Item")
 
 
 class Dice:
-    """Random stream of one scene, which uses only the stable `random.Random.random`."""
+    """Random stream of one scene, which uses only the stable `random.Random.random`.
+
+    `words` describe the scene: the families and kinds that were drawn.
+    """
 
     def __init__(self, seed: int, scene: int) -> None:
         """Create the stream of scene `scene` of `seed`."""
+        self.words: list[str] = []
         self._draw = random.Random(f"hard cases {seed}/{scene}").random
 
     def chance(self, fraction: float) -> bool:
@@ -37,6 +41,11 @@ class Dice:
     def one_of(self, items: Sequence[Item]) -> Item:
         """Return one of the items."""
         return items[self.whole(0, len(items) - 1)]
+
+    def kind(self, items: dict[str, float]) -> str:
+        """Return a key as `weighted`, which becomes one of the words."""
+        self.words.append(self.weighted(items))
+        return self.words[-1]
 
     def weighted(self, items: dict[Item, float]) -> Item:
         """Return a key with a probability proportional to its weight."""

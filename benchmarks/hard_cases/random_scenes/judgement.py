@@ -1,22 +1,29 @@
-"""One scene, solved, judged and assigned to exactly one class."""
+"""Part `random`: drawn scenes, each solved, judged and assigned to exactly one class."""
 
 from __future__ import annotations
 
+import json
 import re
 import signal
+import time
 import traceback
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from types import FrameType
+from typing import Any
 
 from benchmarks.hard_cases.random_scenes.dice import Dice
-from benchmarks.hard_cases.random_scenes.referee import Named, measured
-from benchmarks.hard_cases.random_scenes.scenes import Drawn
+from benchmarks.hard_cases.random_scenes.referee import LAWS, Named, measured
+from benchmarks.hard_cases.random_scenes.scenes import FOLDER, drawn
 from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
 from benchmarks.hard_cases.solver import Solver
+from benchmarks.processes import rows_of
+from benchmarks.report import Page, Run, table
 from sim.errors import SceneError, SimulationDiverged
-from sim.result import Result
+from sim.result import Result, to_json
 from sim.scene import Scene
 
 CLASSES = {
@@ -52,6 +59,16 @@ COVERS: tuple[tuple[str, str], ...] = (
 )
 
 
+# Scenes of a quick run: one held, one beside the gel, one refused.
+QUICK = (28, 43, 59)
+# Statements of the laws; all others are those of twins.
+STATEMENTS = {
+    **{name: (law.__doc__ or "").split("\n")[0] for name, law in LAWS.items()},
+    "finite": "All numbers are finite.",
+    "symmetric": "A mirror-symmetric scene has mirror-symmetric forces.",
+}
+
+
 class OutOfTime(Exception):
     """Raised if a solve takes too long."""
 
@@ -83,15 +100,6 @@ class SceneOutcome:
 RIGHT_SOLVER = Solver()
 
 
-def judge(drawn: Drawn, solver: Solver = RIGHT_SOLVER, seconds: float = SECONDS) -> SceneOutcome:
-    """Solve a drawn scene, one in three also as a twin, and return its outcome."""
-    if drawn.scene is None:
-        return _unsolved(drawn.refusal or RuntimeError("neither a scene nor a refusal"))
-    dice = Dice(drawn.seed, -1 - drawn.index)
-    twin = dice.one_of(sorted(KINDS)) if dice.chance(TWINNED) else ""
-    return judge_scene(drawn.scene, twin, solver, seconds)
-
-
 def judge_scene(
     scene: Scene, twin: str = "", solver: Solver = RIGHT_SOLVER, seconds: float = SECONDS
 ) -> SceneOutcome:
@@ -113,7 +121,7 @@ def judge_scene(
             except SimulationDiverged as diverged:
                 diverged.forget_dump()  # it is no mistake of this scene
     except Exception as error:
-        return _unsolved(error)
+        return unsolved(error)
     return of_laws(result, laws)
 
 
@@ -135,7 +143,7 @@ def covered(law: str, warnings: Sequence[str]) -> bool:
     )
 
 
-def _unsolved(error: Exception) -> SceneOutcome:
+def unsolved(error: Exception) -> SceneOutcome:
     """Return the outcome on an exception, which must state the error and the allowed range."""
     message = str(error)
     if isinstance(error, SimulationDiverged):
@@ -165,3 +173,92 @@ def time_limit(seconds: float) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+
+
+# The part of the benchmark.
+
+
+def judge_drawn(solver: Solver, seconds: float, seed: int, index: int) -> dict[str, Any]:
+    """Draw a scene, solve and judge it in this process, and store it if it fails."""
+    began = time.perf_counter()
+    one = drawn(seed, index)
+    dice = Dice(seed, -1 - index)
+    twin = dice.one_of(sorted(KINDS)) if dice.chance(TWINNED) else ""
+    if one.refusal is not None:
+        outcome = unsolved(one.refusal)
+    else:
+        assert one.scene is not None
+        outcome = judge_scene(one.scene, twin, solver, seconds)
+    laws = sorted({name for name, _ in outcome.laws})
+    values: dict[str, Any] = {
+        "scene": one.name,
+        "what": one.what,
+        "class": outcome.kind,
+        "why": outcome.why,
+        "laws": laws,
+        "broken": sorted({name for name, _ in outcome.broken}),
+        "silent": outcome.silent,
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+    if outcome.kind in WRONG and one.scene is not None:
+        path = FOLDER / f"{seed}-{index}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stored = {"broken": outcome.silent, "twin": twin, "scene": to_json(one.scene)}
+        path.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+        values["why"] += f"; stored as {path}"
+    return values
+
+
+def measure(run: Run) -> list[dict[str, Any]]:
+    """Judge the scenes."""
+    options = run.options
+    indices = QUICK if run.quick else range(options.first, options.first + options.scenes)
+    run.seeds = [options.seed]
+    judging = partial(judge_drawn, Solver(run.device), options.seconds, options.seed)
+    outcomes = rows_of(run, judging, {f"scene {index}": index for index in indices})
+    for values in outcomes.values():
+        if values["class"] in WRONG:
+            run.failures.append(f"{values['scene']}: {values['why']}")
+    return list(outcomes.values())
+
+
+def section(outcomes: list[dict[str, Any]], _page: Page) -> str:
+    """Return tables by class and family, by law, and of failures."""
+    counts = Counter((one["class"], one["what"].split(", ")[0]) for one in outcomes)
+    families = sorted({family for _, family in counts})
+    classes = [
+        [kind, means, *(counts[kind, family] for family in families)]
+        for kind, means in CLASSES.items()
+    ]
+    tallies = [
+        Counter(law for one in outcomes for law in one[key]) for key in ("laws", "broken", "silent")
+    ]
+    laws = [
+        [
+            law,
+            STATEMENTS.get(law, "The twin scene has the same forces."),
+            *(t[law] for t in tallies),
+        ]
+        for law in sorted(tallies[0])
+    ]
+    failures = [
+        [one["scene"], one["class"], one["what"], one["why"].replace("|", "\\|")]
+        for one in outcomes
+        if one["class"] in (*WRONG, "timeout")
+    ]
+    minutes = sum(one["seconds"] for one in outcomes) / 60
+    text = f"""## Random scenes
+
+Indenters, gels, places, motions and effects are drawn: sensible ones, traps that are known to \
+break simulators, and absurd ones. A referee that shares no code with the solver checks each \
+result against laws of mechanics; it reads force, surface and traction, not the solver's own \
+measures. One scene in three is also solved as a twin: mirrored, ten times as large, or pressed \
+at once. A scene that fails is stored. {len(outcomes)} scenes, {minutes:.0f} minutes of one \
+process.
+
+{table(["class", "means", *families], classes)}
+
+{table(["law", "statement", "measured", "broken", "without a warning"], laws)}"""
+    if failures:
+        text += "\n\n" + table(["scene", "class", "what", "laws or message"], failures)
+    return text

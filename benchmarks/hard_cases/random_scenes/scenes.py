@@ -49,23 +49,20 @@ class Drawn:
 
 def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
     """Return scene `index` of `seed`, writing required STL files to `folder`."""
-    dice = Dice(seed, index)
-    family = dice.weighted(FAMILIES)
-    words = [family]
-    scene, refusal = None, None
+    dice, scene, refusal = Dice(seed, index), None, None
     try:
+        family = dice.kind(FAMILIES)
         if family == "sensible":
-            scene = _sensible(dice, folder, words)
-            scene = _sometimes_round(Dice(seed, ROUND_STREAM + index), scene, words)
+            scene = _sensible(dice, folder)
+            scene = _sometimes_round(Dice(seed, ROUND_STREAM + index), scene, dice.words)
         elif family == "trap":
-            scene = _trap(dice, folder, words)
+            scene = _trap(dice, folder)
         else:
-            words.append(dice.one_of(sorted(_ABSURD)))
-            scene = _ABSURD[words[-1]](dice)
+            scene = _ABSURD[dice.kind(dict.fromkeys(sorted(_ABSURD), 1))](dice)
         scene = within_budget(scene)
     except Exception as error:
         scene, refusal = None, error
-    return Drawn(seed, index, ", ".join(words), scene, refusal)
+    return Drawn(seed, index, ", ".join(dice.words), scene, refusal)
 
 
 def within_budget(scene: Scene) -> Scene:
@@ -74,9 +71,9 @@ def within_budget(scene: Scene) -> Scene:
         try:
             (mesh,) = meshes_of([scene], Fem(grading=Grading()))
         except SceneError:
-            return scene  # the solver will raise the same error
+            break  # the solver will raise the same error
         if len(mesh.elements) <= ELEMENTS_MAX:
-            return scene
+            break
         sizes = scene.body.size_x, scene.body.size_y
         size_x, size_y = (
             rounded(0.85 * size) if size > 0.7 * max(sizes) else size for size in sizes
@@ -88,16 +85,15 @@ def within_budget(scene: Scene) -> Scene:
 # Typical uses.
 
 
-def _sensible(dice: Dice, folder: Path, words: list[str]) -> Scene:
+def _sensible(dice: Dice, folder: Path) -> Scene:
     body = _body(dice)
-    kind, indenter = draw_shape(dice, body.thickness / 4, folder)
-    words.append(kind)
-    place = _place(dice, body, words)
-    effects = _effects(dice, words)
+    indenter = draw_shape(dice, body.thickness / 4, folder)
+    place = _place(dice, body)
+    effects = _effects(dice)
     depth = body.thickness * dice.scaled(0.01, 0.4)
     # The steps of friction are a fortieth of the thickness, so its path is limited to that.
     most = math.inf if effects.friction is None else rounded(body.thickness / 3)
-    return Scene(indenter, _motion(dice, body, depth, most, place, words), body, effects)
+    return Scene(indenter, _motion(dice, body, depth, most, place), body, effects)
 
 
 def _sometimes_round(dice: Dice, scene: Scene, words: list[str]) -> Scene:
@@ -137,13 +133,13 @@ def _body(dice: Dice) -> Body:
     )  # fmt: skip
 
 
-def _place(dice: Dice, body: Body, words: list[str]) -> tuple[float, float]:
+def _place(dice: Dice, body: Body) -> tuple[float, float]:
     """Return the place of the press: centre, anywhere, at a rim, over it, or at a corner."""
     where = dice.weighted({"centre": 5, "anywhere": 4, "at the rim": 2, "at the corner": 1})
     half_x, half_y = body.size_x / 2, body.size_y / 2
     if where == "centre":
         return 0.0, 0.0
-    words.append(where)
+    dice.words.append(where)
     if where == "anywhere":
         return rounded(half_x * dice.even(-0.6, 0.6)), rounded(half_y * dice.even(-0.6, 0.6))
     x = rounded(half_x * dice.even(0.8, 1.15) * dice.one_of([1, -1]))
@@ -153,11 +149,11 @@ def _place(dice: Dice, body: Body, words: list[str]) -> tuple[float, float]:
     return (x, y) if dice.chance(0.5) else (rounded(y * half_x / half_y), x * half_y / half_x)
 
 
-def _effects(dice: Dice, words: list[str]) -> Effects:
+def _effects(dice: Dice) -> Effects:
     friction = viscosity = inertia = gravity = None
     if dice.chance(0.35):
         friction = Friction(dice.one_of([0.0, 0.1, 0.3, 0.8, rounded(dice.even(0.0, 2.0))]))
-        words.append(f"friction {friction.coefficient:g}")
+        dice.words.append(f"friction {friction.coefficient:g}")
     if dice.chance(0.12):
         branches = range(dice.whole(1, 3))
         ratios = tuple(dice.scaled(0.1, 3.0) for _ in branches)
@@ -167,19 +163,18 @@ def _effects(dice: Dice, words: list[str]) -> Effects:
     if dice.chance(0.1):
         gravity = Gravity(dice.one_of([(0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0)]))
     effects = Effects(friction, viscosity, inertia, gravity)
-    words += [name for name in effects.key if name != "friction"]
+    dice.words += [name for name in effects.key if name != "friction"]
     return effects
 
 
 def _motion(
-    dice: Dice, body: Body, depth: float, most: float, place: tuple[float, float], words: list[str]
+    dice: Dice, body: Body, depth: float, most: float, place: tuple[float, float]
 ) -> Motion:
     """Return a press, a cycle, the same depth twice, a shear and its return, or a slide.
 
     Neither depth nor travel is above `most` [m].
     """
-    kind = dice.weighted({"press": 5, "cycle": 2, "twice": 1, "shear": 3, "slide": 1})
-    words.append(kind)
+    kind = dice.kind({"press": 5, "cycle": 2, "twice": 1, "shear": 3, "slide": 1})
     x, y = place
     depth = min(rounded(depth), most)
     half, away = rounded(depth / 2), rounded(0.1 * body.thickness)
@@ -204,23 +199,18 @@ def _motion(
     return through(lowered, speed=dice.one_of([10e-3, 10e-3, dice.scaled(1e-4, 1.0)]))
 
 
-# Inputs known to break simulators.
+# Inputs known to break simulators, and how often each.
+
+TRAPS: dict[str, float] = {
+    "blade": 3, "corner": 2, "first touch": 2, "deep": 3, "material": 2, "far aside": 1.5,
+    "heavy": 1, "fast": 1, "friction": 1.5, "size": 1.5,
+}  # fmt: skip
 
 
-def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
-    kind = dice.weighted(
-        {"blade": 3, "corner": 2, "first touch": 2, "deep": 3, "material": 2, "far aside": 1.5,
-         "heavy": 1, "fast": 1, "friction": 1.5, "size": 1.5}
-    )  # fmt: skip
-    words.append(kind)
+def _trap(dice: Dice, folder: Path) -> Scene:
+    kind = dice.kind(TRAPS)
     body = Body(size_x=16 * MM, size_y=16 * MM, poisson=dice.one_of([0.45, 0.45, 0.49, 0.3]))
     ball = shapes.sphere(rounded(MM * dice.even(2.0, 6.0)))
-
-    def shape() -> Indenter:
-        name, indenter = draw_shape(dice, MM, folder)
-        words.append(name)
-        return indenter
-
     if kind == "blade":
         return _down(blade(dice, MM), body, MM * dice.even(1.0, 3.0), steps=dice.whole(1, 3))
     if kind == "corner":
@@ -229,16 +219,18 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         indenter = ball if dice.chance(0.7) else shapes.named("prism")
         return _down(indenter, body, MM * dice.even(1.5, 3.5), at=at, steps=dice.whole(1, 3))
     if kind == "first touch":
-        indenter = shape()
+        indenter = draw_shape(dice, MM, folder)
         at = (MM * dice.even(-3.0, 3.0), MM * dice.even(-3.0, 3.0))
         return _down(indenter, body, dice.scaled(1e-6, 20e-6), at=at, steps=dice.whole(1, 3))
     if kind == "deep":
-        return _down(shape(), body, MM * dice.even(2.0, 3.59), steps=dice.whole(1, 4))
+        indenter, depth = draw_shape(dice, MM, folder), MM * dice.even(2.0, 3.59)
+        return _down(indenter, body, depth, steps=dice.whole(1, 4))
     if kind == "material":
         modulus = dice.scaled(1e2, 1e9)
         poisson = dice.one_of([0.0, 0.4, 0.49, 0.499, 0.4999, 0.49995])
         body = replace(body, modulus=modulus, poisson=poisson)
-        return _down(shape(), body, MM * dice.even(0.2, 1.5), steps=dice.whole(1, 3))
+        indenter, depth = draw_shape(dice, MM, folder), MM * dice.even(0.2, 1.5)
+        return _down(indenter, body, depth, steps=dice.whole(1, 3))
     if kind == "far aside":
         body = replace(body, size_x=12 * MM, size_y=10 * MM)
         depth, aside = MM * dice.even(0.5, 1.2), rounded(MM * dice.even(1.0, 3.0))
@@ -256,9 +248,9 @@ def _trap(dice: Dice, folder: Path, words: list[str]) -> Scene:
         depth, speed = MM * dice.even(0.3, 1.5), dice.scaled(0.3, 30.0)
         return _down(ball, body, depth, speed=speed, effects=Effects(inertia=Inertia()))
     if kind == "friction":
-        indenter, depth = shape(), MM * dice.even(0.3, 1.5)
+        indenter, depth = draw_shape(dice, MM, folder), MM * dice.even(0.3, 1.5)
         effects = Effects(friction=Friction(dice.one_of([0.02, 0.9, 2.0])))
-        return _down(indenter, body, depth, lift=True, effects=effects)
+        return _down(indenter, body, depth, effects=effects)
     factor = dice.one_of([0.03, 0.1, 10.0, 30.0])
     scale = {name: getattr(body, name) * factor for name in ("size_x", "size_y", "thickness")}
     indenter = shapes.sphere(4 * MM * factor)
@@ -273,13 +265,12 @@ def _down(
     at: tuple[float, float] = (0.0, 0.0),
     steps: int = 1,
     speed: float = 10e-3,
-    lift: bool = False,
     effects: Effects = NO_EFFECTS,
 ) -> Scene:
-    """Return a scene that touches, presses to `depth` [m] in equal steps, and optionally lifts."""
+    """Return a scene that presses to `depth` [m] in equal steps, and lifts if there is friction."""
     x, y = rounded(at[0]), rounded(at[1])
     levels = [-rounded(depth * step / steps) for step in range(steps + 1)]
-    if lift:
+    if effects.friction is not None:
         levels += [-rounded(depth / 2), rounded(0.1 * body.thickness)]
     motion = through([(x, y, level) for level in levels], speed=speed)
     return Scene(indenter, motion, body, effects)
@@ -313,7 +304,7 @@ def _held(dice: Dice) -> Scene:
 
 def _sticky(dice: Dice) -> Scene:
     friction = Friction(dice.one_of([5.0, 10.0, 11.0, -0.1]))
-    return _down(BALL, Body(), MM, lift=True, effects=Effects(friction=friction))
+    return _down(BALL, Body(), MM, effects=Effects(friction=friction))
 
 
 def _frozen(dice: Dice) -> Scene:

@@ -23,15 +23,15 @@ KINDS: dict[str, float] = {
 TILT_MAX = 0.5
 
 
-def draw_shape(dice: Dice, unit: float, folder: Path) -> tuple[str, Indenter]:
-    """Return a kind and an indenter for a body about 4 `unit` [m] thick; STLs go to `folder`."""
-    kind = dice.weighted(KINDS)
+def draw_shape(dice: Dice, unit: float, folder: Path) -> Indenter:
+    """Return an indenter for a body about 4 `unit` [m] thick; STL files go to `folder`."""
+    kind = dice.kind(KINDS)
     indenter = _frustum(dice, folder) if kind == "stl" else _of_parts(kind, dice, unit)
     if kind != "plane" and dice.chance(0.25):
+        dice.words.append("tilted")
         size = dice.one_of([0.01, 0.1, 0.3, TILT_MAX])
         indenter = indenter.tilted(*_turned(size, dice.even(0.0, math.tau)))
-        kind = f"{kind}, tilted"
-    return kind, indenter
+    return indenter
 
 
 def _of_parts(kind: str, dice: Dice, unit: float) -> Indenter:
