@@ -246,7 +246,7 @@ def _rises(it: Reading) -> Laws:
     for one, deeper in pairwise(some if it.elastic and it.smooth and it.weightless else []):
         rise, error = it.push[deeper] - it.push[one], it.stated[one] + it.stated[deeper]
         top = max(np.abs(it.push[some]).max(), it.nothing)
-        yield at_least("least rise with depth / largest", rise / top, -max(DROP, error / top))
+        yield at_least("least rise with depth / largest", rise / top, -max(DROP, float(error / top)))
 
 
 def _same_place(it: Reading) -> Laws:
@@ -254,7 +254,7 @@ def _same_place(it: Reading) -> Laws:
     frames = zip(it.tips, it.result.force, it.stated / it.largest, strict=True)
     for (tip, force, error), (place, other, its) in combinations(frames, 2):
         if it.elastic and it.smooth and tip == place:
-            difference = np.linalg.norm(force - other) / it.largest
+            difference = float(np.linalg.norm(force - other)) / it.largest
             limit = max(SAME, float(error + its))
             yield at_most("difference at one place / largest force", difference, limit)
 
