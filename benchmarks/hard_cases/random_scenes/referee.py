@@ -246,7 +246,7 @@ def _rises(it: Reading) -> Laws:
     for one, deeper in pairwise(some if it.elastic and it.smooth and it.weightless else []):
         rise, error = it.push[deeper] - it.push[one], it.stated[one] + it.stated[deeper]
         top = max(np.abs(it.push[some]).max(), it.nothing)
-        yield at_least("least rise with depth / largest", rise / top, -max(DROP, float(error / top)))
+        yield at_least("least rise with depth / largest", rise / top, -max(DROP, error / top))
 
 
 def _same_place(it: Reading) -> Laws:
