@@ -74,7 +74,7 @@ demo-twin: $(VENV)/.rig-sim  ## a mock sensor is recorded and its twin identifie
 	@$(PY) -m benchmarks twin --only demo --out $(call folder,runs/twin-demo)/twin.md
 
 demo-paper: $(VENV)/.diffusion-sim  ## the paper's chain at toy size
-	@$(PY) -m benchmarks paper --quick --only patterns --minutes 1 --out $(call folder,runs/demo-paper)/paper.md
+	@$(PY) -m benchmarks paper --quick --only patterns --out $(call folder,runs/demo-paper)/paper.md
 
 ##@ Develop
 test: $(VENV)/.rig-dev  ## run the default tests (about 6 minutes on 2 cores)

@@ -12,7 +12,6 @@ import argparse
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -40,17 +39,8 @@ CONTINUE = "to continue: "
 # Duration of the live prediction [s].
 LIVE, QUICK_LIVE = 20, 4
 _SHOWN = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One command of a user."""
-
-    words: tuple[str, ...]
-    at_bench: bool = False
-    """On the mock bench, whose emulators run in real time."""
-    by_clicks: bool = False
-    """Serves the page, which is used by clicks until it is closed."""
+# Commands on the mock bench, whose emulators run in real time, and the one that is used by clicks.
+AT_BENCH, PAGE = ("doctor", "setup", "collect", "campaign", "live"), "page"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,45 +54,40 @@ class Ran:
     tries: int
 
 
-def steps(*, clicks: bool, quick: bool = False) -> Iterator[Step]:
+def steps(*, clicks: bool, quick: bool = False) -> Iterator[tuple[str, ...]]:
     """Yield the commands of `tactile`, the first in the folder that gets the lab.
 
     Args:
         clicks: Mark the targets to record again on the page; else they are named in a command.
         quick: Without the set-up of the bench, with few targets and the shortest training.
     """
-    yield Step(("init", "lab"))
-    yield Step(("doctor", "--sensor", SENSOR), at_bench=True)
+    sensor = ("--sensor", SENSOR)
+    yield "init", "lab"
+    yield "doctor", *sensor
     if not quick:
-        yield Step(("setup", "--sensor", SENSOR, "--yes"), at_bench=True)
+        yield "setup", *sensor, "--yes"
     sessions = [f"sessions/{indenter}.zarr" for indenter in INDENTERS[: 1 if quick else None]]
     targets = str(QUICK_TARGETS if quick else TARGETS)
     for indenter, session in zip(INDENTERS, sessions, strict=False):
-        chosen = ("--sensor", SENSOR, "--indenter", indenter, "--targets", targets)
-        yield Step(("collect", *chosen, "--out", session), at_bench=True)
-    yield Step(("session", "info", sessions[0]))
-    yield Step(("session", "info", sessions[0], "--picture", "sphere.png"))
+        chosen = ("--indenter", indenter, "--targets", targets, "--out", session)
+        yield "collect", *sensor, *chosen
+    yield "session", "info", sessions[0]
+    yield "session", "info", sessions[0], "--picture", "sphere.png"
     if clicks:
-        yield Step(("page", "--port", "0"), by_clicks=True)
-        yield Step(("campaign", "--file", "campaigns/again.yaml", "--yes"), at_bench=True)
+        yield PAGE, "--port", "0"
+        yield "campaign", "--file", "campaigns/again.yaml", "--yes"
     else:
         again = ",".join(map(str, QUICK_AGAIN if quick else AGAIN))
-        yield Step(("collect", "--resume", sessions[0], "--again", again), at_bench=True)
-    yield Step(("session", "check", sessions[0]))
-    yield Step(("markers", *sessions, "--out", "gel.markers.zarr", "--sheet", "gel.png"))
-    learned = ("gel.markers.zarr", "--sensor", SENSOR)
-    yield Step(("train", "force", *learned, "--preset", "tiny", "--out", "runs/force"))
-    yield Step(("predict", "runs/force", *learned, "--out", "results/force.npz"))
-    yield Step(("evaluate", "results", "--out", "report"))
-    live = (
-        "--sensor",
-        SENSOR,
-        "--model",
-        "runs/force",
-        "--seconds",
-        str(QUICK_LIVE if quick else LIVE),
-    )
-    yield Step(("live", *live, "--out", "forces.csv"), at_bench=True)
+        yield "collect", "--resume", sessions[0], "--again", again
+    yield "session", "check", sessions[0]
+    yield "markers", *sessions, "--out", "gel.markers.zarr", "--sheet", "gel.png"
+    learned = ("gel.markers.zarr", *sensor)
+    yield "train", "force", *learned, "--preset", "tiny", "--out", "runs/force"
+    yield "predict", "runs/force", *learned, "--out", "results/force.npz"
+    yield "evaluate", "results", "--out", "report"
+    seconds = str(QUICK_LIVE if quick else LIVE)
+    live = ("--model", "runs/force", "--seconds", seconds, "--out", "forces.csv")
+    yield "live", *sensor, *live
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -112,7 +97,7 @@ def measure(run: Run) -> dict[str, Any]:
         environment = Path(sys.prefix)
     wanted = list(steps(clicks=CHROMIUM is not None, quick=quick))
     done: list[Ran] = []
-    for each in _commands(run.folder, environment, wanted, quick, run.options.picture):
+    for each in _commands(run, environment, wanted):
         done.append(each)
         run.progress(len(done) / (len(wanted) + 3))
         if each.code != EXIT_DONE:
@@ -122,36 +107,26 @@ def measure(run: Run) -> dict[str, Any]:
     return {"commands": [{**asdict(each), "lines": each.lines[-_SHOWN:]} for each in done]}
 
 
-def _commands(
-    folder: Path,
-    environment: Path | None,
-    wanted: Sequence[Step],
-    quick: bool,
-    picture: Path | None,
-) -> Iterator[Ran]:
+def _commands(run: Run, environment: Path | None, wanted: Sequence[Sequence[str]]) -> Iterator[Ran]:
     if environment is None:
-        environment = folder / "venv"
-        yield from installed(folder, environment)
+        environment = run.folder / "venv"
+        yield from installed(run.folder, environment)
     tactile = environment.resolve() / "bin" / "tactile"
-    for number, step in enumerate(wanted):
-        place = folder if number == 0 else folder / "lab"
-        words = [str(tactile), *step.words]
-        if step.by_clicks:
-            yield clicked(words, place, picture, QUICK_AGAIN if quick else AGAIN)
+    for number, words in enumerate(wanted):
+        place = run.folder / "lab" if number else run.folder
+        command = [str(tactile), *words]
+        if words[0] == PAGE:
+            yield clicked(command, place, run.options.picture, QUICK_AGAIN if run.quick else AGAIN)
         else:
-            yield ran(words, place, step.at_bench)
+            yield ran(command, place, words[0] in AT_BENCH)
 
 
 def installed(folder: Path, environment: Path) -> Iterator[Ran]:
-    """Build the wheel of this checkout, and install it into a new environment."""
+    """Build the wheel of this checkout's index, and install it into a new environment."""
     # A copy: a build in the checkout would pack what an earlier one left there.
     source, wheels = folder / "source", folder / "wheels"
-    listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    files = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, files.split("\0")):
-        if (ROOT / name).is_file():
-            (source / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(ROOT / name, source / name)
+    copy = ["git", "checkout-index", "--all", f"--prefix={source}/"]
+    subprocess.run(copy, cwd=ROOT, check=True)
     pip = ["-m", "pip", "--quiet", "--disable-pip-version-check"]
     build = ["wheel", "--no-deps", "--wheel-dir", str(wheels), str(source)]
     yield ran([sys.executable, *pip, *build], folder)

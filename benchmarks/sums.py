@@ -44,5 +44,5 @@ def sums_by_indenter(
 
 def r2_of(sums: Floats) -> Floats:
     """Return R2 (...), mean of axes, from sums (..., 5, 3); NaN where forces do not vary."""
-    *parts, _ = np.moveaxis(sums, -2, 0)
+    parts = np.moveaxis(sums[..., :4, :], -2, 0)
     return np.asarray(r_squared_of_sums(*parts).mean(axis=-1))

@@ -8,40 +8,11 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-from typing import Any
 
-from benchmarks.report import Benchmark, Page, Part, Run
+from benchmarks.gauge import coverage, ladder, page
+from benchmarks.gauge.planted import GROUPS
+from benchmarks.report import Benchmark, Part
 from recorder.command_line.options import names, whole
-
-
-def _ladder(group: str, run: Run) -> dict[str, Any]:
-    from benchmarks.gauge.ladder import measure
-
-    return measure(run, group)
-
-
-def _coverage(run: Run) -> dict[str, Any]:
-    from benchmarks.gauge.skins import measure
-
-    return measure(run)
-
-
-def _section(group: str, values: Any, page: Page) -> str:
-    from benchmarks.gauge.page import section
-
-    return section(group, values, page)
-
-
-def _coverage_section(values: Any, page: Page) -> str:
-    from benchmarks.gauge import skins
-
-    return skins.section(values, page)
-
-
-def _summary(values: dict[str, Any]) -> str:
-    from benchmarks.gauge.page import summary
-
-    return summary(values)
 
 
 def seeds(text: str) -> tuple[int, ...]:
@@ -53,14 +24,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this benchmark."""
     add = parser.add_argument
     add("--seeds", type=seeds, default=(0, 1, 2), metavar="N,...", help="of nets (0,1,2)")
-    add(
-        "--fit",
-        choices=("layer", "fem"),
-        default="layer",
-        help="tier of twins and their labels (%(default)s)",
-    )
+    help_ = "tier of twins and their labels (%(default)s)"
+    add("--fit", choices=("layer", "fem"), default="layer", help=help_)
 
 
+NEEDS = "a GPU, if complete"
 BENCHMARK = Benchmark(
     "gauge",
     "Forces without a gauge on the target",
@@ -68,12 +36,12 @@ BENCHMARK = Benchmark(
     "and how good are they?",
     [
         *(
-            Part(group, partial(_ladder, group), partial(_section, group), 3, "a GPU, if complete")
-            for group in ("kinds", "skins", "patterns")
+            Part(group, partial(ladder.measure, group), partial(page.section, group), 3, NEEDS)
+            for group in GROUPS
         ),
-        Part("coverage", _coverage, _coverage_section, 1),
+        Part("coverage", coverage.measure, coverage.section),
     ],
-    _summary,
+    page.summary,
     add_options,
     on_device=True,
 )

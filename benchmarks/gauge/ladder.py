@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.gauge.planted import GROUPS, SEED, name_of, planted, twin_of, write_rows
+from benchmarks.gauge.planted import GROUPS, SEED, Planted, name_of, planted, twin_of
 from benchmarks.paper.study import (
     PAPER_RECIPE,
     Joined,
@@ -28,30 +28,28 @@ from benchmarks.paper.study import (
     form_of,
     nearest_labels,
     net_settings,
-    relabelled,
+    processes,
     simulate,
     train_net,
 )
 from benchmarks.report import Run
 from benchmarks.sums import r2_of, sums_by_indenter
+from benchmarks.twin.planted import Truth
 from learning.compensation.simulated import simulated_labels, twin_forces
 from learning.data.presses import Presses
 from learning.data.splits import make_split
 from learning.errors import LearningError
-from learning.experiment.frames import look_of, translate_presses
-from learning.force.labels import Relabelling, by_twins, compensated
+from learning.force.labels import Relabelling, by_twins
 from learning.force.model import ForceModel
 from learning.training.run import generator
-from learning.translation.translator import SensorView, Translator, for_pair
+from learning.translation.translator import Translator
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
-from recorder.processes import cores
 from recorder.progress import span_of
 from recorder.store import replace_file
 from sim.dataset import DatasetPlan, Solving
 from sim.dataset.plan import UNSEEN
 from sim.indenters import NAMES, drawn_name
-from sim.result import ContactTier
 from sim.sensors import sensor_of
 from sim.twin.labels import provenance, simulated_forces
 
@@ -72,71 +70,11 @@ AT_PLACES = ("the source's labels", "labels by curves", "labels by both twins", 
 RESAMPLES, INTERVAL = 2000, (0.025, 0.975)
 # Presses of the target with a gauge: a force-depth curve, and those of a twin's fit.
 CURVE, TWIN = 1, 4
-# Draws from a twin's uncertainty, for the spread of its labels.
-DRAWS = 4
-
-
-@dataclass(frozen=True, slots=True)
-class Size:
-    """Data and trainings."""
-
-    sensors: int
-    """Number of sensors of a group, the first ones."""
-    tier: ContactTier
-    """Tier of true forces and frames."""
-    targets: int
-    """Targets under each indenter."""
-    phase: int
-    """Frames of a phase of a press."""
-    seen: tuple[str, ...]
-    """Indenters that are trained on."""
-    unseen: tuple[str, ...]
-    """Indenters of the 18 that are tested."""
-    drawn: int
-    """Drawn indenters, which are tested; nothing else uses them."""
-    grid: int
-    """Pixels of twins and their labels."""
-    steps: int
-    """Steps of a net from nothing: `paper` has half of them, one that goes on a quarter."""
-    nets: tuple[str, ...]
-    """Nets that are trained on a sensor's own labels."""
-    field: tuple[str, ...]
-    """Preset and overrides of the field translator."""
-    field_seconds: float
-    """Its training time [s]; 0: a few steps."""
-    fits: bool = True
-    """False: the design stands for the twin, which saves the fit."""
-
-
-FULL = Size(
-    sensors=3,
-    tier="fem",
-    targets=8,
-    phase=4,
-    seen=tuple(name for name in NAMES if name not in UNSEEN),
-    unseen=UNSEEN,
-    drawn=6,
-    grid=48,
-    steps=1000,
-    nets=("displacement", "tiny", "paper"),
-    field=("ours", "field_stage.batch=96", "map_stage.batch=96"),
-    field_seconds=60,
-)
-TOY = Size(
-    sensors=2,
-    tier="layer",
-    targets=1,
-    phase=2,
-    seen=("prism",),
-    unseen=(),
-    drawn=1,
-    grid=16,
-    steps=2,
-    nets=("displacement", "tiny"),
-    field=("cpu_smoke",),
-    field_seconds=0,
-    fits=False,
-)
+# Draws from a twin's uncertainty, for the spread of its labels; pixels of twins and labels.
+DRAWS, GRID = 4, 48
+# Steps of a net from nothing: `paper` has half of them, one that goes on a quarter. Training time
+# of the field translator [s].
+STEPS, FIELD_SECONDS = 1000, 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,27 +91,22 @@ class Prediction:
     """Fx, Fy, Fz of the test frames (n, 3) [N]; NaN where there is none."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Ladder(Study):
     """Planted sensors."""
-
-    size: Size
 
     @cached_property
     def translator(self) -> Translator:
         """The field translator of the seed, trained on the frames of all sensors."""
-        return field_translator(self, self.size.field, self.size.field_seconds)
+        return field_translator(self, 0 if self.quick else FIELD_SECONDS)
 
 
-def measure(run: Run, group: str) -> dict[str, Any]:
+def measure(group: str, run: Run) -> dict[str, Any]:
     """Plant a group's sensors, fit their twins, train every way, and return the table's lines."""
-    size = TOY if run.quick else FULL
-    seeds = run.options.seeds[:1] if run.quick else run.options.seeds
-    designs = GROUPS[group][: size.sensors]
-    ladder = prepare(run, folder_of(run, f"gauge-{group}"), group, designs, size)
+    seeds = run.options.seeds[: 1 if run.quick else None]
+    ladder = prepare(run, folder_of(run, f"gauge-{group}"), group)
     cells = list(run.once("baselines", lambda: [cell(ladder, one) for one in baselines(ladder)]))
-    ways: dict[str, Callable[[Ladder, str], Iterator[Prediction]]]
-    ways = {"own": own, "from": from_source}
+    ways: dict[str, Way] = {"own": own, "from": from_source}
     for done, seed in enumerate(seeds):
         run.progress(0.5 + 0.5 * done / len(seeds))
         of_seed = replace(ladder, seed=seed)
@@ -186,76 +119,87 @@ def measure(run: Run, group: str) -> dict[str, Any]:
     run.seeds = seeds
     run.spread = "means of pairs and seeds; 95 % intervals by drawing indenters and seeds again"
     return {
-        "designs": designs,
+        "designs": GROUPS[group][: len(ladder.archive)],
         "skins": SEED,
         "fit": run.options.fit,
-        "truth": size.tier,
+        "truth": "layer" if run.quick else "fem",
         "lines": lines_of(cells),
-        "twins": {name: run.rows[f"twin {name}"]["errors"] for name in ladder.archive if size.fits},
+        "twins": {}
+        if run.quick
+        else {name: run.rows[f"twin {name}"]["errors"] for name in ladder.archive},
     }
 
 
-def prepare(run: Run, folder: Path, group: str, designs: Sequence[str], size: Size) -> Ladder:
-    """Return the sensors' frames with true forces and those of their twins."""
-    write_rows(folder, group, designs)
-    shapes = (*(name for name in NAMES if name in size.seen + size.unseen),)
-    drawn = tuple(drawn_name(number) for number in range(size.drawn))
+def prepare(run: Run, folder: Path, group: str) -> Ladder:
+    """Return the sensors' frames with true forces and those of their twins.
+
+    A quick run has two sensors by tier `layer`, under three indenters.
+    """
+    sensors, indenters, targets, phase, drawn = None, NAMES, 8, 4, 6
+    if run.quick:
+        sensors, indenters, targets, phase, drawn = 2, ("sphere_s", "prism"), 1, 2, 1
+    solving = Solving(tier="layer" if run.quick else "fem")
+    designs = GROUPS[group][:sensors]
+    tested = [drawn_name(number) for number in range(drawn)]
     paths = []
     for done, design in enumerate(designs):
-        name, fraction = name_of(design), 0.5 / len(designs)
-        progress = span_of(run.progress, done * fraction, fraction)
+        progress = span_of(run.progress, 0.5 * done / len(designs), 0.5 / len(designs))
         one = planted(folder, group, design)
         assert one.row.trajectory is not None
         plan = DatasetPlan(
             "targets",
             (one.row,),
-            indenters=(*shapes, *drawn),
-            solving=Solving(tier=size.tier),
-            steps=size.phase,
-            fraction=round(size.targets / len(one.row.trajectory), 6),
+            indenters=(*indenters, *tested),
+            solving=solving,
+            steps=phase,
+            fraction=round(targets / len(one.row.trajectory), 6),
         )
-        paths.append(folder / f"{name}.markers.zarr")
-        archive = simulate(paths[-1], plan, run.device, span_of(progress, 0, 0.5))
-        twin = design
-        if size.fits:
-            how: dict[str, Any] = {"fit": run.options.fit, "grid": size.grid}
-            how |= {"truth": size.tier, "device": run.device, "processes": cores()}
-            twin = str(folder / f"{name}-twin.yaml")
-            text = run.once(f"twin {name}", partial(twin_of, one, **how))["row"]
-            replace_file(Path(twin), text.encode())
-        progress(0.8)
-        add_labels(archive, name, twin, size, run.device)
+        paths.append(folder / f"{name_of(design)}.markers.zarr")
+        archive = simulate(paths[-1], plan, run, span_of(progress, 0, 0.5))
+        add_labels(archive, one, folder, run)
+        progress(1.0)
     archives = Joined(paths)
-    split = make_split(archives, validation=0, new_press=0, unseen=[*size.unseen, *drawn])
-    return Ladder(archives, split, torch.device(run.device), size=size)
+    split = make_split(archives, validation=0, new_press=0, unseen=[*UNSEEN, *tested])
+    return Ladder(archives, split, torch.device(run.device), quick=run.quick)
 
 
-def add_labels(archive: MarkerArchive, name: str, twin: str, size: Size, device: str) -> None:
-    """Add the twin's forces in the presses of an archive to it, unless they are there."""
+def add_labels(archive: MarkerArchive, one: Planted, folder: Path, run: Run) -> None:
+    """Add the forces of a sensor's twin to its presses, unless they are there.
+
+    In a quick run the design stands for the twin, which saves the fit.
+    """
+    name = name_of(one.design)
+    twin, draws, grid = one.design, 0, 16
+    if not run.quick:
+        twin, draws, grid = str(folder / f"{name}-twin.yaml"), DRAWS, GRID
+        # True forces are those of `fem`.
+        fit = partial(twin_of, one, Truth("fem", device=run.device), run.options.fit, grid)
+        replace_file(Path(twin), run.once(f"twin {name}", fit)["row"].encode())
     sensor, row = archive[name], sensor_of(twin)
-    draws = DRAWS if size.fits else 0
-    source = provenance(row, draws, 0, size.grid, None)
+    source = provenance(row, draws, 0, grid, None)
     if sensor.simulated is not None and sensor.simulated.made_from == source:
         return
-    how: dict[str, Any] = {"draws": draws, "seed": 0, "grid": size.grid, "device": device}
-    forces = simulated_forces(sensor, archive.indenters, row, processes=cores(), **how)
+    how: dict[str, Any] = {"draws": draws, "seed": 0, "grid": grid, "device": run.device}
+    forces = simulated_forces(sensor, archive.indenters, row, processes=processes(run), **how)
     write_simulated(sensor, forces.force, forces.spread, source)
 
 
 def partners(source: Any, target: Any) -> NDArray[np.int64]:
     """Return for each row of the target the source's row of the same location and frame; or -1."""
-
-    def places(table: Any) -> dict[tuple[int, int], int]:
-        rows = np.flatnonzero(table["valid"] & (table["location"] >= 0)).tolist()
-        return {(int(table["location"][row]), int(table["frame"][row])): row for row in rows}
-
-    partner, of_source = np.full(len(target["location"]), -1, np.int64), places(source)
-    for place, row in places(target).items():
+    partner, of_source = np.full(len(target["location"]), -1, np.int64), _places(source)
+    for place, row in _places(target).items():
         partner[row] = of_source.get(place, -1)
     return partner
 
 
+def _places(table: Any) -> dict[tuple[int, int], int]:
+    rows = np.flatnonzero(table["valid"] & (table["location"] >= 0)).tolist()
+    return {(int(table["location"][row]), int(table["frame"][row])): row for row in rows}
+
+
 # Ways
+
+Way = Callable[[Ladder, str], Iterator[Prediction]]
 
 
 def trained(
@@ -270,11 +214,11 @@ def trained(
     Raises:
         LearningError: There is nothing to learn from, or the training diverged.
     """
-    labelled, settings = relabelled(presses, labels), net_settings(ladder, preset, NETS[preset])
+    settings = net_settings(ladder, preset, NETS[preset])
     parts = {"paper": 2} if start_from is None else {preset: 4}
-    steps = ladder.size.steps // parts.get(preset, 1)
-    epochs = max(1, round(steps / -(-len(labelled) // settings.sequences.batch)))
-    return train_net(labelled, settings, settings.stages[-1:], epochs, start_from)
+    steps = 2 if ladder.quick else STEPS // parts.get(preset, 1)
+    epochs = max(1, round(steps / -(-len(presses) // settings.sequences.batch)))
+    return train_net(presses, settings, settings.stages[-1:], epochs, start_from, labels)
 
 
 def baselines(study: Study) -> Iterator[Prediction]:
@@ -289,7 +233,7 @@ def baselines(study: Study) -> Iterator[Prediction]:
         wrench = one.table["wrench"][:, :3].astype(np.float64)
         both = simulated_labels(one, other).force
         labels = [(AT_PLACES[0], 0, wrench), (AT_PLACES[2], TWIN, both)]
-        if study.relabelling(source, target) is not None:
+        if study.curves(source, target) is not None:
             nearest = nearest_labels(study, source, target)
             yield Prediction(NEAREST, "-", source, target, CURVE, nearest)
             valid = np.flatnonzero(one.table["valid"])
@@ -322,11 +266,9 @@ def from_source(ladder: Ladder, source: str) -> Iterator[Prediction]:
 
         yield of(SOURCE, MAIN, nets[MAIN], 0)
         yield of(DISPLACED, "displacement", nets["displacement"], 0)
-        pair = for_pair(ladder.translator, SensorView.of(one), SensorView.of(other))
-        frames = translate_presses(packed, look_of(other, packed, ladder.device), pair)
-        curves = ladder.relabelling(source, target)
+        frames = ladder.translated(ladder.translator, packed, target)
         for words, spent, labels in (
-            (AT_PLACES[1], CURVE, None if curves is None else compensated(curves)),
+            (AT_PLACES[1], CURVE, ladder.curves(source, target)),
             (AT_PLACES[2], TWIN, by_twins(simulated_labels(one, other))),
         ):
             if labels is not None:
@@ -342,7 +284,7 @@ def own(ladder: Ladder, sensor: str) -> Iterator[Prediction]:
     With its twin's forces as labels, and with its own.
     """
     labels = by_twins(twin_forces(ladder.archive[sensor]))
-    for preset in ladder.size.nets:
+    for preset in [MAIN, "displacement"] if ladder.quick else NETS:
         presses = ladder.presses(sensor, "train", form_of(preset))
         test = ladder.unseen(sensor, form_of(preset))
         if preset != "paper":
@@ -383,26 +325,28 @@ def lines_of(cells: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     for way, net in dict.fromkeys((each["way"], each["net"]) for each in cells):
         these = [each for each in cells if (each["way"], each["net"]) == (way, net)]
         seeds = sorted({each["seed"] for each in these})
-        known = {(each["seed"], each["source"], each["target"]): each["sums"] for each in these}
+        by_seed = {(each["seed"], each["source"], each["target"]): each["sums"] for each in these}
         # A pair that lacks a seed would count for less.
         ends = dict.fromkeys((each["source"], each["target"]) for each in these)
-        pairs = [end for end in ends if all((seed, *end) in known for seed in seeds)]
+        pairs = [end for end in ends if all((seed, *end) in by_seed for seed in seeds)]
         if not pairs:
             continue
-        grid = [[known[seed, *end] for end in pairs] for seed in seeds]
+        grid = [[by_seed[seed, *end] for end in pairs] for seed in seeds]
         sealed = sums_of(grid, lambda name: name not in UNSEEN)
         total = sealed.sum(axis=2)
         errors = np.nanmean(total[..., 4, :] / np.maximum(total[..., 0, :], 1), axis=(0, 1))
-        line = {"way": way, "net": net, "spent": max(each["spent"] for each in these)}
-        line |= {"pairs": len(pairs), "seeds": len(seeds)}
-        line |= {"mae_shear_n": float(errors[:2].mean()), "mae_fz_n": float(errors[2])}
+        line = {
+            "way": way,
+            "net": net,
+            "spent": max(each["spent"] for each in these),
+            "pairs": len(pairs),
+            "mae_shear_n": float(errors[:2].mean()),
+            "mae_fz_n": float(errors[2]),
+        }
         paper = resampled(sums_of(grid, lambda name: name in UNSEEN))
         scored.append((line, resampled(sealed), paper))
-    best = max(
-        (sealed for line, sealed, _ in scored if line["way"] == OWN and np.isfinite(sealed[0])),
-        key=lambda sealed: float(sealed[0]),
-        default=np.full(1 + RESAMPLES, np.nan),
-    )
+    owned = [sealed for line, sealed, _ in scored if line["way"] == OWN and np.isfinite(sealed[0])]
+    best = max(owned, key=lambda sealed: float(sealed[0]), default=np.full(1 + RESAMPLES, np.nan))
     for line, sealed, paper in scored:
         for name, values in (("sealed", sealed), ("paper", paper), ("below", best - sealed)):
             low, high = span(values)

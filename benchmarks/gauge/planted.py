@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.twin.planted import Bench, Forces, observed, random_skin, solved, usual
+from benchmarks.twin.planted import GAUGE, Bench, Truth, observed, random_skin, usual
+from recorder.processes import cores
 from recorder.settings import yaml_text
 from recorder.store import replace_file
 from sim.dataset.plan import Solving
@@ -19,8 +21,7 @@ from sim.result import ContactTier
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.sensors.quantities import quantities, with_quantities
 from sim.sensors.sensor import read_sensor
-from sim.twin import fitted
-from sim.twin.plan import PlannedPresses
+from sim.twin import PressTrack, fitted
 from sim.twin.record import skin_row, twin_yaml
 
 GROUPS = {
@@ -46,10 +47,6 @@ SEEN = {
         "rim_missing": 0.02,
     },
 }
-# Indenters that identify a twin: each is pressed to two depths, sheared and held.
-GAUGE = ("sphere", "prism")
-# First of the two depths over the deepest of the row: a thick pad is pressed less deep.
-PART, PARTS = 0.4, {"tacpalm": 0.24}
 # Quantities of twins whose errors are shown.
 COMPARED = ("modulus", "thickness", "poisson", "friction")
 # Seeds of the sensors, and of the draws of mounting in archives.
@@ -70,24 +67,20 @@ def name_of(design: str) -> str:
     return f"{design}-planted"
 
 
-def write_rows(folder: Path, group: str, designs: Sequence[str]) -> None:
-    """Write the rows of a group's planted sensors."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for design in designs:
-        made = with_quantities(sensor(design), _drawn(group, design)[0])
-        content = {
-            "extends": f"{design}.yaml",
-            "description": f"{design} with a skin and mounting of its own",
-            **skin_row(made),
-            "variation": {**MOUNTED, **(SEEN if isinstance(made.signal, CameraSignal) else {})},
-        }
-        replace_file(folder / f"{name_of(design)}.yaml", yaml_text(content).encode())
-
-
 def planted(folder: Path, group: str, design: str) -> Planted:
-    """Return a planted sensor, as it was written."""
-    row = read_sensor(folder / f"{name_of(design)}.yaml")
-    _, bench = _drawn(group, design)
+    """Write the row of a planted sensor into a folder, and return it as it was written."""
+    values, bench = _drawn(group, design)
+    made = with_quantities(sensor(design), values)
+    content = {
+        "extends": f"{design}.yaml",
+        "description": f"{design} with a skin and mounting of its own",
+        **skin_row(made),
+        "variation": {**MOUNTED, **(SEEN if isinstance(made.signal, CameraSignal) else {})},
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name_of(design)}.yaml"
+    replace_file(path, yaml_text(content).encode())
+    row = read_sensor(path)
     assert row.variation.mount is not None
     placed = row.variation.mount.drawn(ARCHIVE_SEED, row.name)
     moved = (-placed.shift_x, -placed.shift_y)
@@ -103,9 +96,7 @@ def _drawn(group: str, design: str) -> tuple[Mapping[str, float], Bench]:
     return quantities(random_skin(of_skin, skin)[0]), random_skin(own, design)[1]
 
 
-def twin_of(
-    each: Planted, *, truth: ContactTier, fit: ContactTier, grid: int, device: str, processes: int
-) -> dict[str, Any]:
+def twin_of(each: Planted, truth: Truth, fit: ContactTier, grid: int) -> dict[str, Any]:
     """Press a planted sensor with a gauge, fit its twin from its design, and return the twin's row.
 
     With the errors of its quantities, relative but for Poisson's ratio and the surface's height
@@ -113,22 +104,16 @@ def twin_of(
 
     Args:
         each: The sensor.
-        truth: Tier of the true forces; by `fem` on meshes as in archives.
+        truth: How true forces are solved; by `fem` on meshes as in archives.
         fit: Tier of the fit.
-        grid: Pixels of the fit; true forces by `layer` have twice as many.
-        device: Device of tier `fem`.
-        processes: Processes of the fit.
+        grid: Pixels of the fit.
 
     Raises:
         SimulationDiverged: A press has no solution.
     """
-    tracks = []
-    for number, indenter in enumerate(GAUGE):
-        presses = usual(indenter, each.design, PARTS.get(each.design, PART))
-        forces = _solved(each, presses, truth=truth, grid=2 * grid, device=device)
-        tracks.append(observed(each.row, presses, each.bench, number, forces=forces))
-    how: dict[str, Any] = {"tier": fit, "grid": grid, "device": device, "processes": processes}
-    twin = fitted(tracks, sensor(each.design), **how)
+    tracks = [_observed(each, number, truth) for number in range(len(GAUGE))]
+    how: dict[str, Any] = {"tier": fit, "grid": grid, "device": truth.device}
+    twin = fitted(tracks, sensor(each.design), **how, processes=cores())
     true, values = quantities(each.row), quantities(twin.sensor)
     errors = {name: values[name] - true[name] for name in COMPARED}
     errors |= {name: errors[name] / true[name] for name in COMPARED if name != "poisson"}
@@ -136,14 +121,12 @@ def twin_of(
     return {"row": twin_yaml(twin.sensor, f"{each.design}.yaml", GAUGE), "errors": errors}
 
 
-def _solved(each: Planted, presses: PlannedPresses, **how: Any) -> Forces:
-    """Return forces by the settings of archives, or those for what has no solution by them."""
-    first = Solving().settings(each.row.body)
+def _observed(each: Planted, number: int, truth: Truth) -> PressTrack:
+    """Return the track of a press by the settings of archives, or those for what they miss."""
+    first, presses = Solving().settings(each.row.body), usual(GAUGE[number], each.design)
     assert isinstance(first, Fem)
     *some, last = first, *(fem for _, fem, _ in further_settings(first, each.row.body))
     for fem in some:
-        try:
-            return solved(each.row, presses, each.bench, fem=fem, **how)
-        except SimulationDiverged:
-            continue
-    return solved(each.row, presses, each.bench, fem=last, **how)
+        with suppress(SimulationDiverged):
+            return observed(each.row, presses, each.bench, number, replace(truth, fem=fem))
+    return observed(each.row, presses, each.bench, number, replace(truth, fem=last))

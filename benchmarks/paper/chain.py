@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.paper.scores import force_scores, pattern_rows
-from benchmarks.paper.sizes import Size
+from benchmarks.paper.sizes import PATTERNS, SIZES, Size, quick
 from benchmarks.paper.study import (
     PAPER_RECIPE,
     PROBE,
@@ -26,23 +26,21 @@ from benchmarks.paper.study import (
     Joined,
     Study,
     field_translator,
+    folder_of,
     form_of,
     nearest_labels,
     net_settings,
-    relabelled,
     simulate,
     timed,
     train_net,
 )
 from benchmarks.report import Run
-from learning.compensation.fit import PairCompensation
 from learning.config import read_settings
 from learning.data.pairs import paired_rows, read_paired
 from learning.data.presses import Presses, read_frames_of
 from learning.data.splits import Split, make_split
 from learning.evaluation.translation import NEAREST
-from learning.experiment.frames import look_of, translate_presses
-from learning.force.labels import compensated
+from learning.force.labels import Relabelling
 from learning.force.model import ForceModel
 from learning.training.run import TrainingSession
 from learning.translation.diffusion.network import MarkerToMarker, vae_adapter_of
@@ -50,21 +48,21 @@ from learning.translation.diffusion.train import PRESETS, Pretrained, Translator
 from learning.translation.diffusion.train_vae import train_vae
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import vendor
-from learning.translation.translator import SensorView, Translator, for_pair
+from learning.translation.translator import Translator
 from recorder import MarkerArchive
 from recorder.progress import span_of
 
 OWN = "own labels"
+# Most frames of a pair of patterns whose images are scored.
+SCORED = 150
 Rows = list[dict[str, Any]]
-Jobs = dict[str, Callable[[], dict[str, Rows]]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Chain(Study):
-    """Sensors, patterns, the time of trainings, and what was trained."""
+    """Sensors, patterns, and what was trained."""
 
     size: Size
-    minutes: float
     patterns: MarkerArchive | None
     """States of one gel under many patterns."""
     nets: dict[str, ForceModel] = field(default_factory=dict)
@@ -76,10 +74,6 @@ class Chain(Study):
         assert self.patterns is not None
         out = self.size.held_out_patterns
         return make_split(self.patterns, validation=0, new_press=0, held_out_sensors=out)
-
-    def seconds(self, kind: str) -> float:
-        """Training time of a kind of network [s]."""
-        return 60 * self.minutes * self.size.shares[kind]
 
     def untrained(self) -> Pretrained:
         """Return the networks that trainings begin with, the same each time."""
@@ -107,7 +101,7 @@ class Chain(Study):
             return train_vae(images, self.untrained().vae, settings, None, session)
 
         launch = self.m2m_settings(1e-3, PROBE).of_marker_vae().launch
-        return vae_adapter_of(timed(self.seconds("vae"), launch, fit).state_dict())
+        return vae_adapter_of(timed(self.size.seconds["vae"], launch, fit).state_dict())
 
     @cached_property
     def between_patterns(self) -> MarkerToMarker:
@@ -128,7 +122,7 @@ class Chain(Study):
     @cached_property
     def field(self) -> Translator:
         """Our translator between sensors."""
-        return field_translator(self, self.size.field_preset, self.seconds("field"))
+        return field_translator(self, self.size.seconds["field"])
 
     def opened(self, network: MarkerToMarker) -> Translator:
         """Return a translator of a network, in the precision of `load_translator`."""
@@ -147,11 +141,12 @@ class Chain(Study):
             settings = self.m2m_settings(rate, steps)
             return train(frames, self.untrained(), settings, None, session, **begun)
 
-        return timed(self.seconds(kind), self.m2m_settings(rate, PROBE).launch, fit)
+        return timed(self.size.seconds[kind], self.m2m_settings(rate, PROBE).launch, fit)
 
     def m2m_settings(self, rate: float, steps: int) -> TranslatorSettings:
         """Return the paper's settings without the losses that need published weights."""
-        size, warm = self.size, min(200, steps // 10)
+        warm = min(200, steps // 10)
+        batch, precision = (2, "no") if self.quick else (32, "bf16")
 
         def cosine(rate: float) -> str:
             return f"{{rate: {{kind: cosine, rate: {rate}, steps: {steps}, warm_up: {warm}}}}}"
@@ -159,10 +154,10 @@ class Chain(Study):
         overrides = [
             "whole=true",
             f"steps={steps}",
-            f"batch={size.batch}",
+            f"batch={batch}",
             f"seed={self.seed}",
             self.launch,
-            f"launch.mixed_precision={size.precision}",
+            f"launch.mixed_precision={precision}",
             f"checkpoint_every={steps}",
             f"validate_every={steps}",
             f"optimiser={cosine(rate)}",
@@ -170,8 +165,8 @@ class Chain(Study):
             "conditioning=channel_tokens",
             "source_reference=false",
             "losses={adversarial: 0, perceptual: 0, square: 1}",
-            f"marker_vae={{steps: {steps}, batch: {size.batch}, optimiser: {cosine(1e-3)}, "
-            f"mixed_precision: {size.precision}}}",
+            f"marker_vae={{steps: {steps}, batch: {batch}, optimiser: {cosine(1e-3)}, "
+            f"mixed_precision: {precision}}}",
         ]
         return read_settings(TranslatorSettings, PRESETS, "paper_main", overrides)
 
@@ -180,23 +175,26 @@ class Chain(Study):
         preset: str,
         presses: Presses,
         start_from: ForceModel | None = None,
-        compensation: PairCompensation | None = None,
+        labels: Relabelling | None = None,
     ) -> ForceModel:
         """Return a force net that was trained for its time; from another's weights if given.
 
         A preset's stages get equal parts of the time; a net that goes on has only its last.
         """
-        labelled = relabelled(presses, None if compensation is None else compensated(compensation))
-        recipe = PAPER_RECIPE if preset == "paper" else ()
-        settings = net_settings(self, preset, recipe)
+        settings = net_settings(self, preset, PAPER_RECIPE if preset == "paper" else ())
         stages = settings.stages if start_from is None else settings.stages[-1:]
 
         def fit(epochs: int, session: TrainingSession) -> ForceModel:
             each = max(1, epochs // len(stages))
-            return train_net(labelled, settings, stages, each, start_from, session)
+            return train_net(presses, settings, stages, each, start_from, labels, session)
 
-        seconds = self.seconds("net" if start_from is None else "tuned")
+        seconds = self.size.seconds["net" if start_from is None else "tuned"]
         return timed(seconds, settings.launch, fit, PROBED_EPOCHS)
+
+    @property
+    def preset(self) -> str:
+        """Force net that is trained on translated frames."""
+        return "tiny" if self.quick else "paper"
 
     def own(self, preset: str, sensor: str) -> ForceModel:
         """Return the net of a sensor's own labels."""
@@ -215,35 +213,36 @@ class Chain(Study):
         return {"method": method, "net": preset, "source": source, "target": target, **scores}
 
 
-def begin(run: Run, folder: Path, size: Size, minutes: float) -> Chain:
+def begin(run: Run, folder: Path, size: Size) -> Chain:
     """Simulate what is not simulated yet, and return the surroundings of all jobs."""
-    plans = dict(size.plans)
-    if size.patterns:
-        plans["patterns"] = size.states
-    paths = {name: folder / f"{name}.markers.zarr" for name in plans}
-    for done, (name, plan) in enumerate(plans.items()):
-        progress = span_of(run.progress, 0.4 * done / len(plans), 0.4 / len(plans))
-        simulate(paths[name], plan, run.device, progress)
-    archive = Joined([path for name, path in paths.items() if name != "patterns"])
+    archives = {}
+    for done, (name, plan) in enumerate(size.plans.items()):
+        progress = span_of(run.progress, 0.4 * done / len(size.plans), 0.4 / len(size.plans))
+        archives[name] = simulate(folder / f"{name}.markers.zarr", plan, run, progress)
+    patterns = archives.pop(PATTERNS, None)
+    joined = Joined([archive.path for archive in archives.values()])
     return Chain(
-        archive,
-        make_split(archive, validation=0, new_press=0, held_out_sensors=size.held_out),
+        joined,
+        make_split(joined, validation=0, new_press=0, held_out_sensors=size.held_out),
         torch.device(run.device),
         size.skins_differ,
+        run.quick,
         size=size,
-        minutes=minutes,
-        patterns=MarkerArchive(paths["patterns"]) if size.patterns else None,
+        patterns=joined if size.patterns and patterns is None else patterns,
     )
 
 
-def measured(run: Run, folder: Path, size: Size, minutes: float) -> dict[str, Any]:
+def measure(part: str, run: Run) -> dict[str, Any]:
     """Train and score the chain and its baselines; return rows of forces and patterns."""
-    chain = begin(run, folder, size, minutes)
-    jobs: Jobs = {f"own {name}": partial(without_translator, chain, name) for name in size.trained}
-    if chain.patterns is not None:
+    size = quick(part) if run.quick else SIZES[part]
+    chain = begin(run, folder_of(run, f"paper-{part}"), size)
+    jobs: dict[str, Callable[[], dict[str, Rows]]] = {
+        f"own {name}": partial(without_translator, chain, name) for name in size.sources
+    }
+    if size.patterns:
         jobs["patterns"] = partial(patterns, chain)
     for name in size.translators:
-        jobs |= {f"pairs {name} {one}": partial(pairs, chain, name, one) for one in size.trained}
+        jobs |= {f"pairs {name} {one}": partial(pairs, chain, name, one) for one in size.sources}
     tables: dict[str, Any] = {}
     for done, (name, job) in enumerate(jobs.items()):
         run.progress(0.4 + 0.6 * done / len(jobs))
@@ -258,12 +257,12 @@ def without_translator(chain: Chain, sensor: str) -> dict[str, Rows]:
     """Train a sensor's own nets, and predict for all targets without a translator."""
     targets = [name for name in chain.archive if name != sensor]
     rows = []
-    for preset in dict.fromkeys((chain.size.net, "displacement")):
+    for preset in dict.fromkeys((chain.preset, "displacement")):
         form, model = form_of(preset), chain.own(preset, sensor)
         predicted = model.predict(chain.unseen(sensor, form))
         rows.append(chain.row(OWN, preset, (sensor, sensor), predicted))
         for target in targets:
-            used, labels = model, chain.relabelling(sensor, target)
+            used, labels = model, chain.curves(sensor, target)
             if preset == "displacement" and labels is not None:
                 used = chain.net(preset, chain.presses(sensor, "train", form), model, labels)
             method = "displacement" if preset == "displacement" else "source-only"
@@ -277,17 +276,13 @@ def without_translator(chain: Chain, sensor: str) -> dict[str, Rows]:
 
 def pairs(chain: Chain, name: str, source: str) -> dict[str, Rows]:
     """Score nets that are trained on a translator's frames."""
-    preset, archive = chain.size.net, chain.archive
+    preset, archive = chain.preset, chain.archive
     translator: Translator = getattr(chain, name)
     start, packed = chain.own(preset, source), chain.presses(source, "train", "packed")
     rows = []
     for target in (each for each in archive if each != source):
-        of_pair = for_pair(
-            translator, SensorView.of(archive[source]), SensorView.of(archive[target])
-        )
-        look = look_of(archive[target], packed, chain.device)
-        frames = translate_presses(packed, look, of_pair)
-        tuned = chain.net(preset, frames, start, chain.relabelling(source, target))
+        frames = chain.translated(translator, packed, target)
+        tuned = chain.net(preset, frames, start, chain.curves(source, target))
         predicted = tuned.predict(chain.unseen(target))
         rows.append(chain.row(name, preset, (source, target), predicted))
     return {"forces": rows}
@@ -297,5 +292,6 @@ def patterns(chain: Chain) -> dict[str, Rows]:
     """Score all pairs of patterns before and after translation, under unseen indenters."""
     assert chain.patterns is not None
     translator = chain.opened(chain.between_patterns)
-    archive, split, scored = chain.patterns, chain.patterns_split, chain.size.scored
-    return {"patterns": [*pattern_rows(archive, split, translator, scored, chain.device)]}
+    most = 2 if chain.quick else SCORED
+    data = chain.patterns, chain.patterns_split
+    return {"patterns": [*pattern_rows(*data, translator, most, chain.device)]}

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import torch
@@ -29,7 +28,7 @@ from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, v
 from learning.translation.field.data import random_shifts
 
 # Batch sizes, steps of each training, of which the first are not timed, and frames translated.
-BATCHES, STEPS, WARM, TRANSLATED = (4, 8, 16), 50, 5, 64
+BATCHES, STEPS, WARM, TRANSLATED = [4, 8, 16], 50, 5, 64
 # Learning rate: high, because random weights have no learned content to lose.
 RATE = 1e-3
 # Pairs that are trained on repeatedly.
@@ -71,7 +70,6 @@ CLIP: dict[str, Any] = {
     "patch_size": 32,
     "projection_dim": 512,
 }
-Networks = Callable[[torch.device], Pretrained]
 # A few thousand weights, for a quick run: what of each configuration differs.
 _SMALL: tuple[dict[str, Any], ...] = (
     {
@@ -105,27 +103,13 @@ def random_pretrained(
 
 
 def measure(run: Run) -> dict[str, Any]:
-    """Train and translate with each batch size."""
+    """Train and translate with each batch size; quick: one image, small networks."""
     run.seeds, run.spread = (0,), "single run; the first steps of a training are not timed"
-    launch = run.device.split(":")[0]
+    networks, batches, steps, widths = [UNET, VAE, CLIP], BATCHES, STEPS, WIDTHS
     if run.quick:
-        unet, vae, clip = (one | less for one, less in zip((UNET, VAE, CLIP), _SMALL, strict=True))
-        networks = partial(random_pretrained, unet, vae, clip, (2, 2, 3, 3, 3))
-        return measured(networks, (1,), WARM + 1, launch=launch, progress=run.progress)
-    networks = partial(random_pretrained, UNET, VAE, CLIP, WIDTHS)
-    return measured(networks, BATCHES, STEPS, launch=launch, progress=run.progress)
-
-
-def measured(
-    networks: Networks,
-    batches: Sequence[int],
-    steps: int,
-    *,
-    launch: str,
-    side: int = SIDE,
-    progress: Callable[[float], None] = lambda fraction: None,
-) -> dict[str, Any]:
-    """Return the rows of all batch sizes."""
+        networks = [one | less for one, less in zip(networks, _SMALL, strict=True)]
+        batches, steps, widths = [1], WARM + 1, (2, 2, 3, 3, 3)
+    launch = run.device.split(":")[0]
     precision = "bf16" if launch == "cuda" else "no"
     own = [
         f"steps={steps}",
@@ -137,9 +121,13 @@ def measured(
     ]
     settings = read_settings(TranslatorSettings, PRESETS, "ours", own)
     rows = []
-    for done, batch in enumerate(batches):
-        rows.append(_row(networks, replace(settings, batch=batch), side))
-        progress((done + 1) / len(batches))
+    for done, batch in enumerate(batches, 1):
+        # An accelerator refers to its models, so each training has its own.
+        runs_on = accelerator(settings.launch)
+        unet, vae, clip = networks
+        made = random_pretrained(unet, vae, clip, widths, runs_on.device)
+        rows.append(_row(made, replace(settings, batch=batch), runs_on))
+        run.progress(done / len(batches))
     return {"rows": rows}
 
 
@@ -158,21 +146,19 @@ Stable Diffusion 2.1's UNet and autoencoder, CLIP and VGG16, with random weights
 {table(names, rows)}"""
 
 
-def overfitted_pairs(count: int, side: int, device: torch.device) -> PairedFrames:
-    """Return pairs of random patterns with equal motion, as images of a given side [px]."""
+def overfitted_pairs(device: torch.device) -> PairedFrames:
+    """Return pairs of random patterns with equal motion."""
     chance = generator(0, "full-size")
-    patterns, grid = sample_patterns(2 * count, chance, device), pixel_grid(side, device)
-    shift = functional.interpolate(random_shifts(count, chance, device), (side, side))
+    patterns, grid = sample_patterns(2 * SAME, chance, device), pixel_grid(SIDE, device)
+    shift = functional.interpolate(random_shifts(SAME, chance, device), (SIDE, SIDE))
     moved, still = patterns.draw(grid - torch.cat((shift, shift))), patterns.draw(grid)
     images, references = ((each[:, 0] * 255).round().to(torch.uint8) for each in (moved, still))
-    every = torch.arange(2 * count, device=device)
-    return PairedFrames(images, every, every, references, every.view(2, count).T)
+    every = torch.arange(2 * SAME, device=device)
+    return PairedFrames(images, every, every, references, every.view(2, SAME).T)
 
 
-def _row(networks: Networks, settings: TranslatorSettings, side: int) -> dict[str, Any]:
+def _row(networks: Pretrained, settings: TranslatorSettings, runs_on: Any) -> dict[str, Any]:
     """Train with all losses, then translate; return speeds and the peak of the memory."""
-    # An accelerator refers to its models, so each training has its own.
-    runs_on = accelerator(settings.launch)
     device = runs_on.device
     if device.type == "cuda":
         gc.collect()
@@ -184,9 +170,8 @@ def _row(networks: Networks, settings: TranslatorSettings, side: int) -> dict[st
         if done in (WARM, total):
             times[done] = _now(device)
 
-    pairs = overfitted_pairs(SAME, side, device)
     session = TrainingSession(runs_on, progress=stamp)
-    network = train(pairs, networks(device), settings, session=session)
+    network = train(overfitted_pairs(device), networks, settings, session=session)
     seconds = times[settings.steps] - times[WARM]
     memory = "-"
     if device.type == "cuda":
@@ -212,7 +197,7 @@ def _translated_per_s(
         batch=settings.batch,
         precision=torch.bfloat16 if lower else torch.float32,
     )
-    masks = enlarge_images(overfitted_pairs(SAME, SIDE, device).images)
+    masks = enlarge_images(overfitted_pairs(device).images)
     many = masks[torch.arange(TRANSLATED) % len(masks)] if device.type == "cuda" else masks
     translator.translate(many[: settings.batch], masks[0], masks[0])
     begun = _now(device)

@@ -31,42 +31,27 @@ TITLES = {
 }
 
 
-def by_held_out(
-    rows: Iterable[Row], held_out: Sequence[str], ends: Sequence[str]
-) -> tuple[list[Row], list[Row]]:
-    """Return the rows whose sensors or patterns were trained on, and the others."""
-    parted: tuple[list[Row], list[Row]] = ([], [])
-    for row in rows:
-        parted[any(row[end] in held_out for end in ends)].append(row)
-    return parted
+def trained(values: Mapping[str, Any]) -> list[Row]:
+    """Return the rows of forces whose target was trained on."""
+    return [row for row in values["forces"] if row["target"] not in values["held out"]]
 
 
-def mean(rows: Iterable[Row], key: str, digits: int = 3) -> str:
-    """Return the mean of a column; `-` without rows."""
-    values = [float(row[key]) for row in rows]
-    return f"{np.mean(values):.{digits}f}" if values else "-"
-
-
-def r2(values: Mapping[str, Any], method: str) -> str:
-    """Return the mean R2 of a method over the pairs whose target was trained on.
-
-    That of own labels is by the net of the chain.
-    """
-    rows, _ = by_held_out(values["forces"], values["held out"], ("target",))
-    if method == OWN:
-        rows = [row for row in rows if row["net"] != "displacement"]
-    return mean((row for row in rows if row["method"] == method), "r2")
+def mean(rows: Iterable[Row], key: str, method: str | None = None) -> str:
+    """Return the mean of a column, of one method if it is named; `-` without rows."""
+    some = [float(row[key]) for row in rows if method in (None, row.get("method"))]
+    return f"{np.mean(some):.3f}" if some else "-"
 
 
 def summary(values: Mapping[str, Any]) -> str:
     """Return the chain beside the baselines, the paper's figures, and what both are."""
     parts = [name for name in TITLES if name in values]
     columns = ("source-only", NEAREST, "displacement", "field", "m2m", OWN)
-    lines = [[TITLES[name], *(r2(values[name], method) for method in columns)] for name in parts]
-    forces = {
-        name: by_held_out(values[name]["forces"], values[name]["held out"], ("target",))[0]
-        for name in parts
-    }
+    forces = {name: trained(values[name]) for name in parts}
+    lines = []
+    for name, rows in forces.items():
+        # Own labels are learned by the net of the chain, and by that of displacement.
+        some = [row for row in rows if (row["method"], row["net"]) != (OWN, "displacement")]
+        lines.append([TITLES[name], *(mean(some, "r2", method) for method in columns)])
     head = ["R2, mean of pairs", *columns[:3], "`field`", "paper's chain", "own labels"]
     return f"""\
 R2 is the mean of Fx, Fy, Fz on frames of indenters that no network saw, in simulation; labels that
@@ -84,28 +69,20 @@ its losses include LPIPS and an adversary; here the square is the only loss.
 
 def section(name: str, values: Mapping[str, Any], page: Page) -> str:
     """Return the tables of one part; `patterns` draws the Dice of all pairs of patterns."""
-    held_out = values["held out"]
-    forces, new = by_held_out(values["forces"], held_out, ("target",))
-    texts = [f"## {TITLES[name]}: {_sensors(forces)}", _forces(forces)]
-    if new:
+    held_out, forces = values["held out"], trained(values)
+    sensors = sorted({row["target"] for row in forces}, key=natural_key)
+    words = ", ".join(f"`{each}`" for each in sensors)
+    texts = [f"## {TITLES[name]}: {words}", _forces(forces)]
+    if new := [row for row in values["forces"] if row["target"] in held_out]:
         targets = ", ".join(f"`{each}`" for each in dict.fromkeys(row["target"] for row in new))
         texts.append(
-            f"On {targets}, which nothing was trained on: R2 {_mean_of(new, 'm2m', 'r2')} by the "
-            f"chain, {_mean_of(new, 'field', 'r2')} by `field`, "
-            f"{_mean_of(new, 'displacement', 'r2')} by displacement."
+            f"On {targets}, which nothing was trained on: R2 {mean(new, 'r2', 'm2m')} by the "
+            f"chain, {mean(new, 'r2', 'field')} by `field`, {mean(new, 'r2', 'displacement')} by "
+            "displacement."
         )
     if values.get("patterns"):
         texts.append(_patterns(values["patterns"], held_out, page))
     return "\n\n".join(texts)
-
-
-def _sensors(rows: Sequence[Row]) -> str:
-    names = sorted({row["target"] for row in rows}, key=natural_key)
-    return f"{', '.join(f'`{name}`' for name in names)}"
-
-
-def _mean_of(rows: Sequence[Row], method: str, key: str) -> str:
-    return mean((row for row in rows if row["method"] == method), key)
 
 
 def _forces(rows: Sequence[Row]) -> str:
@@ -127,16 +104,13 @@ def _forces(rows: Sequence[Row]) -> str:
 def _patterns(rows: Sequence[Row], held_out: Sequence[str], page: Page) -> str:
     """Return the means of pairs of patterns by what was held out, and draw all pairs."""
     lines = []
-    for words, source, target in (
-        ("both patterns were trained on", False, False),
-        ("the source was held out", True, False),
-        ("the target was held out", None, True),
+    for words, sources, target in (
+        ("both patterns were trained on", (False,), False),
+        ("the source was held out", (True,), False),
+        ("the target was held out", (False, True), True),
     ):
-        own = [
-            row
-            for row in rows
-            if (row["target"] in held_out) == target and source in (None, row["source"] in held_out)
-        ]
+        alike = [row for row in rows if (row["target"] in held_out) == target]
+        own = [row for row in alike if (row["source"] in held_out) in sources]
         dice = f"{mean(own, 'dice_before')}, {mean(own, 'dice_after')}"
         lines.append([words, len(own), dice])
     names = list(dict.fromkeys(row[end] for row in rows for end in ("source", "target")))

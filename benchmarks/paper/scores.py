@@ -19,7 +19,7 @@ from learning.metrics import r_squared
 from learning.training.run import generator
 from learning.translation.translator import Translator
 from recorder import MarkerArchive
-from recorder.archive import ArchivedSensor
+from recorder.archive import ArchivedSensor, location_pairs
 from recorder.markers import pack, unpack
 
 Floats = NDArray[np.float64]
@@ -45,9 +45,8 @@ def force_scores(
     again = r2_of(sums[chosen].sum(axis=1))
     # Forces of one indenter may not vary.
     low, high = np.nanquantile(again, INTERVAL) if np.isfinite(again).any() else (np.nan, np.nan)
-    axes, errors = r_squared(true, predicted), np.abs(predicted - true).mean(axis=0)
-    scores = {"r2": axes.mean(), "r2_low": low, "r2_high": high}
-    scores |= {f"r2_{axis}": value for axis, value in zip(("fx", "fy", "fz"), axes, strict=True)}
+    scores = {"r2": r_squared(true, predicted).mean(), "r2_low": low, "r2_high": high}
+    errors = np.abs(predicted - true).mean(axis=0)
     scores |= {"mae_shear_n": errors[:2].mean(), "mae_fz_n": errors[2]}
     return {name: round(float(value), 4) for name, value in scores.items()}
 
@@ -59,24 +58,19 @@ def pattern_rows(
     most: int,
     device: torch.device,
 ) -> Iterator[dict[str, Any]]:
-    """Yield the scores of all pairs of patterns before and after translation."""
-    first = archive[next(iter(archive))]
-    rows = split.rows(first.table, UNSEEN)
-    rows = rows[generator(0, "states").permutation(len(rows))[:most]]
-    location = first.table["location"][rows]
-
-    def rows_of(sensor: ArchivedSensor) -> Ints:
-        order = np.argsort(sensor.table["location"], kind="stable")
-        return np.asarray(order[np.searchsorted(sensor.table["location"][order], location)])
-
-    real = {name: archive[name].packed(rows_of(archive[name])) for name in archive}
+    """Yield scores of pairs of patterns at some locations, before and after translation."""
+    locations = split.locations(UNSEEN)
+    locations = locations[generator(0, "states").permutation(len(locations))[:most]]
     for source, target in permutations(archive, 2):
         sensors = archive[source], archive[target]
-        at = rows_of(sensors[0]), rows_of(sensors[1])
-        frames = translated(sensors, at, translator, device)
-        row: dict[str, Any] = {"source": source, "target": target, "states": len(rows)}
-        for when, packed in (("before", real[source]), ("after", frames)):
-            dice = overlap(unpack(packed), unpack(real[target])).dice.mean()
+        pairs = location_pairs(sensors[0].table, sensors[1].table)
+        some = np.isin(sensors[0].table["location"][pairs.source], locations)
+        rows = pairs.source[some], pairs.target[some]
+        before, real = (each.packed(own) for each, own in zip(sensors, rows, strict=True))
+        after = translated(sensors, rows, translator, device)
+        row: dict[str, Any] = {"source": source, "target": target, "states": len(real)}
+        for when, packed in (("before", before), ("after", after)):
+            dice = overlap(unpack(packed), unpack(real)).dice.mean()
             row[f"dice_{when}"] = round(float(dice), 4)
         yield row
 

@@ -1,96 +1,78 @@
-"""Data and networks of each part, and the share of the time that each training gets."""
+"""Data and networks of each part, and the time of each of its trainings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmarks.paper.full_size import UNET, VAE
 from sim.dataset import DatasetPlan, Solving, gel
 from sim.indenters import NAMES
-from sim.result import ContactTier
 from sim.sensors import sensor_of
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Size:
-    """Data and networks of one part, and training times as shares of `minutes`."""
+    """Data and trainings of one part; a quick one has tier `layer`, two indenters, tiny nets."""
 
     sensors: tuple[str, ...]
     """Sensors, in every direction between two of them."""
+    seconds: Mapping[str, float]
+    """Training time of each kind of network [s]; 0: a few steps. With that of `m2m-patterns`, a
+    stage on states of one gel under many patterns comes before that on the sensors."""
     held_out: tuple[str, ...] = ()
     """Sensors that no network is trained on; they are targets alone."""
-    sources: tuple[str, ...] = ()
-    """Sensors whose frames are translated; empty: all that are not held out."""
     apart: bool = False
     """True for sensors whose presses have no solution in common: each has its own archive."""
-    skins_differ: bool = False
+    skins_differ: bool = True
     """True for labels that are compensated by force-depth curves when they are carried over."""
-    patterns: bool = False
-    """True for a stage on states of one gel under patterns, before that on the sensors."""
     held_out_patterns: tuple[str, ...] = ()
     """Patterns that no network is trained on."""
-    translators: tuple[str, ...] = ("m2m", "field")
-    """The paper's translator, and ours."""
-    net: str = "paper"
-    """Force net that is trained on translated frames."""
-    minutes: float = 2.5
-    """Training time of the translator."""
-    shares: Mapping[str, float] = field(
-        default_factory=lambda: {"vae": 0.3, "m2m": 1.2, "field": 0.4, "net": 0.3, "tuned": 0.12}
-    )
-    """Training time of each kind of network, over `minutes`."""
-    tier: ContactTier = "fem"
-    """Tier of frames and true forces."""
     fraction: float = 0.1
     """Fraction of the paper's targets."""
-    steps: int = 4
-    """Frames of a phase of a press."""
-    indenters: tuple[str, ...] = NAMES
-    only_patterns: tuple[str, ...] | None = None
-    """Patterns of the states; None: all twelve."""
-    pattern_indenters: tuple[str, ...] = NAMES
-    widths: tuple[tuple[int, ...], tuple[int, ...]] = ((32, 64, 128, 128), (128, 256, 256))
-    """Widths of the blocks of the autoencoder and of the translator's UNet."""
-    batch: int = 32
-    """Images, or pairs, in a step of the autoencoder and the translator."""
-    precision: str = "bf16"
-    """Precision of the autoencoder and the translator."""
-    field_preset: tuple[str, ...] = ("ours", "field_stage.batch=96", "map_stage.batch=96")
-    """Preset and overrides of the field translator."""
-    scored: int = 150
-    """Most frames of a pair of patterns whose images are scored."""
+    quick: bool = False
 
     @property
-    def trained(self) -> tuple[str, ...]:
-        """Sensors whose force nets are trained."""
-        return self.sources or tuple(name for name in self.sensors if name not in self.held_out)
+    def sources(self) -> tuple[str, ...]:
+        """Sensors whose force nets are trained, and whose frames are translated."""
+        trained = tuple(name for name in self.sensors if name not in self.held_out)
+        return trained[:1] if self.quick else trained
+
+    @property
+    def translators(self) -> tuple[str, ...]:
+        """The paper's translator, which a quick run trains in one part alone, and ours."""
+        return ("m2m", "field") if self.patterns or not self.quick else ("field",)
+
+    @property
+    def patterns(self) -> bool:
+        """True for a stage on patterns."""
+        return "m2m-patterns" in self.seconds
 
     @property
     def plans(self) -> dict[str, DatasetPlan]:
-        """Archives of the sensors, by name."""
-        solving = Solving(tier=self.tier)
+        """Archives of the sensors, and of the patterns, by name."""
         groups = [(name,) for name in self.sensors] if self.apart else [self.sensors]
-        return {
+        how: dict[str, Any] = {"indenters": ("sphere_s", "prism") if self.quick else NAMES}
+        how["solving"] = Solving(tier="layer" if self.quick else "fem")
+        plans = {
             "-".join(group): DatasetPlan(
                 "targets",
                 tuple(map(sensor_of, group)),
-                indenters=self.indenters,
-                solving=solving,
-                steps=self.steps,
+                steps=2 if self.quick else 4,
                 fraction=self.fraction,
+                **how,
             )
             for group in groups
         }
+        if self.patterns and not self.quick:
+            plans[PATTERNS] = DatasetPlan("states", (gel(),), **how)
+        return plans
 
     @property
-    def states(self) -> DatasetPlan:
-        """Archive of states of one gel under many patterns."""
-        gels = (gel(self.only_patterns),)
-        return DatasetPlan(
-            "states", gels, indenters=self.pattern_indenters, solving=Solving(tier=self.tier)
-        )
+    def widths(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Widths of the blocks of the autoencoder and of the translator's UNet."""
+        return ((8,) * 4, (32, 32)) if self.quick else ((32, 64, 128, 128), (128, 256, 256))
 
     @property
     def vae(self) -> dict[str, Any]:
@@ -121,49 +103,45 @@ class Size:
         }
 
 
+# Name of the archive of patterns.
+PATTERNS = "patterns"
 SIZES = {
     # Three of the paper's homogeneous sensors: all pairs that its text names are among theirs. The
     # fourth has a pattern that no network sees.
     "patterns": Size(
         sensors=("array-i", "circle-ii", "diamond-i", "circle-i"),
+        seconds={"vae": 53, "m2m-patterns": 132, "m2m": 79, "field": 53, "net": 53, "tuned": 13.2},
         held_out=("circle-i",),
         apart=True,
-        patterns=True,
+        skins_differ=False,
         held_out_patterns=("Circle1", "Diamond4"),
-        minutes=2.2,
-        shares={"vae": 0.4, "m2m-patterns": 1, "m2m": 0.6, "field": 0.4, "net": 0.4, "tuned": 0.1},
         fraction=0.05,
     ),
     # The paper's seven skins, 42 pairs.
     "skins": Size(
-        sensors=("r6", "r8", "r10", "r12", "r14", "r16", "r18"), skins_differ=True, minutes=1.5
+        sensors=("r6", "r8", "r10", "r12", "r14", "r16", "r18"),
+        seconds={"vae": 27, "m2m": 108, "field": 36, "net": 27, "tuned": 10.8},
     ),
-    "kinds": Size(sensors=("gelsight", "tacpalm", "uskin"), apart=True, skins_differ=True),
+    "kinds": Size(
+        sensors=("gelsight", "tacpalm", "uskin"),
+        seconds={"vae": 45, "m2m": 180, "field": 60, "net": 45, "tuned": 18},
+        apart=True,
+    ),
 }
-# What makes a part end in seconds of two cores.
-_TOY: dict[str, Any] = {
-    "held_out": (),
-    "net": "tiny",
-    "tier": "layer",
-    "fraction": 0.01,
-    "steps": 2,
-    "indenters": ("sphere_s", "prism"),
-    "only_patterns": ("Array1", "Circle2", "Circle1"),
-    "pattern_indenters": ("sphere_s", "prism"),
-    "held_out_patterns": ("Circle1",),
-    "widths": ((8, 8, 8, 8), (32, 32)),
-    "batch": 2,
-    "precision": "no",
-    "field_preset": ("cpu_smoke",),
-    "scored": 2,
-    "minutes": 0.0,
-}
-_PAIRS = {"skins": ("r6", "r18"), "kinds": ("gelsight", "uskin")}
 
 
-def toy(part: str) -> Size:
-    """Return a part's size for `--quick`: two sensors by tier `layer`, tiny networks."""
-    sensors = _PAIRS.get(part, ("array-i", "circle-ii"))
-    # The paper's translator is trained in one part alone.
-    some = SIZES[part].translators if part == "patterns" else ("field",)
-    return replace(SIZES[part], sensors=sensors, sources=sensors[:1], translators=some, **_TOY)
+def quick(part: str) -> Size:
+    """Return a part's size for `--quick`: two sensors, one target, a few steps.
+
+    In place of states of the gel, the sensors' own presses show patterns.
+    """
+    size = SIZES[part]
+    return replace(
+        size,
+        sensors=(size.sensors[0], size.sensors[-1]),
+        seconds=dict.fromkeys(size.seconds, 0),
+        held_out=(),
+        held_out_patterns=(),
+        fraction=1e-6,
+        quick=True,
+    )

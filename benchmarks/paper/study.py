@@ -14,13 +14,14 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.report import ROOT, Run
-from learning.compensation.fit import PairCompensation, StoredCompensation, find_compensation
+from learning.compensation.fit import StoredCompensation, find_compensation
 from learning.config import read_settings
 from learning.data.images import shrink
 from learning.data.presses import Presses, load_presses, read_frames
 from learning.data.splits import Role, Split
 from learning.errors import LearningError
-from learning.force.labels import Relabelling
+from learning.experiment.frames import look_of, translate_presses
+from learning.force.labels import Relabelling, compensated
 from learning.force.model import ForceModel
 from learning.force.train import PRESETS, ForceModelSettings, ForceStageSettings, train_force
 from learning.training.run import TrainingSession, accelerator
@@ -28,6 +29,7 @@ from learning.translation.field import train as field_training
 from learning.translation.field.data import gather_role
 from learning.translation.field.network import FieldModel
 from learning.translation.field.translator import FieldTranslator
+from learning.translation.translator import SensorView, Translator, for_pair
 from recorder import MarkerArchive
 from recorder.archive import location_pairs
 from recorder.processes import cores
@@ -47,6 +49,8 @@ AT_ONCE = 162
 PROBE, PROBED_EPOCHS, ENOUGH_S = 12, 1, 1.5
 # Steps, and epochs, of a training that has no time.
 FEW = 4
+# Preset and overrides of the field translator, of a complete run and of a quick one.
+FIELD = (("ours", "field_stage.batch=96", "map_stage.batch=96"), ("cpu_smoke",))
 # The paper's SGD of 0.1 does not leave its start in seconds (R2 -20 after 8 s of a GPU): its net is
 # trained as the others are, from the mean label on.
 PAPER_RECIPE = (
@@ -69,35 +73,33 @@ def folder_of(run: Run, name: str) -> Path:
 
 
 def simulate(
-    path: Path, plan: DatasetPlan, device: str, progress: Callable[[float], None]
+    path: Path, plan: DatasetPlan, run: Run, progress: Callable[[float], None], device: str = ""
 ) -> MarkerArchive:
-    """Make or complete an archive, and return it."""
+    """Make or complete an archive, on the run's device or another, and return it."""
+    device = device or run.device
     ready_device(device)
     if device != "cpu":
         solving = replace(plan.solving, one_topology=plan.solving.tier == "fem")
         plan = replace(plan, batch_size=AT_ONCE, solving=solving)
     opened = begin(path, plan, device)
-    make = make_in_processes if device == "cpu" else make_here
-    fill(opened, partial(make, opened, device=device, processes=cores()), progress)
+    make = make_in_processes if device == "cpu" and not run.quick else make_here
+    fill(opened, partial(make, opened, device=device, processes=processes(run)), progress)
     return MarkerArchive(path)
 
 
+def processes(run: Run) -> int:
+    """Return the number of processes; a quick run spends more on their start than they save."""
+    return 1 if run.quick else cores()
+
+
 class Joined(MarkerArchive):
-    """Archives of single sensors as one, with locations in common."""
+    """Archives of single sensors, under the same indenters, as one with locations in common."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        """Open the archives.
-
-        Raises:
-            LearningError: They have other indenters.
-            SessionError: One is not an archive.
-        """
+        """Open the archives."""
         super().__init__(paths[0])
         for path in paths[1:]:
-            other = MarkerArchive(path)
-            if other.indenters != self.indenters:
-                raise LearningError(f"{path}: indenters differ from those of {paths[0]}")
-            self._sensors |= dict(other.items())
+            self._sensors |= dict(MarkerArchive(path).items())
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +111,7 @@ class Study:
     device: torch.device
     skins_differ: bool = True
     """True if labels that are carried over are compensated by force-depth curves."""
+    quick: bool = False
     seed: int = 0
     """Seed of the trainings."""
     _unseen: dict[tuple[str, str], Presses] = field(default_factory=dict)
@@ -118,17 +121,15 @@ class Study:
         """Compensation of labels between skins; None: all skins are alike."""
         return find_compensation(self.archive)[0] if self.skins_differ else None
 
-    def relabelling(self, source: str, target: str) -> PairCompensation | None:
-        """Return what compensates a source's labels for a target; None: nothing does.
+    def curves(self, source: str, target: str) -> Relabelling | None:
+        """Return a source's labels compensated for a target by force-depth curves; None: its own.
 
         A simulated force-depth press that has no solution leaves a pair without.
         """
-        pairs = () if self.compensation is None else self.compensation.pairs
-        if self.compensation is None or all(
-            (each.source, each.target) != (source, target) for each in pairs
-        ):
+        stored = self.compensation
+        if stored is None or (source, target) not in {(p.source, p.target) for p in stored.pairs}:
             return None
-        return self.compensation.pair(source, target, "priors")
+        return compensated(stored.pair(source, target, "priors"))
 
     def presses(self, sensor: str, role: Role, form: Any = "images") -> Presses:
         """Presses of a sensor that have a role."""
@@ -147,6 +148,12 @@ class Study:
         rows, table = self.unseen(sensor).rows.numpy(), self.archive[sensor].table
         names = np.array(self.archive.indenters)[table["indenter"][rows]]
         return table["wrench"][rows, :3].astype(np.float64), names
+
+    def translated(self, translator: Translator, packed: Presses, target: str) -> Presses:
+        """Return packed presses of a source as images of a target."""
+        ends = (SensorView.of(self.archive[name]) for name in (packed.sensor, target))
+        look = look_of(self.archive[target], packed, self.device)
+        return translate_presses(packed, look, for_pair(translator, *ends))
 
     @property
     def launch(self) -> str:
@@ -183,23 +190,21 @@ def _seconds_of_one(units: int, launch: Any, train: Train[Result]) -> float:
         units *= 4
 
 
-def field_translator(study: Study, preset: Sequence[str], seconds: float) -> FieldTranslator:
-    """Train the field translator for some time, without a simulator's true displacement.
-
-    `preset` is that of its settings, and overrides.
-    """
+def field_translator(study: Study, seconds: float) -> FieldTranslator:
+    """Train the field translator for some time, without a simulator's true displacement."""
     sensors = study.split.trained_sensors(study.archive)
     frames = gather_role(study.archive, study.split, sensors, "train", device=study.device)
     if frames is None:
         raise LearningError(f"{study.archive.name}: no press to train on; allowed: some")
     without = replace(frames, shift=None)
+    preset, *batches = FIELD[study.quick]
 
     def settings(steps: int) -> field_training.FieldSettings:
         half = [f"{stage}.steps={max(1, steps // 2)}" for stage in ("field_stage", "map_stage")]
         own = [f"seed={study.seed}", f"validate_every_steps={steps}", study.launch]
-        overrides = [*preset[1:], *half, *own]
+        overrides = [*batches, *half, *own]
         presets = field_training.PRESETS
-        return read_settings(field_training.FieldSettings, presets, preset[0], overrides)
+        return read_settings(field_training.FieldSettings, presets, preset, overrides)
 
     def train(steps: int, session: TrainingSession) -> FieldModel:
         return field_training.train_field(without, settings(steps), None, session)
@@ -226,20 +231,20 @@ def train_net(
     stages: Sequence[ForceStageSettings],
     epochs: int,
     start_from: ForceModel | None = None,
+    labels: Relabelling | None = None,
     session: TrainingSession | None = None,
 ) -> ForceModel:
-    """Return a force net that is trained in some stages, each of a number of epochs."""
+    """Return a force net that is trained in some stages, each of a number of epochs.
+
+    It learns the presses' own labels, or others.
+    """
     steps = epochs * -(-len(presses) // settings.sequences.batch)
     short = tuple(
         replace(stage, epochs=epochs, warm_up_steps=min(stage.warm_up_steps, steps // 10))
         for stage in stages
     )
-    return train_force(presses, replace(settings, stages=short), session, start_from=start_from)
-
-
-def relabelled(presses: Presses, labels: Relabelling | None) -> Presses:
-    """Return presses with other labels; None: with their own."""
-    return presses if labels is None else labels.of(presses)
+    learned = presses if labels is None else labels.of(presses)
+    return train_force(learned, replace(settings, stages=short), session, start_from=start_from)
 
 
 def nearest_labels(study: Study, source: str, target: str) -> Floats:
@@ -267,10 +272,9 @@ def nearest_labels(study: Study, source: str, target: str) -> Floats:
 
 def forces_by_curves(study: Study, source: str, target: str, rows: NDArray[np.int64]) -> Floats:
     """Return the source's forces (n, 3) [N] in some of its rows, compensated for the target."""
-    table = study.archive[source].table
+    table, curves = study.archive[source].table, study.curves(source, target)
     forces = table["wrench"][rows, :3].astype(np.float64)
-    compensation = study.relabelling(source, target)
-    if compensation is not None:
-        depth, phase = table["depth"][rows], table["phase"][rows]
-        forces, _ = compensation.applied(forces, depth.astype(np.float64), phase.astype(np.int64))
-    return forces
+    if curves is None:
+        return forces
+    depth, phase = table["depth"][rows], table["phase"][rows]
+    return curves.forces(rows, forces, depth.astype(np.float64), phase.astype(np.int64))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 from functools import partial
 
-from benchmarks.report import RESULTS, Benchmark, Part
+from benchmarks.report import Benchmark, Part
 from benchmarks.twin import demo, labels, live, rows, skins
 from recorder.command_line.options import whole
 
@@ -53,14 +52,4 @@ BENCHMARK = Benchmark(
     options=_options,
     on_device=True,
 )
-add_arguments = BENCHMARK.add_arguments
-
-
-def run(options: argparse.Namespace) -> int:
-    """Measure; the last line of the demo alone has its errors."""
-    code = BENCHMARK.run(options)
-    if options.only == ["demo"]:
-        path = (options.out or RESULTS / "twin.md").with_suffix(".json")
-        if path.exists():
-            print(demo.last_line(json.loads(path.read_text(encoding="utf-8"))["demo"]["results"]))
-    return code
+add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

@@ -6,15 +6,16 @@ sphere and a prism, and for comparison by a torus, whose presses the fit does no
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
+from benchmarks.first_hour import ran
 from benchmarks.report import Page, Run, table
+from benchmarks.twin.planted import GAUGE
 from recorder import Session
 from recorder.charts import BLUE, ORANGE, SOFT, chart
-from recorder.command_line.errors import EXIT_DEVICE_LOST
+from recorder.command_line.errors import EXIT_DONE
 from sim.errors import SceneError
 from sim.sensors import read_sensor, sensor
 from sim.sensors.quantities import quantities
@@ -43,9 +44,7 @@ simulated: {sensor: SKIN, behind_ms: 2000, rate_hz: 40, grid: 64}
 preflight: {timeout: 20}
 limits: {stale_force_ms: 1500, stale_pose_ms: 1500}
 """
-PRESSED, HELD_OUT = ("sphere", "prism"), "torus"
-# Times that a recording is tried: a busy machine may keep an emulator from answering.
-TRIES = 3
+HELD_OUT = "torus"
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -56,24 +55,26 @@ def measure(run: Run) -> dict[str, Any]:
     skin, bench = folder / "skin.yaml", folder / "bench.yaml"
     skin.write_text(SKIN, encoding="utf-8")
     text = BENCH.replace("SKIN", str(skin.resolve()))
-    hold, step, pressed = ("300", "1.2", PRESSED[:1]) if run.quick else ("1800", "0.4", PRESSED)
+    hold, step, pressed = ("300", "1.2", GAUGE[:1]) if run.quick else ("1800", "0.4", GAUGE)
     bench.write_text(text.replace("HOLD", hold).replace("STEP", step), encoding="utf-8")
-    paths, held_out = {}, pressed[0] if run.quick else HELD_OUT
+    tracks, held_out = {}, pressed[0] if run.quick else HELD_OUT
     for name in dict.fromkeys((*pressed, held_out)):
-        paths[name] = recording(bench, folder, name)
-        run.progress(0.25 * len(paths))
-    tracks = [track for name in pressed for track in tracks_of(Session(paths[name]))]
-    grid = 32 if run.quick else 64
-    fit = fitted(tracks, sensor("gelsight"), grid=grid, processes=1 if run.quick else 2)
-    print("\n".join(lines(fit)))
-    names = [paths[name].name for name in pressed]
-    text = twin_yaml(fit.sensor, "gelsight.yaml", names)
+        tracks[name] = tracks_of(recorded(bench, folder / f"{name}.zarr", name))
+        run.progress(0.25 * len(tracks))
+    grid, processes = (32, 1) if run.quick else (64, 2)
+    fit = fitted(
+        [track for name in pressed for track in tracks[name]],
+        sensor("gelsight"),
+        grid=grid,
+        processes=processes,
+    )
+    text = twin_yaml(fit.sensor, "gelsight.yaml", [f"{name}.zarr" for name in pressed])
     (folder / "twin.yaml").write_text(text, encoding="utf-8")
     draw(fit, folder / "twin.png", f"Twin of a mock sensor: misfit {100 * fit.misfit:.2f} %")
-    true, unseen = quantities(read_sensor(skin)), tracks_of(Session(paths[held_out]))
+    true, unseen = quantities(read_sensor(skin)), tracks[held_out]
     readings = TrackModel(fit.design, unseen, grid=grid).readings(fit.values)
     run.spread = "one session"
-    return {
+    values = {
         "rows": [
             {"name": name, "truth": value, "twin": fit.values[name], "interval": fit.interval(name)}
             for name, value in true.items()
@@ -81,31 +82,25 @@ def measure(run: Run) -> dict[str, Any]:
         "misfit": fit.misfit,
         "held_out": misfit(unseen, readings),
     }
+    print("\n".join([*lines(fit), last_line(values)]))
+    return values
 
 
-def recording(bench: Path, folder: Path, indenter: str) -> Path:
+def recorded(bench: Path, path: Path, indenter: str) -> Session:
     """Return the session of one indenter, recorded on the mock bench if it is not there yet.
 
     Raises:
         SceneError: The mock bench did not finish.
     """
-    path = folder / f"{indenter}.zarr"
-    for attempt in range(TRIES):
-        if path.exists() and Session(path).status == "complete":
-            return path
-        path = path if not path.exists() else folder / f"{indenter}-{attempt}.zarr"
-        words = ["collect", "--bench", str(bench), "--world", "sim", "--indenter", indenter]
-        ended = subprocess.run(
-            [sys.executable, "-m", "tactile", *words, "--out", str(path)],
-            check=False,
-            capture_output=True,
-            text=True,
-        )
-        if ended.returncode not in (0, EXIT_DEVICE_LOST):
-            break
-    if path.exists() and Session(path).status == "complete":
-        return path
-    raise SceneError(f"{indenter}: not recorded: {ended.stderr.strip().splitlines()[-1:]}")
+    words = ["--bench", bench.name, "--world", "sim", "--indenter", indenter, "--out", path.name]
+    if path.exists():
+        words = ["--resume", path.name]
+    if not (path.exists() and Session(path).status == "complete"):
+        tactile = str(Path(sys.prefix) / "bin" / "tactile")
+        done = ran([tactile, "collect", *words], path.parent, at_bench=True)
+        if done.code != EXIT_DONE:
+            raise SceneError(f"{indenter}: not recorded: {done.lines[-1:]}")
+    return Session(path)
 
 
 def last_line(values: dict[str, Any]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,14 @@ from numpy.typing import NDArray
 
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
-from benchmarks.sums import r_squared_of_sums
-from benchmarks.twin.pads import DEEPEST, ERRORS, GAUGE, SENSORS, Pad, Pressed, Settings
+from benchmarks.sums import r2_of, sums_by_indenter
+from benchmarks.twin.pads import ALL, DEEPEST, ERRORS, GRIDS, INDENTERS, SENSORS, Pad, Pressed
 from benchmarks.twin.pads import table as archive_rows
+from benchmarks.twin.planted import GAUGE
 from learning.compensation.prior import Prior, compensate, curve_of_table, fit_prior
 from learning.compensation.search import best_for_priors
 from learning.compensation.simulated import simulated_labels, twin_forces
 from recorder.charts import BLUE, GREEN, ORANGE, SOFT, chart
-from recorder.progress import span_of
 from sim.errors import SimulationDiverged
 from sim.indenters import NAMES
 from sim.sensors import sensor
@@ -43,76 +44,62 @@ METHODS = {
 }
 # Resamplings of an interval.
 RESAMPLED = 2000
-QUICK = Settings(("sphere", "torus"), "layer", grid=24, fits=False)
 
 
 def measure(run: Run) -> dict[str, Any]:
-    """Return sums of forces and of labels' errors, of each draw and error."""
-    settings = QUICK if run.quick else Settings(device=run.device)
-    errors = ("none",) if run.quick else tuple(ERRORS)
+    """Return sums of labels' errors, of each draw and error."""
     draws = range(1 if run.quick else run.options.draws)
-    gauges = {
-        f"twins, draw {draw}, {name}": (draw, name)
-        for draw in draws
-        for name in errors
-        if name in ("none", "all")
-    }
-    tasks = {f"labels, draw {draw}, {name}": (draw, name) for draw in draws for name in errors}
-    progress = span_of(run.progress, 0.0, 0.3)
-    gauged = [*rows_of(run, partial(gauge, settings), gauges, progress).values()]
-    progress = span_of(run.progress, 0.3, 0.7)
-    rows = [*rows_of(run, partial(labelled, settings, gauged), tasks, progress).values()]
+    # Presses of twins have the first error of a group, those with labels each.
+    groups = [("none",)] if run.quick else [("none", *ALL), ("all",)]
+    tasks = {f"draw {draw}, {some[-1]}": (draw, some) for draw, some in product(draws, groups)}
+    every = rows_of(run, partial(labelled, run.quick, run.device), tasks)
+    rows = [row for some in every.values() for row in some]
     run.seeds = [*draws]
     run.spread = "95 % intervals by drawing draws, and indenters within them, again"
-    twins = [{key: row[key] for key in row if key != "curves"} for row in gauged]
-    return {"indenters": settings.indenters, "twins": twins, "rows": rows}
+    return {"indenters": INDENTERS[run.quick], "rows": rows}
 
 
-def gauge(settings: Settings, task: tuple[int, str]) -> dict[str, Any]:
-    """Return twins of both sensors, and forces of their force-depth presses, under an error."""
-    draw, error = task
-    row: dict[str, Any] = {"draw": draw, "gauge": error, "twins": {}, "curves": {}, "why": ""}
+def labelled(quick: bool, device: str, task: tuple[int, tuple[str, ...]]) -> list[dict[str, Any]]:
+    """Return sums of a draw by direction, for each error; twins are fitted under the first."""
+    draw, errors = task
+    pads = [Pad(name, draw, quick, device) for name in SENSORS]
     try:
-        for name in SENSORS:
-            pad = Pad(name, draw, settings)
-            row["twins"][name] = quantities(pad.twin(error))
-            row["curves"][name] = pad.force(pad.planned()[-1], error).tolist()
+        twins = [quantities(pad.twin(errors[0])) for pad in pads]
+        curves = [pad.force(pad.planned()[-1], errors[0]) for pad in pads]
     except SimulationDiverged as diverged:
-        row["why"] = reason(diverged)
-    return row
+        none = {"why": reason(diverged), "sums": {}}
+        return [{"draw": draw, "error": error, **none} for error in errors]
+    rows = []
+    for error in errors:
+        left_out: list[str] = []
+        by_twins, by_rows = {}, {}
+        for pad, values, curve in zip(pads, twins, curves, strict=True):
+            pressed, design = _pressed(pad, curve, error, left_out), sensor(pad.name)
+            twin = with_quantities(with_effects(design), values)
+            by_twins[pad.name] = pressed.beside(twin, GRIDS[quick])
+            by_rows[pad.name] = pressed.beside(design, GRIDS[quick])
+        row: dict[str, Any] = {"draw": draw, "error": error, "why": "; ".join(left_out)}
+        row["sums"] = {
+            f"{source}, {target}": sums(by_twins[source], by_twins[target], by_rows[target])
+            for source, target in permutations(SENSORS)
+        }
+        rows.append(row)
+    return rows
 
 
-def labelled(settings: Settings, twins: Sequence[Values], task: tuple[int, str]) -> dict[str, Any]:
-    """Return sums of a draw and error, by direction: of forces and of labels' errors."""
-    draw, error = task
-    under = "all" if error == "all" else "none"
-    gauged = next(row for row in twins if (row["draw"], row["gauge"]) == (draw, under))
-    row: dict[str, Any] = {"draw": draw, "error": error, "why": gauged["why"], "sums": {}}
-    if gauged["why"]:
-        return row
-    left_out: list[str] = []
-    by_twins, by_rows = {}, {}
-    for name in SENSORS:
-        pad = Pad(name, draw, settings)
-        *presses, force_depth = pad.planned()
-        parts = [archive_rows(force_depth, np.array(gauged["curves"][name]))]
-        for press in presses:
-            try:
-                force = pad.force(press, error)
-            except SimulationDiverged as diverged:
-                left_out.append(f"{name}, {press.indenter}: {reason(diverged)}")
-                force = np.full((len(press.motion), 3), np.nan)
-            parts.append(archive_rows(press, force))
-        columns = {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
-        pressed, design = Pressed(name, columns), sensor(name)
-        twin = with_quantities(with_effects(design), gauged["twins"][name])
-        by_twins[name] = pressed.beside(twin, settings.grid)
-        by_rows[name] = pressed.beside(design, settings.grid)
-    for source, target in (SENSORS, SENSORS[::-1]):
-        row["sums"][f"{source}, {target}"] = sums(
-            by_twins[source], by_twins[target], by_rows[target]
-        )
-    return {**row, "why": "; ".join(left_out)}
+def _pressed(pad: Pad, curve: Array, error: str, left_out: list[str]) -> Pressed:
+    """Return a pad's presses under an error; those without a solution are appended to a list."""
+    *presses, force_depth = pad.planned()
+    parts = [archive_rows(force_depth, curve)]
+    for press in presses:
+        try:
+            force = pad.force(press, error)
+        except SimulationDiverged as diverged:
+            left_out.append(f"{pad.name}, {press.indenter}: {reason(diverged)}")
+            force = np.full((len(press.motion), 3), np.nan)
+        parts.append(archive_rows(press, force))
+    columns = {column: np.concatenate([part[column] for part in parts]) for column in parts[0]}
+    return Pressed(pad.name, columns)
 
 
 def reason(diverged: SimulationDiverged) -> str:
@@ -121,7 +108,7 @@ def reason(diverged: SimulationDiverged) -> str:
 
 
 def sums(source: Pressed, target: Pressed, by_row: Pressed) -> dict[str, Any]:
-    """Return sums of each indenter: of the target's forces, and squares of what labels miss.
+    """Return sums of labels' errors by method and indenter (`sums_by_indenter`).
 
     Args:
         source: Source with the forces of its twin.
@@ -133,22 +120,17 @@ def sums(source: Pressed, target: Pressed, by_row: Pressed) -> dict[str, Any]:
         predicted[f"simulated{word}"] = simulated_labels(source.archived, there.archived).force
         predicted[f"twin{word}"] = twin_forces(there.archived).force
     # Rows of both are those of the same targets, in the same order.
-    true, found = target.table["wrench"][:, :3], {}
-    known = np.isfinite([true, *predicted.values()]).all(axis=(0, 2)) & (
-        source.table["location"] >= 0
-    )
-    for each in np.unique(source.table["indenter"][known]):
-        rows = known & (source.table["indenter"] == each)
-        found[NAMES[each]] = {
-            "count": int(rows.sum()),
-            "sum": true[rows].sum(axis=0).tolist(),
-            "square": np.square(true[rows]).sum(axis=0).tolist(),
-            "missed": {
-                method: np.square(labels[rows] - true[rows]).sum(axis=0).tolist()
-                for method, labels in predicted.items()
-            },
+    true = target.table["wrench"][:, :3]
+    finite = np.isfinite([true, *predicted.values()]).all(axis=(0, 2))
+    rows = np.flatnonzero(finite & (source.table["location"] >= 0))
+    names = np.array(NAMES)[source.table["indenter"][rows]]
+    return {
+        method: {
+            name: each.tolist()
+            for name, each in sums_by_indenter(true[rows], labels[rows], names).items()
         }
-    return found
+        for method, labels in predicted.items()
+    }
 
 
 def by_priors(source: Pressed, target: Pressed) -> Array:
@@ -171,34 +153,28 @@ def prior(pressed: Pressed) -> Prior:
     return fit_prior(curve, trajectory.depth_max)
 
 
-def r2(parts: Sequence[Mapping[str, Any]], method: str) -> tuple[list[float], tuple[float, float]]:
-    """Return R2 of Fx, Fy, Fz and their mean (4,), and the mean's 95 % interval.
+def r2(parts: Sequence[Values], method: str) -> tuple[float, tuple[float, float]]:
+    """Return R2, mean of Fx, Fy and Fz, and its 95 % interval.
 
     R2 of each draw, over all frames, is averaged over draws. The interval is that of drawing draws,
     and indenters within them, again.
 
     Args:
-        parts: Sums of each draw, by indenter.
+        parts: Sums of each draw, by method and indenter.
         method: One of `METHODS`.
     """
     random = np.random.default_rng(0)
-    found, again = [], []
+    of_draws, again = [], []
     for part in parts:
-        rows = [
-            np.array(
-                [np.full(3, each["count"]), each["sum"], each["square"], each["missed"][method]]
-            )
-            for each in part.values()
-        ]
-        found.append(r_squared_of_sums(*np.sum(rows, axis=0)))
-        taken = random.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), RESAMPLED)
-        again.append(r_squared_of_sums(*np.einsum("rk,kqa->qra", taken, rows)).mean(axis=-1))
+        rows = np.array([*part[method].values()])
+        of_draws.append(r2_of(rows.sum(axis=0)))
+        counts = random.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), RESAMPLED)
+        again.append(r2_of(np.einsum("rk,kqa->rqa", counts, rows)))
     drawn = random.integers(len(parts), size=(RESAMPLED, len(parts)))
     means = np.array(again)[drawn, random.integers(RESAMPLED, size=drawn.shape)]
     # Indenters without any force along an axis have no R2 there.
     low, high = np.nanquantile(means.mean(axis=1), (0.025, 0.975))
-    axes = np.mean(found, axis=0)
-    return [*axes.tolist(), float(axes.mean())], (float(low), float(high))
+    return float(np.mean(of_draws)), (float(low), float(high))
 
 
 def section(values: Values, page: Page) -> str:
@@ -225,7 +201,7 @@ them too."""
     for pair, errors in scores.items():
         source, target = pair.split(", ")
         lines = [
-            [error, *(f"{axes[3]:.2f} ({low:.2f} to {high:.2f})" for axes, (low, high) in row)]
+            [error, *(f"{mean:.2f} ({low:.2f} to {high:.2f})" for mean, (low, high) in row)]
             for error, row in ((error, cells.values()) for error, cells in errors.items())
         ]
         texts.append(f"Labels of {source} for {target}:")
@@ -246,11 +222,11 @@ def _draw(scores: Mapping[str, Mapping[str, Mapping[str, Any]]], page: Page) -> 
         for axes, (pair, errors) in zip(np.atleast_1d(every), scores.items(), strict=True):
             for index, (method, color) in enumerate(drawn.items()):
                 for place, cells in enumerate(errors.values()):
-                    values, (low, high) = cells[method]
+                    mean, (low, high) = cells[method]
                     x = place + 0.18 * (index - 1.5)
                     axes.plot([x, x], [max(low, -0.5), high], color=color, lw=1.5)
                     label = METHODS[method].replace("`", "") if place == 0 else None
-                    axes.plot(x, max(values[3], -0.5), "o", ms=4, color=color, label=label)
+                    axes.plot(x, max(mean, -0.5), "o", ms=4, color=color, label=label)
             axes.set_xticks(range(len(errors)), errors, rotation=30)
             axes.set_ylim(-0.5, 1.02)
             axes.set_title("labels of {} for {}".format(*pair.split(", ")), fontsize=9)

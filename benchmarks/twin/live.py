@@ -8,6 +8,7 @@ receive the frames that are compared.
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -37,58 +38,47 @@ ANGLE = 0.3
 
 
 def measure(run: Run) -> list[dict[str, Any]]:
-    """Solve every sensor under every indenter; quick: one, without `fem`."""
+    """Solve every sensor under every indenter by `fem`; quick: one, by `layer`."""
     ready_device(run.device)
-    pairs = [(name, indenter) for name in HETEROGENEOUS for indenter in INDENTERS]
-    if run.quick:
-        pairs = pairs[:1]
+    pairs = [*product(HETEROGENEOUS, INDENTERS)][: 1 if run.quick else None]
     rows = []
     for name, indenter in pairs:
-        solve = partial(compared, sensor(name), named(indenter), run)
-        rows.append(run.once(f"{name}, {indenter}", solve))
+        rows.append(run.once(f"{name} {indenter}", partial(compared, name, indenter, run)))
         run.progress(len(rows) / len(pairs))
     return rows
 
 
-def compared(each: SimulatedSensor, indenter: Indenter, run: Run) -> dict[str, Any]:
+def compared(name: str, indenter: str, run: Run) -> dict[str, Any]:
     """Return the errors of live forces, rms and worst by axis, and the largest forces [N]."""
-    motion = way(each)
-    scene = each.scene(indenter, motion)
-    live = live_forces(each, indenter, motion, GRID)
-    row: dict[str, Any] = {"sensor": each.name, "indenter": indenter.name}
-    tiers: dict[str, Fem | Layer] = {"layer": Layer()}
-    if not run.quick:
-        tiers["fem"] = Fem(spacing=SPACING[each.name], grading=FOR_EDGES)
-    for name, tier in tiers.items():
-        try:
-            force = simulate(scene, tier, device=run.device).force
-        except SimulationDiverged as diverged:
-            row[name] = str(diverged).partition("\n")[0]
-            continue
-        off = live - force
-        row[name] = {
-            "rms": np.sqrt((off**2).mean(axis=0)).tolist(),
-            "worst": np.abs(off).max(axis=0).tolist(),
-            "largest": np.abs(force).max(axis=0).tolist(),
-        }
-    return row
+    each = sensor(name)
+    assert each.trajectory is not None
+    depth, shear = each.trajectory.depth_max, each.trajectory.shear
+    motion = press([depth], shear=shear, angle=ANGLE, steps=STEPS, speed=each.speed)
+    tier = Layer() if run.quick else Fem(spacing=SPACING[name], grading=FOR_EDGES)
+    row: dict[str, Any] = {"sensor": name, "indenter": indenter}
+    row["beside"] = "layer" if run.quick else "fem"
+    try:
+        force = simulate(each.scene(named(indenter), motion), tier, device=run.device).force
+    except SimulationDiverged as diverged:
+        return row | {"diverged": str(diverged).partition("\n")[0]}
+    off = live_forces(each, named(indenter), motion) - force
+    return row | {
+        "rms": np.sqrt((off**2).mean(axis=0)).tolist(),
+        "worst": np.abs(off).max(axis=0).tolist(),
+        "largest": np.abs(force).max(axis=0).tolist(),
+    }
 
 
 def section(rows: list[dict[str, Any]], _: Page) -> str:
     """Return the table of errors of live forces."""
     lines = []
     for row in rows:
-        for name in ("layer", "fem"):
-            errors = row.get(name)
-            if isinstance(errors, str):
-                lines.append([row["sensor"], row["indenter"], name, errors, "", "", ""])
-            elif errors is not None:
-                cells = [
-                    f"{rms:.3f} ({worst:.2f})"
-                    for rms, worst in zip(errors["rms"], errors["worst"], strict=True)
-                ]
-                largest = ", ".join(f"{each:.2f}" for each in errors["largest"])
-                lines.append([row["sensor"], row["indenter"], name, *cells, largest])
+        cells = [row.get("diverged", ""), "", "", ""]
+        if "rms" in row:
+            errors = zip(row["rms"], row["worst"], strict=True)
+            cells = [f"{rms:.3f} ({worst:.2f})" for rms, worst in errors]
+            cells.append(", ".join(f"{each:.2f}" for each in row["largest"]))
+        lines.append([row["sensor"], row["indenter"], row["beside"], *cells])
     head = ["sensor", "indenter", "beside", "Fx", "Fy", "Fz", "largest Fx, Fy, Fz"]
     return f"""## Live forces
 Forces of `sim.stream` ({GRID} pixels, {RATE:g} poses a second) beside those of `simulate` for the
@@ -99,17 +89,9 @@ of the difference [N]; `layer` and live forces take strain as small, `fem` does 
 """
 
 
-def way(each: SimulatedSensor) -> Motion:
-    """Return the motion: down to the sensor's full depth, sideways, back and up."""
-    plan = each.trajectory
-    depth = each.depth_max if plan is None else plan.depth_max
-    shear = 0.0 if plan is None else plan.shear
-    return press([depth], shear=shear, angle=ANGLE, steps=STEPS, speed=each.speed)
-
-
-def live_forces(each: SimulatedSensor, indenter: Indenter, motion: Motion, grid: int) -> Array:
+def live_forces(each: SimulatedSensor, indenter: Indenter, motion: Motion) -> Array:
     """Return forces (F, 3) [N] at the motion's waypoints, solved at `RATE` in between."""
-    live = LivePress(each, indenter, grid=grid)
+    live = LivePress(each, indenter)
     tips, times = np.array(motion.tip), np.array(motion.time)
     forces, before = [], 0.0
     for now in times:

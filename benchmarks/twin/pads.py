@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.twin.planted import Bench, felt, observed, random_skin, solved, usual
+from benchmarks.twin.planted import GAUGE, Bench, Truth, felt, observed, random_skin, usual
 from recorder.archive import ArchivedSensor, Simulated
 from sim.dataset import DatasetPlan
 from sim.dataset.plan import PlannedPress, code, target_presses
@@ -25,7 +25,6 @@ from sim.twin.labels import provenance, simulated_forces
 Array = NDArray[np.float64]
 
 SENSORS = ("gelsight", "tacpalm")
-GAUGE = ("sphere", "prism")
 # Fields of `Bench` that each error sets.
 ALL = ("place", "tilt", "height", "size", "compliance")
 ERRORS = {"none": (), **{error: (error,) for error in ALL}, "all": ALL}
@@ -35,28 +34,16 @@ PLACE, TILT, HEIGHT, SIZE, COMPLIANCE = 0.3e-3, math.radians(1.0), 30e-6, 0.1e-3
 STEPS, BETWEEN = 2, 10
 # Fraction of a plan's targets among which those of a draw are chosen.
 TARGETS = 1 / 8
-# Deepest press of each sensor [m], and the first of two depths of its gauge presses, over the
-# deepest of its row.
-DEEPEST, PARTS = {"gelsight": 1.0e-3, "tacpalm": 2.25e-3}, {"gelsight": 0.4, "tacpalm": 0.24}
+# Deepest press of each sensor [m].
+DEEPEST = {"gelsight": 1.0e-3, "tacpalm": 2.25e-3}
 SEED = 0
 # Coarse elements and tolerances, for many presses.
-FEM = Fem(elements_max=2500, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
+FEM = Fem(fineness=0.4, elements_max=2500, augmentations=1, tolerance=1e-3, path_tolerance=1e-2)
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Settings of presses of pads, and of the fits of their twins."""
-
-    indenters: tuple[str, ...] = ("sphere_s", "hemisphere", "cylinder", "torus")
-    tier: ContactTier = "fem"
-    """Of the true forces."""
-    fineness: float = 0.4
-    """Of `fem`."""
-    grid: int = 48
-    """Of twins and labels."""
-    fits: bool = True
-    """Twins are fitted; if not, they are the skins with a thickness 5 % too large."""
-    device: str = "cpu"
+# Indenters and pixels of twins and labels, of a complete run and of a quick one.
+INDENTERS = (("sphere_s", "hemisphere", "cylinder", "torus"), ("sphere", "torus"))
+GRIDS = (48, 24)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +52,9 @@ class Pad:
 
     name: str
     draw: int
-    settings: Settings
+    quick: bool
+    """True forces by `layer`; its twin is the skin with a thickness 5 % too large."""
+    device: str
 
     @property
     def skin(self) -> SimulatedSensor:
@@ -74,13 +63,12 @@ class Pad:
         return random_skin(np.random.default_rng(seed), self.name)[0]
 
     @property
-    def how(self) -> dict[str, Any]:
+    def truth(self) -> Truth:
         """Settings of its true forces."""
-        step = self.skin.body.thickness / 20
-        fem = replace(FEM, fineness=self.settings.fineness, step_travel=step)
-        how = {"truth": self.settings.tier, "fem": fem, "device": self.settings.device}
+        fem = replace(FEM, step_travel=self.skin.body.thickness / 20)
         # Tier `layer` has a finer grid than the twins.
-        return {**how, "grid": 2 * self.settings.grid}
+        tier: ContactTier = "layer" if self.quick else "fem"
+        return Truth(tier, 2 * GRIDS[self.quick], fem, self.device)
 
     def bench(self, indenter: str, error: str) -> Bench:
         """Return the bench with one error or all: in a draw, each is the same alone or not."""
@@ -102,15 +90,19 @@ class Pad:
         Raises:
             SimulationDiverged: A press has no solution.
         """
-        if not self.settings.fits:
+        if self.quick:
             return with_quantities(self.skin, {"thickness": 1.05 * self.skin.body.thickness})
-        tracks = []
-        for number, indenter in enumerate(GAUGE, 100 * self.draw):
-            presses = usual(indenter, self.name, PARTS[self.name])
-            bench = self.bench(indenter, error)
-            forces = solved(self.skin, presses, bench, **self.how)
-            tracks.append(observed(self.skin, presses, bench, number, forces=forces))
-        return fitted(tracks, sensor(self.name), grid=self.settings.grid).sensor
+        tracks = [
+            observed(
+                self.skin,
+                usual(indenter, self.name),
+                self.bench(indenter, error),
+                number,
+                self.truth,
+            )
+            for number, indenter in enumerate(GAUGE, 100 * self.draw)
+        ]
+        return fitted(tracks, sensor(self.name), grid=GRIDS[self.quick]).sensor
 
     def planned(self) -> list[PlannedPress]:
         """Return a press of each indenter, at places of both sensors, and a force-depth press."""
@@ -123,7 +115,7 @@ class Pad:
             trajectory=replace(design.trajectory, depth_max=deepest, depth_step=step),
             force_depth=replace(design.force_depth, depth_max=deepest, repeats=1),
         )
-        indenters = tuple(sorted(self.settings.indenters, key=code))
+        indenters = tuple(sorted(INDENTERS[self.quick], key=code))
         plan = DatasetPlan("targets", (design,), indenters, steps=STEPS, fraction=TARGETS)
         *presses, force_depth = target_presses(plan, design)
         each = len(presses) // len(indenters)
@@ -147,8 +139,8 @@ class Pad:
             path[:, 0],
             path[:, 1:],
             self.bench(press.indenter, error),
-            kept=range(0, len(path), BETWEEN),
-            **self.how,
+            self.truth,
+            every=BETWEEN,
         )
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, Part, named
 from sim.result import ContactTier
 from sim.scene import Motion
-from sim.sensors import SimulatedSensor, SurfaceField, sensor
+from sim.sensors import SimulatedSensor, sensor
 from sim.sensors.quantities import with_quantities
 from sim.stream import LivePress
 from sim.tiers import simulate
@@ -23,8 +22,10 @@ from sim.twin.plan import PlannedPresses, planned_presses
 
 Array = NDArray[np.float64]
 
-# Pixels of the body's longer side in presses of tier `layer`.
-GRID = 96
+# Indenters that identify a twin: each is pressed to two depths, sheared and held.
+GAUGE = ("sphere", "prism")
+# First of the two depths over the deepest of the row: a thick pad is pressed less deep.
+PART, PARTS = 0.4, {"tacpalm": 0.24}
 # Rate of poses and forces [Hz], and of solutions while the tip moves.
 RATE, SOLVED = 200.0, 50.0
 # Solutions of one hold.
@@ -60,21 +61,19 @@ class Bench:
 
 
 @dataclass(frozen=True, slots=True)
-class Forces:
-    """Forces that a skin gives, without the gauge's errors."""
+class Truth:
+    """Tier, grid, mesh and device of true forces."""
 
-    time: Array
-    """Times of the solutions (n,) [s]."""
-    force: Array
-    """Forces (n, 3) [N]."""
-    top: SurfaceField | None = None
-    """Displacement of the top (n frames); None if it was not kept."""
+    tier: ContactTier = "layer"
+    grid: int = 96
+    """Pixels of the body's longer side, in tier `layer`."""
+    fem: Fem = FEM
+    """Mesh and tolerances of tier `fem`."""
+    device: str = "cpu"
+    """Device of tier `fem`."""
 
-    def at(self, time: Array) -> SurfaceField:
-        """Return the top at times (m,) [s], each that of the last solution."""
-        assert self.top is not None
-        last = np.searchsorted(self.time, time, side="right") - 1
-        return replace(self.top, displacement=self.top.displacement[last])
+
+LAYER = Truth()
 
 
 def observed(
@@ -82,50 +81,56 @@ def observed(
     presses: PlannedPresses,
     bench: Bench,
     seed: int,
-    *,
-    grid: int = GRID,
-    forces: Forces | None = None,
+    truth: Truth = LAYER,
 ) -> PressTrack:
-    """Return the track that a bench would record of a skin, whose forces may be known."""
-    true = solved(skin, presses, bench, grid=grid) if forces is None else forces
-    time, tip, force = recorded(presses, bench, seed, true)
+    """Return the track that a bench would record of a skin.
+
+    Raises:
+        SimulationDiverged: A press has no solution.
+    """
+    time, tip, force = recorded(presses, bench, seed, *solved(skin, presses, bench, truth))
     track = track_of(presses.indenter, presses.indenter, time, tip, time, force)
     assert track is not None
     return track
 
 
 def recorded(
-    presses: PlannedPresses, bench: Bench, seed: int, forces: Forces
+    presses: PlannedPresses, bench: Bench, seed: int, solutions: Array, forces: Array
 ) -> tuple[Array, Array, Array]:
-    """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record."""
+    """Return times (n,) [s], tips (n, 3) [m] and forces (n, 3) [N] that a bench would record.
+
+    Args:
+        presses: The presses.
+        bench: Errors of the bench.
+        seed: Seed of the noise.
+        solutions: Times of the solutions (m,) [s].
+        forces: Their forces (m, 3) [N].
+    """
     corners, tips = presses.path()
     time = np.arange(0.0, corners[-1], 1 / RATE)
-    late = np.stack(
-        [np.interp(time - bench.latency, forces.time, axis) for axis in forces.force.T], axis=1
-    )
+    late = _along(time - bench.latency, solutions, forces)
     turned = late + np.cross(np.array(bench.turn), late)
-    tip = np.stack([np.interp(time, corners, axis) for axis in tips.T], axis=1)
     random = np.random.default_rng(seed)
-    return time, tip, turned + random.normal(0.0, bench.noise, late.shape)
+    noise = random.normal(0.0, bench.noise, late.shape)
+    return time, _along(time, corners, tips), turned + noise
+
+
+def _along(at: Array, time: Array, values: Array) -> Array:
+    """Return values (n, 3) at some times (n,), from those (m, 3) at others (m,)."""
+    return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
 
 
 def solved(
-    skin: SimulatedSensor,
-    presses: PlannedPresses,
-    bench: Bench,
-    *,
-    grid: int = GRID,
-    truth: ContactTier = "layer",
-    fem: Fem = FEM,
-    device: str = "cpu",
-    with_top: bool = False,
-) -> Forces:
-    """Return the forces of a skin by tier `truth`, of tier `layer` also its top if asked for.
+    skin: SimulatedSensor, presses: PlannedPresses, bench: Bench, truth: Truth = LAYER
+) -> tuple[Array, Array]:
+    """Return the times of solutions (n,) [s] and a skin's forces (n, 3) [N], without a gauge."""
+    time, tip = solutions(presses, FEWER if truth.tier == "fem" else 1)
+    return time, felt(skin, named(presses.indenter), time, tip, bench, truth)
 
-    The tip yields by the forces of tier `layer`, also where forces are those of `fem`.
-    """
+
+def solutions(presses: PlannedPresses, fewer: int = 1) -> tuple[Array, Array]:
+    """Return times (n,) [s] and tips (n, 3) [m] of solutions, or of fewer by a factor."""
     corners, tips = presses.path()
-    fewer = FEWER if truth == "fem" else 1
     times, places = [0.0], [tips[0]]
     for leg in range(1, len(corners)):
         start, stop = corners[leg - 1], corners[leg]
@@ -135,14 +140,7 @@ def solved(
         for fraction in np.square(fractions) if held else fractions:
             places.append(tips[leg - 1] + fraction * (tips[leg] - tips[leg - 1]))
             times.append(start + fraction * (stop - start))
-    time, tip = np.array(times), np.array(places)
-    how: dict[str, Any] = {"grid": grid, "truth": truth, "fem": fem, "device": device}
-    tops: list[SurfaceField] | None = [] if with_top else None
-    force = felt(skin, named(presses.indenter), time, tip, bench, tops=tops, **how)
-    if not tops:
-        return Forces(time, force)
-    shapes = np.concatenate([each.displacement for each in tops])
-    return Forces(time, force, replace(tops[0], displacement=shapes))
+    return np.array(times), np.array(places)
 
 
 def felt(
@@ -151,15 +149,11 @@ def felt(
     time: Array,
     tip: Array,
     bench: Bench,
+    truth: Truth = LAYER,
     *,
-    grid: int = GRID,
-    truth: ContactTier = "layer",
-    fem: Fem = FEM,
-    kept: Sequence[int] | None = None,
-    tops: list[SurfaceField] | None = None,
-    device: str = "cpu",
+    every: int = 1,
 ) -> Array:
-    """Return the forces on a skin (n, 3) [N], by tier `truth`, where a bench takes the tip to be.
+    """Return the forces on a skin (n, 3) [N] where a bench takes the tip to be.
 
     Args:
         skin: The skin.
@@ -167,35 +161,47 @@ def felt(
         time: Times (n,) [s]; steps between them are short, for the mount yields by the last force.
         tip: Tip as the bench knows it (n, 3) [m].
         bench: Its errors. The tip yields by forces of tier `layer`, also in tier `fem`.
-        grid: Pixels along the body's longer side, of tier `layer`.
-        truth: Tier of the forces.
-        fem: Mesh and tolerances of tier `fem`.
-        kept: Points whose forces are returned, the first among them; None: all.
-        tops: Filled with the top's displacement at all points, of tier `layer`.
-        device: Device of tier `fem`.
+        truth: How forces are solved.
+        every: Points from one whose force is returned to the next; the first is one.
     """
-    chosen = np.arange(len(time)) if kept is None else np.asarray(kept)
     indenter, seen = leaning(
         printed(indenter, bench.size), tip + np.array([*bench.place, 0.0]), bench.tilt
     )
     seen[:, 2] -= bench.height
-    force = np.zeros_like(seen)
-    if truth == "layer" or bench.compliance:
-        press = LivePress(skin, indenter, grid=grid, tolerance=2e-3)
-        for row in range(len(time)):
-            if row:
-                seen[row, 2] -= bench.compliance * force[row - 1, 2]
-                press.move(seen[row], time[row] - time[row - 1])
-            if press.touching:
-                force[row] = press.force
-            if tops is not None:
-                tops.append(press.field)
-    if truth == "layer":
-        return force[chosen]
-    places = tuple(tuple(place) for place in seen[chosen].tolist())
-    motion = Motion(places, tuple(time[chosen].tolist()))
-    found = simulate(skin.scene(indenter, motion), fem, device=device)
-    return np.asarray(found.wrench[:, :3], float)
+    if truth.tier == "layer" or bench.compliance:
+        press = pressed(skin, indenter, time, seen, truth.grid, bench.compliance)
+        forces = np.array([force_of(each) for each in press])
+    if truth.tier == "layer":
+        return forces[::every]
+    places = tuple(tuple(place) for place in seen[::every].tolist())
+    motion = Motion(places, tuple(time[::every].tolist()))
+    result = simulate(skin.scene(indenter, motion), truth.fem, device=truth.device)
+    return np.asarray(result.wrench[:, :3], float)
+
+
+def pressed(
+    skin: SimulatedSensor,
+    indenter: Indenter,
+    time: Array,
+    tip: Array,
+    grid: int,
+    compliance: float = 0.0,
+) -> Iterator[LivePress]:
+    """Yield a press of tier `layer` at each time (n,) [s].
+
+    The tip (n, 3) [m] is raised in place as the mount yields by the force before.
+    """
+    press = LivePress(skin, indenter, grid=grid, tolerance=2e-3)
+    yield press
+    for row in range(1, len(time)):
+        tip[row, 2] -= compliance * force_of(press)[2]
+        press.move(tip[row], time[row] - time[row - 1])
+        yield press
+
+
+def force_of(press: LivePress) -> Array:
+    """Return the force of a press (3,) [N]; 0 without contact."""
+    return np.asarray(press.force, float) if press.touching else np.zeros(3)
 
 
 def printed(indenter: Indenter, size: float) -> Indenter:
@@ -250,18 +256,7 @@ def random_skin(random: np.random.Generator, base: str) -> tuple[SimulatedSensor
     return with_quantities(design, values), bench
 
 
-def relaxation(ratios: Sequence[float], times: Sequence[float], at: Array) -> Array:
-    """Return the relaxation function over that at rest, at times (n,) [s]."""
-    found = np.ones_like(at)
-    for ratio, time in zip(ratios, times, strict=True):
-        found += ratio * np.exp(-at / time)
-    return found
-
-
-def usual(indenter: str, name: str, part: float = 0.4) -> PlannedPresses:
-    """Return presses to two depths of a design, sheared and held.
-
-    The first is `part` of the deepest of the design, the second twice as deep.
-    """
-    step = round(part * sensor(name).depth_max, 5)
+def usual(indenter: str, name: str) -> PlannedPresses:
+    """Return presses to two depths of a design, sheared and held; the second is twice as deep."""
+    step = round(PARTS.get(name, PART) * sensor(name).depth_max, 5)
     return planned_presses(indenter, (step, 2 * step), 0.8e-3, 1.6)

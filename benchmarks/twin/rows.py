@@ -31,6 +31,7 @@ from sim.sensors.field import SurfaceField
 from sim.sensors.sensor import SimulatedSensor, sensor
 from sim.sensors.taxels import TaxelPad, TaxelSignal
 from sim.tiers import simulate
+from sim.twin.model import relaxing
 
 Array = NDArray[np.float64]
 
@@ -236,16 +237,12 @@ def relaxed(
     down = np.linspace(0.0, depth[-1], CYCLE + 1)
     way = np.concatenate([down, down[-2::-1]])
     elastic = np.interp(way, depth, force)
-    step = depth[-1] / CYCLE / speed
-    total = elastic.copy()
-    for ratio, time in zip(viscosity.ratios, viscosity.times, strict=True):
-        fade = np.exp(-step / time)
-        held = 0.0
-        gain = ratio * time * -np.expm1(-step / time) / step
-        for index, change in enumerate(np.diff(elastic), start=1):
-            held = fade * held + gain * change
-            total[index] += held
-    return way, np.maximum(total, 0.0)
+    at = np.arange(len(way)) * (depth[-1] / CYCLE / speed)
+    branches = [
+        ratio * relaxing(at, elastic[:, None], time)[:, 0]
+        for ratio, time in zip(viscosity.ratios, viscosity.times, strict=True)
+    ]
+    return way, np.maximum(elastic + np.sum(branches, axis=0), 0.0)
 
 
 def fitted(

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from benchmarks.twin.planted import (
     FEM,
-    GRID,
+    GAUGE,
+    LAYER,
     Bench,
+    Truth,
     observed,
     random_skin,
-    relaxation,
-    solved,
     usual,
 )
 from recorder.charts import BLUE, SOFT, chart
@@ -33,9 +33,11 @@ from sim.twin import TrackModel, fitted, misfit
 from sim.twin.fit import Z
 from sim.twin.plan import PlannedPresses, Planner, planned_presses, sessions
 
+Array = NDArray[np.float64]
+
 SENSOR, SEED = "gelsight", 0
-# Indenters of a fit, and the one whose forces are predicted: no fit has its presses.
-PRESSED, HELD_OUT = ("sphere", "prism"), "torus"
+# Indenter whose forces are predicted: no fit has its presses.
+HELD_OUT = "torus"
 COLUMNS = ("modulus", "thickness", "relaxation", "friction", "held-out force")
 # Minutes of a planned bench, pixels of a fit, and of a quick one.
 MINUTES, FIT_GRID, QUICK_GRID = 5.0, 64, 24
@@ -45,25 +47,9 @@ COARSE = Fem(spacing=1.0e-3)
 TIMES = np.geomspace(0.05, 2.0, 20)
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Settings of the presses of skins, and of their fits."""
-
-    tier: Literal["layer", "fem"]
-    """Of the true forces and of the fit."""
-    presses: tuple[PlannedPresses, ...]
-    quick: bool
-    """Few pixels, and no correction by `fem`."""
-
-    @property
-    def grid(self) -> int:
-        """Pixels of the fit."""
-        return QUICK_GRID if self.quick else FIT_GRID
-
-
 def measure(tier: Literal["layer", "fem"], planned: bool, run: Run) -> dict[str, Any]:
     """Fit twins of random skins and compare them with the truth."""
-    presses: tuple[PlannedPresses, ...]
+    presses = tuple(usual(name, SENSOR) for name in GAUGE)
     if planned:
         # A quick run plans on few pixels, and fits nothing.
         planner = Planner(sensor(SENSOR), **({"grid": 16} if run.quick else {}))
@@ -71,19 +57,17 @@ def measure(tier: Literal["layer", "fem"], planned: bool, run: Run) -> dict[str,
         candidates = planner.candidates(indenters)
         presses = tuple(sessions(planner.best(candidates, seconds=60 * MINUTES, change=CHANGE)))
     elif run.quick:
-        presses = (planned_presses("sphere", (0.8e-3,), 0.4e-3, 0.6),)
-    else:
-        presses = tuple(usual(name, SENSOR) for name in PRESSED)
-    settings = Settings(tier, presses, quick=run.quick)
+        presses = (_short("sphere"),)
     numbers = range(int(not planned) if run.quick else run.options.skins)
-    every = rows_of(run, partial(one, settings), {f"skin {number}": number for number in numbers})
-    rows = [row for row in every.values() if isinstance(row, dict)]
-    without = [f"{name}: {row}" for name, row in every.items() if isinstance(row, str)]
+    job = partial(identified, tier, presses, run.quick)
+    every = rows_of(run, job, {f"skin {number}": number for number in numbers})
+    rows = [row for row in every.values() if "errors" in row]
+    without = [f"{name}: {row['why']}" for name, row in every.items() if "why" in row]
     run.seeds = [row["number"] for row in rows]
     run.spread = "one fit a skin; quantiles over skins"
     return {
         "tier": tier,
-        "grid": settings.grid,
+        "grid": QUICK_GRID if run.quick else FIT_GRID,
         "presses": [
             [each.indenter, [*each.depths], each.plan.shear, each.hold] for each in presses
         ],
@@ -92,65 +76,63 @@ def measure(tier: Literal["layer", "fem"], planned: bool, run: Run) -> dict[str,
     }
 
 
-def one(settings: Settings, number: int) -> dict[str, Any] | str:
-    """Return the row of a skin, or why it has none."""
-    try:
-        return identified(settings, number)
-    except SimulationDiverged as diverged:
-        return str(diverged).partition("\n")[0]
+def _short(indenter: str) -> PlannedPresses:
+    """Return a press of a quick run."""
+    return planned_presses(indenter, (0.8e-3,), 0.4e-3, 0.6)
 
 
-def identified(settings: Settings, number: int) -> dict[str, Any]:
-    """Fit a skin's twin, and compare it with the skin.
+def identified(
+    tier: Literal["layer", "fem"], presses: Sequence[PlannedPresses], quick: bool, number: int
+) -> dict[str, Any]:
+    """Fit a skin's twin, and compare it with the skin; or return why there is none.
 
-    Raises:
-        SimulationDiverged: A true force or one of the fit has no solution.
+    Args:
+        tier: Tier of the true forces and of the fit; a quick one has no correction by `fem`.
+        presses: Presses of the fit.
+        quick: Few pixels and elements.
+        number: Number of the skin.
     """
     skin, bench = random_skin(np.random.default_rng([SEED, number]), SENSOR)
-    held_out = usual(HELD_OUT, SENSOR)
-    if settings.quick:
-        held_out = planned_presses(HELD_OUT, (0.8e-3,), 0.4e-3, 0.6)
-    tracks = [
-        observed(
-            skin,
-            presses,
-            errors,
-            100 * number + index,
-            forces=solved(
-                skin, presses, errors, truth=settings.tier, fem=COARSE if settings.quick else FEM
-            ),
-        )
-        for index, (presses, errors) in enumerate(
-            [*((each, bench) for each in settings.presses), (held_out, Bench(noise=0.0))]
-        )
-    ]
-    began = time.perf_counter()
-    tier = "layer" if settings.quick else settings.tier
-    fit = fitted(tracks[:-1], sensor(SENSOR), grid=settings.grid, tier=tier)
-    seconds = time.perf_counter() - began
-    true = quantities(skin)
-    model = TrackModel(fit.design, tracks[-1:], grid=settings.grid)
-    values = {name: fit.values[name] for name in true}
-    if fit.tier == "fem":
-        model.correct(values)
-    shapes = [
-        relaxation(
-            [these[name] for name in true if name.startswith("ratio")],
-            [these[name] for name in true if name.startswith("time")],
-            TIMES,
-        )
-        for these in (fit.values, true)
-    ]
+    held_out = _short(HELD_OUT) if quick else usual(HELD_OUT, SENSOR)
+    truth = Truth(tier, fem=COARSE if quick else FEM)
+    grid = QUICK_GRID if quick else FIT_GRID
+    every = [(each, bench) for each in presses] + [(held_out, Bench(noise=0.0))]
+    try:
+        tracks = [
+            observed(skin, each, errors, 100 * number + index, truth)
+            for index, (each, errors) in enumerate(every)
+        ]
+        began = time.perf_counter()
+        fit = fitted(tracks[:-1], sensor(SENSOR), grid=grid, tier="layer" if quick else tier)
+        seconds = time.perf_counter() - began
+        true = quantities(skin)
+        model = TrackModel(fit.design, tracks[-1:], grid=grid)
+        values = {name: fit.values[name] for name in true}
+        if fit.tier == "fem":
+            model.correct(values)
+        missed = misfit(tracks[-1:], model.readings(values))
+    except SimulationDiverged as diverged:
+        return {"number": number, "why": str(diverged).partition("\n")[0]}
     errors = {
         name: abs(fit.values[name] / true[name] - 1)
         for name in ("modulus", "thickness", "friction")
     }
-    errors["relaxation"] = float(np.sqrt(np.mean(np.square(shapes[0] / shapes[1] - 1))))
-    errors["held-out force"] = misfit(tracks[-1:], model.readings(values))
+    relaxed = relaxation(fit.values, true) / relaxation(true, true)
+    errors["relaxation"] = float(np.sqrt(np.mean(np.square(relaxed - 1))))
+    errors["held-out force"] = missed
     off = {name: fit.distance(name, value) for name, value in true.items()}
     return {"number": number, "errors": errors, "off": off, "misfit": fit.misfit} | {
         "seconds": seconds
     }
+
+
+def relaxation(values: Mapping[str, float], names: Iterable[str]) -> Array:
+    """Return the relaxation function over that at rest, at `TIMES`, of branches that have names."""
+    ratios, times = (
+        [values[name] for name in names if name.startswith(word)] for word in ("ratio", "time")
+    )
+    branches = [r * np.exp(-TIMES / t) for r, t in zip(ratios, times, strict=True)]
+    return np.asarray(1.0 + np.sum(branches, axis=0))
 
 
 def section(title: str, values: Mapping[str, Any], page: Page, *, picture: str = "") -> str:
@@ -176,7 +158,7 @@ def section(title: str, values: Mapping[str, Any], page: Page, *, picture: str =
         indenters[name] = indenters.get(name, 0) + len(depths)
     pressed = ", ".join(f"{count} by `{name}`" for name, count in indenters.items())
     seconds = np.median([row["seconds"] for row in rows])
-    how = f"`layer` on {GRID} pixels, fits by `layer` on {values['grid']}"
+    how = f"`layer` on {LAYER.grid} pixels, fits by `layer` on {values['grid']}"
     if values["tier"] == "fem":
         how = f"`fem`, fits by `layer` on {values['grid']} pixels, corrected by `fem`"
     texts = [

@@ -25,10 +25,10 @@ from trajectories import plan_to_json
 def test_every_step_is_a_command_and_the_live_one_is_the_last() -> None:
     for clicks, quick in itertools.product((True, False), repeat=2):
         steps = list(first_hour.steps(clicks=clicks, quick=quick))
-        for step in steps:
-            assert step.words[0] in COMMANDS or " ".join(step.words[:2]) in COMMANDS
-        assert [steps[0].words[0], steps[-1].words[0]] == ["init", "live"]
-        assert sum(step.by_clicks for step in steps) == clicks
+        for words in steps:
+            assert words[0] in COMMANDS or " ".join(words[:2]) in COMMANDS
+        assert [steps[0][0], steps[-1][0]] == ["init", "live"]
+        assert sum(words[0] == first_hour.PAGE for words in steps) == clicks
 
 
 def test_a_lost_device_continues_by_the_command_that_was_printed(tmp_path: Path) -> None:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.tiny_diffusion import CLIP, DEEP_VAE, UNET, VGG
 
-from benchmarks.paper import command, full_size, page
+from benchmarks.paper import command, page
 from benchmarks.paper.figures import ours
 from benchmarks.paper.scores import force_scores
-from benchmarks.paper.sizes import SIZES, toy
+from benchmarks.paper.sizes import SIZES, quick
 from benchmarks.report import Page
 from benchmarks.sums import r_squared_of_sums
 from learning.metrics import r_squared
@@ -88,33 +88,24 @@ def test_our_value_beside_a_figure_of_the_paper_has_its_statistic(
 
 @pytest.mark.parametrize("part", SIZES)
 def test_a_quick_run_has_two_sensors_by_tier_layer_and_no_training_time(part: str) -> None:
-    size = toy(part)
-    assert (len(size.sensors), len(size.trained), size.tier, size.minutes) == (2, 1, "layer", 0)
-    assert {plan.work for plan in size.plans.values()} == {"targets"}
+    size = quick(part)
+    assert (len(size.sensors), len(size.sources), set(size.seconds.values())) == (2, 1, {0})
+    for plan in size.plans.values():
+        assert (plan.work, plan.solving.tier) == ("targets", "layer")
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_chain_runs_whole_at_toy_size(tmp_path: Path) -> None:
+def test_a_quick_run_measures_each_part(tmp_path: Path) -> None:
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     out = tmp_path / "paper.md"
-    words = ["--quick", "--only", "patterns", "--out", str(out)]
-    assert command.run(parser.parse_args(words)) == 0
+    assert command.run(parser.parse_args(["--quick", "--out", str(out)])) == 0
     text = out.read_text(encoding="utf-8")
+    assert all(f"## {title}" in text for title in page.TITLES.values())
     assert "the target was held out" in text
     assert (tmp_path / "images" / "paper-patterns.png").exists()
-
-
-@pytest.mark.slow
-def test_the_full_size_part_measures_each_batch(tmp_path: Path) -> None:
-    values = full_size.measured(
-        lambda device: full_size.random_pretrained(UNET, DEEP_VAE, CLIP, VGG, device),
-        [1, 2],
-        full_size.WARM + 1,
-        launch="cpu",
-        side=64,
-    )
-    assert [row["batch"] for row in values["rows"]] == [1, 2]
-    assert all(row["training"] > 0 and row["translation"] > 0 for row in values["rows"])
-    assert "| 2 | " in full_size.section(values, Page(tmp_path / "paper.md"))
+    (row,) = json.loads(out.with_suffix(".json").read_text())["full-size"]["results"]["rows"]
+    assert row["batch"] == 1
+    assert row["training"] > 0
+    assert row["translation"] > 0

@@ -12,8 +12,9 @@ import pytest
 from support.commands import run_module
 
 from benchmarks.report import Page
+from benchmarks.sums import sums_by_indenter
 from benchmarks.twin import command, demo, labels, rows, skins
-from benchmarks.twin.planted import Bench, felt, printed
+from benchmarks.twin.planted import Bench, Truth, felt, printed
 from benchmarks.twin.rows import fitted, hysteresis, relaxed
 from learning.metrics import r_squared
 from sim.errors import SceneError
@@ -44,8 +45,8 @@ def test_labels_by_twins_are_nearer_to_the_targets_own_than_the_papers(page: Pat
     (row,) = results(page, "labels")["rows"]
     assert list(row["sums"]) == ["gelsight, tacpalm", "tacpalm, gelsight"]
     for part in row["sums"].values():
-        assert set(part) == {"sphere", "torus"}
-        means = {method: labels.r2([part], method)[0][3] for method in labels.METHODS}
+        assert {name for sums in part.values() for name in sums} == {"sphere", "torus"}
+        means = {method: labels.r2([part], method)[0] for method in labels.METHODS}
         assert means["simulated"] > 0.9
         assert means["simulated"] > max(means["priors"], means["source"])
         assert means["twin"] > means["twin, no gauge"]
@@ -56,18 +57,11 @@ def test_scores_are_r2_over_all_frames_of_a_draw() -> None:
     random = np.random.default_rng(1)
     true = random.normal(size=(4, 9, 3)) + np.array([0, 1, -4])
     predicted = true + 0.3 * random.normal(size=true.shape)
-    part = {
-        str(index): {
-            "count": 9,
-            "sum": one.sum(axis=0).tolist(),
-            "square": np.square(one).sum(axis=0).tolist(),
-            "missed": {"twin": np.square(other - one).sum(axis=0).tolist()},
-        }
-        for index, (one, other) in enumerate(zip(true, predicted, strict=True))
-    }
-    (*axes, mean), (low, high) = labels.r2([part, part], "twin")
-    expected = r_squared(true.reshape(-1, 3), predicted.reshape(-1, 3))
-    np.testing.assert_allclose(axes, expected)
+    names = np.repeat([*"abcd"], 9)
+    flat = true.reshape(-1, 3), predicted.reshape(-1, 3)
+    part = {"twin": sums_by_indenter(*flat, names)}
+    mean, (low, high) = labels.r2([part, part], "twin")
+    assert mean == pytest.approx(r_squared(*flat).mean())
     assert low < mean < high < 1
 
 
@@ -110,7 +104,7 @@ def test_errors_of_a_bench_move_the_tip() -> None:
     tip = np.column_stack([np.zeros((11, 2)), np.linspace(0.2e-3, -0.8e-3, 11)])
 
     def last(bench: Bench, at: Any) -> float:
-        return float(felt(skin, ball, time, at, bench, grid=48)[-1, 2])
+        return float(felt(skin, ball, time, at, bench, Truth(grid=48))[-1, 2])
 
     exact = last(Bench(), tip)
     assert last(Bench(height=50e-6), tip) == pytest.approx(last(Bench(), tip - [0, 0, 50e-6]))

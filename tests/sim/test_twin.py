@@ -20,10 +20,13 @@ from support.sessions import CONTACT_FRAME, T0, Columns, make_session
 
 from benchmarks.twin.planted import (
     Bench,
-    Forces,
+    Truth,
+    force_of,
     observed,
+    pressed,
     random_skin,
     recorded,
+    solutions,
     solved,
     usual,
 )
@@ -75,16 +78,31 @@ def planted() -> SimulatedSensor:
 BENCH = Bench(noise=0.005, height=20e-6, turn=(0.02, -0.01, 0.01))
 
 
-@pytest.fixture(scope="module")
-def true() -> Forces:
-    """Return forces and tops of one planted press."""
-    return solved(planted(), SHORT["sphere"], BENCH, grid=COARSE, with_top=True)
+LAYER = Truth(grid=COARSE)
+
+
+def of_press(skin: SimulatedSensor) -> tuple[Any, Any, SurfaceField]:
+    """Return times (n,) [s], forces (n, 3) [N] and tops of a press of a skin."""
+    time, tip = solutions(SHORT["sphere"])
+    tip[:, 2] -= BENCH.height
+    forces, tops = [], []
+    for each in pressed(skin, named("sphere"), time, tip, COARSE):
+        forces.append(force_of(each))
+        tops.append(each.field)
+    moved = np.concatenate([top.displacement for top in tops])
+    return time, np.array(forces), replace(tops[0], displacement=moved)
 
 
 @pytest.fixture(scope="module")
-def press(true: Forces) -> tuple[Any, Any, Any]:
+def true() -> tuple[Any, Any, SurfaceField]:
+    """Return times, forces and tops of one planted press."""
+    return of_press(planted())
+
+
+@pytest.fixture(scope="module")
+def press(true: tuple[Any, Any, SurfaceField]) -> tuple[Any, Any, Any]:
     """Return times, tips and forces that a bench records of it."""
-    return recorded(SHORT["sphere"], BENCH, 0, true)
+    return recorded(SHORT["sphere"], BENCH, 0, *true[:2])
 
 
 def seen() -> SimulatedSensor:
@@ -99,13 +117,14 @@ def seen() -> SimulatedSensor:
     return replace(skin, signal=signal)
 
 
-def pictures(path: Path, session: str, forces: Forces) -> Path:
-    """Write the marker archive of a press, ten frames a second."""
+def pictures(path: Path, session: str, solved_at: Any, top: SurfaceField) -> Path:
+    """Write the marker archive of a press, ten frames a second, each that of the last solution."""
     reader = readout(seen())
     assert isinstance(reader, CameraReadout)
-    time = np.arange(0.0, forces.time[-1], 0.1)
+    time = np.arange(0.0, solved_at[-1], 0.1)
+    last = np.searchsorted(solved_at, time, side="right") - 1
     reference = reader.packed(SurfaceField.undeformed(planted().body))[0, 0]
-    frames = reader.packed(forces.at(time))[:, 0]
+    frames = reader.packed(replace(top, displacement=top.displacement[last]))[:, 0]
     write_rows(path, session, T0 + np.round(1e9 * time).astype(np.int64), frames, reference)
     return path
 
@@ -129,7 +148,9 @@ def _of(name: str, columns: Columns, time: Any, tip: Any, force: Any) -> Columns
 
 @pytest.fixture(scope="module")
 def command(
-    press: tuple[Any, Any, Any], true: Forces, tmp_path_factory: pytest.TempPathFactory
+    press: tuple[Any, Any, Any],
+    true: tuple[Any, Any, SurfaceField],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[Fit, dict[str, Any], Path]:
     """Fit the session of a press by the command; return the fit, its output, and the row."""
     folder = tmp_path_factory.mktemp("twin")
@@ -141,7 +162,8 @@ def command(
     )
     copy = shutil.copytree(session, folder / "copy.zarr")
     marked = [
-        pictures(folder / f"{each.stem}.markers.zarr", each.name, true) for each in (session, copy)
+        pictures(folder / f"{each.stem}.markers.zarr", each.name, true[0], true[2])
+        for each in (session, copy)
     ]
     out, fits = folder / "mine.yaml", []
 
@@ -268,8 +290,8 @@ def test_images_of_another_sensor_are_refused_in_pixels(
 ) -> None:
     fit, _, made = command
     thick = with_quantities(planted(), {"thickness": 8e-3})
-    other = solved(thick, SHORT["sphere"], BENCH, grid=COARSE, with_top=True)
-    marked = pictures(tmp_path / "other.markers.zarr", "press.zarr", other)
+    time, _, top = of_press(thick)
+    marked = pictures(tmp_path / "other.markers.zarr", "press.zarr", time, top)
     out, session = tmp_path / "mine.yaml", made.with_name("press.zarr")
 
     def known(tracks: Sequence[PressTrack], *_: Any, **__: Any) -> Fit:
@@ -293,9 +315,7 @@ def test_presses_at_three_places_tell_the_tilt() -> None:
     one = planned_presses("sphere", (1.0e-3,), 0.6e-3, 0.6)
     apart = replace(one, plan=replace(one.plan, points=(1, 2, 3), step_x=4e-3, step_y=4e-3))
     bench = Bench(noise=0.005, tilt=(0.02, -0.015))
-    found = fitted(
-        [observed(planted(), apart, bench, 0, grid=COARSE)], sensor("gelsight"), grid=COARSE
-    )
+    found = fitted([observed(planted(), apart, bench, 0, LAYER)], sensor("gelsight"), grid=COARSE)
     assert not {"tilt_x", "tilt_y"} & set(found.unidentified)
     assert found.values["tilt_x"] == pytest.approx(0.02, abs=2e-3)
     assert found.values["tilt_y"] == pytest.approx(-0.015, abs=2e-3)
@@ -312,7 +332,7 @@ def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
 @pytest.mark.slow
 def test_two_indenters_find_a_skin_more_narrowly_than_one(fit: Fit) -> None:
     tracks = [
-        observed(planted(), SHORT[name], BENCH, seed, grid=COARSE)
+        observed(planted(), SHORT[name], BENCH, seed, LAYER)
         for seed, name in enumerate(("sphere", "prism"))
     ]
     both = fitted(tracks, sensor("gelsight"), grid=COARSE)
@@ -376,7 +396,7 @@ def test_the_command_writes_a_plan_and_what_to_expect(
 
 
 def test_another_shape_is_foretold(fit: Fit) -> None:
-    held_out = observed(planted(), SHORT["cylinder"], Bench(noise=0.0), 9, grid=COARSE)
+    held_out = observed(planted(), SHORT["cylinder"], Bench(noise=0.0), 9, LAYER)
     found = TrackModel(fit.design, [held_out], grid=COARSE).readings(
         {name: fit.values[name] for name in quantities(planted())}
     )
@@ -426,7 +446,7 @@ def test_points_are_where_the_tip_starts_and_stops() -> None:
     """Without them a rest is a slow move, whose drag makes shear 2 to 4 % too large at rest."""
     skin = with_quantities(planted(), {"friction": 0.3})
     sheared = planned_presses("sphere_s", (0.8e-3,), 0.8e-3, 0.6)
-    track = observed(skin, sheared, Bench(noise=1e-6), 0, grid=COARSE)
+    track = observed(skin, sheared, Bench(noise=1e-6), 0, LAYER)
     corners, tips = sheared.path()
     for corner in corners[np.minimum(tips[:, 2], np.roll(tips[:, 2], 1)) < 0]:
         assert np.abs(track.time - corner).min() < 0.03
@@ -565,8 +585,8 @@ def test_an_archive_has_sensors_drawn_from_a_twin(fit: Fit, tmp_path: Path) -> N
 @pytest.mark.timeout(600)
 def test_true_forces_may_be_those_of_another_tier() -> None:
     shallow = planned_presses("sphere", (0.5e-3,), 0.3e-3, 0.6)
-    found = [solved(planted(), shallow, Bench(), truth=truth) for truth in get_args(ContactTier)]
-    lows = [each.force[:, 2].min() for each in found]
+    found = [solved(planted(), shallow, Bench(), Truth(tier))[1] for tier in get_args(ContactTier)]
+    lows = [force[:, 2].min() for force in found]
     assert lows[1] == pytest.approx(lows[0], rel=0.1)
     assert lows[1] != lows[0]
 
@@ -589,9 +609,8 @@ def test_corrected_forces_are_the_true_ones_and_scale_with_stiffness_and_modulus
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_skin_at_large_strain_is_found_by_tier_fem() -> None:
-    pressed = planned_presses("prism", (1.2e-3,), 0.5e-3, 1.2)
-    forces = solved(planted(), pressed, BENCH, truth="fem")
-    tracks = [observed(planted(), pressed, BENCH, 0, forces=forces)]
+    deep = planned_presses("prism", (1.2e-3,), 0.5e-3, 1.2)
+    tracks = [observed(planted(), deep, BENCH, 0, Truth("fem"))]
     true = quantities(planted())
     by_layer, by_fem = (
         fitted(tracks, sensor("gelsight"), grid=48, tier=tier) for tier in ("layer", "fem")
@@ -611,7 +630,7 @@ def test_a_skin_in_a_long_valley_of_explanations_is_found(number: int) -> None:
     """Descents from the row ended 9 and 22 % off in modulus, by 3 and 4 spreads."""
     skin, bench = random_skin(np.random.default_rng([0, number]), "gelsight")
     tracks = [
-        observed(skin, usual(indenter, "gelsight", 0.4), bench, 100 * number + index)
+        observed(skin, usual(indenter, "gelsight"), bench, 100 * number + index)
         for index, indenter in enumerate(("sphere", "prism"))
     ]
     fit, true = fitted(tracks, sensor("gelsight")), quantities(skin)

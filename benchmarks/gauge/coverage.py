@@ -20,10 +20,10 @@ from learning.config import read_settings
 from learning.data.matching import SensorSelection
 from learning.experiment.settings import PRESETS, ExperimentSettings
 from learning.force.calibrate import presses_of_rows
-from learning.force.intervals import Intervals, ScaleSample, measured_scale
+from learning.force.intervals import ScaleSample, measured_scale
 from learning.force.model import load_force_model
 from learning.transfer.run import TransferRequest, run_transfer
-from learning.transfer.score import NewFrames, Score, new_frames, score_of
+from learning.transfer.score import NewFrames, new_frames, score_of
 from recorder import MarkerArchive
 from recorder.progress import span_of
 from sim.dataset import DatasetPlan, Solving
@@ -48,7 +48,7 @@ def measure(run: Run) -> dict[str, Any]:
         plan = DatasetPlan("targets", (row,), solving=Solving(tier="layer"), **amount)
         path = folder / f"{name}.markers.zarr"
         progress = span_of(run.progress, 0.2 * done, 0.2)
-        archives[name] = simulate(path, plan, "cpu", progress)
+        archives[name] = simulate(path, plan, run, progress, "cpu")
     overrides = [f"force.set=['{_FEW}']", f"fine_tuning=['{_FEW}']"] if run.quick else []
     request = TransferRequest(
         source=SensorSelection(archives[SOURCE], SOURCE, SOURCE),
@@ -61,23 +61,16 @@ def measure(run: Run) -> dict[str, Any]:
     run.progress(0.9)
     count = 4 if run.quick else SKINS
     run.seeds, run.spread = (SEED,), f"{count} skins; one training"
-    return {"skins": scores(archives, request.model, count)}
-
-
-def scores(archives: dict[str, MarkerArchive], model: Path, count: int) -> list[dict[str, Any]]:
-    """Return the scores on random skins, without a weight and with one, by modulus."""
-    target = archives[TARGET]
-    frames = new_frames(model, SensorSelection(target, TARGET, TARGET))
-    compressions = force_depth(target, model)
+    frames = new_frames(request.model, request.target)
     own, stiffness = (
         float(archive.attrs["plan"]["sensors"][0]["body"]["modulus"])
-        for archive in (target, archives[SOURCE])
+        for archive in (archives[TARGET], archives[SOURCE])
     )
-    ratios = WITHIN ** np.random.default_rng(SEED).uniform(-1, 1, count)
-    return [
-        of_skin(float(ratio), float(ratio) * stiffness / own, frames, *compressions)
-        for ratio in sorted(ratios)
-    ]
+    pressed = force_depth(archives[TARGET], request.model)
+    ratios = sorted(WITHIN ** np.random.default_rng(SEED).uniform(-1, 1, count))
+    return {
+        "skins": [of_skin(ratio, ratio * stiffness / own, frames, *pressed) for ratio in ratios]
+    }
 
 
 def force_depth(archive: MarkerArchive, folder: Path) -> tuple[Floats, Floats]:
@@ -92,29 +85,32 @@ def force_depth(archive: MarkerArchive, folder: Path) -> tuple[Floats, Floats]:
 def of_skin(
     ratio: float, scaled: float, frames: NewFrames, true_n: Floats, predicted_n: Floats
 ) -> dict[str, Any]:
-    """Return the scores on a skin whose true forces are `scaled` times the demo's."""
+    """Return the scores on a skin whose true forces are `scaled` times the demo's.
+
+    Without a weight, and with the one whose force-depth frame is nearest to its force.
+    """
     true = scaled * frames.true
-    weight = 1e-3 * GRAVITY * GRAMS
-    row = int(np.argmin(np.abs(scaled * true_n - weight)))
+    row = int(np.argmin(np.abs(scaled * true_n - 1e-3 * GRAVITY * GRAMS)))
     known, predicted = scaled * float(true_n[row]), float(predicted_n[row])
-    value, intervals = weighed(frames.intervals, known, predicted)
-    then = value * frames.predicted
-    return {
-        "modulus": ratio,
-        "without": _row(score_of(replace(frames, true=true))),
-        "weighed": _row(score_of(replace(frames, predicted=then, true=true, intervals=intervals))),
-        "within": intervals.scale.factor,
-    }
-
-
-def weighed(intervals: Intervals, known: float, predicted: float) -> tuple[float, Intervals]:
-    """Return the factor on forces, and the intervals, after one weight [N]."""
-    axis = intervals.axes[2]
-    if axis is None:
-        raise ValueError("the demo's model predicts Fz")
+    axis = frames.intervals.axes[2]
+    assert axis is not None
     held = ScaleSample(known, predicted, axis.base + axis.slope * predicted)
-    value, scale = measured_scale([held], intervals.scale, "one weight")
-    return value, intervals.rescaled(value, scale)
+    value, scale = measured_scale([held], frames.intervals.scale, "one weight")
+    after = replace(
+        frames,
+        predicted=value * frames.predicted,
+        true=true,
+        intervals=frames.intervals.rescaled(value, scale),
+    )
+    scores = {"without": score_of(replace(frames, true=true)), "weighed": score_of(after)}
+    return {"modulus": float(ratio)} | {
+        name: {
+            "coverage": score.coverage,
+            "r2": score.errors.r2_mean,
+            "width_fz_n": float(score.width[2]),
+        }
+        for name, score in scores.items()
+    }
 
 
 def section(values: dict[str, Any], page: Page) -> str:
@@ -138,11 +134,3 @@ no stage saw. By tier `layer`, in which another modulus scales the forces of a p
 pictures as they are: skins of another thickness are not among them.
 
 {table(head, lines)}"""
-
-
-def _row(score: Score) -> dict[str, float]:
-    return {
-        "coverage": score.coverage,
-        "r2": score.errors.r2_mean,
-        "width_fz_n": float(score.width[2]),
-    }
