@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import as_completed
@@ -9,10 +10,22 @@ from functools import partial
 from typing import Any, TypeVar
 
 from benchmarks.report import Run
+from recorder.command_line.options import whole
 from recorder.processes import Workers
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
+
+
+def add_processes(parser: argparse.ArgumentParser, default: int = 1) -> None:
+    """Add `--processes`."""
+    parser.add_argument(
+        "--processes",
+        type=whole(1, 256),
+        default=default,
+        metavar="N",
+        help="processes among which the work is divided (%(default)s)",
+    )
 
 
 def side_by_side(

@@ -7,13 +7,14 @@ from typing import Any
 
 from benchmarks.hard_cases import mistakes, named_cases, refinement
 from benchmarks.hard_cases.random_scenes import judgement as random_scenes
+from benchmarks.processes import add_processes
 from benchmarks.report import QUICK_RESULTS, Benchmark, Part
 from recorder.command_line.options import add_seed, whole
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
+    add_processes(parser, default=2)
     add = parser.add_argument
-    add("--processes", type=whole(1, 256), default=2, help="parallel processes (%(default)s)")
     add(
         "--case",
         action="append",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,10 +14,9 @@ from benchmarks.independent.linear_layer import LinearLayer, layer_sphere
 from benchmarks.independent.presses import PRESSES, Press, store
 from benchmarks.independent.references import interpreter
 from benchmarks.independent.references import solved as solved_again
-from benchmarks.processes import rows_of
+from benchmarks.processes import add_processes, rows_of
 from benchmarks.report import Benchmark, Page, Part, Run, table
 from recorder.charts import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, chart
-from recorder.command_line.options import whole
 from sim.device import ready_device
 from sim.fem import Fem
 from sim.indenters import sphere
@@ -43,12 +41,6 @@ AGAIN, REPEATS = "sphere 4 in 4, mu 0, nu 0.45, to 0.005", 0.1
 # Spheres on the gel of the paper by radius, and depths, over the gel's thickness.
 RADII, DEPTHS = (0.5, 1.0, 5.0), (0.01, 0.03, 0.1, 0.3)
 COLORS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, INK)
-
-
-def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--processes", type=whole(1, 256), default=1, metavar="N", help="(%(default)s)"
-    )
 
 
 # Forces beside stored ones.
@@ -159,8 +151,7 @@ def draw(rows: Sequence[Mapping[str, Any]], page: Page) -> None:
     """Draw the error of each force beside the error that its result states."""
     with chart(page.picture("fem"), 7.0, 4.2) as figure:
         axes = figure.subplots()
-        kinds = list(dict.fromkeys(row["kind"] for row in rows))
-        for index, kind in enumerate(kinds):
+        for index, kind in enumerate(dict.fromkeys(row["kind"] for row in rows)):
             these = [row for row in rows if row["kind"] == kind and row["stated_percent"]]
             error = np.maximum([abs(row["error_percent"]) for row in these], 0.01)
             bars = [row["truth_percent"] for row in these]
@@ -207,15 +198,10 @@ def _sphere(run: Run, radius: float) -> list[dict[str, float]]:
     fem = Fem(fineness=0.3 if run.quick else 1.0)
     results = simulate(scene, Layer(grid=256)), simulate(scene, fem, device=run.device)
     off = [(-result.force[1:, 2] / exact - 1).tolist() for result in results]
+    both = zip(depths, exact.tolist(), *off, strict=True)
     return [
-        {
-            "radius": radius,
-            "depth": depth / thickness,
-            "exact_n": force,
-            "layer": by_layer,
-            "fem": by_fem,
-        }
-        for depth, force, by_layer, by_fem in zip(depths, exact.tolist(), *off, strict=True)
+        {"radius": radius, "depth": depth / thickness, "exact_n": force, "layer": one, "fem": other}
+        for depth, force, one, other in both
     ]
 
 
@@ -311,7 +297,7 @@ BENCHMARK = Benchmark(
         Part("references", references, references_section, weight=25),
     ],
     summary=summary,
-    options=_options,
+    options=add_processes,
     on_device=True,
 )
 add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

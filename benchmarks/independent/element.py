@@ -50,7 +50,7 @@ class Grid:
     @property
     def nodes(self) -> Array:
         """Positions (N, 2) of the nodes [m], r slowest."""
-        r, z = _with_middles(self.r), _with_middles(self.z)
+        r, z = (np.sort([*lines, *(lines[1:] + lines[:-1]) / 2]) for lines in (self.r, self.z))
         nodes = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
         if self.dome is not None:
             lower = self.dome - np.sqrt(self.dome**2 - nodes[:, 0] ** 2)
@@ -71,10 +71,6 @@ class Grid:
     def _numbers(self) -> Index:
         rows, columns = 2 * len(self.r) - 1, 2 * len(self.z) - 1
         return np.arange(rows * columns).reshape(rows, columns)
-
-
-def _with_middles(lines: Array) -> Array:
-    return np.sort(np.concatenate([lines, (lines[1:] + lines[:-1]) / 2]))
 
 
 class Elastic:

@@ -112,8 +112,10 @@ def mindlin_stick_radius(
     Raises:
         ValueError: |T| above mu N.
     """
-    held = 1 - abs(_share(tangential, normal, coefficient))
-    return contact_radius * float(np.cbrt(held))
+    most = coefficient * normal
+    if not abs(tangential) <= most:
+        raise ValueError(f"tangential: {tangential!r} N; allowed: -{most:g} to {most:g} N (mu N)")
+    return contact_radius * float(np.cbrt(1 - abs(tangential) / most))
 
 
 def mindlin_displacement(
@@ -126,22 +128,15 @@ def mindlin_displacement(
 ) -> float:
     """Return the sideways shift of the sphere relative to the far body, on first loading [m].
 
-    D = 3 mu N (2 - nu) / (16 a G) (1 - (1 - T/(mu N))^(2/3)), G = E/(2 (1 + nu)).
+    D = 3 mu N (2 - nu) / (16 a G) (1 - (1 - T/(mu N))^(2/3)), the last power being (c/a)^2.
 
     Raises:
         ValueError: |T| above mu N.
     """
-    fraction = _share(tangential, normal, coefficient)
+    core = mindlin_stick_radius(tangential, normal, coefficient, contact_radius) / contact_radius
     shear, _ = shear_and_bulk(modulus, poisson)
     shift = 3 * coefficient * normal * (2 - poisson) / (16 * contact_radius * shear)
-    return math.copysign(shift * (1 - float(np.cbrt(1 - abs(fraction)) ** 2)), fraction)
-
-
-def _share(tangential: float, normal: float, coefficient: float) -> float:
-    most = coefficient * normal
-    if not abs(tangential) <= most:
-        raise ValueError(f"tangential: {tangential!r} N; allowed: -{most:g} to {most:g} N (mu N)")
-    return tangential / most
+    return math.copysign(shift * (1 - core**2), tangential)
 
 
 # Neo-Hookean material of `Body` under homogeneous deformation:

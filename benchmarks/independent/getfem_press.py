@@ -159,26 +159,21 @@ class Solver:
         model.set_variable("multiplier", np.zeros(self.number.nbpts()))
         model.add_macro("q", f"([{rows}]*(X+u-tip-lift))" if raised else "(X+u-tip)")
         model.add_macro("push", f"pos_part(multiplier-eps*({distance(case)}))")
+        self.contact = f"half_sqr_pos_part(multiplier-eps*({distance(case)}))/eps"
         if case.friction:
-            self._rub(model)
-        else:
-            self.contact = f"half_sqr_pos_part(multiplier-eps*({distance(case)}))/eps"
+            # Coulomb's law by return mapping, for one sphere.
+            model.add_initialized_data("mu", case.friction)
+            model.add_initialized_data("lower", np.array([0.0, 0.0, case.measures[0]]))
+            model.add_initialized_data("travel", np.zeros(3))
+            model.add_fem_data("old", self.field)
+            model.add_im_data("shear", self.vector)
+            model.set_variable("shear", np.zeros(3 * self.vector.nbpts()))
+            model.add_macro("n", "Normalized(X+u-tip-lower)")
+            model.add_macro("trial", "(shear-eps*(u-old-travel))")
+            model.add_macro("rub", "Ball_projection(trial-(trial.n)*n,mu*push)")
+            self.contact = "-(push*n+rub).Test_u"
         model.add_nonlinear_term(self.surface, self.contact, TOP)
         return model
-
-    def _rub(self, model: Any) -> None:
-        """Add Coulomb friction by return mapping, for one sphere."""
-        radius = self.case.measures[0]
-        model.add_initialized_data("mu", self.case.friction)
-        model.add_initialized_data("lower", np.array([0.0, 0.0, radius]))
-        model.add_initialized_data("travel", np.zeros(3))
-        model.add_fem_data("old", self.field)
-        model.add_im_data("shear", self.vector)
-        model.set_variable("shear", np.zeros(3 * self.vector.nbpts()))
-        model.add_macro("n", "Normalized(X+u-tip-lower)")
-        model.add_macro("trial", "(shear-eps*(u-old-travel))")
-        model.add_macro("rub", "Ball_projection(trial-(trial.n)*n,mu*push)")
-        self.contact = "-(push*n+rub).Test_u"
 
     def force(self) -> Array:
         """Return the force of the indenter on the whole body (3,) [N]."""

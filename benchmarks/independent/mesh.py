@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +16,12 @@ Array = NDArray[np.float64]
 SAMPLES = 20_000
 
 
-@dataclass(frozen=True)
-class Fine:
-    """Interval of r with elements of a given size."""
+class Fine(NamedTuple):
+    """Interval with elements of one size, in the unit of the mesh."""
 
     low: float
-    """[m]."""
     high: float
-    """[m]."""
     size: float
-    """Side of an element [m]."""
 
 
 def graded(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from functools import partial
 
+from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
 from benchmarks.twin import demo, labels, live, rows, skins
 from recorder.command_line.options import whole
@@ -14,7 +15,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--skins", type=whole(1, 1000), default=20, metavar="N", help="of each part (%(default)s)")
     add("--draws", type=whole(1, 1000), default=4, metavar="N", help="of `labels` (%(default)s)")
-    add("--processes", type=whole(1, 256), default=1, metavar="N", help="(%(default)s)")
+    add_processes(parser)
 
 
 BENCHMARK = Benchmark(
