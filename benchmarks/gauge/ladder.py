@@ -28,6 +28,7 @@ from benchmarks.paper.study import (
     form_of,
     nearest_labels,
     net_settings,
+    pressed_once,
     processes,
     simulate,
     train_net,
@@ -148,7 +149,7 @@ def prepare(run: Run, folder: Path, group: str) -> Ladder:
         assert one.row.trajectory is not None
         plan = DatasetPlan(
             "targets",
-            (one.row,),
+            (pressed_once(one.row) if run.quick else one.row,),
             indenters=(*indenters, *tested),
             solving=solving,
             steps=phase,

@@ -146,7 +146,7 @@ class Chain(Study):
     def m2m_settings(self, rate: float, steps: int) -> TranslatorSettings:
         """Return the paper's settings without the losses that need published weights."""
         warm = min(200, steps // 10)
-        batch, precision = (2, "no") if self.quick else (32, "bf16")
+        batch, precision = (1, "no") if self.quick else (32, "bf16")
 
         def cosine(rate: float) -> str:
             return f"{{rate: {{kind: cosine, rate: {rate}, steps: {steps}, warm_up: {warm}}}}}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmarks.paper.full_size import UNET, VAE
+from benchmarks.paper.study import pressed_once
 from sim.dataset import DatasetPlan, Solving, gel
 from sim.indenters import NAMES
 from sim.sensors import sensor_of
@@ -53,12 +54,15 @@ class Size:
     def plans(self) -> dict[str, DatasetPlan]:
         """Archives of the sensors, and of the patterns, by name."""
         groups = [(name,) for name in self.sensors] if self.apart else [self.sensors]
+        rows = {name: sensor_of(name) for name in self.sensors}
+        if self.quick:
+            rows = {name: pressed_once(row) for name, row in rows.items()}
         how: dict[str, Any] = {"indenters": ("sphere_s", "prism") if self.quick else NAMES}
         how["solving"] = Solving(tier="layer" if self.quick else "fem")
         plans = {
             "-".join(group): DatasetPlan(
                 "targets",
-                tuple(map(sensor_of, group)),
+                tuple(rows[name] for name in group),
                 steps=2 if self.quick else 4,
                 fraction=self.fraction,
                 **how,

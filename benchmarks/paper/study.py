@@ -36,6 +36,7 @@ from recorder.processes import cores
 from sim.dataset import DatasetPlan, begin, fill
 from sim.dataset.run import make_here, make_in_processes
 from sim.device import ready_device
+from sim.sensors import SimulatedSensor
 
 Floats = NDArray[np.float64]
 Result = TypeVar("Result")
@@ -48,9 +49,12 @@ AT_ONCE = 162
 # Steps, and epochs, that are timed before a training, until they take some time [s].
 PROBE, PROBED_EPOCHS, ENOUGH_S = 12, 1, 1.5
 # Steps, and epochs, of a training that has no time.
-FEW = 4
+FEW = 2
 # Preset and overrides of the field translator, of a complete run and of a quick one.
-FIELD = (("ours", "field_stage.batch=96", "map_stage.batch=96"), ("cpu_smoke",))
+FIELD = (
+    ("ours", "field_stage.batch=96", "map_stage.batch=96"),
+    ("cpu_smoke", "field_stage.batch=1", "map_stage.batch=1", "examples.patterns=2"),
+)
 # The paper's SGD of 0.1 does not leave its start in seconds (R2 -20 after 8 s of a GPU): its net is
 # trained as the others are, from the mean label on.
 PAPER_RECIPE = (
@@ -85,6 +89,12 @@ def simulate(
     make = make_in_processes if device == "cpu" and not run.quick else make_here
     fill(opened, partial(make, opened, device=device, processes=processes(run)), progress)
     return MarkerArchive(path)
+
+
+def pressed_once(row: SimulatedSensor) -> SimulatedSensor:
+    """Return a sensor with one force-depth press, for a quick run."""
+    assert row.force_depth is not None
+    return replace(row, force_depth=replace(row.force_depth, repeats=1))
 
 
 def processes(run: Run) -> int:
