@@ -1,4 +1,4 @@
-"""What is measured of one store, each in a process of its own; the answers are values of JSON."""
+"""Work that is measured of one store, each in a process of its own; answers are values of JSON."""
 
 from __future__ import annotations
 

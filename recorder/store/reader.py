@@ -179,8 +179,11 @@ class ColumnReader:
             read(wanted)
         else:
             each = -(-len(wanted) // threads)
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(read, (wanted[i : i + each] for i in range(0, len(wanted), each))))
+            own, *others = (wanted[i : i + each] for i in range(0, len(wanted), each))
+            with ThreadPoolExecutor(threads - 1) as pool:
+                rest = pool.map(read, others)
+                read(own)
+                list(rest)
         for index, row in enumerate(rows):
             if row >= 0 and first[row] != index:
                 out[index] = out[first[row]]
