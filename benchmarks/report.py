@@ -36,17 +36,6 @@ RESULTS, QUICK_RESULTS = ROOT / "docs" / "results", ROOT / "build" / "results"
 FAILED = 1
 # Rows of interrupted parts in the JSON file, and options that change none of them.
 PARTIAL, PAGE = "partial", ("only", "draw", "out")
-# What is stored of each part beside its results, and of what type.
-HEAD: dict[str, type | tuple[type, ...]] = {
-    "command": str,
-    "quick": bool,
-    "machine": str,
-    "python": str,
-    "commit": str,
-    "seeds": list,
-    "spread": str,
-    "seconds": (int, float),
-}
 
 
 @dataclass
@@ -219,14 +208,8 @@ class Benchmark:
             raise CommandError(f"{path}: not JSON: {error}") from None
         if not isinstance(document, dict):
             raise CommandError(f"{path}: not the measurements of a benchmark")
-        stored = {part.name: document[part.name] for part in self.parts if part.name in document}
-        for name, values in stored.items():
-            for key, kind in HEAD.items():
-                if not (isinstance(values, dict) and isinstance(values.get(key), kind)):
-                    raise CommandError(f"{path}: {name}.{key}: missing or of another type")
-            if "results" not in values:
-                raise CommandError(f"{path}: {name}.results: missing")
-        return stored | {PARTIAL: document.get(PARTIAL, {})}
+        names = [part.name for part in self.parts if part.name in document]
+        return {name: document[name] for name in names} | {PARTIAL: document.get(PARTIAL, {})}
 
     def _write(self, path: Path, stored: dict[str, Any], measured: Sequence[str] = ()) -> None:
         """Write the page of the stored values, and name the files written.
@@ -234,20 +217,20 @@ class Benchmark:
         Values that were not `measured` now may come from another version of the benchmark.
         """
         there = [part for part in self.parts if part.name in stored]
-        values = {part.name: stored[part.name]["results"] for part in there}
-        texts = [f"# {self.title}", self.question, _made([*values], stored, path)]
-        texts += [
-            f"**Failed:** {name}: {failure}"
-            for name in values
-            for failure in stored[name].get("failures", ())
-        ]
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
+            values = {part.name: stored[part.name]["results"] for part in there}
+            texts = [f"# {self.title}", self.question, _made([*values], stored, path)]
+            texts += [
+                f"**Failed:** {name}: {failure}"
+                for name in values
+                for failure in stored[name].get("failures", ())
+            ]
             if self.summary is not None:
                 texts.append(self.summary(values))
             texts += [part.section(values[part.name], Page(path)) for part in there]
         except (LookupError, TypeError) as error:
-            if set(values) <= set(measured):
+            if {part.name for part in there} <= set(measured):
                 raise
             raise CommandError(
                 f"{path.with_suffix('.json')}: does not fit this version of the benchmark, "
