@@ -1,10 +1,14 @@
-"""One collection on a mock bench, run as a technician runs it, for fault injection."""
+"""One command that records on a mock bench, run as a technician runs it; its processes, its bench.
+
+Faults are injected into its devices, and its processes are killed or watched.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,31 +18,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from benchmarks.faults.observer import Observed, Observer
-from benchmarks.faults.processes import family, kill, stream_process, wait_gone
 from recorder import OUTCOMES, Session
 from rig.core import emulation
 from rig.core.clock import SECOND_NS, SystemClock
 from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
 
-# Emulator of each device, as `rig.mock.emulate` names it.
-EMULATORS = {
-    "arm": "ur",
-    "force": "netft",
-    "camera": "camera",
-    "taxels": "xela",
-    "NI-DAQ": "nidaq",
-    "gripper": "robotiq_2f",
-    "pedal": "hid_pedal",
-    "world": "world",
-}
-# Devices whose fault port is that of another device.
-_LINES = {"NI-DAQ": "force"}
-
+_ROOT = Path(__file__).parents[2]
 # Interpreters start one after the other on a small machine [s].
-_STARTING = 60.0
+_STARTING = 240.0
 _POLL_NS = SECOND_NS // 50
 
 
@@ -61,37 +52,56 @@ limits: {limits}
     return path
 
 
+def stream_written(pid: int, session: Path) -> str | None:
+    """Return the name of the stream of `session` that a process writes; None: none."""
+    folder = f"{session.resolve() / 'streams'}/"
+    with contextlib.suppress(psutil.Error):
+        for file in psutil.Process(pid).open_files():
+            path: str = file.path
+            if path.startswith(folder):
+                return path.removeprefix(folder).split("/")[0]
+    return None
+
+
 class Hangs(Exception):
-    """Raised if a collection does not end or reach a stage, with its output."""
+    """Raised if a command does not end or reach a stage, with its output."""
 
 
 class CollectionRun:
-    """Context manager of a running collection, which ends all its processes on exit.
+    """Context manager of a running command, which ends all its processes on exit.
 
-    `preload` is a library to preload, for devices that need a device node of the kernel. Methods
-    that wait raise Hangs if the collection ended, or too much time passed.
+    Methods that wait raise Hangs if the command ended, or too much time passed; it is then killed.
+
+    Args:
+        session: What it records.
+        words: The command and its arguments.
+        stdin: Its standard input; None: that of this process.
+        preload: Library to preload, for devices that need a device node of the kernel.
     """
 
-    def __init__(self, session: Path, *arguments: str, preload: Path | None = None) -> None:
+    def __init__(
+        self, session: Path, *words: str, stdin: int | None = None, preload: Path | None = None
+    ) -> None:
         self.session = session
-        self.lines: list[tuple[int, str]] = []
-        """Lines of output, with the time of each [ns]."""
+        self.lines: list[str] = []
+        """Lines of output."""
+        self._times: list[int] = []
         self.injected_ns: int | None = None
         """Time of the fault [ns]."""
         self.ended_ns = 0
-        """Time at which the process had ended [ns]."""
+        """Time at which it ended [ns]."""
         self._clock = SystemClock()
         self._observer: Observer | None = None
-        self._known: dict[int, str] = {}
+        # Every process that was ever seen.
+        self._processes: set[psutil.Process] = set()
         self.host = ""
         """Address of the mock bench, once it runs."""
         self.folder: Path | None = None
         """Run folder, once the bench runs."""
-        where = [] if "--resume" in arguments else ["--out", str(session)]
-        # Faults do not depend on measured calibrations of the bench.
-        where += ["--calibrations", str(session.parent / "none-measured")]
         self.process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "tactile", "collect", *where, *arguments],
+            [sys.executable, "-u", "-m", "tactile", *words],
+            cwd=_ROOT,
+            stdin=stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -101,100 +111,123 @@ class CollectionRun:
         self._reader = threading.Thread(target=self._read, name="trial-output", daemon=True)
         self._reader.start()
 
+    @classmethod
+    def collect(cls, session: Path, *arguments: str, **others: Any) -> CollectionRun:
+        """Collect a session, or resume it with the argument `--resume`."""
+        out = () if "--resume" in arguments else ("--out", str(session))
+        # Calibrations of mock benches that were measured on this machine do not count.
+        none = ("--calibrations", str(session.parent / "none-measured"))
+        return cls(session, "collect", *out, *none, *arguments, **others)
+
     def __enter__(self) -> CollectionRun:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.kill_all()
-        if self._observer is not None:
-            self._observer.close()
-        self.process.wait()
-        self._reader.join()
-        if self.process.stdout is not None:
-            self.process.stdout.close()
+        self.observed()
+        if self.folder is not None:
+            # A command that was killed leaves it.
+            shutil.rmtree(self.folder, ignore_errors=True)
 
     def _read(self) -> None:
         if self.process.stdout is not None:
-            for line in self.process.stdout:
-                self.lines.append((self._clock.now_ns(), line.rstrip("\n")))
+            with self.process.stdout as lines:
+                for line in lines:
+                    self._times.append(self._clock.now_ns())
+                    self.lines.append(line.rstrip("\n"))
 
     @property
     def text(self) -> str:
         """Complete output."""
-        return "\n".join(line for _, line in self.lines)
+        return "\n".join(self.lines)
 
     @property
     def last_line(self) -> str:
         """Last line of output."""
-        return self.lines[-1][1] if self.lines else ""
+        return self.lines[-1] if self.lines else ""
 
     def until(self, condition: Callable[[], bool], what: str, timeout: float = _STARTING) -> None:
-        """Wait up to `timeout` [s] for `condition`, with the collection still running."""
+        """Wait up to `timeout` [s] for `condition`, with the command still running."""
         deadline_ns = self._clock.now_ns() + round(timeout * SECOND_NS)
         while not condition():
-            ended = self.process.poll() is not None
-            if ended or self._clock.now_ns() > deadline_ns:
-                if ended:
-                    self._reader.join(2.0)
+            if self.process.poll() is not None or self._clock.now_ns() > deadline_ns:
+                self.kill_all()
                 raise Hangs(f"{what}: not reached:\n{self.text}")
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
 
+    def until_said(self, words: str, after: str = "") -> None:
+        """Wait until it has printed `words`, after the first `after`."""
+        self.until(
+            lambda: words in self.text[self.text.find(after) :] and after in self.text, words
+        )
+
+    def until_bench(self) -> None:
+        """Wait until the mock bench runs."""
+        self.until(self._find_bench, "the mock bench")
+
     def until_recording(self) -> None:
         """Wait until every stream of this run has stored a row, and observe it from then on."""
-        self.until(self._find_bench, "the mock bench")
-        if self.folder is None:
-            raise Hangs(f"no run folder:\n{self.text}")
-        observer = self._observer = Observer(self.folder, self.host)
-        self.until(lambda: min(observer.rows(name) for name in ("force", "pose")) > 0, "recording")
+        self.until_bench()
+        assert self.folder is not None
+        self._observer = Observer(self.folder, self.host)
+        rows = self._observer.observed.rows
+        self.until(lambda: all(rows.get(name, 0) for name in ("force", "pose")), "recording")
 
-    def until_pressing(self, before: Callable[[CollectionRun], None] | None = None) -> None:
-        """Wait until the first phase of this session has ended and the next one has begun.
+    def until_pressing(self) -> None:
+        """Wait until the first phase of this session has ended and the next one has begun."""
+        self.until(lambda: self.segments() > 0, "the first phase")
 
-        `before` is the operator's action after recording starts, without which nothing is pressed.
-        """
-        self.until_recording()
-        if before is not None:
-            before(self)
-        self.until(lambda: self._segment_bytes() > 0, "the first phase")
-
-    def _segment_bytes(self) -> int:
+    def segments(self) -> int:
+        """Return the bytes of the segment journal, which grows by one row per phase."""
         return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
 
     def _find_bench(self) -> bool:
-        for command in self.processes().values():
-            if found := re.search(r"-m rig\.mock\.emulate ur --file (\S+)/arm\.json", command):
-                self.folder = Path(found[1])
-                self.host = json.loads((self.folder / "arm.json").read_text())["host"]
-                return True
-        return False
+        with contextlib.suppress(LookupError):
+            command = self.processes()[self.emulator("arm")].split()
+            file = Path(command[command.index("--file") + 1])
+            self.folder, self.host = file.parent, json.loads(file.read_text())["host"]
+        return self.folder is not None
 
     def processes(self) -> dict[int, str]:
         """Return the command lines of its processes by pid, including the main one."""
-        found = family(self.process.pid)
-        self._known |= found
-        return found
+        commands: dict[int, str] = {}
+        with contextlib.suppress(psutil.NoSuchProcess):
+            main = psutil.Process(self.process.pid)
+            for each in (main, *main.children(recursive=True)):
+                with contextlib.suppress(psutil.Error):
+                    commands[each.pid] = " ".join(each.cmdline())
+                    self._processes.add(each)
+        return commands
 
-    def emulator(self, device: str) -> int:
-        """Return the pid of a device's emulator; LookupError if it is not running."""
-        for pid, command in self.processes().items():
-            if f"-m rig.mock.emulate {EMULATORS[device]} " in command:
-                return pid
-        raise LookupError(f"no emulator of the {device} runs")
+    def emulator(self, name: str) -> int:
+        """Return the pid of the emulator of a device, of the World, or of a replayed stream.
+
+        Raises:
+            LookupError: It does not run.
+        """
+        return self._process_of(name, lambda pid, command: f"/{name}.json" in command)
 
     def stream(self, name: str) -> int:
-        """Return the pid of the process that writes a stream; LookupError if there is none."""
-        return stream_process(self.processes(), self.session, name)
+        """Return the pid of the process that writes a stream.
 
-    def kill(self, *pids: int) -> None:
-        """Send SIGKILL as the fault of this trial."""
+        Raises:
+            LookupError: None writes it.
+        """
+        return self._process_of(name, lambda pid, _: stream_written(pid, self.session) == name)
+
+    def _process_of(self, name: str, matches: Callable[[int, str], bool]) -> int:
+        for pid, command in self.processes().items():
+            if matches(pid, command):
+                return pid
+        raise LookupError(f"no process of {name} runs")
+
+    def kill(self, *pids: int, by: signal.Signals = signal.SIGKILL) -> None:
+        """Send a signal to processes as the fault of this trial."""
         self.processes()
         self.injected_ns = self._clock.now_ns()
-        kill(pids)
-
-    def signal(self, number: signal.Signals) -> None:
-        """Send a signal to the main process as the fault of this trial."""
-        self.injected_ns = self._clock.now_ns()
-        os.kill(self.process.pid, number)
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, by)
 
     def inject(self, device: str, fault: str, **values: Any) -> dict[str, Any]:
         """Inject a fault through the device's fault port and return the device's state."""
@@ -203,20 +236,14 @@ class CollectionRun:
 
     def tell(self, device: str, what: str, **values: Any) -> dict[str, Any]:
         """Send a command that is no fault through the device's fault port."""
-        port = PORTS[_LINES.get(device, device)]
-        return emulation.inject(self.host, port, what, **values)
+        return emulation.inject(self.host, PORTS[device], what, **values)
 
-    def until_said(self, words: str, after: str = "") -> None:
-        """Wait until it has printed `words`, after the first `after`."""
-        self.until(
-            lambda: words in self.text[self.text.find(after) :] and after in self.text, words
-        )
-
-    def wait(self, timeout: float = 60.0) -> int:
+    def wait(self, timeout: float = 240.0) -> int:
         """Wait for the end, up to `timeout` [s], and return the exit code."""
         try:
             code = self.process.wait(timeout)
         except subprocess.TimeoutExpired:
+            self.kill_all()
             raise Hangs(f"no end within {timeout:g} s:\n{self.text}") from None
         self.ended_ns = self._clock.now_ns()
         self._reader.join(5.0)
@@ -236,17 +263,35 @@ class CollectionRun:
         segments = Session(self.session).segments
         ended = [OUTCOMES.index(outcome) for outcome in ("stopped", "interrupted")]
         stopped = segments["end_ns"][np.isin(segments["outcome"], ended)]
-        reported = [t_ns for t_ns, line in self.lines if "stopping: " in line]
+        printed = zip(self._times, self.lines, strict=False)
+        reported = [t_ns for t_ns, line in printed if "stopping: " in line]
         after = [int(t_ns) for t_ns in (*stopped, *reported) if t_ns >= self.injected_ns]
         return (min(after) - self.injected_ns) / SECOND_NS if after else None
+
+    def left(self, seconds: float) -> list[psutil.Process]:
+        """Wait up to `seconds` [s] until all its processes have ended; return those that run."""
+        deadline_ns = self._clock.now_ns() + round(seconds * SECOND_NS)
+        while left := [each for each in self._processes if _runs(each)]:
+            if self._clock.now_ns() > deadline_ns:
+                break
+            self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
+        return left
 
     def kill_all(self) -> None:
         """Send SIGKILL to every process, the main one last, and wait until they end."""
         self.processes()
-        pids = sorted(self.left(), key=lambda pid: pid == self.process.pid)
-        kill(pids)
-        wait_gone((pid for pid in pids if pid != self.process.pid), 10.0)
+        main = self.process.pid
+        for each in sorted(self.left(0.0), key=lambda each: bool(each.pid == main)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                each.kill()
+        self.process.wait()
+        self.left(10.0)
+        self._reader.join(5.0)
 
-    def left(self) -> list[int]:
-        """Return the processes, of all that were ever observed, that still run."""
-        return [pid for pid, command in self._known.items() if family(pid).get(pid) == command]
+
+def _runs(process: psutil.Process) -> bool:
+    try:
+        # A zombie has ended, but its parent has not yet collected its exit status.
+        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False

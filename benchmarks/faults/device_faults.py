@@ -3,64 +3,30 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import shutil
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 from benchmarks.faults.collection_run import CollectionRun, Hangs, quick_bench
 from benchmarks.faults.disk import CannotMount, tmpfs
-from benchmarks.faults.judge import Stored, arm_in_words, complaints, losses, stored_in
-from benchmarks.faults.rows import QUICK, ROWS, Row
+from benchmarks.faults.judge import RowResult, judge
+from benchmarks.faults.rows import PEDAL, QUICK, ROWS, Row
 from benchmarks.report import Page, Run, table
-from recorder import SessionError, recover
 from recorder.charts import BLUE, chart
 from recorder.command_line.errors import CommandError
 from rig.acquire import streams
 from rig.bench.bench import BenchFile, BenchLimits
-from rig.core import emulation
-from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError
-from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.hid.shim import build
 
-# Maximum time to wait for a temporary fault to end, so that all its effects are counted [s].
-_CLEARING = 5.0
 # With less free space than this, the next record does not fit [bytes].
 _FULL = 1 << 16
-_FILLING = 60.0
-UNREPORTED = "the arm is not clear, and this is not reported"
-# Maximum length of a reason; the rest is advice to the technician [characters].
-_LONGEST = 150
-
-
-@dataclass(frozen=True, slots=True)
-class RowResult:
-    """Result of a collection with a fault."""
-
-    device: str
-    fault: str
-    exit: int | None
-    """Exit code, or None if the collection did not end."""
-    reaction: str
-    """Last message of the rig."""
-    noticed: float | None = None
-    """Time from the fault to the end of the phase that it ended [s]."""
-    looked_for: int = 0
-    """Number of samples seen while recording, which were looked for in the session."""
-    lost: int = 0
-    """Number of those that are missing from the session, plus missing stored rows."""
-    arm: str = "not known"
-    """State of the arm at the end, in words."""
-    wrong: tuple[str, ...] = ()
-    """Failures; empty if the row passed."""
-    stored: Stored | None = None
-    """Content of the session, or None if it cannot be read."""
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -110,119 +76,45 @@ def run_row(row: Row, folder: Path) -> RowResult:
     bench = quick_bench(folder, row.sensor, limits=row.limits, more=row.more)
     disk = folder / "disk"
     arguments = ("--bench", str(bench), "--targets", str(row.targets))
-    preload = build(folder) if row.pedal else None
+    preload = build(folder) if row.more == PEDAL else None
     with contextlib.ExitStack() as stack:
         if row.disk_mb:
             stack.enter_context(tmpfs(disk, row.disk_mb))
         session = (disk if row.disk_mb else folder) / "s.zarr"
-        collection = stack.enter_context(CollectionRun(session, *arguments, preload=preload))
+        run = CollectionRun.collect(session, *arguments, preload=preload)
+        stack.enter_context(run)
         try:
-            touched = _with_fault(row, collection)
-            code = collection.wait()
+            touched = _with_fault(row, run)
+            code = run.wait()
         except (Hangs, LookupError, OSError) as error:
             last = str(error).strip().splitlines() or [""]
             wrong = (f"did not end: {last[0]}", *last[-3:])
-            return RowResult(row.device, row.fault, None, collection.last_line, wrong=wrong)
+            return RowResult(row.device, row.fault, None, run.last_line, wrong=wrong)
         if row.disk_mb:
             # A technician would make space, then recover.
-            collection.session = folder / "s.zarr"
-            shutil.copytree(session, collection.session)
-        return judge(row, collection, code, touched)
+            run.session = folder / "s.zarr"
+            shutil.copytree(session, run.session)
+        return judge(row, run, code, touched)
 
 
 def _with_fault(row: Row, collection: CollectionRun) -> int:
     """Inject the fault and return the number of messages it touched, or 0 if not counted."""
-    if row.disk_mb:
-        _fill(collection)
-    elif row.act is None:
-        collection.until_recording()
-    else:
-        collection.until_pressing(row.before)
+    collection.until_recording()
+    if row.before is not None:
+        row.before(collection)
+    if row.act is not None:
+        collection.until_pressing()
         row.act(collection)
+    if row.disk_mb:
+        disk = collection.session.parent
+        # The collection may end by it first.
+        with contextlib.suppress(Hangs):
+            collection.until(lambda: shutil.disk_usage(disk).free < _FULL, "a full disk")
+            collection.injected_ns = SystemClock().now_ns()
     if row.counts is None:
         return 0
-    clock, port = SystemClock(), PORTS[row.device]
-    deadline_ns = clock.now_ns() + round(_CLEARING * SECOND_NS)
-    while True:
-        state = emulation.inject(collection.host, port, "state")
-        if not state.get("active") or clock.now_ns() > deadline_ns:
-            return int(state["touched"])
-        clock.sleep_until(clock.now_ns() + SECOND_NS // 20)
-
-
-def _fill(collection: CollectionRun) -> None:
-    """Wait until the disk is full, or the collection has ended by it."""
-    collection.until_pressing()
-    disk = collection.session.parent
-    with contextlib.suppress(Hangs):
-        collection.until(lambda: shutil.disk_usage(disk).free < _FULL, "a full disk", _FILLING)
-        collection.injected_ns = SystemClock().now_ns()
-
-
-def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> RowResult:
-    """Judge a trial that has ended.
-
-    Args:
-        row: The fault that was injected.
-        collection: Ended.
-        code: Its exit code.
-        touched: Number of messages the fault touched, if the row requires all to be counted.
-    """
-    observed, session = collection.observed(), collection.session
-    wrong = []
-    if code not in row.codes:
-        wrong.append(f"exit code {code}; right: {' or '.join(map(str, row.codes))}")
-    arm, standing = arm_in_words(observed, collection.ended_ns, row.controller_gone)
-    if not standing:
-        wrong.append(f"the arm: {arm}")
-    elif "clear" not in arm and "NOT RETRACTED" not in collection.text:
-        wrong.append(UNREPORTED)
-    reaction = reaction_of(row, collection.last_line.replace(str(session), session.name))
-    try:
-        # Check before recovery: the samples must be readable even if nobody runs it.
-        looked_for, lost = losses(session, observed)
-        if row.needs_recover:
-            recover(session)
-            lost += losses(session, observed)[1]
-        stored = stored_in(session)
-    except (SessionError, OSError):
-        wrong.append("no session can be read")
-        return RowResult(row.device, row.fault, code, reaction, arm=arm, wrong=tuple(wrong))
-    if lost:
-        wrong.append(f"{lost} accepted samples are missing")
-    wrong += complaints(session, {} if row.disorder else stored.disorder)
-    if row.counts is not None:
-        stream, reason = row.counts
-        counted = stored.rejected.get(stream, {}).get(reason, 0)
-        # Several clients share the arm's line, so its fraction of the touched messages is unknown.
-        if counted == 0 or (row.device != "arm" and counted != touched):
-            wrong.append(f"{stream}: {counted} counted as {reason}, {touched} injected")
-    return RowResult(
-        row.device,
-        row.fault,
-        code,
-        reaction,
-        collection.noticed(),
-        looked_for,
-        lost,
-        arm,
-        tuple(wrong),
-        stored,
-    )
-
-
-def reaction_of(row: Row, line: str) -> str:
-    """Return the reason from the last printed line, without advice, addresses and times."""
-    if line.startswith("complete"):
-        return row.did or ("continued, counted it" if row.counts else "continued")
-    if stopped := re.match(r"stopped \((.*)\): \d+ of \d+ targets", line):
-        first = stopped[1].split("; ")[0]
-        text = first if len(first) <= _LONGEST else f"{first[:_LONGEST]}..."
-        line = text + ("; reported: not retracted" if "NOT RETRACTED" in stopped[1] else "")
-    line = re.sub(r"127(\.\d+){3}", "bench", line)
-    line = re.sub(r"'?/\S*/s\.zarr/?([^\s']*)'?", r"\1", line)
-    line = re.sub(r"/\S*/tactile-rig-\w+/", "", line)
-    return re.sub(r"t_ns = \d+", "t_ns = ...", line)
+    collection.until(lambda: not collection.tell(row.device, "state").get("active"), "its end")
+    return int(collection.tell(row.device, "state")["touched"])
 
 
 def section(values: dict[str, Any], page: Page) -> str:

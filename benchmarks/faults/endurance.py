@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import re
 import subprocess
-import sys
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -16,8 +15,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks.faults.collection_run import quick_bench
-from benchmarks.faults.processes import family, stream_written
+from benchmarks.faults.collection_run import CollectionRun, quick_bench, stream_written
 from benchmarks.report import Page, Run, table
 from recorder import Session, check, faults
 from recorder.charts import BLUE, chart
@@ -28,8 +26,8 @@ from rig.core.clock import SECOND_NS, SystemClock
 from trajectories import PressShear
 
 SENSOR = "tacpalm"
-# Length of the plan [min].
-MINUTES, QUICK_MINUTES = 30.0, 0.25
+# Length of the plan [min], and targets of a quick run.
+MINUTES, QUICK_MINUTES, QUICK_TARGETS = 30.0, 0.25, 5
 # Buffers, caches and the first shards fill during this time [s].
 _WARM_UP, _QUICK_WARM_UP = 120.0, 5.0
 # Interval between observations [s].
@@ -44,24 +42,16 @@ class Track:
 
     role: str = ""
     """Its task; empty: not identified."""
-    seconds: list[float] = field(default_factory=list)
-    """Times of observation since the start [s]."""
-    memory: list[float] = field(default_factory=list)
-    """Memory that no other process shares, at those times [bytes]."""
-    files: list[int] = field(default_factory=list)
-    """Numbers of open file descriptors at those times."""
-    cpu: float = 0.0
-    """User and system time so far [s]."""
+    rows: list[tuple[float, float, int, float]] = field(default_factory=list)
+    """Time since the start [s], memory that no other process shares [bytes], open file descriptors,
+    and CPU time so far [s]."""
 
     def look(self, pid: int, seconds: float) -> None:
         """Add the resource use of process `pid` at `seconds`, if it still runs."""
         with contextlib.suppress(psutil.Error):
             process = psutil.Process(pid)
             memory, times = process.memory_full_info().uss, process.cpu_times()
-            self.files.append(process.num_fds())
-            self.cpu = times.user + times.system
-            self.seconds.append(seconds)
-            self.memory.append(float(memory))
+            self.rows.append((seconds, memory, process.num_fds(), times.user + times.system))
 
 
 def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, int]:
@@ -71,8 +61,7 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
     """
     bench = BenchFile.read(bench_file).bench
     plan = bench.trajectory
-    if not isinstance(plan, PressShear):
-        raise CommandError(f"{bench_file}: allowed: a press_shear trajectory")
+    assert isinstance(plan, PressShear)
 
     def length(directions: int) -> float:
         return bench.dry_run(replace(plan, angle_step=2 * pi / directions)).duration
@@ -91,44 +80,35 @@ def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, in
     return path, len(replace(plan, angle_step=2 * pi / directions))
 
 
-def role_of(pid: int, command: str, session: Path) -> str:
-    """Return the role of a child process of the collection that writes `session`."""
+def role_of(pid: int, command: str, run: CollectionRun) -> str:
+    """Return the role of a process of a collection."""
+    if pid == run.process.pid:
+        return "collect"
     if emulator := re.search(r"-m rig\.mock\.emulate .*/(\w+)\.json", command):
-        of_world = {"world": "World", "solver": "World's solver"}
-        return of_world.get(emulator[1], f"{emulator[1]} emulator")
+        return "World" if emulator[1] == "world" else f"{emulator[1]} emulator"
     if "resource_tracker" in command:
         return ""
-    stream = stream_written(pid, session)
+    stream = stream_written(pid, run.session)
     return f"{stream} stream" if stream else "arm"
 
 
-def watched(
-    bench_file: Path, session: Path, every: float, progress: Callable[[float], None]
-) -> tuple[int, str, float, list[Track]]:
-    """Collect the plan of `bench_file`; return exit code, last line, wall time [s], processes."""
+def watched(run: CollectionRun, every: float, progress: Callable[[float], None]) -> list[Track]:
+    """Watch the processes of a collection to its end, every so often [s]; return them."""
     clock = SystemClock()
     start_ns = clock.now_ns()
-    command = [sys.executable, "-u", "-m", "tactile", "collect", "--bench", str(bench_file)]
-    command += ["--calibrations", str(bench_file.parent / "none-measured"), "--out", str(session)]
     tracks: dict[int, Track] = {}
-    printed = session.with_suffix(".out")
-    with printed.open("w") as out, subprocess.Popen(command, stdout=out, stderr=out) as process:
-        while process.poll() is None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(every)
-            seconds = (clock.now_ns() - start_ns) / SECOND_NS
-            for pid, line in family(process.pid).items():
-                track = tracks.setdefault(pid, Track())
-                if pid == process.pid:
-                    track.role = "collect"
-                elif track.role in ("", "arm"):
-                    # A stream opens its files, which identify it, some seconds after its start.
-                    track.role = role_of(pid, line, session)
-                track.look(pid, seconds)
-            progress(seconds)
-    seconds = (clock.now_ns() - start_ns) / SECOND_NS
-    last = (printed.read_text().splitlines() or [""])[-1]
-    return process.returncode, last, seconds, [track for track in tracks.values() if track.role]
+    while run.process.poll() is None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            run.process.wait(every)
+        seconds = (clock.now_ns() - start_ns) / SECOND_NS
+        for pid, command in run.processes().items():
+            track = tracks.setdefault(pid, Track())
+            if track.role in ("", "arm"):
+                # A stream opens its files, which identify it, some seconds after its start.
+                track.role = role_of(pid, command, run)
+            track.look(pid, seconds)
+        progress(seconds)
+    return [track for track in tracks.values() if track.role and track.rows]
 
 
 def growth_of(
@@ -139,12 +119,10 @@ def growth_of(
     From `warm_up` to `until` [s]: medians of the first and last minute [bytes], slope of a line
     [bytes per hour], deviation around it, open files at both ends, and CPU time over wall time.
     """
-    times = np.array(track.seconds)
-    late = (times >= warm_up) & (times <= until)
-    if late.sum() < 3:
+    rows = [row for row in track.rows if warm_up <= row[0] <= until]
+    if len(rows) < 3:
         return None
-    first, last = np.flatnonzero(late)[[0, -1]].tolist()
-    times, memory = times[late], np.array(track.memory)[late]
+    times, memory, files, _ = np.array(rows).T
     line = np.polyfit(times, memory, 1)
     return {
         "role": track.role,
@@ -152,27 +130,32 @@ def growth_of(
         "last": float(np.median(memory[times >= times[-1] - 60])),
         "slope": float(line[0]) * 3600,
         "spread": float(np.std(memory - np.polyval(line, times))),
-        "files": [track.files[first], track.files[last]],
-        "cpu": track.cpu / seconds,
+        "files": [int(files[0]), int(files[-1])],
+        "cpu": track.rows[-1][3] / seconds,
     }
 
 
 def measure(run: Run) -> dict[str, Any]:
     """Run one long collection; return its rows, its losses, and the growth of its processes."""
-    minutes = run.options.minutes or (QUICK_MINUTES if run.quick else MINUTES)
-    folder, session = run.folder, run.folder / "long.zarr"
-    bench, targets = long_bench(quick_bench(folder, SENSOR), 60 * minutes, folder)
-    code, last, seconds, tracks = watched(
-        bench,
-        session,
-        _QUICK_EVERY if run.quick else _EVERY,
-        lambda so_far: run.progress(min(so_far / (60 * minutes), 1.0)),
-    )
+    wanted = 60 * (run.options.minutes or (QUICK_MINUTES if run.quick else MINUTES))
+    session = run.folder / "long.zarr"
+    bench, targets = long_bench(quick_bench(run.folder, SENSOR), wanted, run.folder)
+    if run.quick:
+        targets = QUICK_TARGETS
+    words = ("--bench", str(bench), "--targets", str(targets))
+    with CollectionRun.collect(session, *words) as collection:
+        tracks = watched(
+            collection,
+            _QUICK_EVERY if run.quick else _EVERY,
+            lambda so_far: run.progress(min(so_far / wanted, 1.0)),
+        )
+        code, last = collection.wait(), collection.last_line
     if code != 0:
         run.failures.append(f"exit code {code}: {last}")
         return {"exit": code, "last": last}
+    seconds = max(track.rows[-1][0] for track in tracks)
     # After recording, the session is closed and its frames are built, which needs memory.
-    end = min(track.seconds[-1] for track in tracks if track.role.endswith("stream"))
+    end = min(track.rows[-1][0] for track in tracks if track.role.endswith("stream"))
     warm_up = _QUICK_WARM_UP if run.quick else _WARM_UP
     growths = [growth_of(track, seconds, warm_up, end) for track in tracks]
     recorded = Session(session)

@@ -6,21 +6,32 @@ of the devices, and the position of the arm is the one reported by its emulator.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.faults.observer import Observed, age
-from recorder import Session, check, faults
+from benchmarks.faults.collection_run import CollectionRun
+from benchmarks.faults.observer import Observed
+from benchmarks.faults.rows import Row
+from recorder import Session, SessionError, check, faults, recover
+from rig.core.clock import SECOND_NS
 from rig.devices.camera.jpeg import frame_stamp
 
 # The arm's emulator ends with the bench; the collection may then take long to close its session.
-# The last answer counts if the next question, or the end, came within this time of it [s].
-_RECENT = 3.0
+# The last answer counts if the next question, or the end, came within this time of it [ns].
+_RECENT_NS = 3 * SECOND_NS
+# The arm counts as stopped below this speed [m/s].
+_STILL = 1e-3
+# The tip is clear of the surface above this height, half of a retract [m].
+_CLEAR = 0.01
 # Findings that describe the effect of the fault, not a defect.
 _EXCUSED = ("gap", "clock-step", "dropped", "rate", "frozen", "truncated")
+UNREPORTED = "the arm is not clear, and this is not reported"
+# Maximum length of a reason; the rest is advice to the technician [characters].
+_LONGEST = 150
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +49,30 @@ class Stored:
     """Number of rejected samples recorded in the session, by stream and reason."""
 
 
+@dataclass(frozen=True, slots=True)
+class RowResult:
+    """Result of a collection with a fault."""
+
+    device: str
+    fault: str
+    exit: int | None
+    """Exit code, or None if the collection did not end."""
+    reaction: str
+    """Last message of the rig."""
+    noticed: float | None = None
+    """Time from the fault to the end of the phase that it ended [s]."""
+    looked_for: int = 0
+    """Number of samples seen while recording, which were looked for in the session."""
+    lost: int = 0
+    """Number of those that are missing from the session, plus missing stored rows."""
+    arm: str = "not known"
+    """State of the arm at the end, in words."""
+    wrong: tuple[str, ...] = ()
+    """Failures; empty if the row passed."""
+    stored: Stored | None = None
+    """Content of the session, or None if it cannot be read."""
+
+
 def stored_in(path: Path) -> Stored:
     """Return the content of a session.
 
@@ -45,18 +80,20 @@ def stored_in(path: Path) -> Stored:
         SessionError: It cannot be read.
     """
     session = Session(path)
-    rows, missing, disorder = {}, {}, {}
-    for name, stream in session.streams.items():
-        steps = [_steps(session, name, run) for run in range(max(len(session.runs), 1))]
-        rows[name] = len(stream)
-        missing[name] = sum(max(int((of_run - 1).sum()), 0) for of_run in steps)
-        disorder[name] = sum(int((of_run < 1).sum()) for of_run in steps)
+    runs = range(max(len(session.runs), 1))
+    steps = {name: [_steps(session, name, run) for run in runs] for name in session.streams}
     summary = session.attrs.get("summary") or {}
     return Stored(
         status=session.status,
-        rows=rows,
-        missing=missing,
-        disorder=disorder,
+        rows={name: len(stream) for name, stream in session.streams.items()},
+        missing={
+            name: sum(max(int((of_run - 1).sum()), 0) for of_run in of_stream)
+            for name, of_stream in steps.items()
+        },
+        disorder={
+            name: sum(int((of_run < 1).sum()) for of_run in of_stream)
+            for name, of_stream in steps.items()
+        },
         findings=tuple(sorted({finding.code for finding in faults(check(path))})),
         rejected={name: counts.get("refused", {}) for name, counts in summary.items()},
     )
@@ -118,10 +155,81 @@ def arm_in_words(observed: Observed, ended_ns: int, gone: bool) -> tuple[str, bo
     """
     if gone:
         return "controller gone", True
-    silent_ns = observed.arm_silent_ns
-    last_ns = ended_ns if silent_ns is None else min(ended_ns, silent_ns)
-    if not observed.arm or age(observed.arm[-1], last_ns) >= _RECENT:
+    silent_ns, last = observed.arm_silent_ns, observed.arm
+    until_ns = ended_ns if silent_ns is None else min(ended_ns, silent_ns)
+    if last is None or until_ns - last.t_ns >= _RECENT_NS:
         return "not known", False
-    last = observed.arm[-1]
-    place = "clear" if last.clear else f"at {1e3 * last.height:.1f} mm"
-    return (f"still, {place}" if last.still else f"MOVING, {place}"), last.still
+    place = "clear" if last.height > _CLEAR else f"at {1e3 * last.height:.1f} mm"
+    stands = last.speed < _STILL
+    return (f"still, {place}" if stands else f"MOVING, {place}"), stands
+
+
+def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> RowResult:
+    """Judge a trial that has ended.
+
+    Args:
+        row: The fault that was injected.
+        collection: Ended.
+        code: Its exit code.
+        touched: Number of messages the fault touched, if the row requires all to be counted.
+    """
+    observed, session = collection.observed(), collection.session
+    wrong = []
+    if code not in row.codes:
+        wrong.append(f"exit code {code}; right: {' or '.join(map(str, row.codes))}")
+    arm, standing = arm_in_words(observed, collection.ended_ns, row.controller_gone)
+    if not standing:
+        wrong.append(f"the arm: {arm}")
+    elif "clear" not in arm and "NOT RETRACTED" not in collection.text:
+        wrong.append(UNREPORTED)
+    noticed, looked_for, lost, stored = None, 0, 0, None
+    try:
+        # Check before recovery: the samples must be readable even if nobody runs it.
+        looked_for, lost = losses(session, observed)
+        if row.needs_recover:
+            recover(session)
+            lost += losses(session, observed)[1]
+        stored, noticed = stored_in(session), collection.noticed()
+        wrong += _defects(row, session, stored, touched)
+    except (SessionError, OSError):
+        wrong.append("no session can be read")
+    if lost:
+        wrong.append(f"{lost} accepted samples are missing")
+    said = collection.last_line.replace(str(session), session.name)
+    return RowResult(
+        row.device,
+        row.fault,
+        code,
+        reaction_of(row, said),
+        noticed,
+        looked_for,
+        lost,
+        arm,
+        tuple(wrong),
+        stored,
+    )
+
+
+def _defects(row: Row, path: Path, stored: Stored, touched: int) -> list[str]:
+    wrong = complaints(path, {} if row.disorder else stored.disorder)
+    if row.counts is not None:
+        stream, reason = row.counts
+        counted = stored.rejected.get(stream, {}).get(reason, 0)
+        # Several clients share the arm's line, so its fraction of the touched messages is unknown.
+        if counted == 0 or (row.device != "arm" and counted != touched):
+            wrong.append(f"{stream}: {counted} counted as {reason}, {touched} injected")
+    return wrong
+
+
+def reaction_of(row: Row, line: str) -> str:
+    """Return the reason from the last printed line, without advice, addresses and times."""
+    if line.startswith("complete"):
+        return row.did or ("continued, counted it" if row.counts else "continued")
+    if stopped := re.match(r"stopped \((.*)\): \d+ of \d+ targets", line):
+        first = stopped[1].split("; ")[0]
+        text = first if len(first) <= _LONGEST else f"{first[:_LONGEST]}..."
+        line = text + ("; reported: not retracted" if "NOT RETRACTED" in stopped[1] else "")
+    line = re.sub(r"127(\.\d+){3}", "bench", line)
+    line = re.sub(r"'?/\S*/s\.zarr/?([^\s']*)'?", r"\1", line)
+    line = re.sub(r"/\S*/tactile-rig-\w+/", "", line)
+    return re.sub(r"t_ns = \d+", "t_ns = ...", line)

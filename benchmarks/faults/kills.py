@@ -1,20 +1,30 @@
-"""Part `kills`: kill -9 of collections and of programs that use a session; full disks."""
+"""Part `kills`: kill -9 of collections and of programs that use a session; full disks.
+
+Collections are killed in chains: one session is killed, recovered and resumed several times, at
+random times and in random processes, and then run to completion.
+"""
 
 from __future__ import annotations
 
 import random
+import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.collection_kills import kill_often
+import numpy as np
+
+from benchmarks.faults.collection_run import CollectionRun, Hangs, quick_bench
 from benchmarks.faults.disk import CannotMount
+from benchmarks.faults.judge import UNREPORTED, complaints, judge, stored_in
 from benchmarks.faults.program_kills import PROGRAMS, Loss, fill_disk, kill_in_turn
+from benchmarks.faults.rows import Row
 from benchmarks.report import Page, Run
-from recorder import SessionError
+from recorder import Session, SessionError
+from rig.core.clock import SECOND_NS, SystemClock
 
 SEED = 0
 # Kills of collections in a complete and in a quick run; sessions have ten each.
@@ -23,6 +33,61 @@ KILLS, QUICK_KILLS, _A_SESSION = 100, 1, 10
 _PROGRAM_KILLS, _DISKS = (100, 3), (20, 1)
 # Share of the time that collections take.
 _COLLECTIONS = 0.9
+_STREAMS = ("force", "pose", "camera")
+_EMULATORS = ("arm", "force", "camera")
+# Maximum time from the start of recording to the kill [s].
+_LONGEST = 3.0
+# A collection that lost a process has to retract, seal and end within this time [s].
+_ENDING = 30.0
+
+
+def _arm(run: CollectionRun) -> Sequence[int]:
+    streams = [run.stream(name) for name in _STREAMS]
+    spawned = [pid for pid, line in run.processes().items() if "multiprocessing.spawn" in line]
+    return [pid for pid in spawned if pid not in streams]
+
+
+def _stream(name: str) -> Callable[[CollectionRun], Sequence[int]]:
+    return lambda run: [run.stream(name)]
+
+
+def _emulator(name: str) -> Callable[[CollectionRun], Sequence[int]]:
+    return lambda run: [run.emulator(name)]
+
+
+# Processes to kill, with equal probability; the main one last.
+VICTIMS: dict[str, Callable[[CollectionRun], Sequence[int]]] = {
+    "everything": lambda run: sorted(run.processes(), key=lambda pid: pid == run.process.pid),
+    "the collecting process": lambda run: [run.process.pid],
+    **{f"the {name} stream": _stream(name) for name in _STREAMS},
+    "the arm's process": _arm,
+    **{f"the {name} emulator": _emulator(name) for name in _EMULATORS},
+}
+# After these the arm's emulator cannot say where it stands.
+_NO_ARM = ("everything", "the collecting process", "the arm emulator")
+
+
+@dataclass(slots=True)
+class Kills:
+    """Results of the kills of collections."""
+
+    victims: dict[str, int] = field(default_factory=dict)
+    """Number of kills by victim."""
+    compared: int = 0
+    """Number of samples seen while recording that were looked for."""
+    lost: int = 0
+    """Number of those that were missing."""
+    resumed: int = 0
+    """Number of runs that resumed a killed session."""
+    completed: int = 0
+    """Number of sessions that were completed afterwards."""
+    wrong: list[str] = field(default_factory=list)
+    """Failures."""
+
+    @property
+    def count(self) -> int:
+        """Number of kills."""
+        return sum(self.victims.values())
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -53,9 +118,7 @@ def measure(run: Run) -> dict[str, Any]:
         no_disk = str(error)
     run.failures += [*collections.wrong, *wrong]
     return {
-        # asdict makes keys of its items of a Counter.
-        "collections": asdict(replace(collections, victims=Counter()))
-        | {"victims": collections.victims},
+        "collections": asdict(collections),
         "programs": {"kills": programs, "rows": rows, "wrong": wrong},
         "disks": disks,
         "no_disk": no_disk,
@@ -70,6 +133,97 @@ def in_scratch(folder: Path, act: Callable[[Path], int], wrong: list[str]) -> in
         except (SessionError, Loss) as error:
             wrong.append(str(error))
             return 0
+
+
+def kill_often(
+    folder: Path,
+    *,
+    kills: int,
+    sessions: int,
+    seed: int,
+    targets: int = 6,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Kills:
+    """Kill `kills` times, over `sessions` sessions of `targets` targets; complete each session.
+
+    `folder` is empty; `seed` is that of victims and times.
+    """
+    rng, done = random.Random(seed), Kills()
+    for number in range(sessions):
+        place = folder / f"chain-{number}"
+        place.mkdir()
+        last = done.count + (kills - done.count) // (sessions - number)
+        try:
+            while not _run_once(place, targets, rng if done.count < last else None, done):
+                progress(done.count / kills)
+        except (Hangs, LookupError, SessionError, OSError) as error:
+            done.wrong.append(f"after {done.count} kills: {error}")
+        shutil.rmtree(place)
+    return done
+
+
+def _run_once(folder: Path, targets: int, rng: random.Random | None, done: Kills) -> bool:
+    """Begin or resume the session in `folder`, and kill it or let it end; return True then.
+
+    Args:
+        folder: Folder of the session.
+        targets: Number of its targets.
+        rng: Chooses victim and time; None: it is not killed any more.
+        done: The results, which are added to.
+    """
+    session = folder / "s.zarr"
+    begun = session.exists()
+    if begun and Session(session).status == "complete":
+        wrong = complaints(session, stored_in(session).disorder)
+        done.wrong += [f"resumed session: {what}" for what in wrong]
+        done.completed += 1
+        # If it completed between two kills, the remaining kills go to another session.
+        session.rename(folder / f"done-{done.completed}.zarr")
+        begun = False
+        if rng is None:
+            return True
+    arguments = ("--resume", str(session)) if begun else ("--targets", str(targets))
+    bench = quick_bench(folder, "tacpalm")
+    with CollectionRun.collect(session, "--bench", str(bench), *arguments) as run:
+        run.until_recording()
+        # Damage by later runs can be detected in sealed rows only.
+        before = _times(session)
+        if rng is not None:
+            done.wrong += _killed(run, rng, done)
+        elif run.wait() != 0 or Session(session).status != "complete":
+            raise Hangs(f"did not complete: {run.last_line}")
+    after = _times(session)
+    for name, times in before.items():
+        if not np.array_equal(after[name][: len(times)], times):
+            done.lost += 1
+            done.wrong.append(f"after {done.count} kills: {name}: rows recorded before changed")
+    done.resumed += begun
+    return False
+
+
+def _times(path: Path) -> dict[str, np.ndarray]:
+    """Return t_ns of every readable row, by stream."""
+    return {name: np.array(stream.t_ns) for name, stream in Session(path).streams.items()}
+
+
+def _killed(run: CollectionRun, rng: random.Random, done: Kills) -> list[str]:
+    """Kill one victim, check the session and recover it; return the failures."""
+    clock, wait = SystemClock(), rng.uniform(0.0, _LONGEST)
+    clock.sleep_until(clock.now_ns() + round(wait * SECOND_NS))
+    victim = rng.choice([*VICTIMS])
+    run.kill(*VICTIMS[victim](run))
+    code = run.wait(_ENDING)
+    wrong = [f"still runs: {process}" for process in run.left(_ENDING)]
+    run.kill_all()
+    row = Row("rig", victim, (code,), None, needs_recover=True, controller_gone=victim in _NO_ARM)
+    result = judge(row, run, code)
+    done.victims[victim] = done.victims.get(victim, 0) + 1
+    done.compared += result.looked_for
+    done.lost += result.lost
+    # A collection that was killed reports nothing.
+    wrong += [what for what in result.wrong if what != UNREPORTED]
+    where = f"kill {done.count}, {victim}, {wait:.1f} s into recording"
+    return [f"{where}: {what}" for what in wrong]
 
 
 def section(values: dict[str, Any], page: Page) -> str:

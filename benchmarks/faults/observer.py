@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import numpy as np
 from rig.acquire.stream_process import COUNTERS
 from rig.bench.bench import KINDS
 from rig.core import emulation
-from rig.core.clock import SECOND_NS, SystemClock
+from rig.core.clock import SystemClock
 from rig.core.config import build, read_yaml
 from rig.core.geometry import compose, invert
 from rig.core.mock_names import PORTS
@@ -28,10 +27,7 @@ from rig.mock.world import WorldConfig
 
 _PERIOD = 0.02
 _ARM_EVERY = 3
-# The arm counts as stopped below this speed [m/s].
-_STILL = 1e-3
-# The tip is clear of the surface above this height, half of a retract [m].
-_CLEAR = 0.01
+_RECORDS = ("latest", "counters")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +38,6 @@ class ArmState:
     height: float
     speed: float
 
-    @property
-    def still(self) -> bool:
-        """True if the arm has stopped."""
-        return self.speed < _STILL
-
-    @property
-    def clear(self) -> bool:
-        """True if the tip is well above the surface."""
-        return self.height > _CLEAR
-
 
 @dataclass(slots=True)
 class Observed:
@@ -61,10 +47,10 @@ class Observed:
     """t_ns of samples that each stream published while it was recording [ns]."""
     rows: dict[str, int] = field(default_factory=dict)
     """Highest number of stored rows that each stream reported in this run."""
-    arm: list[ArmState] = field(default_factory=list)
-    """States of the arm in order of time."""
+    arm: ArmState | None = None
+    """Last state of the arm."""
     arm_silent_ns: int | None = None
-    """Time of the first question after the last state, which got no answer; None: none [ns]."""
+    """Time of the first question after that state, which got no answer; None: none [ns]."""
 
 
 class Observer:
@@ -77,8 +63,7 @@ class Observer:
 
     def __init__(self, folder: Path, host: str) -> None:
         self.observed = Observed()
-        self._folder = folder
-        self._host = host
+        self._folder, self._host = folder, host
         world = folder / "world.json"
         self._frame = np.array(build(WorldConfig, read_yaml(world), str(world)).contact_frame)
         self._clock = SystemClock()
@@ -87,20 +72,12 @@ class Observer:
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
         self._thread.start()
 
-    def rows(self, name: str) -> int:
-        """Return the number of rows that the stream reports as stored in this run."""
-        return self.observed.rows.get(name, 0)
-
     def close(self) -> Observed:
         """Observe a last time, stop, and return the observations. May be called twice."""
         if not self._stopping.is_set():
             self._stopping.set()
             self._thread.join()
             self._look()
-            for records in self._records.values():
-                for record in records:
-                    record.close()
-            self._records.clear()
         return self.observed
 
     def _run(self) -> None:
@@ -112,24 +89,21 @@ class Observer:
                 self._ask_arm()
 
     def _look(self) -> None:
-        for name, (latest, counters) in self._open_records():
-            count, newest = counters.read(), latest.read()
+        for name in KINDS.keys() - self._records.keys():
+            # A file that is missing or incomplete is tried again at the next poll.
+            with contextlib.suppress(OSError, ValueError):
+                latest, counters = (self._folder / f"{name}.{what}" for what in _RECORDS)
+                self._records[name] = (
+                    SharedLatest.attach(latest, latest_dtype(name, (16, 3))),
+                    SharedLatest.attach(counters, COUNTERS),
+                )
+        rows, shown = self.observed.rows, self.observed.shown
+        for name, records in self._records.items():
+            newest, count = (record.read() for record in records)
             if count is not None:
-                self.observed.rows[name] = max(self.observed.rows.get(name, 0), int(count["rows"]))
-            if newest is not None and self.observed.rows.get(name, 0) > 0:
-                self.observed.shown.setdefault(name, set()).add(int(newest["t_ns"]))
-
-    def _open_records(self) -> Iterator[tuple[str, tuple[SharedLatest, SharedLatest]]]:
-        for name in KINDS:
-            if name not in self._records:
-                # A file that is missing or incomplete is tried again at the next poll.
-                with contextlib.suppress(OSError, ValueError):
-                    dtype = latest_dtype(name, (16, 3))
-                    latest = SharedLatest.attach(self._folder / f"{name}.latest", dtype)
-                    path = self._folder / f"{name}.counters"
-                    self._records[name] = latest, SharedLatest.attach(path, COUNTERS)
-            if name in self._records:
-                yield name, self._records[name]
+                rows[name] = max(rows.get(name, 0), int(count["rows"]))
+            if newest is not None and rows.get(name, 0) > 0:
+                shown.setdefault(name, set()).add(int(newest["t_ns"]))
 
     def _ask_arm(self) -> None:
         try:
@@ -142,9 +116,4 @@ class Observer:
         self.observed.arm_silent_ns = None
         height = float(compose(invert(self._frame), state["pose"])[2])
         speed = float(np.linalg.norm(state["speed"][:3]))
-        self.observed.arm.append(ArmState(self._clock.now_ns(), height, speed))
-
-
-def age(state: ArmState, now_ns: int) -> float:
-    """Return the age of a state [s]."""
-    return (now_ns - state.t_ns) / SECOND_NS
+        self.observed.arm = ArmState(self._clock.now_ns(), height, speed)

@@ -15,12 +15,6 @@ from recorder.command_line.errors import EXIT_SAFETY_STOP as SAFETY_STOP
 
 _STOPS, _GOES_ON, _SAFETY = (DEVICE_LOST,), (DONE,), (SAFETY_STOP,)
 _EITHER = (*_STOPS, *_SAFETY)
-# Duration of a fault that must not end the session: it ends before the session does [s].
-_SHORT = 1.0
-
-# Number of targets of a session that must last until a slow line is detected as too slow.
-_LONG = 4
-
 # Mock bench on which the faults of each device are injected.
 SENSOR_OF = {"arm": "tacpalm", "force": "tacpalm", "camera": "tacpalm", "taxels": "uskin"}
 
@@ -34,7 +28,7 @@ OVERLOAD = {
 }
 
 
-Act = Callable[[CollectionRun], None]
+Act = Callable[[CollectionRun], object]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,15 +40,13 @@ class Row:
     codes: tuple[int, ...]
     """Expected exit codes."""
     act: Act | None
-    """Injects the fault into a pressing collection; None: it is present from the start."""
+    """Injects the fault into a pressing collection; None: it is in `limits`, or a full disk."""
     sensor: str = "tacpalm"
     limits: str = "{}"
     more: str = ""
     """YAML merged over the limits of the sensor's bench, and YAML to add to it; see quick_bench."""
     before: Act | None = None
     """Operator's action after recording starts, without which nothing is pressed."""
-    pedal: bool = False
-    """True if the bench has a foot pedal, for which the hidraw shim is preloaded."""
     targets: int = 2
     counts: tuple[str, str] | None = None
     """Stream, and the reason with which it must have rejected all injected samples."""
@@ -76,21 +68,15 @@ class Row:
 
 
 def _line(fault: str, **values: float) -> Callable[[str], Act]:
-    def of_device(device: str) -> Act:
-        return lambda collection: _inject(collection, device, fault, values)
-
-    return of_device
-
-
-def _inject(collection: CollectionRun, device: str, fault: str, values: dict[str, float]) -> None:
-    collection.inject(device, fault, **values)
+    return lambda device: lambda collection: collection.inject(device, fault, **values)
 
 
 def _killed(device: str) -> Act:
     return lambda collection: collection.kill(collection.emulator(device))
 
 
-# Fault, its act on a device, the exit codes, and the reason with which samples are rejected.
+# Fault, its act on a device, the exit codes, and the reason with which samples are rejected. What
+# must not end the session lasts 1 s, less than the session.
 _FAULTS: tuple[tuple[str, Callable[[str], Act], tuple[int, ...], str], ...] = (
     ("killed", _killed, _STOPS, ""),
     ("unplugged", _line("unplug"), _STOPS, ""),
@@ -98,14 +84,18 @@ _FAULTS: tuple[tuple[str, Callable[[str], Act], tuple[int, ...], str], ...] = (
     ("slow", _line("slow", fraction=0.25), _STOPS, ""),
     ("garbage", _line("garbage", seconds=3.0), _STOPS, ""),
     ("wrong units", _line("wrong_units"), _STOPS, ""),
-    ("reordered", _line("reorder", seconds=_SHORT, every=10), _GOES_ON, "late"),
-    ("duplicated", _line("duplicate", seconds=_SHORT, every=10), _GOES_ON, "repeated"),
+    ("reordered", _line("reorder", seconds=1.0, every=10), _GOES_ON, "late"),
+    ("duplicated", _line("duplicate", seconds=1.0, every=10), _GOES_ON, "repeated"),
 )
-_STREAM_OF = {"arm": "pose"}
+
+
+def _targets(fault: str) -> int:
+    # A session must last until a slow line is detected as too slow.
+    return 4 if fault == "slow" else 2
 
 
 def _matrix(device: str, sensor: str) -> Iterator[Row]:
-    stream = _STREAM_OF.get(device, device)
+    stream = "pose" if device == "arm" else device
     for fault, act, codes, reason in _FAULTS:
         # MJPEG does not number its frames.
         unnumbered = device == "camera" and reason == "late"
@@ -115,7 +105,7 @@ def _matrix(device: str, sensor: str) -> Iterator[Row]:
             codes,
             act(device),
             sensor=sensor,
-            targets=_LONG if fault == "slow" else 2,
+            targets=_targets(fault),
             counts=(stream, reason) if reason and not unnumbered else None,
             disorder=unnumbered,
             controller_gone=device == "arm" and fault == "killed",
@@ -138,8 +128,7 @@ def _nidaq() -> Iterator[Row]:
     for fault, act, codes, _ in _FAULTS[:5]:
         # Garbage from a converter is a voltage, so the guard may react to it first.
         allowed = _EITHER if fault == "garbage" else codes
-        targets = _LONG if fault == "slow" else 2
-        yield Row("NI-DAQ", fault, allowed, act("NI-DAQ"), more=NIDAQ, targets=targets)
+        yield Row("NI-DAQ", fault, allowed, act("force"), more=NIDAQ, targets=_targets(fault))
 
 
 def _hold(collection: CollectionRun) -> None:
@@ -166,13 +155,17 @@ ROWS: tuple[Row, ...] = (
         _let_go_and_press_again,
         more=PEDAL,
         before=_hold,
-        pedal=True,
         did="halted, retracted, waited for the pedal, pressed that target again from its start",
     ),
     Row("arm", "protective stop", _SAFETY, _line("protective_stop")("arm")),
     Row("arm", "emergency stop", _SAFETY, _line("emergency_stop")("arm")),
     Row("force", "overload", _SAFETY, None, limits=json.dumps(OVERLOAD)),
-    Row("operator", "Ctrl-C", (INTERRUPTED,), lambda run: run.signal(signal.SIGINT)),
+    Row(
+        "operator",
+        "Ctrl-C",
+        (INTERRUPTED,),
+        lambda run: run.kill(run.process.pid, by=signal.SIGINT),
+    ),
     Row(
         "rig",
         "stream process killed",

@@ -1,19 +1,17 @@
 """A bench without processes on a clock that runs as fast as it is computed.
 
 The code that decides is that of the rig: the procedure without a gauge, the plan runner, the mover
-and its guards, the level of the signal. The arm's kinematics, the wrist and the World are those of
-the mock bench. Replaced are only the connections: each sample arrives after a fixed delay, and is
-published in the same shared records.
+and its guards, the loops of the streams. The arm's kinematics, the wrist and the World are those of
+the mock bench. Replaced are only the connections: each sample arrives after a fixed delay, and no
+command passes through a pipe.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import itertools
+import heapq
 import math
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,21 +19,21 @@ from typing import Any
 
 import numpy as np
 
-from rig.acquire.control import Control
-from rig.acquire.plan_runner import PlanRunner, require_arrival, zero_stand_ins
-from rig.acquire.signal_level import SignalLevel, grey
-from rig.acquire.streams import check_clear, tip_position
+from rig.acquire.control import Control, Interlocks
+from rig.acquire.plan_runner import LiveLine, PlanRunner, rise_clear, zero_stand_ins
+from rig.acquire.signal_level import grey
+from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
+from rig.acquire.streams import StreamHandle, Streams, check_clear
 from rig.bench.bench import Bench
 from rig.bench.guards import guard_limits, guards_of
 from rig.bench.worlds import AnalyticSpec
 from rig.core.clock import SECOND_NS, FakeClock
-from rig.core.errors import DeviceLost, SafetyStop
 from rig.core.geometry import compose, matrix_from_vector
-from rig.core.samples import FORCE_LATEST, SIGNAL_LATEST
+from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
-from rig.devices.arm.arm import MoveResult
+from rig.devices.arm.arm import Arm
 from rig.devices.arm.emulated_arm import CYCLE, Robot, Wrist
-from rig.devices.arm.messages import Move, Setup
+from rig.devices.arm.messages import Command, Order, Reply
 from rig.devices.arm.mover import Mover, Watch
 from rig.mock.world.analytic import AnalyticWorld, surface_of
 from rig.mock.world.picture import MarkerCamera
@@ -96,39 +94,25 @@ class SimulatedBench(FakeClock):
         self._longer[:3] = matrix_from_vector(start[3:])[:, 2] * truth.longer
         # Everything that can be touched lies below the plane through the true apex.
         self._origin, self._normal = frame[:3], matrix_from_vector(frame[3:])[:, 2]
-        self._reach = _FREE
         self._state: np.void | None = None
-        self._rng = np.random.default_rng(truth.seed)
-        self._picture = _Picture(truth.world, self._rng)
+        self._picture = _Picture(truth.world, np.random.default_rng(truth.seed))
         self._movement: Iterator[None] | None = None
         self._operation, self.largest = 0, 0.0
-        self.poses: list[tuple[int, np.ndarray]] = []
-        self.signals: list[tuple[int, np.ndarray]] = []
-        self.wrenches: list[tuple[int, np.ndarray]] = []
+        self.streams: dict[str, _Stream] = {}
+        """Streams that record now, by name."""
         self._fresh: list[dict[str, Any]] = []
-        self._under_way: deque[tuple[int, Callable[[int], None]]] = deque()
+        # Samples on their way: when they arrive [ns], number of the cycle, stream and value.
+        self._under_way: list[tuple[int, int, str, np.ndarray]] = []
         self._ticks = 0
         self._last: np.ndarray | None = None
         signal = bench.signal
         self._delay = CAMERA_DELAY if signal and signal.kind == "camera" else TAXELS_DELAY
         self._signal_every = max(round(1 / (signal.rate_hz * CYCLE)), 1) if signal else 10**9
-        self.level = SignalLevel(is_image=bool(signal and signal.kind == "camera"))
-        self.zeros = np.zeros(6)
-        self._published: dict[str, SharedLatest] = {}
-        self._fresh_ns = 0
 
-    def publish_in(self, folder: Path) -> None:
-        """Create the shared records of a stage."""
-        folder.mkdir()
-        signal = self.bench.signal
-        names = {f"{signal.name}.signal": SIGNAL_LATEST} if signal else {}
-        names |= {f"{row.name}.latest": FORCE_LATEST for row in self.bench.of_kind("arm_wrench")}
-        for record in self._published.values():
-            record.close()
-        self._published = {
-            name: SharedLatest.create(folder / name, dtype, _SLOTS) for name, dtype in names.items()
-        }
-        self.level = SignalLevel(is_image=bool(signal and signal.kind == "camera"))
+    def start_stream(self, name: str, bench: Bench, folder: Path) -> _Stream:
+        """Record a stream from now on, in place of the one of that name."""
+        self.streams[name] = _Stream(name, bench, folder, self)
+        return self.streams[name]
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Advance arm, World and streams to `deadline_ns`."""
@@ -172,61 +156,37 @@ class SimulatedBench(FakeClock):
         if self._movement is not None and next(self._movement, True):
             self._movement = None
         self.robot.end_cycle(before)
-        now_ns = self._now_ns
-        while self._under_way and self._under_way[0][0] <= now_ns:
-            self._under_way.popleft()[1](now_ns)
+        while self._under_way and self._under_way[0][0] <= self._now_ns:
+            _, _, name, value = heapq.heappop(self._under_way)
+            self.streams[name].take({"t_ns": self._now_ns, "value": value})
         if self._ticks % 2:
             return
         tip = self.robot.pose + self._longer
-        if self._state is None or float((tip[:3] - self._origin) @ self._normal) < self._reach:
-            self._state = self._world.step(now_ns, tip)
+        if self._state is None or float((tip[:3] - self._origin) @ self._normal) < _FREE:
+            self._state = self._world.step(self._now_ns, tip)
             force = float(np.linalg.norm(self._state["wrench"][:3]))
             self.largest = max(self.largest, force)
-        state = self._state
-        sample = {"t_ns": now_ns, "value": tuple(self.robot.pose.tolist()), "safety_status": 1}
-        sample |= {"speed": tuple(self.robot.speed.tolist()), "speed_fraction": 1.0}
+        seconds = self._now_ns / SECOND_NS
+        sample = {"t_ns": self._now_ns, "value": self.robot.pose.copy(), "safety_status": 1}
+        sample |= {"speed": self.robot.speed.tolist(), "speed_fraction": 1.0}
         self._fresh.append(sample)
-        self.poses.append((now_ns, self.robot.pose.copy()))
+        # Columns that nothing here reads.
+        unread = {"device_t": seconds, "runtime_state": 0, "speed_scaling": 1.0}
+        self.streams["pose"].take(sample | unread)
         if self._ticks % 4 == 0 and self.truth.wrist is not None:
-            wrench = self.truth.wrist.reported(state["wrench"], now_ns / SECOND_NS)
-            self._later(WRENCH_DELAY, lambda t_ns: self._take_wrench(t_ns, wrench))
-        if self._ticks % (2 * (self._signal_every // 2)) == 0:
-            self._capture(state)
+            for row in self.bench.of_kind("arm_wrench"):
+                wrench = self.truth.wrist.reported(self._state["wrench"], seconds)
+                self._send(row.name, wrench, WRENCH_DELAY)
+        if self.bench.signal is not None and self._ticks % (2 * (self._signal_every // 2)) == 0:
+            frozen = seconds > self.truth.frozen_at
+            if not frozen or self._last is None:
+                self._last = self._picture.taken(self._state)
+            if not (frozen and self.truth.silent):
+                self._send(self.bench.signal.name, self._last, self._delay)
 
-    def _capture(self, state: np.void) -> None:
-        frozen = self._now_ns / SECOND_NS > self.truth.frozen_at
-        if frozen and self.truth.silent:
-            return
-        if not frozen or self._last is None:
-            self._last = self._picture.taken(state)
-        reading = self._last
-        self._later(self._delay, lambda t_ns: self._take_signal(t_ns, reading))
-
-    def _later(self, delay: float, action: Callable[[int], None]) -> None:
+    def _send(self, name: str, value: np.ndarray, delay: float) -> None:
         due_ns = self._now_ns + round(delay * SECOND_NS)
-        self._under_way.append((due_ns, action))
-        # Delays differ by stream.
-        self._under_way = deque(sorted(self._under_way, key=lambda each: each[0]))
-
-    def _take_wrench(self, t_ns: int, wrench: np.ndarray) -> None:
-        self.wrenches.append((t_ns, wrench))
-        for name, record in self._published.items():
-            if name.endswith(".latest"):
-                record.write((t_ns, 0, wrench - self.zeros))
-
-    def _take_signal(self, t_ns: int, reading: np.ndarray) -> None:
-        self.signals.append((t_ns, reading))
-        level = self.level.of(reading)
-        self._fresh_ns = t_ns if level.fresh else self._fresh_ns
-        for name, record in self._published.items():
-            if name.endswith(".signal"):
-                record.write((t_ns, self._fresh_ns, level.change, level.motion))
-
-    def newest_signal(self) -> np.void | None:
-        """Return the newest SIGNAL_LATEST."""
-        return next(
-            (rec.read() for name, rec in self._published.items() if name.endswith(".signal")), None
-        )
+        heapq.heappush(self._under_way, (due_ns, self._ticks, name, value))
 
 
 class _Picture:
@@ -234,7 +194,6 @@ class _Picture:
 
     def __init__(self, world: AnalyticSpec, rng: np.random.Generator) -> None:
         self._world, self._rng = world, rng
-        self._noise = world.noise
         self._camera = None if world.markers is None else MarkerCamera(world.markers)
         self._rest: np.ndarray | None = None
         self._noises = rng.normal(0.0, _REDUCED_NOISE, (120 + 64, 160 + 64))
@@ -245,12 +204,12 @@ class _Picture:
             taxels = self._world.taxels
             if taxels is None:
                 raise ValueError("found a World without camera and taxels")
-            counts = 0.0 if self._noise is None else self._noise.counts
-            noise = self._rng.normal(0.0, counts, (16, 3))
+            spread = self._world.noise.counts if self._world.noise else 0.0
+            noise = self._rng.normal(0.0, spread, (16, 3))
             moved = surface_of(self._world, state).displacement(taxels.positions())
             return np.asarray(np.rint(taxels.counts(moved) + noise), np.float32)
-        image = self._rest if state["depth"] <= 0 else None
-        if image is None:
+        image = self._rest
+        if image is None or state["depth"] > 0:
             image = grey(self._camera.image(surface_of(self._world, state)))
         if state["depth"] <= 0:
             self._rest = image
@@ -259,17 +218,84 @@ class _Picture:
         return np.asarray(np.rint(image + noise), np.float32)
 
 
-class _Arm:
-    """The calls of `Arm` that the plan runner makes, on a real `Mover`."""
+class _Stream(StreamHandle):
+    """A stream whose loop takes its samples in this process."""
+
+    def __init__(self, name: str, bench: Bench, folder: Path, clock: SimulatedBench) -> None:
+        self.name, self.kind, self._clock = name, bench.row(name).kind, clock
+        dtype = bench.row(name).latest
+        self._latest = SharedLatest.create(folder / f"{name}.latest", dtype, _SLOTS)
+        self._counters = SharedLatest.create(folder / f"{name}.counters", COUNTERS)
+        self._signal = SharedLatest.create(folder / f"{name}.signal", SIGNAL_LATEST, _SLOTS)
+        driver: Any = SimpleNamespace(dropped=0, rejected={})
+        pipe: Any = SimpleNamespace(send=lambda message: None)
+        self._loop = _StreamLoop(StreamJob(name, bench, folder), pipe, driver, clock)
+        self._samples: list[dict[str, Any]] = []
+
+    def take(self, sample: dict[str, Any]) -> None:
+        """Record a sample and publish it."""
+        self._samples.append(sample)
+        self._loop._take(sample)
+
+    def check(self) -> None:
+        """Do nothing: no process can end."""
+
+    def recorded(self) -> Any:
+        """Return the samples, with the parts of a `Stream` that the procedure reads."""
+        values = [sample["value"] for sample in self._samples]
+        return SimpleNamespace(
+            traits=SimpleNamespace(kind=self.kind),
+            t_ns=np.array([sample["t_ns"] for sample in self._samples], np.int64),
+            array=lambda name: values,
+            jpeg=lambda row: None,
+            images=lambda rows: np.zeros((1, 2, 2, 3), np.uint8),
+        )
+
+    def _send(self, command: str, argument: Any) -> None:
+        getattr(self._loop, f"_on_{command}")(argument)
+
+    def _answer(self, word: str, seconds: float) -> Any:
+        window = self._loop._measurement
+        if word != "measured" or window is None:
+            return None
+        self._clock.sleep_until(window.end_ns)
+        return window.result()
+
+
+class _Arm(Arm):
+    """An arm whose mover runs in this process."""
 
     def __init__(self, clock: SimulatedBench, bench: Bench, folder: Path, contact: float) -> None:
-        frame, guards = tuple(bench.contact_frame), guards_of(bench, folder, contact=contact)
-        setup = Setup(bench.arm, frame, guard_limits(bench), None, tuple(guards.items()))
+        guards = guards_of(bench, folder, contact=contact)
+        frame, limits = bench.contact_frame, guard_limits(bench)
+        super().__init__(bench.arm, frame, limits, pose_path=None, guards=guards, clock=clock)
         world: Any = clock
         self._on_wait: Callable[[], None] | None = None
-        self._clock, self._looked_ns = clock, 0
-        self._mover = Mover(setup, world, Watch(setup, world, clock), clock, self._interrupted)
+        self._looked_ns = 0
+        watch = Watch(self._setup, world, clock)
+        self._mover = Mover(self._setup, world, watch, clock, self._interrupted)
         self._mover.wait_for_pose(1.0)
+
+    def check(self) -> None:
+        """Do nothing: between two commands, no guard looks."""
+
+    def _ask(
+        self,
+        make: Callable[[int], Command],
+        timeout: float,
+        on_wait: Callable[[], None] | None = None,
+        wake: Any = None,
+    ) -> Reply:
+        command, self._on_wait = make(next(self._numbers)), on_wait
+        if isinstance(command, Order):
+            self._mover.halt()
+            if command.what == "halt":
+                return Reply(command.number, "done", 0, self._clock.now_ns())
+            command = self._mover.retract_command(command.number)
+        else:
+            # The arm's process looks between its moves too; what it sees then stops no move.
+            self._mover.step("retreat")
+        return self._mover.move(command, lambda limit: None)
 
     def _interrupted(self) -> bool:
         now_ns = self._clock.now_ns()
@@ -277,114 +303,6 @@ class _Arm:
             self._looked_ns = now_ns
             self._on_wait()
         return False
-
-    def move(
-        self,
-        pose: Any,
-        *,
-        speed: float,
-        acceleration: float,
-        mode: Any,
-        on_wait: Callable[[], None] | None = None,
-        wake: Any = None,
-    ) -> MoveResult:
-        self._on_wait = on_wait
-        target = tuple(np.asarray(pose, np.float64).tolist())
-        # The arm's process looks between its moves too; what it sees then stops no move.
-        self._mover.step("retreat")
-        reply = self._mover.move(Move(2, target, speed, acceleration, mode), lambda limit: None)
-        if reply.outcome == "device_lost":
-            raise DeviceLost(reply.reason)
-        if reply.outcome == "safety_stop":
-            raise SafetyStop(reply.reason)
-        return MoveResult(reply.outcome, reply.start_ns, reply.end_ns, reply.reason)
-
-    def halt(self) -> None:
-        self._mover.halt()
-
-    def check(self) -> None:
-        return
-
-    def retract(self) -> None:
-        """Move away, as after every stop."""
-        self._on_wait = None
-        self._mover.halt()
-        if self._mover.latched is None:
-            self._mover.move(self._mover.retract_command(3), lambda limit: None)
-
-
-class _Streams:
-    """All streams, as the plan runner uses them."""
-
-    def __init__(self, clock: SimulatedBench, bench: Bench) -> None:
-        self._clock = self.clock = clock
-        self.bench = bench
-
-    def __getitem__(self, name: str) -> Any:
-        clock = self._clock
-
-        def latest() -> Any:
-            if clock.bench.row(name).kind == "pose":
-                return {"value": clock.robot.pose, "t_ns": clock.now_ns()}
-            return {"row": len(clock.signals) - 1, "t_ns": clock.now_ns()}
-
-        def zero(value: np.ndarray | None) -> None:
-            if value is None:
-                clock.level.zero()
-            else:
-                clock.zeros = np.asarray(value)
-
-        return SimpleNamespace(name=name, latest=latest, signal=clock.newest_signal, zero=zero)
-
-    def check(self) -> None:
-        return
-
-    def measure(self, seconds: float, *names: str) -> dict[str, dict[str, Any]]:
-        clock = self._clock
-        start_ns = clock.now_ns()
-        clock.sleep_until(start_ns + round(seconds * SECOND_NS))
-        found: dict[str, dict[str, Any]] = {}
-        for name in names:
-            found[name] = {"t_ns": clock.now_ns()}
-            rows = clock.wrenches if clock.bench.row(name).kind == "arm_wrench" else clock.signals
-            values = [value for t_ns, value in rows[-400:] if t_ns > start_ns]
-            if values and clock.bench.row(name).kind != "pose":
-                found[name]["mean"] = np.mean(values, axis=0)
-                found[name]["std"] = np.std(values, axis=0)
-        return found
-
-
-def _recorded(
-    clock: SimulatedBench, bench: Bench, rows: list[dict[str, Any]], since: tuple[int, int]
-) -> Any:
-    """Return a stage, with the parts of a `Session` that the procedure reads.
-
-    `rows` are its phases, and `since` the numbers of its first pose and signal.
-    """
-    names = rows[0] if rows else ("target", "phase", "outcome")
-    signal = bench.signal
-    name, kind = (None, "taxels") if signal is None else (signal.name, signal.kind)
-    return SimpleNamespace(
-        path=clock.folder / "stage.zarr",
-        segments={name: np.array([row[name] for row in rows]) for name in names},
-        attrs={"contact_frame": list(bench.contact_frame)},
-        signal=name,
-        streams={
-            "pose": _column("pose", clock.poses[since[0] :]),
-            str(name): _column(kind, clock.signals[since[1] :]),
-        },
-        first=lambda kind: "pose" if kind == "pose" else None,
-    )
-
-
-def _column(kind: str, samples: list[tuple[int, np.ndarray]]) -> Any:
-    return SimpleNamespace(
-        traits=SimpleNamespace(kind=kind),
-        t_ns=np.array([t_ns for t_ns, _ in samples], np.int64),
-        array=lambda name: [value for _, value in samples],
-        jpeg=lambda row: None,
-        images=lambda rows: np.zeros((1, 2, 2, 3), np.uint8),
-    )
 
 
 class Stages:
@@ -403,9 +321,11 @@ class Stages:
         *,
         contact_change: float = math.inf,
         after_target: Callable[[Target, Any], None] | None = None,
-        total: int | None = None,
+        targets: Iterable[Target] | None = None,
     ) -> Any:
-        """Press `plan` and return the recorded stage; see `rig.acquire.no_gauge.Record`.
+        """Press `targets` of `plan`, all by default, and return the recorded stage.
+
+        It has the parts of a `Session` that the procedure reads; see `rig.acquire.no_gauge.Record`.
 
         Raises:
             SafetyStop, DeviceLost: The stage was stopped, and the arm has retracted.
@@ -413,47 +333,48 @@ class Stages:
         clock, self.stage = self._clock, what
         self._number += 1
         folder = clock.folder / str(self._number)
+        folder.mkdir()
         bench = prepared(clock.bench)
         bench.check_limits(plan)
-        clock.publish_in(folder)
-        since = (len(clock.poses), len(clock.signals))
-        streams: Any = _Streams(clock, bench)
+        streams = Streams(bench, folder, clock, start=clock.start_stream)
         rows: list[dict[str, Any]] = []
 
-        def idle(*_: Any, **__: Any) -> None:
-            return
-
-        segments = SimpleNamespace(append=lambda **row: rows.append(row))
-        writer: Any = SimpleNamespace(segments=segments, reference=SimpleNamespace(append=idle))
-        calls = ("at", "ended", "end", "tick", "waiting", "waited")
-        live: Any = SimpleNamespace(**dict.fromkeys(calls, idle))
-        interlocks: Any = SimpleNamespace(
-            control=Control(), check=idle, armed=lambda: True, disarm=idle, wake=None, wish=""
-        )
-        names = [row.name for row in bench.of_kind("arm_wrench")] or ["pose"]
-        window = bench.preflight.tare_window
-        streams.measure(bench.preflight.rate_window)
-        check_clear(streams)
-        zero_stand_ins(streams, streams.measure(window, *names))
-        arm = _Arm(clock, bench, folder, contact_change)
+        def recorded() -> Any:
+            names = ("target", "phase", "outcome", "start_ns", "end_ns")
+            return SimpleNamespace(
+                path=folder / "stage.zarr",
+                segments={name: np.array([row[name] for row in rows]) for name in names},
+                attrs={"contact_frame": list(bench.contact_frame)},
+                signal=None if bench.signal is None else bench.signal.name,
+                streams={name: stream.recorded() for name, stream in clock.streams.items()},
+                first=lambda kind: bench.of_kind(kind)[0].name,
+            )
 
         def after(target: Target) -> None:
             if after_target is not None:
-                after_target(target, _recorded(clock, bench, rows, since))
+                after_target(target, recorded())
 
-        driven: Any = arm
-        runner = PlanRunner(
-            streams, driven, interlocks, writer, live, plan, after_target=after, run=0, zeros={}
+        def zero() -> None:
+            names = [row.name for row in bench.of_kind("arm_wrench")] or ["pose"]
+            zero_stand_ins(streams, streams.measure(bench.preflight.tare_window, *names))
+
+        writer: Any = SimpleNamespace(
+            segments=SimpleNamespace(append=lambda **row: rows.append(row)),
+            reference=SimpleNamespace(append=lambda **row: None),
         )
-        try:
-            x, y, z = tip_position(streams)
-            pose, settings = bench.tool_pose((x, y, max(bench.arm.retract, z))), bench.arm
-            speed, acceleration = settings.travel_speed, settings.travel_acceleration
-            result = arm.move(pose, speed=speed, acceleration=acceleration, mode="travel")
-            require_arrival(result, pressing=False)
-            zero_stand_ins(streams, streams.measure(window, *names))
-            runner.press(itertools.islice(plan.targets(), total))
-        finally:
-            with contextlib.suppress(SafetyStop, DeviceLost):
+        live = LiveLine(streams, len(plan), planned=0.0)
+        with Interlocks(bench, Control(), clock) as interlocks:
+            streams.measure(bench.preflight.rate_window)
+            check_clear(streams)
+            zero()
+            arm = _Arm(clock, bench, folder, contact_change)
+            runner = PlanRunner(
+                streams, arm, interlocks, writer, live, plan, after_target=after, run=0, zeros={}
+            )
+            try:
+                rise_clear(streams, arm, interlocks)
+                zero()
+                runner.press(plan.targets() if targets is None else targets)
+            finally:
                 arm.retract()
-        return _recorded(clock, bench, rows, since)
+        return recorded()

@@ -7,7 +7,7 @@ import io
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,6 @@ from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from rig.core.packaged import BENCHES
 from rig.devices.arm.emulated_arm import Wrist
-from trajectories import Move, Plan, Target
 
 MM = 1e-3
 SENSORS = ("uskin", "gelsight", "uskin", "tacpalm", "uskin")
@@ -147,31 +146,14 @@ def _collect(file: BenchFile, stages: Stages) -> None:
     home = find_surface(file, stages)
     calibration = Calibration(home, file="found in the same run")
     press_in_steps(bench, calibration, depth, stages, lambda lines: None)
-    plan = _Thinned(bench.trajectory)
-    stages("plan", plan, lambda ready: slowed(calibration.applied(ready), depth))
+    # Some targets of the plan, evenly spread, with the last and deepest.
+    targets = list(bench.trajectory.targets())
+    some = targets[:: -max(len(targets) // _TARGETS, 1)][::-1]
 
+    def prepared(ready: Bench) -> Bench:
+        return slowed(calibration.applied(ready), depth)
 
-class _Thinned(Plan):
-    """Some targets of a plan, evenly spread, with the last and deepest."""
-
-    KIND = "thinned"
-
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        targets = list(plan.targets())
-        kept = targets[:: -max(len(targets) // _TARGETS, 1)][::-1]
-        self._targets = [replace(target, index=k) for k, target in enumerate(kept)]
-
-    def __len__(self) -> int:
-        return len(self._targets)
-
-    def targets(self) -> Iterator[Target]:
-        """Yield the targets."""
-        return iter(self._targets)
-
-    def moves(self, target: Target) -> tuple[Move, ...]:
-        """Return the moves of a target."""
-        return self._plan.moves(target)
+    stages("plan", bench.trajectory, prepared, targets=some)
 
 
 def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wrist: bool) -> Truth:

@@ -183,16 +183,22 @@ SLOW_FRACTION, SLOW = 0.5, 3.0
 class Streams:
     """Context manager of the streams of one bench, with shared records in `folder`.
 
-    `watch` raises if a backend of the devices is gone, such as a mock bench's World.
+    `watch` raises if a backend of the devices is gone, such as a mock bench's World; `start` starts
+    the stream of a name.
     """
 
     def __init__(
-        self, bench: Bench, folder: Path, clock: Clock, watch: Callable[[], None] | None = None
+        self,
+        bench: Bench,
+        folder: Path,
+        clock: Clock,
+        watch: Callable[[], None] | None = None,
+        start: Callable[[str, Bench, Path], StreamHandle] = StreamHandle,
     ) -> None:
         self.bench = bench
         self.clock = clock
         self._watch = watch
-        self._handles = {row.name: StreamHandle(row.name, bench, folder) for row in bench.rows}
+        self._handles = {row.name: start(row.name, bench, folder) for row in bench.rows}
         self._gauges = [row.name for row in bench.of_kind("force")]
         self._summaries: dict[str, Any] = {}
         self._closed = False

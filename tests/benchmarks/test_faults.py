@@ -19,9 +19,9 @@ from support.sessions import make_session
 
 from benchmarks.__main__ import main
 from benchmarks.faults import device_faults, disk, endurance, kills, program_kills
-from benchmarks.faults.collection_kills import VICTIMS, Kills
-from benchmarks.faults.device_faults import RowResult, run_row
-from benchmarks.faults.judge import arm_in_words, complaints, losses, stored_in
+from benchmarks.faults.device_faults import run_row
+from benchmarks.faults.judge import RowResult, arm_in_words, complaints, losses, stored_in
+from benchmarks.faults.kills import VICTIMS, Kills
 from benchmarks.faults.observer import ArmState, Observed
 from benchmarks.faults.rows import QUICK, ROWS
 from benchmarks.report import Page, Run
@@ -146,24 +146,24 @@ def test_a_row_stored_twice_or_out_of_order_does_not_pass(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("states", "silent", "gone", "words", "standing"),
+    ("state", "silent", "gone", "words", "standing"),
     [
-        ([ArmState(9 * SECOND, 0.02, 0.0)], None, False, "still, clear", True),
-        ([ArmState(9 * SECOND, -0.001, 0.0)], None, False, "still, at -1.0 mm", True),
-        ([ArmState(9 * SECOND, 0.02, 0.01)], None, False, "MOVING, clear", False),
-        ([ArmState(2 * SECOND, 0.02, 0.0)], None, False, "not known", False),
-        ([ArmState(2 * SECOND, 0.02, 0.0)], 3 * SECOND, False, "still, clear", True),
-        ([ArmState(2 * SECOND, 0.02, 0.01)], 3 * SECOND, False, "MOVING, clear", False),
-        ([ArmState(2 * SECOND, 0.02, 0.0)], 6 * SECOND, False, "not known", False),
-        ([ArmState(2 * SECOND, 0.02, 0.0)], 20 * SECOND, False, "not known", False),
-        ([], 3 * SECOND, False, "not known", False),
-        ([], None, True, "controller gone", True),
+        (ArmState(9 * SECOND, 0.02, 0.0), None, False, "still, clear", True),
+        (ArmState(9 * SECOND, -0.001, 0.0), None, False, "still, at -1.0 mm", True),
+        (ArmState(9 * SECOND, 0.02, 0.01), None, False, "MOVING, clear", False),
+        (ArmState(2 * SECOND, 0.02, 0.0), None, False, "not known", False),
+        (ArmState(2 * SECOND, 0.02, 0.0), 3 * SECOND, False, "still, clear", True),
+        (ArmState(2 * SECOND, 0.02, 0.01), 3 * SECOND, False, "MOVING, clear", False),
+        (ArmState(2 * SECOND, 0.02, 0.0), 6 * SECOND, False, "not known", False),
+        (ArmState(2 * SECOND, 0.02, 0.0), 20 * SECOND, False, "not known", False),
+        (None, 3 * SECOND, False, "not known", False),
+        (None, None, True, "controller gone", True),
     ],
 )
 def test_an_arm_nobody_has_seen_standing_does_not_stand(
-    states: list[ArmState], silent: int | None, gone: bool, words: str, standing: bool
+    state: ArmState | None, silent: int | None, gone: bool, words: str, standing: bool
 ) -> None:
-    observed = Observed(arm=states, arm_silent_ns=silent)
+    observed = Observed(arm=state, arm_silent_ns=silent)
     assert arm_in_words(observed, 10 * SECOND, gone) == (words, standing)
 
 
@@ -171,9 +171,8 @@ def test_the_page_says_what_is_wrong_and_what_was_not_run(session: Path) -> None
     from benchmarks.faults.command import _summary
 
     result = RowResult("camera", "killed", 3, "gone", 0.25, 9, 2, "still", (), stored_in(session))
-    done = Kills(completed=1, compared=50, resumed=2, victims=Counter({VICTIMS[0]: 3}))
     killed = {
-        "collections": asdict(replace(done, victims=Counter())) | {"victims": done.victims},
+        "collections": asdict(Kills({"everything": 3}, compared=50, resumed=2, completed=1)),
         "programs": {"kills": {}, "rows": 7, "wrong": []},
         "disks": 0,
         "no_disk": "no root",
@@ -272,14 +271,15 @@ def test_a_leak_shows_as_its_slope_and_the_warm_up_does_not() -> None:
     times = np.arange(0.0, 1800.0, 5.0)
     filling = 50e6 * np.minimum(times / 60.0, 1.0)
     memory = 100e6 + filling + 2e6 * times / 3600.0
-    track = endurance.Track("x", times.tolist(), memory.tolist(), [7] * len(times), cpu=180.0)
+    rows = [(t, used, 7, 180.0) for t, used in zip(times, memory, strict=True)]
+    track = endurance.Track("x", rows)
     growth = endurance.growth_of(track, 1800.0)
     assert growth is not None
     assert growth["slope"] == pytest.approx(2e6, rel=1e-6)
     assert growth["spread"] < 1.0
     assert growth["last"] - growth["first"] == pytest.approx(2e6 * (1735 - 145) / 3600, abs=1e5)
     assert growth["cpu"] == pytest.approx(0.1)
-    brief = endurance.Track("y", [0.0, 5.0], [1.0, 1.0], [1, 1])
+    brief = endurance.Track("y", [(0.0, 1.0, 1, 0.0), (5.0, 1.0, 1, 0.0)])
     assert endurance.growth_of(brief, 10.0) is None
 
 
@@ -301,4 +301,4 @@ def test_a_short_long_run_tracks_every_process_and_says_what_was_recorded(tmp_pa
 
 def test_victims_are_drawn_from_everybody() -> None:
     rng = random.Random(0)
-    assert {rng.choice(VICTIMS) for _ in range(200)} == set(VICTIMS)
+    assert {rng.choice([*VICTIMS]) for _ in range(200)} == set(VICTIMS)

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, Collection, faults_of, pressed_session
+from support.collecting import ROOT, faults_of, pressed_session
 
-from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from recorder import Session
 from recorder import catalogue as catalogue_module
 from recorder.session.press_curve import press_curves
@@ -388,12 +388,11 @@ def test_a_campaign_killed_in_the_middle_goes_on_and_loses_nothing(tmp_path: Pat
     words = ("campaign", "--file", str(tmp_path / "day.yaml"), "--yes")
     words += ("--benches", str(tmp_path), "--calibrations", str(tmp_path / "none"))
     first = tmp_path / "out" / "gelsight-prism-force-depth.zarr"
-    run = Collection.of_command(first, *words)
-    run.until(lambda: run.segments() > 0)
+    run = CollectionRun(first, *words)
+    run.until_pressing()
     run.kill_all()
-    run.process.communicate()
 
-    again = Collection.of_command(first, *words)
+    again = CollectionRun(first, *words)
     assert again.wait(240) == 0, again.text
     assert "2 of 2 sessions done" in again.text
     session = Session(first)

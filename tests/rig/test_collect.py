@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of, patient_bench
+from support.collecting import faults_of, patient_bench
 from support.mock_errors import compare
 
-from benchmarks.faults.collection_kills import VICTIMS, kill_often
+from benchmarks.faults.collection_run import CollectionRun
 from benchmarks.faults.judge import stored_in
+from benchmarks.faults.kills import kill_often
 from learning.markers.recording import read_recording
 from recorder import OUTCOMES, Session
 from rig.devices.camera.jpeg import frame_stamp
@@ -24,7 +25,7 @@ from rig.mock.world.truth import Truth
 from tactile.__main__ import main
 
 pytestmark = pytest.mark.serial
-Collected = tuple[Session, Collection, Path]
+Collected = tuple[Session, CollectionRun, Path]
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> Collected:
     folder = tmp_path_factory.mktemp("collected")
     truth = folder / "truth"
     bench = patient_bench(folder, "tacpalm")
-    run = Collection.start(
+    run = CollectionRun.collect(
         *(folder / "s.zarr", "--targets", "2", "--truth", str(truth), "--bench", str(bench))
     )
     assert run.wait(240) == 0, run.text
@@ -100,9 +101,8 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench = patient_bench(tmp_path, "tacpalm")
-    run = Collection.start(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
-    run.until(run.recording)
-    run.until(lambda: run.segments() > 0)
+    run = CollectionRun.collect(tmp_path / "s.zarr", "--targets", "1", "--bench", str(bench))
+    run.until_pressing()
     # Like a terminal: to every process of the group.
     os.killpg(run.process.pid, signal.SIGINT)
     assert run.wait() == 130, run.text
@@ -117,7 +117,7 @@ def test_ctrl_c_finishes_the_row_retracts_and_a_resume_completes_it(
     assert last[2] - frame[2] > 0.015
     rows = len(session.streams["force"])
 
-    again = Collection.start(run.session, "--resume", str(run.session), "--bench", str(bench))
+    again = CollectionRun.collect(run.session, "--resume", str(run.session), "--bench", str(bench))
     assert again.wait() == 0, again.text
     session = Session(run.session)
     assert session.status == "complete"
@@ -145,7 +145,7 @@ def test_targets_of_a_complete_session_are_pressed_again(
     more = ("--resume", str(session), "--bench", str(patient_bench(tmp_path, "tacpalm")))
     assert main(["collect", *more, "--again", "3"]) == 2
     assert "--again: found 3; allowed: targets 1 to 2" in capsys.readouterr().err
-    run = Collection.start(session, *more, "--again", "1")
+    run = CollectionRun.collect(session, *more, "--again", "1")
     assert run.wait() == 0, run.text
     assert "complete: 2 of 2 targets" in run.lines[-1]
     assert len(Session(session).runs) == 2
@@ -161,7 +161,7 @@ def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> Non
     limits = {"force_rating_n": [12.0, 12.0, 0.4], "soft_fraction": 0.5, "hard_fraction": 5.0}
     limits |= {"horizon_ms": 20.0, "stiffness_n_per_mm": 0.005}
     bench = patient_bench(tmp_path, "tacpalm", limits=limits)
-    run = Collection.start(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))
+    run = CollectionRun.collect(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))
     assert run.wait() == 0, run.text
     limited = OUTCOMES.index("force_limited")
     assert list(Session(run.session).segments["outcome"]) == [limited, limited]
@@ -174,8 +174,8 @@ def test_twenty_kills_of_any_process_lose_nothing_and_sessions_are_resumed(tmp_p
     found = kill_often(tmp_path, kills=20, sessions=2, seed=1, targets=6)
     assert found.wrong == []
     assert found.lost == 0
-    assert found.victims.total() == 20
-    assert found.victims[VICTIMS[0]] >= 1
+    assert found.count == 20
+    assert found.victims["everything"] >= 1
     assert found.completed >= 2
     assert found.resumed >= 18
     assert found.compared > 1000
@@ -192,7 +192,7 @@ def test_beside_four_busy_processes_the_stated_uncertainty_covers_95_percent_of_
         busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4)]
         try:
             options = ("--bench", str(bench), "--targets", "2", "--truth", str(truth))
-            run = Collection.start(session, *options)
+            run = CollectionRun.collect(session, *options)
             code = run.wait(240)
         finally:
             for process in busy:

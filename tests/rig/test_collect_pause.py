@@ -310,8 +310,11 @@ def collecting_here(tmp_path: Path) -> Iterator[Collect]:
             bench.write_text("extends: bench.yaml\narm: {speed_mm_s: 2.0}\n")
             words = ("--bench", str(bench), "--targets", str(targets))
             shim = hidraw_nodes.library(tmp_path)
-            run = stack.enter_context(CollectionRun(tmp_path / "s.zarr", *words, preload=shim))
-            run.until_pressing(hold if mode == "dead_man" else None)
+            run = CollectionRun.collect(tmp_path / "s.zarr", *words, preload=shim)
+            stack.enter_context(run).until_recording()
+            if mode == "dead_man":
+                hold(run)
+            run.until_pressing()
             return run
 
         yield collect

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, Collection, move_typed
+from support.collecting import ROOT, move_typed
 
-from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from rig.acquire import collector
 from rig.cli.options import free_path
 from rig.core.packaged import BENCHES
@@ -175,7 +175,7 @@ pedal: {{device: {tmp_path}/no-pedal}}
 """
     )
     with move_typed() as terminal:
-        run = Collection.start(tmp_path / "s.zarr", "--bench", str(bench), stdin=terminal)
+        run = CollectionRun.collect(tmp_path / "s.zarr", "--bench", str(bench), stdin=terminal)
         assert run.wait() == 3, run.text
     assert run.lines[0].startswith("LAB BENCH")
     assert "the arm WILL move" in run.lines[0]

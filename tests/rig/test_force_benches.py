@@ -9,9 +9,9 @@ from typing import get_type_hints
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of
+from support.collecting import faults_of
 
-from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from recorder import Session
 from rig.bench.bench import Bench, BenchFile
 from rig.bench.guards import guard_limits
@@ -181,7 +181,7 @@ def test_the_guard_looks_ahead_at_the_rate_of_every_line(tmp_path: Path, rate_hz
 def test_two_targets_through_the_ni_card_have_the_true_wrench(tmp_path: Path) -> None:
     bench, path = bench_with(tmp_path, NIDAQ), tmp_path / "truth"
     words = ("--bench", str(bench), "--targets", "2", "--truth", str(path))
-    run = Collection.start(tmp_path / "s.zarr", *words)
+    run = CollectionRun.collect(tmp_path / "s.zarr", *words)
     assert run.wait(240) == 0, run.text
     assert faults_of(run.session) == []
     force, truth = Session(run.session).streams["force"], Truth(path)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,15 +12,11 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from support import hidraw_nodes
-from support.collecting import ROOT, Collection
-from support.waiting import until
 
-from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from rig.acquire.setup_checks import origin_text
 from rig.bench.bench import BenchFile
 from rig.cli.jog import REACH, planned
-from rig.core import emulation
-from rig.core.mock_names import PORTS
 from rig.core.packaged import BENCHES
 from tactile.__main__ import main
 
@@ -82,50 +75,36 @@ class Hand:
     def __init__(self, folder: Path) -> None:
         jog = "jog: {kind: spacemouse, device: runfolder/cap.hidraw, speed_max_mm_s: 5.0}"
         bench = quick_bench(folder, "tacpalm", more=jog)
-        environment = os.environ | {"LD_PRELOAD": str(hidraw_nodes.library(folder))}
-        self.log = folder / "jog.txt"
-        with self.log.open("w") as log:
-            process = subprocess.Popen(
-                [sys.executable, "-u", "-m", "tactile", "jog", "--bench", str(bench)],
-                cwd=ROOT,
-                env=environment,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                text=True,
-                start_new_session=True,
-            )
-        self.run = Collection(folder / "none", process)
-        self.wait(lambda: "Ctrl-C ends" in self.log.read_text())
-        self.host = self.run.host()
+        shim = hidraw_nodes.library(folder)
+        self.run = CollectionRun(folder / "none", "jog", "--bench", str(bench), preload=shim)
+        self.run.until_said("Ctrl-C ends")
+        self.run.until_bench()
         self.start = self.place()
 
     def wait(self, condition: Callable[[], bool]) -> None:
-        until(lambda: self.run.process.poll() is not None or condition())
-        assert self.run.process.poll() is None, self.log.read_text()
+        self.run.until(condition, "what the hand does")
 
     def ends(self, code: int) -> str:
         """Wait for its end with this exit code; return what it printed."""
-        text = self.log.read_text
-        assert self.run.process.wait(240) == code, text()
-        return text()
+        assert self.run.wait() == code, self.run.text
+        return self.run.text
 
     def move(self, fault: str, **values: float) -> None:
-        emulation.inject(self.host, PORTS["spacemouse"], fault, **values)
+        self.run.tell("spacemouse", fault, **values)
 
     def place(self) -> np.ndarray:
-        return np.array(emulation.inject(self.host, PORTS["arm"], "state")["pose"][:3])
+        return np.array(self.run.tell("arm", "state")["pose"][:3])
 
     def moving(self) -> bool:
-        speed = emulation.inject(self.host, PORTS["arm"], "state")["speed"]
+        speed = self.run.tell("arm", "state")["speed"]
         return bool(np.linalg.norm(speed[:3]) > 1e-4)
 
 
 @pytest.fixture(name="hand")
 def jogging(tmp_path: Path) -> Iterator[Hand]:
     hand = Hand(tmp_path)
-    yield hand
-    hand.run.kill_all()
-    hand.run.process.wait()
+    with hand.run:
+        yield hand
 
 
 @pytest.mark.serial

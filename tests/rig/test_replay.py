@@ -6,8 +6,6 @@ import contextlib
 import io
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, Collection
 from support.replayable import as_devices_send
 from support.sessions import Columns, make_session, set_attrs
 
+from benchmarks.faults.collection_run import CollectionRun
 from recorder import Session, SessionError, check, faults
 from recorder.info import digests
 from rig.core.clock import SECOND_NS, FakeClock
@@ -316,19 +314,6 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_session(path, seconds=30.0, names=("force", "pose"))
 
 
-def _start(source: Path, out: Path) -> Collection:
-    words = ("tactile", "replay", "--session", str(source), "--out", str(out))
-    process = subprocess.Popen(
-        [sys.executable, "-u", "-m", *words],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        start_new_session=True,
-    )
-    return Collection(out, process)
-
-
 @pytest.mark.serial
 @pytest.mark.parametrize(
     ("victim", "code", "word"),
@@ -341,9 +326,9 @@ def _start(source: Path, out: Path) -> Collection:
 def test_whatever_ends_a_replay_what_was_recorded_is_kept(
     victim: str, code: int, word: str, tmp_path: Path, long: Path
 ) -> None:
-    replay = _start(long, tmp_path / "r.zarr")
-    replay.until(replay.recording)
-    replay.until(lambda: _journalled(tmp_path / "r.zarr") > 20_000)
+    words = ("replay", "--session", str(long), "--out", str(tmp_path / "r.zarr"))
+    replay = CollectionRun(tmp_path / "r.zarr", *words)
+    replay.until(lambda: _journalled(tmp_path / "r.zarr") > 20_000, "recording")
     if victim == "replay":
         replay.process.send_signal(signal.SIGINT)
     else:

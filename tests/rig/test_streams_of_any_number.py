@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.collecting import Collection, faults_of, tactile
+from support.collecting import faults_of, tactile
 
-from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from recorder import Session, SessionWriter, recover
 from recorder.convert import FORMATS, export
 from recorder.spec import frame_columns
@@ -203,17 +203,17 @@ def test_collected_killed_recovered_resumed_replayed_checked_and_exported(
 ) -> None:
     bench = written(tmp_path).with_name(f"{name}.yaml")
     path = tmp_path / "s.zarr"
-    run = Collection.start(path, "--targets", "2", "--bench", str(bench))
-    run.until(lambda: run.session.exists() and run.segments() > 100, 400)
+    run = CollectionRun.collect(path, "--targets", "2", "--bench", str(bench))
+    run.until(lambda: run.session.exists() and run.segments() > 100, "a second phase", 400)
     run.kill_all()
-    run.process.communicate()
     assert recover(path).status == "recovered"
     assert set(Session(path).streams) == wanted
     assert faults_of(path, stopped=True) == []
-    run = Collection.start(path, "--resume", str(path))  # with the packaged bench of the sensor
+    # With the packaged bench of the sensor.
+    run = CollectionRun.collect(path, "--resume", str(path))
     assert run.wait(240) == 2
     assert "was recorded with the streams" in run.text
-    run = Collection.start(path, "--resume", str(path), "--bench", str(bench))
+    run = CollectionRun.collect(path, "--resume", str(path), "--bench", str(bench))
     assert run.wait(400) == 0, run.text
     session = Session(path)
     assert (session.status, len(session.runs)) == ("complete", 2)

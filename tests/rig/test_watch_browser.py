@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 from support.chromium import CHROMIUM, Chromium
-from support.collecting import Collection
+from support.collecting import page_of
 from support.layout import OVERFLOW
 from support.live_quality import GELSIGHT, PLACES, picture, recording
 
-from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from rig.acquire.collector import CollectRequest
 from rig.acquire.control import Control
 from rig.core.packaged import BENCHES
@@ -58,19 +58,18 @@ def bench(folder: Path) -> Path:
 
 
 @contextmanager
-def watched(folder: Path, *arguments: str) -> Iterator[tuple[Collection, Chromium]]:
+def watched(folder: Path, *arguments: str) -> Iterator[tuple[CollectionRun, Chromium]]:
     """Yield a collection with a page, and a browser that shows it."""
     with Chromium() as browser:
-        collection = Collection.start(
+        collection = CollectionRun.collect(
             folder / "s.zarr", "--bench", str(bench(folder)), "--watch", "0", *arguments
         )
         try:
-            address = collection.page()
             browser.resize(1440, 900)
-            browser.open(address)
+            browser.open(page_of(collection))
             yield collection, browser
         finally:
-            collection.end()
+            collection.kill_all()
 
 
 def text(name: str) -> str:
@@ -185,11 +184,10 @@ def test_a_lost_connection_shows_at_once_and_the_next_collection_by_itself(tmp_p
         browser.until(f"{STATUS} == 'collecting'")
         collection.kill_all()
         browser.until("!document.getElementById('lost').hidden")
-        collection.process.communicate()
         port = browser.eval("location.port")
         folder = tmp_path / "next"
         folder.mkdir()
-        following = Collection.start(
+        following = CollectionRun.collect(
             folder / "s.zarr", "--bench", str(bench(folder)), "--watch", port, "--targets", "1"
         )
         try:
@@ -197,4 +195,4 @@ def test_a_lost_connection_shows_at_once_and_the_next_collection_by_itself(tmp_p
             assert browser.eval("document.getElementById('lost').hidden") is True
             assert following.wait() == 0, following.text
         finally:
-            following.end()
+            following.kill_all()

@@ -11,11 +11,11 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from support.collecting import Collection, faults_of
+from support.collecting import faults_of, page_of
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from benchmarks.faults.collection_run import quick_bench
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from recorder import Session
 
 pytestmark = [pytest.mark.serial, pytest.mark.slow]
@@ -60,13 +60,13 @@ def attack(port: int, cookie: str, kind: str, ending: threading.Event, tries: li
 
 def test_no_sample_is_lost_while_the_page_is_attacked(tmp_path: Path) -> None:
     bench = str(quick_bench(tmp_path, "tacpalm"))
-    collection = Collection.start(
+    collection = CollectionRun.collect(
         tmp_path / "s.zarr", *("--bench", bench, "--watch", "0", "--targets", "8")
     )
     ending, tries = threading.Event(), []
     threads: list[threading.Thread] = []
     try:
-        port = urllib.parse.urlsplit(collection.page()).port
+        port = urllib.parse.urlsplit(page_of(collection)).port
         assert port is not None
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/") as answer:
             cookie = answer.headers["Set-Cookie"].split(";")[0]
@@ -74,7 +74,7 @@ def test_no_sample_is_lost_while_the_page_is_attacked(tmp_path: Path) -> None:
             threading.Thread(target=attack, args=(port, cookie, kind, ending, tries))
             for kind in ("connect", "garbage", "flood", "big", "slow")
         ]
-        collection.until(collection.recording)
+        collection.until_recording()
         for thread in threads:
             thread.start()
         code = collection.wait(240)
@@ -82,7 +82,7 @@ def test_no_sample_is_lost_while_the_page_is_attacked(tmp_path: Path) -> None:
         ending.set()
         for thread in threads:
             thread.join()
-        collection.end()
+        collection.kill_all()
     assert code == 0, collection.text
     summary = Session(collection.session).attrs["summary"]
     assert {stream["dropped"] for stream in summary.values()} == {0}

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.collecting import Collection, faults_of, patient_bench
+from support.collecting import faults_of, patient_bench
 
+from benchmarks.faults.collection_run import CollectionRun
 from recorder import Session
 from rig.bench.bench import BenchFile, bench_from, find_bench, with_simulated_world
 from rig.core.clock import FakeClock
@@ -356,7 +357,7 @@ def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
 ) -> None:
     more = "trajectory: {points: [1], angle_step_deg: 180.0}\nsimulated: {behind_ms: 4000.0}"
     bench = patient_bench(tmp_path, sensor, more=more)
-    run = Collection.start(
+    run = CollectionRun.collect(
         tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench), "--world", "sim",
         "--indenter", "sphere",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Run `tactile collect` as a user does, and find its processes to kill them."""
+"""Sessions as `tactile collect` leaves them, what is typed for it, and what it prints."""
 
 from __future__ import annotations
 
@@ -10,17 +10,14 @@ import re
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from support.sessions import specs
 
-from benchmarks.faults.collection_run import quick_bench
-from benchmarks.faults.processes import family, kill, stream_process, wait_gone
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from recorder import OUTCOMES, SessionWriter, check, faults
 from trajectories import Plan, plan_to_json
 
@@ -120,111 +117,9 @@ def move_typed() -> Iterator[int]:
         os.close(slave)
 
 
-@dataclass
-class Collection:
-    """One running collection."""
-
-    session: Path
-    process: subprocess.Popen[str]
-    lines: list[str] = field(default_factory=list)
-
-    @classmethod
-    def start(
-        cls, session: Path, *arguments: str, sensor: str = "tacpalm", stdin: int | None = None
-    ) -> Collection:
-        where = [] if "--resume" in arguments else ["--out", str(session)]
-        if "--bench" not in arguments and "--resume" not in arguments:
-            where += ["--sensor", sensor]
-        # Ignore calibrations of mock benches that were measured on this machine.
-        where += ["--calibrations", str(session.parent / "none-measured")]
-        return cls.of_command(session, "collect", *where, *arguments, stdin=stdin)
-
-    @classmethod
-    def of_command(cls, session: Path, *words: str, stdin: int | None = None) -> Collection:
-        """Start a command that records `session`."""
-        process = subprocess.Popen(
-            [sys.executable, "-u", "-m", "tactile", *words],
-            cwd=ROOT,
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-        return cls(session, process)
-
-    def page(self) -> str:
-        """Return the address of its page, once it is printed."""
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip())
-            if address := re.search(r"watch it at (\S+)", line):
-                return address[1]
-        raise AssertionError(f"no address was printed:\n{self.text}")
-
-    def wait(self, timeout: float = 240.0) -> int:
-        """Return its exit code, with all printed lines in `lines`."""
-        try:
-            output, _ = self.process.communicate(timeout=timeout)
-        except subprocess.TimeoutExpired:
-            self.kill_all()
-            output, _ = self.process.communicate()
-            raise AssertionError(f"hangs after:\n{output}") from None
-        self.lines += output.splitlines()
-        return self.process.returncode
-
-    @property
-    def text(self) -> str:
-        return "\n".join(self.lines)
-
-    def processes(self) -> dict[int, str]:
-        """Return the command lines of its processes, including the main one, by pid."""
-        return family(self.process.pid)
-
-    def emulator(self, name: str) -> int:
-        """Return the pid of the emulator of a device, of the World, or of a replayed stream."""
-        commands = self.processes()
-        return next(pid for pid in commands if f"/{name}.json" in commands[pid])
-
-    def host(self) -> str:
-        """Return the loopback address of the mock bench."""
-        command = self.processes()[self.emulator("arm")].split()
-        return str(json.loads(Path(command[command.index("--file") + 1]).read_text())["host"])
-
-    def stream(self, name: str) -> int:
-        """Return the pid of the process that writes `<session>/streams/<name>`."""
-        return stream_process(self.processes(), self.session, name)
-
-    def until(self, condition: Callable[[], bool], timeout: float = 240.0) -> None:
-        """Wait for `condition` while the collection runs."""
-        deadline = time.monotonic() + timeout
-        while not condition():
-            if self.process.poll() is not None or time.monotonic() > deadline:
-                self.kill_all()
-                output, _ = self.process.communicate()
-                raise AssertionError(f"it did not come so far:\n{output}")
-            time.sleep(0.02)
-
-    def recording(self) -> bool:
-        """Return True if frames, poses and forces are being stored."""
-        return any(self.session.glob("streams/*/value/c/*/*/*.partial")) or any(
-            self.session.glob("streams/force/t_ns/journal-*")
-        )
-
-    def segments(self) -> int:
-        """Return the bytes of the segment journal, which grows by one row per phase."""
-        return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
-
-    def end(self) -> None:
-        """Kill it if it still runs, and close its output; may be called twice."""
-        if self.process.poll() is None:
-            self.kill_all()
-        self.process.wait()
-        if self.process.stdout is not None:
-            self.process.stdout.close()
-
-    def kill_all(self) -> None:
-        """Send SIGKILL to every process, children first, main process last."""
-        pids = sorted(self.processes(), key=lambda pid: pid == self.process.pid)
-        kill(pids)
-        wait_gone((pid for pid in pids if pid != self.process.pid), 10.0)
+def page_of(run: CollectionRun) -> str:
+    """Return the address of its page, once it is printed."""
+    run.until_said("watch it at ")
+    address = re.search(r"watch it at (\S+)", run.text)
+    assert address is not None
+    return address[1]
