@@ -2,39 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 from benchmarks.faults import device_faults, endurance, kills, wrong_benches
 from benchmarks.report import Benchmark, Part
-from recorder.command_line.options import whole
-
-
-def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--row",
-        action="append",
-        metavar="NAME",
-        help="a row of `faults` to run (may be repeated), with --quick or --out; '' names them",
-    )
-    parser.add_argument(
-        "--kills",
-        type=whole(0),
-        metavar="N",
-        help=f"kills of collections ({kills.KILLS}; {kills.QUICK_KILLS} with --quick)",
-    )
-    parser.add_argument(
-        "--benches",
-        type=whole(1),
-        metavar="N",
-        help=f"wrong benches ({wrong_benches.COUNT}; {wrong_benches.QUICK_COUNT} with --quick)",
-    )
-    parser.add_argument(
-        "--minutes",
-        type=float,
-        metavar="MIN",
-        help=f"length of the collection of `endurance` ({endurance.MINUTES:g})",
-    )
 
 
 def _summary(values: dict[str, Any]) -> str:
@@ -70,6 +41,5 @@ BENCHMARK = Benchmark(
         Part("endurance", endurance.measure, endurance.section, weight=30.0),
     ),
     summary=_summary,
-    options=_options,
 )
 add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

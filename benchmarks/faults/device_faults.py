@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,6 @@ from benchmarks.faults.judge import RowResult, judge
 from benchmarks.faults.rows import PEDAL, QUICK, ROWS, Row
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, chart
-from recorder.command_line.errors import CommandError
 from rig.acquire import streams
 from rig.bench.bench import BenchFile, BenchLimits
 from rig.core.clock import SystemClock
@@ -31,35 +31,24 @@ _FULL = 1 << 16
 
 def measure(run: Run) -> dict[str, Any]:
     """Run the rows one after the other; return their results, and the reasons of those left out."""
-    rows, skipped = chosen_rows(run), {}
+    rows = [row for row in ROWS if not run.quick or row.name in QUICK]
     results: list[dict[str, Any]] = []
+    skipped: dict[str, str] = {}
     for number, row in enumerate(rows):
-        with tempfile.TemporaryDirectory(prefix="tactile-rig-", dir=run.folder) as folder:
-            try:
-                result = run_row(row, Path(folder))
-            except (ConfigError, CannotMount) as error:
-                skipped[row.name] = str(error)
-            else:
-                results.append(asdict(result))
-                run.failures += [f"{row.name}: {what}" for what in result.wrong]
+        try:
+            result = run.once(row.name, partial(_in_scratch, row, run.folder))
+        except (ConfigError, CannotMount) as error:
+            skipped[row.name] = str(error)
+        else:
+            results.append(result)
+            run.failures += [f"{row.name}: {what}" for what in result["wrong"]]
         run.progress((number + 1) / len(rows))
     return {"rows": results, "skipped": skipped}
 
 
-def chosen_rows(run: Run) -> list[Row]:
-    """Return the rows to run: all, a few of a quick run, or those of `--row`.
-
-    Raises:
-        CommandError: A name that no row has, or a page of complete runs for a choice of rows.
-    """
-    names: list[str] = run.options.row or []
-    known = [row.name for row in ROWS]
-    if unknown := sorted(set(names) - set(known)):
-        raise CommandError(f"--row: found {', '.join(unknown)}; allowed: {', '.join(known)}")
-    if names and not run.quick and run.options.out is None:
-        raise CommandError("--row: found no --quick and no --out; allowed: with one of them")
-    names = names or (list(QUICK) if run.quick else known)
-    return [row for row in ROWS if row.name in names]
+def _in_scratch(row: Row, folder: Path) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory(prefix="tactile-rig-", dir=folder) as scratch:
+        return asdict(run_row(row, Path(scratch)))
 
 
 def run_row(row: Row, folder: Path) -> RowResult:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import contextlib
 import re
 import subprocess
-from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from math import pi
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +17,17 @@ from benchmarks.faults.collection_run import CollectionRun, quick_bench, stream_
 from benchmarks.report import Page, Run, table
 from recorder import Session, check, faults
 from recorder.charts import BLUE, chart
-from recorder.command_line.errors import CommandError
-from recorder.settings import yaml_text
 from rig.bench.bench import BenchFile
 from rig.core.clock import SECOND_NS, SystemClock
-from trajectories import PressShear
 
-SENSOR = "tacpalm"
-# Length of the plan [min], and targets of a quick run.
-MINUTES, QUICK_MINUTES, QUICK_TARGETS = 30.0, 0.25, 5
+# Step between shear directions, and targets of a quick run.
+ANGLE_STEP_DEG, QUICK_TARGETS = 9.0, 5
+# Expected duration of a complete and of a quick run [s].
+_EXPECTED = (1830.0, 30.0)
 # Buffers, caches and the first shards fill during this time [s].
 _WARM_UP, _QUICK_WARM_UP = 120.0, 5.0
 # Interval between observations [s].
 _EVERY, _QUICK_EVERY = 5.0, 1.0
-_MOST_DIRECTIONS = 360
 _MIB = 2**20
 
 
@@ -54,30 +49,10 @@ class Track:
             self.rows.append((seconds, memory, process.num_fds(), times.user + times.system))
 
 
-def long_bench(bench_file: Path, seconds: float, folder: Path) -> tuple[Path, int]:
-    """Write a bench like `bench_file` with more shear directions, to take at least `seconds`.
-
-    Returns its file, in `folder`, and the targets of its plan; CommandError if no plan is as long.
-    """
-    bench = BenchFile.read(bench_file).bench
-    plan = bench.trajectory
-    assert isinstance(plan, PressShear)
-
-    def length(directions: int) -> float:
-        return bench.dry_run(replace(plan, angle_step=2 * pi / directions)).duration
-
-    most = length(_MOST_DIRECTIONS)
-    if most < seconds:
-        raise CommandError(f"--minutes: {seconds / 60:g}; allowed: up to {most / 60:.0f}")
-    directions = bisect_left(range(1, _MOST_DIRECTIONS), seconds, key=length) + 1
-    path = folder / f"{bench.sensor}-long.yaml"
-    content = {
-        "extends": str(bench_file.resolve()),
-        "trajectory": {"kind": "press_shear", "angle_step_deg": 360.0 / directions},
-        "limits": {"duration_max_min": 2 * length(directions) / 60},
-    }
-    path.write_text(yaml_text(content))
-    return path, len(replace(plan, angle_step=2 * pi / directions))
+def long_bench(folder: Path) -> Path:
+    """Write a bench with a plan of half an hour, by more shear directions."""
+    more = f"trajectory: {{angle_step_deg: {ANGLE_STEP_DEG}}}"
+    return quick_bench(folder, "tacpalm", limits="{duration_max_min: 60}", more=more)
 
 
 def role_of(pid: int, command: str, run: CollectionRun) -> str:
@@ -137,17 +112,14 @@ def growth_of(
 
 def measure(run: Run) -> dict[str, Any]:
     """Run one long collection; return its rows, its losses, and the growth of its processes."""
-    wanted = 60 * (run.options.minutes or (QUICK_MINUTES if run.quick else MINUTES))
-    session = run.folder / "long.zarr"
-    bench, targets = long_bench(quick_bench(run.folder, SENSOR), wanted, run.folder)
-    if run.quick:
-        targets = QUICK_TARGETS
+    bench, session = long_bench(run.folder), run.folder / "long.zarr"
+    targets = QUICK_TARGETS if run.quick else len(BenchFile.read(bench).bench.trajectory)
     words = ("--bench", str(bench), "--targets", str(targets))
     with CollectionRun.collect(session, *words) as collection:
         tracks = watched(
             collection,
             _QUICK_EVERY if run.quick else _EVERY,
-            lambda so_far: run.progress(min(so_far / wanted, 1.0)),
+            lambda so_far: run.progress(min(so_far / _EXPECTED[run.quick], 1.0)),
         )
         code, last = collection.wait(), collection.last_line
     if code != 0:

@@ -93,9 +93,7 @@ class Kills:
 def measure(run: Run) -> dict[str, Any]:
     """Kill collections and programs and fill disks; return the counts."""
     run.seeds = (SEED,)
-    kills = run.options.kills
-    if kills is None:
-        kills = QUICK_KILLS if run.quick else KILLS
+    kills = QUICK_KILLS if run.quick else KILLS
     collections = kill_often(
         run.folder,
         kills=kills,

@@ -6,7 +6,6 @@ Accepted rows are counted in memory that the killed process shares with this one
 
 from __future__ import annotations
 
-import mmap
 import multiprocessing
 import os
 import random
@@ -35,13 +34,15 @@ from recorder import (
 
 # Programs that are killed, in turn.
 PROGRAMS = ("writer", "recover", "resume")
-_STREAMS = ("camera", "force")
+# Streams, and the rows that each gets in turn.
+_STREAMS = {"camera": 1, "force": 16}
 _PIXELS = (48, 48, 3)
 # A program is killed within this time from its start [s].
 _LONGEST = 0.25
 # A disk is full within this time [s].
 _FILLING = 120.0
 _CONTEXT = multiprocessing.get_context("fork")
+_RUN = {"t0_ns": 0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"}
 
 
 class Loss(Exception):
@@ -67,35 +68,31 @@ class Numbered:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._accepted = mmap.mmap(-1, 8 * len(_STREAMS))
+        self.accepted = _CONTEXT.RawArray("q", len(_STREAMS))
+        """Rows that each stream accepted, in whichever process."""
         specs = [
             camera_spec(60, height=_PIXELS[0], width=_PIXELS[1], codec="zstd"),
             force_spec(1000),
         ]
         with SessionWriter.create(path, attrs={}, streams=specs, targets={}) as session:
-            session.begin_run({"t0_ns": 0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
-
-    @property
-    def accepted(self) -> list[int]:
-        """Rows that each stream accepted, in whichever process."""
-        return [int(rows) for rows in np.frombuffer(self._accepted, np.int64)]
+            session.begin_run(_RUN)
 
     def write(self, limit: int = 1 << 30) -> None:
         """Append rows to both streams, as fast as possible, and count those that are accepted."""
         folder = self.path / "streams"
         writers = [StreamWriter.open(folder / name, sync_interval=0.02) for name in _STREAMS]
         for _ in range(limit):
-            for slot, (name, writer) in enumerate(zip(_STREAMS, writers, strict=True)):
-                for _ in range(1 if name == "camera" else 16):
-                    row = writer.append(**_row(name, writer.rows))
-                    self._accepted[8 * slot : 8 * slot + 8] = (row + 1).to_bytes(8, "little")
+            for slot, (name, count) in enumerate(_STREAMS.items()):
+                for _ in range(count):
+                    row = writers[slot].append(**_row(name, writers[slot].rows))
+                    self.accepted[slot] = row + 1
         for writer in writers:
             writer.close()
 
     def resume(self) -> None:
         """Resume the session, write some rows and close it."""
         with SessionWriter.resume(self.path) as session:
-            session.begin_run({"t0_ns": 0, "utc": "2026-01-01T00:00:00Z", "boot_id": "b"})
+            session.begin_run(_RUN)
             self.write(limit=60)
             session.finish("complete", rate_hz=60)
 
@@ -122,23 +119,17 @@ class Numbered:
             raise Loss(f"after {after}: {damage[0]}")
 
 
-def killed(
-    act: Callable[..., Any], *args: Any, within: float, begun: Callable[[], bool] = lambda: True
-) -> bool:
-    """Run a program in a process of its own and kill it; return False if it had ended before.
+def killed(act: Callable[[], Any], within: float, begun: Callable[[], bool] = lambda: True) -> bool:
+    """Run a program in a process and kill it; return False if it had ended before.
 
-    Args:
-        act: The program.
-        args: Its arguments.
-        within: Time until it is killed [s].
-        begun: Condition from which this time counts.
+    It is killed after the time `within` [s], which counts from the condition `begun`.
     """
-    child = _CONTEXT.Process(target=act, args=args)
+    child = _CONTEXT.Process(target=act)
     child.start()
     while not begun() and child.is_alive():
         time.sleep(0.001)
-    time.sleep(within)
-    os.kill(child.pid or 0, signal.SIGKILL)
+    child.join(within)
+    child.kill()
     child.join()
     return child.exitcode == -signal.SIGKILL
 
@@ -150,15 +141,13 @@ def kill_in_turn(folder: Path, dice: random.Random, kills: Counter[str]) -> int:
         Loss, SessionError: A row was lost, or the session cannot be read.
     """
     session = Numbered(folder / "s.zarr")
-    kills["writer"] += killed(
-        session.write,
-        within=dice.uniform(0.0, _LONGEST),
-        begun=lambda: min(session.accepted) > 0,
-    )
+    within = dice.uniform(0.0, _LONGEST)
+    kills["writer"] += killed(session.write, within, lambda: min(session.accepted) > 0)
     session.compare("writer")
-    kills["recover"] += killed(recover, session.path, within=dice.uniform(0.005, _LONGEST / 4))
+    within = dice.uniform(0.005, _LONGEST / 4)
+    kills["recover"] += killed(lambda: recover(session.path), within)
     session.compare("recover")
-    kills["resume"] += killed(session.resume, within=dice.uniform(0.01, _LONGEST))
+    kills["resume"] += killed(session.resume, dice.uniform(0.01, _LONGEST))
     session.compare("resume")
     recover(session.path)
     session.compare("recovery", clean=True)

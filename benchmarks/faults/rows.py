@@ -63,7 +63,7 @@ class Row:
 
     @property
     def name(self) -> str:
-        """Name of the row for --row."""
+        """Its name, without spaces."""
         return f"{self.device} {self.fault}".replace(" ", "-")
 
 

@@ -68,7 +68,7 @@ class Outcome:
 
 def measure(run: Run) -> dict[str, Any]:
     """Collect on each wrong bench; return the largest forces and the ends, by fault."""
-    count = run.options.benches or (QUICK_COUNT if run.quick else COUNT)
+    count = QUICK_COUNT if run.quick else COUNT
     outcomes: list[Outcome] = []
     each = len(SENSORS)
     run.seeds = range(each, each * (count + 1), each) if run.quick else range(count)

@@ -21,19 +21,17 @@ from benchmarks.__main__ import main
 from benchmarks.faults import device_faults, disk, endurance, kills, program_kills
 from benchmarks.faults.device_faults import run_row
 from benchmarks.faults.judge import RowResult, arm_in_words, complaints, losses, stored_in
-from benchmarks.faults.kills import VICTIMS, Kills
+from benchmarks.faults.kills import Kills
 from benchmarks.faults.observer import ArmState, Observed
 from benchmarks.faults.rows import QUICK, ROWS
 from benchmarks.report import Page, Run
 from recorder import Session, SessionError
-from recorder.command_line.errors import CommandError
 from rig.bench.bench import BenchFile, bench_from
 from rig.bench.guards import guard_limits
 from rig.core.clock import FakeClock
 from rig.core.guard import ForceGuard, MotionGuard
 from rig.core.packaged import BENCHES
 from rig.core.samples import FORCE_LATEST, POSE_LATEST
-from trajectories import dry_run
 
 MS = 1_000_000
 SECOND = 1_000 * MS
@@ -42,10 +40,12 @@ BY_NAME = {row.name: row for row in ROWS}
 
 @pytest.mark.serial
 @pytest.mark.slow
-def test_the_command_runs_a_row_and_writes_its_page(tmp_path: Path) -> None:
+def test_the_command_runs_a_row_and_writes_its_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(device_faults, "QUICK", ("force-duplicated",))
     out = tmp_path / "docs" / "faults.md"
-    chosen = ["--quick", "--only", "faults", "--row", "force-duplicated", "--out", str(out)]
-    assert main(["faults", *chosen]) == 0
+    assert main(["faults", "--quick", "--only", "faults", "--out", str(out)]) == 0
     text = out.read_text()
     assert "1 of 1 faults ended as they must; 0 of " in text
     row = next(line for line in text.splitlines() if line.startswith("| force: duplicated"))
@@ -57,21 +57,6 @@ def test_the_command_runs_a_row_and_writes_its_page(tmp_path: Path) -> None:
     assert cells[6] == "still, clear"
     assert "127." not in text
     assert {path.name for path in out.parent.iterdir()} == {"faults.md", "faults.json"}
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--quick", "--only", "faults", "--row", "melted"], "found melted; allowed: arm-killed"),
-        (["--only", "faults", "--row", "force-slow"], "--row: found no --quick and no --out"),
-        (["--kills", "-1"], "--kills"),
-    ],
-)
-def test_wrong_options_are_refused(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["faults", *words]) == 2
-    assert message in capsys.readouterr().err
 
 
 def test_the_rows_are_every_device_times_every_fault_and_those_of_the_net() -> None:
@@ -241,7 +226,7 @@ def test_a_missing_or_changed_row_is_a_failure(tmp_path: Path) -> None:
     session = program_kills.Numbered(tmp_path / "s.zarr")
     session.write(limit=3)
     session.compare("writing")
-    session._accepted[8:16] = (1000).to_bytes(8, "little")
+    session.accepted[1] = 1000
     with pytest.raises(program_kills.Loss, match="force: 1000 rows accepted, 48 stored"):
         session.compare("writing")
     wrong: list[str] = []
@@ -253,18 +238,11 @@ def test_a_missing_or_changed_row_is_a_failure(tmp_path: Path) -> None:
     assert wrong == ["gone"]
 
 
-def test_the_long_plan_is_as_long_as_wanted_and_no_longer_than_needed(tmp_path: Path) -> None:
-    path, targets = endurance.long_bench(BENCHES / "tacpalm.yaml", 1800.0, tmp_path)
-    bench = BenchFile.read(path).bench
-    arm = bench.arm
-    walked = dry_run(
-        bench.trajectory, bench.plan_limits, speed=arm.speed, acceleration=arm.acceleration
-    )
-    assert walked.targets == targets
+def test_the_long_plan_takes_half_an_hour(tmp_path: Path) -> None:
+    bench = BenchFile.read(endurance.long_bench(tmp_path)).bench
+    walked = bench.dry_run(bench.trajectory)
     assert walked.broken == ()
     assert 1800.0 <= walked.duration < 1900.0
-    with pytest.raises(CommandError, match=r"--minutes: 10000; allowed: up to"):
-        endurance.long_bench(BENCHES / "tacpalm.yaml", 6e5, tmp_path)
 
 
 def test_a_leak_shows_as_its_slope_and_the_warm_up_does_not() -> None:
@@ -286,7 +264,7 @@ def test_a_leak_shows_as_its_slope_and_the_warm_up_does_not() -> None:
 @pytest.mark.serial
 @pytest.mark.slow
 def test_a_short_long_run_tracks_every_process_and_says_what_was_recorded(tmp_path: Path) -> None:
-    options = argparse.Namespace(quick=True, minutes=0.5)
+    options = argparse.Namespace(quick=True)
     run = Run(options, tmp_path, lambda fraction: None)
     values = endurance.measure(run)
     assert run.failures == []
@@ -297,8 +275,3 @@ def test_a_short_long_run_tracks_every_process_and_says_what_was_recorded(tmp_pa
     text = endurance.section(values, Page(tmp_path / "faults.md"))
     assert "exit code 0" in text
     assert "| force |" in text
-
-
-def test_victims_are_drawn_from_everybody() -> None:
-    rng = random.Random(0)
-    assert {rng.choice([*VICTIMS]) for _ in range(200)} == set(VICTIMS)
