@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -70,13 +71,9 @@ class Hangs(Exception):
 class CollectionRun:
     """Context manager of a running command, which ends all its processes on exit.
 
-    Methods that wait raise Hangs if the command ended, or too much time passed; it is then killed.
-
-    Args:
-        session: What it records.
-        words: The command and its arguments.
-        stdin: Its standard input; None: that of this process.
-        preload: Library to preload, for devices that need a device node of the kernel.
+    It records `session`. Methods that wait raise Hangs if the command ended, or too much time
+    passed; it is then killed. `preload` is a library to preload, for devices that need a device
+    node of the kernel.
     """
 
     def __init__(
@@ -182,11 +179,12 @@ class CollectionRun:
         return sum(path.stat().st_size for path in self.session.glob("segments/*/journal-*"))
 
     def _find_bench(self) -> bool:
-        with contextlib.suppress(LookupError):
-            command = self.processes()[self.emulator("arm")].split()
-            file = Path(command[command.index("--file") + 1])
-            self.folder, self.host = file.parent, json.loads(file.read_text())["host"]
-        return self.folder is not None
+        for command in self.processes().values():
+            if file := re.search(r"--file (\S+/arm\.json)", command):
+                self.folder = Path(file[1]).parent
+                self.host = json.loads(Path(file[1]).read_text())["host"]
+                return True
+        return False
 
     def processes(self) -> dict[int, str]:
         """Return the command lines of its processes by pid, including the main one."""
@@ -200,19 +198,11 @@ class CollectionRun:
         return commands
 
     def emulator(self, name: str) -> int:
-        """Return the pid of the emulator of a device, of the World, or of a replayed stream.
-
-        Raises:
-            LookupError: It does not run.
-        """
+        """Return the pid of the emulator of a device or replayed stream; LookupError: none."""
         return self._process_of(name, lambda pid, command: f"/{name}.json" in command)
 
     def stream(self, name: str) -> int:
-        """Return the pid of the process that writes a stream.
-
-        Raises:
-            LookupError: None writes it.
-        """
+        """Return the pid of the process that writes a stream; LookupError: none."""
         return self._process_of(name, lambda pid, _: stream_written(pid, self.session) == name)
 
     def _process_of(self, name: str, matches: Callable[[int, str], bool]) -> int:

@@ -52,15 +52,10 @@ def _in_scratch(row: Row, folder: Path) -> dict[str, Any]:
 
 
 def run_row(row: Row, folder: Path) -> RowResult:
-    """Run one collection with one fault.
+    """Run one collection with one fault in an empty folder.
 
-    Args:
-        row: The fault.
-        folder: Empty folder for the session.
-
-    Raises:
-        ConfigError: The row needs a compiler, and none is installed.
-        CannotMount: The row needs a disk, which only root can mount.
+    ConfigError is raised if the row needs a compiler and none is installed, CannotMount if it needs
+    a disk, which only root can mount.
     """
     bench = quick_bench(folder, row.sensor, limits=row.limits, more=row.more)
     disk = folder / "disk"

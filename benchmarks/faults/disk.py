@@ -14,11 +14,7 @@ class CannotMount(Exception):
 
 @contextlib.contextmanager
 def tmpfs(folder: Path, megabytes: int) -> Iterator[None]:
-    """Mount a disk of a few megabytes in a new folder, for the time of the context.
-
-    Raises:
-        CannotMount: Not root, or tmpfs is not available.
-    """
+    """Mount a disk of a few megabytes in a new folder, for the time of the context."""
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(folder)]
     try:

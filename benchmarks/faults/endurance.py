@@ -37,16 +37,14 @@ class Track:
 
     role: str = ""
     """Its task; empty: not identified."""
-    rows: list[tuple[float, float, int, float]] = field(default_factory=list)
-    """Time since the start [s], memory that no other process shares [bytes], open file descriptors,
-    and CPU time so far [s]."""
+    rows: list[tuple[float, int, int]] = field(default_factory=list)
+    """Time since the start [s], memory that no other process shares [bytes], and open files."""
 
     def look(self, pid: int, seconds: float) -> None:
         """Add the resource use of process `pid` at `seconds`, if it still runs."""
         with contextlib.suppress(psutil.Error):
             process = psutil.Process(pid)
-            memory, times = process.memory_full_info().uss, process.cpu_times()
-            self.rows.append((seconds, memory, process.num_fds(), times.user + times.system))
+            self.rows.append((seconds, process.memory_full_info().uss, process.num_fds()))
 
 
 def long_bench(folder: Path) -> Path:
@@ -87,26 +85,24 @@ def watched(run: CollectionRun, every: float, progress: Callable[[float], None])
 
 
 def growth_of(
-    track: Track, seconds: float, warm_up: float = _WARM_UP, until: float = np.inf
+    track: Track, warm_up: float = _WARM_UP, until: float = np.inf
 ) -> dict[str, Any] | None:
-    """Return the growth of one process in a run of `seconds`, None if it was observed too briefly.
+    """Return the growth of one process, None if it was observed too briefly.
 
     From `warm_up` to `until` [s]: medians of the first and last minute [bytes], slope of a line
-    [bytes per hour], deviation around it, open files at both ends, and CPU time over wall time.
+    [bytes per hour], and open files at both ends.
     """
     rows = [row for row in track.rows if warm_up <= row[0] <= until]
     if len(rows) < 3:
         return None
-    times, memory, files, _ = np.array(rows).T
+    times, memory, files = np.array(rows).T
     line = np.polyfit(times, memory, 1)
     return {
         "role": track.role,
         "first": float(np.median(memory[times <= times[0] + 60])),
         "last": float(np.median(memory[times >= times[-1] - 60])),
         "slope": float(line[0]) * 3600,
-        "spread": float(np.std(memory - np.polyval(line, times))),
         "files": [int(files[0]), int(files[-1])],
-        "cpu": track.rows[-1][3] / seconds,
     }
 
 
@@ -129,7 +125,7 @@ def measure(run: Run) -> dict[str, Any]:
     # After recording, the session is closed and its frames are built, which needs memory.
     end = min(track.rows[-1][0] for track in tracks if track.role.endswith("stream"))
     warm_up = _QUICK_WARM_UP if run.quick else _WARM_UP
-    growths = [growth_of(track, seconds, warm_up, end) for track in tracks]
+    growths = [growth_of(track, warm_up, end) for track in tracks]
     recorded = Session(session)
     return {
         "exit": code,

@@ -36,17 +36,18 @@ _LONGEST = 150
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """Content of a session."""
+    """Content of a session.
+
+    By stream: readable rows, rows missing in the device's numbering, rows that do not exceed it.
+    Codes that `tactile session check` reports, and rejected samples by stream and reason.
+    """
 
     status: str
     rows: Mapping[str, int]
     missing: Mapping[str, int]
     disorder: Mapping[str, int]
-    """Readable rows by stream, gaps in the device's numbering, and rows that do not exceed it."""
     findings: tuple[str, ...]
-    """Codes that `tactile session check` reports."""
     rejected: Mapping[str, Mapping[str, int]]
-    """Number of rejected samples recorded in the session, by stream and reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +75,7 @@ class RowResult:
 
 
 def stored_in(path: Path) -> Stored:
-    """Return the content of a session.
-
-    Raises:
-        SessionError: It cannot be read.
-    """
+    """Return the content of a session."""
     session = Session(path)
     runs = range(max(len(session.runs), 1))
     steps = {name: [_steps(session, name, run) for run in runs] for name in session.streams}
@@ -115,11 +112,7 @@ def _steps(session: Session, name: str, run: int) -> np.ndarray:
 
 
 def losses(path: Path, observed: Observed) -> tuple[int, int]:
-    """Return the number of samples compared and the number missing from the session.
-
-    Raises:
-        SessionError: It cannot be read.
-    """
+    """Return the number of samples compared and the number missing from the session."""
     session = Session(path)
     compared = lost = 0
     for name in {*observed.shown, *observed.rows}:
@@ -146,12 +139,9 @@ def complaints(path: Path, disorder: Mapping[str, int]) -> list[str]:
 
 
 def arm_in_words(observed: Observed, ended_ns: int, gone: bool) -> tuple[str, bool]:
-    """Return the state of the arm at the end, and True if it is known to have stopped.
+    """Return the state of the arm at the end [ns], and True if it is known to have stopped.
 
-    Args:
-        observed: Observations, with the states that the arm's emulator reported.
-        ended_ns: Time at which the collection ended [ns].
-        gone: True if the controller itself was killed.
+    The controller itself may be `gone`: killed.
     """
     if gone:
         return "controller gone", True
@@ -165,14 +155,7 @@ def arm_in_words(observed: Observed, ended_ns: int, gone: bool) -> tuple[str, bo
 
 
 def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> RowResult:
-    """Judge a trial that has ended.
-
-    Args:
-        row: The fault that was injected.
-        collection: Ended.
-        code: Its exit code.
-        touched: Number of messages the fault touched, if the row requires all to be counted.
-    """
+    """Judge a trial that ended with an exit code, after a fault that `touched` some messages."""
     observed, session = collection.observed(), collection.session
     wrong = []
     if code not in row.codes:

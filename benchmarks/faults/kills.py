@@ -69,20 +69,18 @@ _NO_ARM = ("everything", "the collecting process", "the arm emulator")
 
 @dataclass(slots=True)
 class Kills:
-    """Results of the kills of collections."""
+    """Results of the kills of collections.
+
+    Kills by victim; samples seen while recording, and those of them that were lost; runs that
+    resumed a killed session; sessions completed in the end; and failures, in words.
+    """
 
     victims: dict[str, int] = field(default_factory=dict)
-    """Number of kills by victim."""
     compared: int = 0
-    """Number of samples seen while recording that were looked for."""
     lost: int = 0
-    """Number of those that were missing."""
     resumed: int = 0
-    """Number of runs that resumed a killed session."""
     completed: int = 0
-    """Number of sessions that were completed afterwards."""
     wrong: list[str] = field(default_factory=list)
-    """Failures."""
 
     @property
     def count(self) -> int:
@@ -161,13 +159,9 @@ def kill_often(
 
 
 def _run_once(folder: Path, targets: int, rng: random.Random | None, done: Kills) -> bool:
-    """Begin or resume the session in `folder`, and kill it or let it end; return True then.
+    """Begin or resume the session in `folder`, and kill it or let it end; return True if it has.
 
-    Args:
-        folder: Folder of the session.
-        targets: Number of its targets.
-        rng: Chooses victim and time; None: it is not killed any more.
-        done: The results, which are added to.
+    `rng` chooses victim and time; None: it is not killed any more.
     """
     session = folder / "s.zarr"
     begun = session.exists()

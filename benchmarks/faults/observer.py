@@ -54,11 +54,9 @@ class Observed:
 
 
 class Observer:
-    """Observer that polls a collection about 50 times a second on its own thread until closed.
+    """Polls a collection about 50 times a second on its own thread until closed.
 
-    Args:
-        folder: The run folder, where records are shared.
-        host: Address of the mock bench.
+    Records are shared in the run `folder`; `host` is the address of the mock bench.
     """
 
     def __init__(self, folder: Path, host: str) -> None:

@@ -60,11 +60,7 @@ def _row(name: str, number: int) -> dict[str, Any]:
 
 
 class Numbered:
-    """A session of two streams whose rows follow from their numbers.
-
-    Args:
-        path: Session to create.
-    """
+    """A new session of two streams whose rows follow from their numbers."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -99,9 +95,8 @@ class Numbered:
     def compare(self, after: str, *, clean: bool = False, path: Path | None = None) -> None:
         """Look for every accepted row, through the reader, in this session or a copy of it.
 
-        Raises:
-            Loss: One is missing or differs, more rows than one in flight were added, or the session
-                is not clean although it should be.
+        Loss is raised if one is missing or differs, if more rows than one in flight were added, or
+        if the session is not clean although it should be.
         """
         session = Session(path or self.path)
         for name, least in zip(_STREAMS, self.accepted, strict=True):
@@ -135,11 +130,7 @@ def killed(act: Callable[[], Any], within: float, begun: Callable[[], bool] = la
 
 
 def kill_in_turn(folder: Path, dice: random.Random, kills: Counter[str]) -> int:
-    """Kill each program once on one session; return the number of accepted rows.
-
-    Raises:
-        Loss, SessionError: A row was lost, or the session cannot be read.
-    """
+    """Kill each program once on one session; return the number of accepted rows."""
     session = Numbered(folder / "s.zarr")
     within = dice.uniform(0.0, _LONGEST)
     kills["writer"] += killed(session.write, within, lambda: min(session.accepted) > 0)
@@ -155,12 +146,7 @@ def kill_in_turn(folder: Path, dice: random.Random, kills: Counter[str]) -> int:
 
 
 def fill_disk(folder: Path, dice: random.Random) -> int:
-    """Record onto a disk until it is full, make space and recover; return the accepted rows.
-
-    Raises:
-        Loss, SessionError: A row was lost, or the session cannot be read.
-        CannotMount: Not root.
-    """
+    """Record onto a disk until it is full, make space and recover; return the accepted rows."""
     disk, roomy, megabytes = folder / "disk", folder / "roomy.zarr", dice.randint(2, 9)
     with tmpfs(disk, megabytes):
         # Something else takes a part of the disk, so that it fills up at another moment.

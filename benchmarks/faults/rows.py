@@ -175,12 +175,5 @@ ROWS: tuple[Row, ...] = (
     ),
     Row("disk", "full", _STOPS, None, targets=20, needs_recover=True, disk_mb=12),
 )
-# A quick run has one of each kind: a lost device, one that recovers, a stop of the arm, a guard, a
-# signal to the rig.
-QUICK = (
-    "camera-killed",
-    "force-duplicated",
-    "arm-protective-stop",
-    "force-overload",
-    "operator-Ctrl-C",
-)
+# A quick run has one of each kind: a lost device, one that recovers, a stop of the arm.
+QUICK = ("camera-killed", "force-duplicated", "arm-protective-stop")

@@ -325,10 +325,8 @@ class Stages:
     ) -> Any:
         """Press `targets` of `plan`, all by default, and return the recorded stage.
 
-        It has the parts of a `Session` that the procedure reads; see `rig.acquire.no_gauge.Record`.
-
-        Raises:
-            SafetyStop, DeviceLost: The stage was stopped, and the arm has retracted.
+        It has the parts of a `Session` that the procedure reads. SafetyStop or DeviceLost is raised
+        if the stage was stopped, after the arm has retracted; see `rig.acquire.no_gauge.Record`.
         """
         clock, self.stage = self._clock, what
         self._number += 1

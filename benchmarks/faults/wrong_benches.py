@@ -7,7 +7,6 @@ import io
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,56 +52,39 @@ class Outcome:
     fault: str
     wrist: bool
     """True if the arm reports its wrench."""
-    largest: float
-    rating: float
-    """Largest true force, and rating of the sensor [N]."""
-    stage: str
-    reason: str
-    """Stage in which it ended, and why; empty if the plan was completed."""
-
-    @property
-    def fraction(self) -> float:
-        """Largest true force as a fraction of the rating."""
-        return self.largest / self.rating
+    fraction: float
+    """Largest true force as a fraction of the sensor's rating."""
+    end: str
+    """`completed`, or the stage in which it was stopped."""
 
 
 def measure(run: Run) -> dict[str, Any]:
     """Collect on each wrong bench; return the largest forces and the ends, by fault."""
-    count = QUICK_COUNT if run.quick else COUNT
-    outcomes: list[Outcome] = []
     each = len(SENSORS)
-    run.seeds = range(each, each * (count + 1), each) if run.quick else range(count)
+    run.seeds = range(each, each * (QUICK_COUNT + 1), each) if run.quick else range(COUNT)
+    outcomes: list[Outcome] = []
     with Workers(cores()) as workers:
         for waiting in [workers.submit(collected, seed) for seed in run.seeds]:
             outcomes.append(waiting.result())
-            run.progress(len(outcomes) / count)
+            run.progress(len(outcomes) / len(run.seeds))
     run.failures += [
         f"seed {one.seed}: {one.fraction:.0%} of the rating of {one.sensor} ({one.fault})"
         for one in outcomes
         if one.fraction > 1
     ]
-    return summary_of(outcomes)
-
-
-def summary_of(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return the number of benches, the largest force as a fraction, and the ends, by fault."""
-    by_fault = {fault: [one for one in outcomes if one.fault == fault] for fault in FAULTS}
     worst = max(outcomes, key=lambda one: one.fraction)
+    bare = [one.fraction for one in outcomes if not one.wrist]
+    by_fault = {fault: [one for one in outcomes if one.fault == fault] for fault in FAULTS}
     return {
         "benches": len(outcomes),
         "largest": worst.fraction,
         "worst": f"seed {worst.seed}: {worst.sensor}, {worst.fault}",
-        "without_wrench": [
-            sum(not one.wrist for one in outcomes),
-            max((one.fraction for one in outcomes if not one.wrist), default=0.0),
-        ],
+        "without_wrench": [len(bare), max(bare, default=0.0)],
         "faults": {
             fault: {
                 "benches": len(ones),
                 "largest": max(one.fraction for one in ones),
-                "ends": Counter(
-                    f"stopped in {one.stage}" if one.reason else "completed" for one in ones
-                ),
+                "ends": Counter(one.end for one in ones),
             }
             for fault, ones in by_fault.items()
             if ones
@@ -124,27 +106,24 @@ def collected(seed: int) -> Outcome:
     arm = replace(bench.arm, retract=10 * MM)
     bench = replace(bench, arm=arm, limits=replace(bench.limits, duration_max=36000.0))
     truth = wrong(bench, fault, rng, seed, wrist=has_wrist)
-    rating = bench.limits.sensor_rating or math.nan
     with tempfile.TemporaryDirectory(prefix="no-gauge-") as folder:
         clock = SimulatedBench(bench, truth, Path(folder))
         stages = Stages(clock)
-        reason = ""
         try:
             with contextlib.redirect_stdout(out := io.StringIO()), contextlib.redirect_stderr(out):
                 _collect(BenchFile(Path(sensor), content, bench), stages)
-        except (ConfigError, SafetyStop, DeviceLost) as error:
-            reason = str(error)
-    return Outcome(
-        seed, sensor, fault, has_wrist, clock.largest, rating, stages.stage or "plan check", reason
-    )
+            end = "completed"
+        except (ConfigError, SafetyStop, DeviceLost):
+            end = f"stopped in {stages.stage or 'plan check'}"
+    fraction = clock.largest / (bench.limits.sensor_rating or math.nan)
+    return Outcome(seed, sensor, fault, has_wrist, fraction, end)
 
 
 def _collect(file: BenchFile, stages: Stages) -> None:
     bench = file.bench
     depth = planned_depth(bench, bench.trajectory)
     check_plan(bench, depth)
-    home = find_surface(file, stages)
-    calibration = Calibration(home, file="found in the same run")
+    calibration = Calibration(find_surface(file, stages), file="found in the same run")
     press_in_steps(bench, calibration, depth, stages, lambda lines: None)
     # Some targets of the plan, evenly spread, with the last and deepest.
     targets = list(bench.trajectory.targets())
@@ -159,29 +138,31 @@ def _collect(file: BenchFile, stages: Stages) -> None:
 def wrong(bench: Bench, fault: str, rng: np.random.Generator, seed: int, *, wrist: bool) -> Truth:
     """Return how a bench is whose file is wrong by one of FAULTS; `seed` is of noise and wrist."""
     world = bench.world
-    if not isinstance(world, AnalyticSpec):
-        raise ConfigError(f"{bench.sensor}: found a simulated world; allowed: an analytic one")
-    payload, truth, faults = 0.0, Truth(world, seed=seed), {fault}
+    assert isinstance(world, AnalyticSpec)
+    faults = [fault]
     if fault == "several":
-        faults = set(rng.choice(FAULTS[:-1], 3, replace=False).tolist())
+        faults = rng.choice(FAULTS[:-1], 3, replace=False).tolist()
+    changes: dict[str, Any] = {}
+    payload = 0.0
     if "surface" in faults:
-        truth = replace(truth, surface=MM * rng.uniform(-2.0, 1.0))
+        changes["surface"] = MM * rng.uniform(-2.0, 1.0)
     if "longer" in faults:
-        truth = replace(truth, longer=5 * MM)
+        changes["longer"] = 5 * MM
     if "tilt" in faults:
         turn = rng.uniform(0, 2 * math.pi)
         angle = math.radians(rng.uniform(0.5, 8.0))
-        truth = replace(truth, tilt=(angle * math.cos(turn), angle * math.sin(turn)))
+        changes["tilt"] = (angle * math.cos(turn), angle * math.sin(turn))
     if "frozen" in faults:
-        at = float(rng.uniform(1.0, 160.0))
-        truth = replace(truth, frozen_at=at, silent=bool(rng.random() < 0.3))
+        changes["frozen_at"] = float(rng.uniform(1.0, 160.0))
+        changes["silent"] = bool(rng.random() < 0.3)
     if "payload" in faults:
         payload = float(rng.uniform(-1.0, 1.0))
     if "indenter" in faults:
         radius = MM * rng.uniform(1.0, 5.0)
         shape = Punch(radius) if rng.random() < 0.5 else Sphere(radius)
-        truth = replace(truth, world=replace(world, indenter=shape))
-    return replace(truth, wrist=Wrist(seed, payload) if wrist else None)
+        world = replace(world, indenter=shape)
+    wrench = Wrist(seed, payload) if wrist else None
+    return Truth(world, seed=seed, wrist=wrench, **changes)
 
 
 def section(values: dict[str, Any], page: Page) -> str:
