@@ -34,7 +34,7 @@ _STARTING = 240.0
 _POLL_NS = SECOND_NS // 50
 
 
-def quick_bench(folder: Path, sensor: str, *, limits: str = "{}", more: str = "") -> Path:
+def quick_bench(folder: Path, sensor: str, limits: str = "{}", more: str = "") -> Path:
     """Write a mock bench with a short preflight and fast travel through free space.
 
     It extends the packaged bench of `sensor`; `limits` is YAML merged over its limits, and `more`

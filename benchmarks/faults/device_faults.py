@@ -36,7 +36,7 @@ def measure(run: Run) -> dict[str, Any]:
     skipped: dict[str, str] = {}
     for number, row in enumerate(rows):
         try:
-            result = run.once(row.name, partial(_in_scratch, row, run.folder))
+            result = run.once(row.name, partial(run_row, row, run.folder))
         except (ConfigError, CannotMount) as error:
             skipped[row.name] = str(error)
         else:
@@ -46,22 +46,18 @@ def measure(run: Run) -> dict[str, Any]:
     return {"rows": results, "skipped": skipped}
 
 
-def _in_scratch(row: Row, folder: Path) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory(prefix="tactile-rig-", dir=folder) as scratch:
-        return asdict(run_row(row, Path(scratch)))
-
-
-def run_row(row: Row, folder: Path) -> RowResult:
-    """Run one collection with one fault in an empty folder.
+def run_row(row: Row, folder: Path) -> dict[str, Any]:
+    """Run one collection with one fault, in a folder of its own, and return its `RowResult`.
 
     ConfigError is raised if the row needs a compiler and none is installed, CannotMount if it needs
     a disk, which only root can mount.
     """
-    bench = quick_bench(folder, row.sensor, limits=row.limits, more=row.more)
-    disk = folder / "disk"
-    arguments = ("--bench", str(bench), "--targets", str(row.targets))
-    preload = build(folder) if row.more == PEDAL else None
     with contextlib.ExitStack() as stack:
+        scratch = tempfile.TemporaryDirectory(prefix="tactile-rig-", dir=folder)
+        folder = Path(stack.enter_context(scratch))
+        bench, disk = quick_bench(folder, row.sensor, row.limits, row.more), folder / "disk"
+        arguments = ("--bench", str(bench), "--targets", str(row.targets))
+        preload = build(folder) if row.more == PEDAL else None
         if row.disk_mb:
             stack.enter_context(tmpfs(disk, row.disk_mb))
         session = (disk if row.disk_mb else folder) / "s.zarr"
@@ -73,12 +69,12 @@ def run_row(row: Row, folder: Path) -> RowResult:
         except (Hangs, LookupError, OSError) as error:
             last = str(error).strip().splitlines() or [""]
             wrong = (f"did not end: {last[0]}", *last[-3:])
-            return RowResult(row.device, row.fault, None, run.last_line, wrong=wrong)
+            return asdict(RowResult(row.device, row.fault, None, run.last_line, wrong=wrong))
         if row.disk_mb:
             # A technician would make space, then recover.
             run.session = folder / "s.zarr"
             shutil.copytree(session, run.session)
-        return judge(row, run, code, touched)
+        return asdict(judge(row, run, code, touched))
 
 
 def _with_fault(row: Row, collection: CollectionRun) -> int:

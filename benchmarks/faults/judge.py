@@ -63,13 +63,11 @@ class RowResult:
     noticed: float | None = None
     """Time from the fault to the end of the phase that it ended [s]."""
     looked_for: int = 0
-    """Number of samples seen while recording, which were looked for in the session."""
     lost: int = 0
-    """Number of those that are missing from the session, plus missing stored rows."""
+    """Samples seen while recording, and those of them, or counted rows, that are not stored."""
     arm: str = "not known"
-    """State of the arm at the end, in words."""
     wrong: tuple[str, ...] = ()
-    """Failures; empty if the row passed."""
+    """State of the arm at the end, and failures, in words."""
     stored: Stored | None = None
     """Content of the session, or None if it cannot be read."""
 

@@ -41,27 +41,26 @@ _LONGEST = 3.0
 _ENDING = 30.0
 
 
+Victim = Callable[[CollectionRun], Sequence[int]]
+
+
 def _arm(run: CollectionRun) -> Sequence[int]:
     streams = [run.stream(name) for name in _STREAMS]
     spawned = [pid for pid, line in run.processes().items() if "multiprocessing.spawn" in line]
     return [pid for pid in spawned if pid not in streams]
 
 
-def _stream(name: str) -> Callable[[CollectionRun], Sequence[int]]:
-    return lambda run: [run.stream(name)]
-
-
-def _emulator(name: str) -> Callable[[CollectionRun], Sequence[int]]:
-    return lambda run: [run.emulator(name)]
+def _one(find: Callable[[CollectionRun, str], int], name: str) -> Victim:
+    return lambda run: [find(run, name)]
 
 
 # Processes to kill, with equal probability; the main one last.
-VICTIMS: dict[str, Callable[[CollectionRun], Sequence[int]]] = {
+VICTIMS: dict[str, Victim] = {
     "everything": lambda run: sorted(run.processes(), key=lambda pid: pid == run.process.pid),
     "the collecting process": lambda run: [run.process.pid],
-    **{f"the {name} stream": _stream(name) for name in _STREAMS},
+    **{f"the {name} stream": _one(CollectionRun.stream, name) for name in _STREAMS},
     "the arm's process": _arm,
-    **{f"the {name} emulator": _emulator(name) for name in _EMULATORS},
+    **{f"the {name} emulator": _one(CollectionRun.emulator, name) for name in _EMULATORS},
 }
 # After these the arm's emulator cannot say where it stands.
 _NO_ARM = ("everything", "the collecting process", "the arm emulator")

@@ -33,18 +33,19 @@ Act = Callable[[CollectionRun], object]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One fault."""
+    """One fault, its expected exit codes, and what injects it into a pressing collection.
+
+    `limits` is YAML merged over the limits of the sensor's bench, `more` YAML to add to it.
+    """
 
     device: str
     fault: str
     codes: tuple[int, ...]
-    """Expected exit codes."""
     act: Act | None
-    """Injects the fault into a pressing collection; None: it is in `limits`, or a full disk."""
+    """None: the fault is in `limits`, or the disk."""
     sensor: str = "tacpalm"
     limits: str = "{}"
     more: str = ""
-    """YAML merged over the limits of the sensor's bench, and YAML to add to it; see quick_bench."""
     before: Act | None = None
     """Operator's action after recording starts, without which nothing is pressed."""
     targets: int = 2
@@ -175,5 +176,5 @@ ROWS: tuple[Row, ...] = (
     ),
     Row("disk", "full", _STOPS, None, targets=20, needs_recover=True, disk_mb=12),
 )
-# A quick run has one of each kind: a lost device, one that recovers, a stop of the arm.
-QUICK = ("camera-killed", "force-duplicated", "arm-protective-stop")
+# A quick run has one of each kind: a lost device, one that recovers, a stop of the arm, a guard.
+QUICK = ("camera-killed", "force-duplicated", "arm-protective-stop", "force-overload")

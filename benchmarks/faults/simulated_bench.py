@@ -53,24 +53,21 @@ _SLOTS = 4096
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """True state of the bench, which its file does not know."""
+    """True state of the bench, which its file does not know: sensor, indenter, noise, and errors.
+
+    The surface is higher than stated [m] and turned about x and y of the contact frame [rad], the
+    indenter longer than the stated TCP [m]. After a time [s] the signal repeats its last sample, or
+    is silent. `wrist` is the arm's wrench, None for an arm without one.
+    """
 
     world: AnalyticSpec
-    """Sensor and indenter."""
     surface: float = 0.0
-    """Height of the true surface above the stated one [m]."""
     tilt: tuple[float, float] = (0.0, 0.0)
-    """Rotation of the surface about x and y of the contact frame [rad]."""
     longer: float = 0.0
-    """Length of the indenter beyond the stated TCP [m]."""
     frozen_at: float = math.inf
-    """Time after which the signal repeats its last sample [s]."""
     silent: bool = False
-    """True if it sends nothing at all then."""
     wrist: Wrist | None = None
-    """The arm's wrench; None for an arm without one."""
     seed: int = 0
-    """Seed of the noise."""
 
 
 class SimulatedBench(FakeClock):
@@ -202,8 +199,7 @@ class _Picture:
         """Return the reading of a WORLD_STATE."""
         if self._camera is None:
             taxels = self._world.taxels
-            if taxels is None:
-                raise ValueError("found a World without camera and taxels")
+            assert taxels is not None
             spread = self._world.noise.counts if self._world.noise else 0.0
             noise = self._rng.normal(0.0, spread, (16, 3))
             moved = surface_of(self._world, state).displacement(taxels.positions())
