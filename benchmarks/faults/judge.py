@@ -176,12 +176,12 @@ def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> R
         wrong.append("no session can be read")
     if lost:
         wrong.append(f"{lost} accepted samples are missing")
-    said = collection.last_line.replace(str(session), session.name)
+    printed = collection.last_line.replace(str(session), session.name)
     return RowResult(
         row.device,
         row.fault,
         code,
-        reaction_of(row, said),
+        reaction_of(row, printed),
         noticed,
         looked_for,
         lost,
