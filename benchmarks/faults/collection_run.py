@@ -53,17 +53,6 @@ limits: {limits}
     return path
 
 
-def stream_written(pid: int, session: Path) -> str | None:
-    """Return the name of the stream of `session` that a process writes; None: none."""
-    folder = f"{session.resolve() / 'streams'}/"
-    with contextlib.suppress(psutil.Error):
-        for file in psutil.Process(pid).open_files():
-            path: str = file.path
-            if path.startswith(folder):
-                return path.removeprefix(folder).split("/")[0]
-    return None
-
-
 class Hangs(Exception):
     """Raised if a command does not end or reach a stage, with its output."""
 
@@ -197,19 +186,30 @@ class CollectionRun:
                     self._processes.add(each)
         return commands
 
-    def emulator(self, name: str) -> int:
-        """Return the pid of the emulator of a device or replayed stream; LookupError: none."""
-        return self._process_of(name, lambda pid, command: f"/{name}.json" in command)
+    def roles(self) -> dict[int, str]:
+        """Return what each process does by pid, as `force stream`, `arm` or `arm emulator`."""
+        return {pid: self._role(pid, command) for pid, command in self.processes().items()}
 
-    def stream(self, name: str) -> int:
-        """Return the pid of the process that writes a stream; LookupError: none."""
-        return self._process_of(name, lambda pid, _: stream_written(pid, self.session) == name)
+    def _role(self, pid: int, command: str) -> str:
+        if pid == self.process.pid:
+            return "collect"
+        if emulator := re.search(r"-m rig\.mock\.emulate .*/(\w+)\.json", command):
+            return "World" if emulator[1] == "world" else f"{emulator[1]} emulator"
+        if "multiprocessing.spawn" not in command:
+            return ""
+        with contextlib.suppress(psutil.Error):
+            for file in psutil.Process(pid).open_files():
+                if stream := re.match(rf"{self.session.resolve()}/streams/(\w+)/", file.path):
+                    return f"{stream[1]} stream"
+        # A stream opens its files some seconds after its start.
+        return "arm"
 
-    def _process_of(self, name: str, matches: Callable[[int, str], bool]) -> int:
-        for pid, command in self.processes().items():
-            if matches(pid, command):
+    def process_of(self, role: str) -> int:
+        """Return the pid of a process by its role; LookupError if none has it."""
+        for pid, each in self.roles().items():
+            if each == role:
                 return pid
-        raise LookupError(f"no process of {name} runs")
+        raise LookupError(f"no {role} runs")
 
     def kill(self, *pids: int, by: signal.Signals = signal.SIGKILL) -> None:
         """Send a signal to processes as the fault of this trial."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks.faults.collection_run import CollectionRun, quick_bench, stream_written
+from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from benchmarks.report import Page, Run, table
 from recorder import Session, check, faults
 from recorder.charts import BLUE, chart
@@ -53,18 +52,6 @@ def long_bench(folder: Path) -> Path:
     return quick_bench(folder, "tacpalm", limits="{duration_max_min: 60}", more=more)
 
 
-def role_of(pid: int, command: str, run: CollectionRun) -> str:
-    """Return the role of a process of a collection."""
-    if pid == run.process.pid:
-        return "collect"
-    if emulator := re.search(r"-m rig\.mock\.emulate .*/(\w+)\.json", command):
-        return "World" if emulator[1] == "world" else f"{emulator[1]} emulator"
-    if "resource_tracker" in command:
-        return ""
-    stream = stream_written(pid, run.session)
-    return f"{stream} stream" if stream else "arm"
-
-
 def watched(run: CollectionRun, every: float, progress: Callable[[float], None]) -> list[Track]:
     """Watch the processes of a collection to its end, every so often [s]; return them."""
     clock = SystemClock()
@@ -74,11 +61,10 @@ def watched(run: CollectionRun, every: float, progress: Callable[[float], None])
         with contextlib.suppress(subprocess.TimeoutExpired):
             run.process.wait(every)
         seconds = (clock.now_ns() - start_ns) / SECOND_NS
-        for pid, command in run.processes().items():
+        for pid, role in run.roles().items():
             track = tracks.setdefault(pid, Track())
             if track.role in ("", "arm"):
-                # A stream opens its files, which identify it, some seconds after its start.
-                track.role = role_of(pid, command, run)
+                track.role = role
             track.look(pid, seconds)
         progress(seconds)
     return [track for track in tracks.values() if track.role and track.rows]

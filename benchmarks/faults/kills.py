@@ -10,7 +10,7 @@ import random
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,34 +33,17 @@ KILLS, QUICK_KILLS, _A_SESSION = 100, 1, 10
 _PROGRAM_KILLS, _DISKS = (100, 3), (20, 1)
 # Share of the time that collections take.
 _COLLECTIONS = 0.9
-_STREAMS = ("force", "pose", "camera")
-_EMULATORS = ("arm", "force", "camera")
 # Maximum time from the start of recording to the kill [s].
 _LONGEST = 3.0
 # A collection that lost a process has to retract, seal and end within this time [s].
 _ENDING = 30.0
-
-
-Victim = Callable[[CollectionRun], Sequence[int]]
-
-
-def _arm(run: CollectionRun) -> Sequence[int]:
-    streams = [run.stream(name) for name in _STREAMS]
-    spawned = [pid for pid, line in run.processes().items() if "multiprocessing.spawn" in line]
-    return [pid for pid in spawned if pid not in streams]
-
-
-def _one(find: Callable[[CollectionRun, str], int], name: str) -> Victim:
-    return lambda run: [find(run, name)]
-
-
-# Processes to kill, with equal probability; the main one last.
-VICTIMS: dict[str, Victim] = {
-    "everything": lambda run: sorted(run.processes(), key=lambda pid: pid == run.process.pid),
-    "the collecting process": lambda run: [run.process.pid],
-    **{f"the {name} stream": _one(CollectionRun.stream, name) for name in _STREAMS},
-    "the arm's process": _arm,
-    **{f"the {name} emulator": _one(CollectionRun.emulator, name) for name in _EMULATORS},
+# What to kill, with equal probability, and the role of its process; empty: all.
+VICTIMS = {
+    "everything": "",
+    "the collecting process": "collect",
+    **{f"the {name} stream": f"{name} stream" for name in ("force", "pose", "camera")},
+    "the arm's process": "arm",
+    **{f"the {name} emulator": f"{name} emulator" for name in ("arm", "force", "camera")},
 }
 # After these the arm's emulator cannot say where it stands.
 _NO_ARM = ("everything", "the collecting process", "the arm emulator")
@@ -202,7 +185,9 @@ def _killed(run: CollectionRun, rng: random.Random, done: Kills) -> list[str]:
     clock, wait = SystemClock(), rng.uniform(0.0, _LONGEST)
     clock.sleep_until(clock.now_ns() + round(wait * SECOND_NS))
     victim = rng.choice([*VICTIMS])
-    run.kill(*VICTIMS[victim](run))
+    role, main = VICTIMS[victim], run.process.pid
+    everybody = sorted(run.processes(), key=lambda pid: pid == main)
+    run.kill(*([run.process_of(role)] if role else everybody))
     code = run.wait(_ENDING)
     wrong = [f"still runs: {process}" for process in run.left(_ENDING)]
     run.kill_all()

@@ -7,7 +7,6 @@ is read from its emulator's fault port, independently of the rig.
 
 from __future__ import annotations
 
-import contextlib
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,12 +21,11 @@ from rig.core.config import build, read_yaml
 from rig.core.geometry import compose, invert
 from rig.core.mock_names import PORTS
 from rig.core.samples import latest_dtype
-from rig.core.shared_memory import SharedLatest
+from rig.core.shared_memory import AwaitedRecord
 from rig.mock.world import WorldConfig
 
 _PERIOD = 0.02
 _ARM_EVERY = 3
-_RECORDS = ("latest", "counters")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +59,17 @@ class Observer:
 
     def __init__(self, folder: Path, host: str) -> None:
         self.observed = Observed()
-        self._folder, self._host = folder, host
+        self._host = host
         world = folder / "world.json"
         self._frame = np.array(build(WorldConfig, read_yaml(world), str(world)).contact_frame)
         self._clock = SystemClock()
-        self._records: dict[str, tuple[SharedLatest, SharedLatest]] = {}
+        self._records = {
+            name: (
+                AwaitedRecord(folder / f"{name}.latest", latest_dtype(name, (16, 3))),
+                AwaitedRecord(folder / f"{name}.counters", COUNTERS),
+            )
+            for name in KINDS
+        }
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
         self._thread.start()
@@ -87,14 +91,6 @@ class Observer:
                 self._ask_arm()
 
     def _look(self) -> None:
-        for name in KINDS.keys() - self._records.keys():
-            # A file that is missing or incomplete is tried again at the next poll.
-            with contextlib.suppress(OSError, ValueError):
-                latest, counters = (self._folder / f"{name}.{what}" for what in _RECORDS)
-                self._records[name] = (
-                    SharedLatest.attach(latest, latest_dtype(name, (16, 3))),
-                    SharedLatest.attach(counters, COUNTERS),
-                )
         rows, shown = self.observed.rows, self.observed.shown
         for name, records in self._records.items():
             newest, count = (record.read() for record in records)

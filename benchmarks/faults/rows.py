@@ -73,7 +73,7 @@ def _line(fault: str, **values: float) -> Callable[[str], Act]:
 
 
 def _killed(device: str) -> Act:
-    return lambda collection: collection.kill(collection.emulator(device))
+    return lambda collection: collection.kill(collection.process_of(f"{device} emulator"))
 
 
 # Fault, its act on a device, the exit codes, and the reason with which samples are rejected. What
@@ -171,7 +171,7 @@ ROWS: tuple[Row, ...] = (
         "rig",
         "stream process killed",
         _STOPS,
-        lambda collection: collection.kill(collection.stream("camera")),
+        lambda collection: collection.kill(collection.process_of("camera stream")),
         needs_recover=True,
     ),
     Row("disk", "full", _STOPS, None, targets=20, needs_recover=True, disk_mb=12),

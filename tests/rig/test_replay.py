@@ -332,8 +332,7 @@ def test_whatever_ends_a_replay_what_was_recorded_is_kept(
     if victim == "replay":
         replay.process.send_signal(signal.SIGINT)
     else:
-        process = replay.emulator if victim == "emulator" else replay.stream
-        os.kill(process("force"), signal.SIGKILL)
+        os.kill(replay.process_of(f"force {victim}"), signal.SIGKILL)
     assert replay.wait() == code
     assert word in replay.text
     session = Session(tmp_path / "r.zarr")
