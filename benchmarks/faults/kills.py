@@ -27,10 +27,10 @@ from recorder import Session, SessionError
 from rig.core.clock import SECOND_NS, SystemClock
 
 SEED = 0
-# Kills of collections in a complete and in a quick run; sessions have ten each.
-KILLS, QUICK_KILLS, _A_SESSION = 100, 1, 10
-# Kills of each program, and full disks.
-_PROGRAM_KILLS, _DISKS = (100, 3), (20, 1)
+# Kills of collections, of each program, and full disks in a complete and in a quick run.
+_COUNTS = ((100, 100, 20), (1, 3, 1))
+# Kills of one session.
+_A_SESSION = 10
 # Share of the time that collections take.
 _COLLECTIONS = 0.9
 # Maximum time from the start of recording to the kill [s].
@@ -73,7 +73,7 @@ class Kills:
 def measure(run: Run) -> dict[str, Any]:
     """Kill collections and programs and fill disks; return the counts."""
     run.seeds = (SEED,)
-    kills = QUICK_KILLS if run.quick else KILLS
+    kills, program_kills, wanted_disks = _COUNTS[run.quick]
     collections = kill_often(
         run.folder,
         kills=kills,
@@ -84,10 +84,9 @@ def measure(run: Run) -> dict[str, Any]:
     )
     programs: Counter[str] = Counter()
     dice, wrong, rows, disks, no_disk = random.Random(SEED), list[str](), 0, 0, ""
-    wanted_kills, wanted_disks = _PROGRAM_KILLS[run.quick], _DISKS[run.quick]
-    while (least := min(programs[name] for name in PROGRAMS)) < wanted_kills and not wrong:
+    while (least := min(programs[name] for name in PROGRAMS)) < program_kills and not wrong:
         rows += in_scratch(run.folder, lambda at: kill_in_turn(at, dice, programs), wrong)
-        run.progress(_COLLECTIONS + 0.5 * (1 - _COLLECTIONS) * least / wanted_kills)
+        run.progress(_COLLECTIONS + 0.5 * (1 - _COLLECTIONS) * least / program_kills)
     try:
         for _ in range(wanted_disks):
             rows += in_scratch(run.folder, lambda at: fill_disk(at, dice), wrong)
