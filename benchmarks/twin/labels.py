@@ -50,7 +50,7 @@ def measure(run: Run) -> dict[str, Any]:
     """Return sums of labels' errors, of each draw and error."""
     draws = range(1 if run.quick else run.options.draws)
     # Presses of twins have the first error of a group, those with labels each.
-    groups = [("all",)] if run.quick else [("none", *ALL), ("all",)]
+    groups = [("none",)] if run.quick else [("none", *ALL), ("all",)]
     tasks = {f"draw {draw}, {some[-1]}": (draw, some) for draw, some in product(draws, groups)}
     every = rows_of(run, partial(labelled, run.quick, run.device), tasks)
     rows = [row for some in every.values() for row in some]
