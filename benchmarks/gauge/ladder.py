@@ -28,8 +28,8 @@ from benchmarks.paper.study import (
     form_of,
     nearest_labels,
     net_settings,
-    pressed_once,
     processes,
+    quick_row,
     simulate,
     train_net,
 )
@@ -149,7 +149,7 @@ def prepare(run: Run, folder: Path, group: str) -> Ladder:
         assert one.row.trajectory is not None
         plan = DatasetPlan(
             "targets",
-            (pressed_once(one.row) if run.quick else one.row,),
+            (quick_row(one.row) if run.quick else one.row,),
             indenters=(*indenters, *tested),
             solving=solving,
             steps=phase,

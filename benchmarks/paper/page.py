@@ -37,9 +37,9 @@ def trained(values: Mapping[str, Any]) -> list[Row]:
 
 
 def mean(rows: Iterable[Row], key: str, method: str | None = None) -> str:
-    """Return the mean of a column, of one method if it is named; `-` without rows."""
+    """Return the mean of a column, of one method if it is named; `-` without a number."""
     some = [float(row[key]) for row in rows if method in (None, row.get("method"))]
-    return f"{np.mean(some):.3f}" if some else "-"
+    return f"{np.mean(some):.3f}" if np.isfinite(some).any() else "-"
 
 
 def summary(values: Mapping[str, Any]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from benchmarks.paper.full_size import UNET, VAE
-from benchmarks.paper.study import pressed_once
+from benchmarks.paper.study import quick_row
 from sim.dataset import DatasetPlan, Solving, gel
 from sim.indenters import NAMES
 from sim.sensors import sensor_of
@@ -42,8 +42,10 @@ class Size:
 
     @property
     def translators(self) -> tuple[str, ...]:
-        """The paper's translator, which a quick run trains in one part alone, and ours."""
-        return ("m2m", "field") if self.patterns or not self.quick else ("field",)
+        """The paper's translator, and ours; a quick run trains one in each part."""
+        if self.quick:
+            return ("m2m",) if self.patterns else ("field",)
+        return "m2m", "field"
 
     @property
     def patterns(self) -> bool:
@@ -56,7 +58,7 @@ class Size:
         groups = [(name,) for name in self.sensors] if self.apart else [self.sensors]
         rows = {name: sensor_of(name) for name in self.sensors}
         if self.quick:
-            rows = {name: pressed_once(row) for name, row in rows.items()}
+            rows = {name: quick_row(row) for name, row in rows.items()}
         how: dict[str, Any] = {"indenters": ("sphere_s", "prism") if self.quick else NAMES}
         how["solving"] = Solving(tier="layer" if self.quick else "fem")
         plans = {

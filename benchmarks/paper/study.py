@@ -91,10 +91,11 @@ def simulate(
     return MarkerArchive(path)
 
 
-def pressed_once(row: SimulatedSensor) -> SimulatedSensor:
-    """Return a sensor with one force-depth press, for a quick run."""
+def quick_row(row: SimulatedSensor) -> SimulatedSensor:
+    """Return a sensor with one force-depth press and, as nothing drifts, one still image."""
     assert row.force_depth is not None
-    return replace(row, force_depth=replace(row.force_depth, repeats=1))
+    once, variation = replace(row.force_depth, repeats=1), replace(row.variation, drift=None)
+    return replace(row, force_depth=once, variation=variation)
 
 
 def processes(run: Run) -> int:
