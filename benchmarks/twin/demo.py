@@ -6,16 +6,17 @@ sphere and a prism, and for comparison by a torus, whose presses the fit does no
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks.first_hour import ran
+from benchmarks.first_hour import TRIES
 from benchmarks.report import Page, Run, table
 from benchmarks.twin.planted import GAUGE
 from recorder import Session
 from recorder.charts import BLUE, ORANGE, SOFT, chart
-from recorder.command_line.errors import EXIT_DONE
+from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from sim.errors import SceneError
 from sim.sensors import read_sensor, sensor
 from sim.sensors.quantities import quantities
@@ -92,14 +93,21 @@ def recorded(bench: Path, path: Path, indenter: str) -> Session:
     Raises:
         SceneError: The mock bench did not finish.
     """
-    words = ["--bench", bench.name, "--world", "sim", "--indenter", indenter, "--out", path.name]
-    if path.exists():
-        words = ["--resume", path.name]
-    if not (path.exists() and Session(path).status == "complete"):
-        tactile = str(Path(sys.prefix) / "bin" / "tactile")
-        done = ran([tactile, "collect", *words], path.parent, at_bench=True)
-        if done.code != EXIT_DONE:
-            raise SceneError(f"{indenter}: not recorded: {done.lines[-1:]}")
+    for _ in range(TRIES):
+        words = ["--bench", str(bench), "--world", "sim", "--indenter", indenter]
+        words += ["--out", str(path)]
+        if path.exists():
+            if Session(path).status == "complete":
+                break
+            words = ["--resume", str(path)]
+        ended = subprocess.run(
+            [sys.executable, "-m", "tactile", "collect", *words],
+            check=False,
+            capture_output=True,
+            text=True,
+        )
+        if ended.returncode not in (EXIT_DONE, EXIT_DEVICE_LOST):
+            raise SceneError(f"{indenter}: not recorded: {ended.stderr.strip()[-200:]}")
     return Session(path)
 
 
