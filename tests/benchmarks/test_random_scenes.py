@@ -375,7 +375,7 @@ def test_a_silent_scene_is_stored_fails_the_run_and_is_on_the_page(
 
     monkeypatch.setattr(judgement, "judge_scene", judged)
     monkeypatch.setattr(
-        judgement, "drawn", lambda seed, index: Drawn(seed, index, "trap, x", scenes[index])
+        judgement, "drawn", lambda seed, index: Drawn(f"{seed}/{index}", "trap, x", scenes[index])
     )
     monkeypatch.setattr(judgement, "FOLDER", tmp_path)
     page = tmp_path / "page.md"

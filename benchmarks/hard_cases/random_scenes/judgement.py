@@ -57,15 +57,14 @@ COVERS: tuple[tuple[str, str], ...] = (
     (r"reaches the rim of the round body", rf"{AMOUNTS}|touches|lets-go|within-bounds"),
     (r"its own image in the plane", r"symmetric"),
 )
-
-
 # Scenes of a quick run: one held, one beside the gel, one refused.
 QUICK = (28, 43, 59)
-# Statements of the laws; all others are those of twins.
+# Statements of the laws.
 STATEMENTS = {
     **{name: (law.__doc__ or "").split("\n")[0] for name, law in LAWS.items()},
     "finite": "All numbers are finite.",
     "symmetric": "A mirror-symmetric scene has mirror-symmetric forces.",
+    **{f"twin-{name}": "The twin scene has the same forces." for name in KINDS},
 }
 
 
@@ -234,12 +233,7 @@ def section(outcomes: list[dict[str, Any]], _page: Page) -> str:
         Counter(law for one in outcomes for law in one[key]) for key in ("laws", "broken", "silent")
     ]
     laws = [
-        [
-            law,
-            STATEMENTS.get(law, "The twin scene has the same forces."),
-            *(t[law] for t in tallies),
-        ]
-        for law in sorted(tallies[0])
+        [law, STATEMENTS[law], *(tally[law] for tally in tallies)] for law in sorted(tallies[0])
     ]
     failures = [
         [one["scene"], one["class"], one["what"], one["why"].replace("|", "\\|")]

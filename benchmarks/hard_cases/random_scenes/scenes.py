@@ -33,18 +33,13 @@ NO_EFFECTS = Effects()
 class Drawn:
     """One scene, or its rejection before it was created."""
 
-    seed: int
-    index: int
+    name: str
+    """Seed and number, in the format of `--seed` and `--first`."""
     what: str
     """Description: family, indenter, motion and effects."""
     scene: Scene | None = None
     refusal: Exception | None = None
     """Exception raised instead of a scene."""
-
-    @property
-    def name(self) -> str:
-        """Seed and number, in the format of `--seed` and `--first`."""
-        return f"{self.seed}/{self.index}"
 
 
 def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
@@ -62,7 +57,7 @@ def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
         scene = within_budget(scene)
     except Exception as error:
         scene, refusal = None, error
-    return Drawn(seed, index, ", ".join(dice.words), scene, refusal)
+    return Drawn(f"{seed}/{index}", ", ".join(dice.words), scene, refusal)
 
 
 def within_budget(scene: Scene) -> Scene:
@@ -218,19 +213,6 @@ def _trap(dice: Dice, folder: Path) -> Scene:
         at = (dice.even(0.8, 1.05) * 5 * MM, dice.even(0.8, 1.05) * 5 * MM)
         indenter = ball if dice.chance(0.7) else shapes.named("prism")
         return _down(indenter, body, MM * dice.even(1.5, 3.5), at=at, steps=dice.whole(1, 3))
-    if kind == "first touch":
-        indenter = draw_shape(dice, MM, folder)
-        at = (MM * dice.even(-3.0, 3.0), MM * dice.even(-3.0, 3.0))
-        return _down(indenter, body, dice.scaled(1e-6, 20e-6), at=at, steps=dice.whole(1, 3))
-    if kind == "deep":
-        indenter, depth = draw_shape(dice, MM, folder), MM * dice.even(2.0, 3.59)
-        return _down(indenter, body, depth, steps=dice.whole(1, 4))
-    if kind == "material":
-        modulus = dice.scaled(1e2, 1e9)
-        poisson = dice.one_of([0.0, 0.4, 0.49, 0.499, 0.4999, 0.49995])
-        body = replace(body, modulus=modulus, poisson=poisson)
-        indenter, depth = draw_shape(dice, MM, folder), MM * dice.even(0.2, 1.5)
-        return _down(indenter, body, depth, steps=dice.whole(1, 3))
     if kind == "far aside":
         body = replace(body, size_x=12 * MM, size_y=10 * MM)
         depth, aside = MM * dice.even(0.5, 1.2), rounded(MM * dice.even(1.0, 3.0))
@@ -247,14 +229,23 @@ def _trap(dice: Dice, folder: Path) -> Scene:
     if kind == "fast":
         depth, speed = MM * dice.even(0.3, 1.5), dice.scaled(0.3, 30.0)
         return _down(ball, body, depth, speed=speed, effects=Effects(inertia=Inertia()))
+    if kind == "size":
+        unit = MM * dice.one_of([0.03, 0.1, 10.0, 30.0])
+        body = replace(body, size_x=16 * unit, size_y=16 * unit, thickness=4 * unit)
+        return _down(shapes.sphere(4 * unit), body, unit * dice.even(0.2, 2.0))
+    if kind == "material":
+        modulus = dice.scaled(1e2, 1e9)
+        poisson = dice.one_of([0.0, 0.4, 0.49, 0.499, 0.4999, 0.49995])
+        body = replace(body, modulus=modulus, poisson=poisson)
+    indenter = draw_shape(dice, MM, folder)
+    if kind == "first touch":
+        at = (MM * dice.even(-3.0, 3.0), MM * dice.even(-3.0, 3.0))
+        return _down(indenter, body, dice.scaled(1e-6, 20e-6), at=at, steps=dice.whole(1, 3))
     if kind == "friction":
-        indenter, depth = draw_shape(dice, MM, folder), MM * dice.even(0.3, 1.5)
-        effects = Effects(friction=Friction(dice.one_of([0.02, 0.9, 2.0])))
+        depth, effects = MM * dice.even(0.3, 1.5), Effects(Friction(dice.one_of([0.02, 0.9, 2.0])))
         return _down(indenter, body, depth, effects=effects)
-    factor = dice.one_of([0.03, 0.1, 10.0, 30.0])
-    scale = {name: getattr(body, name) * factor for name in ("size_x", "size_y", "thickness")}
-    indenter = shapes.sphere(4 * MM * factor)
-    return _down(indenter, replace(body, **scale), MM * factor * dice.even(0.2, 2.0))
+    low, high, most = (2.0, 3.59, 4) if kind == "deep" else (0.2, 1.5, 3)
+    return _down(indenter, body, MM * dice.even(low, high), steps=dice.whole(1, most))
 
 
 def _down(

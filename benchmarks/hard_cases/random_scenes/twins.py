@@ -74,25 +74,23 @@ PLACES = np.random.default_rng(0).uniform(-1.0, 1.0, (300, 3)) + np.array([0.0, 
 def _mirrored(scene: Scene, turn: Array) -> Twin | None:
     """Return the scene in a vertical mirror; None if the indenter looks different there."""
 
-    def turned(x: float, y: float, z: float = 0.0) -> Point:
-        x, y = turn @ (x, y)
-        return float(x), float(y), z
+    def turned(vector: Point) -> Point:
+        x, y, z = (float(value) for value in turn @ vector)
+        return x, y, z
 
-    indenter, effects = scene.indenter, scene.effects
-    x, y, _ = turned(*indenter.tilt)
+    indenter, body, effects = scene.indenter, scene.body, scene.effects
+    x, y, _ = turned((*indenter.tilt, 0.0))
     # An angle changes sign in a mirror, because its axis is a pseudovector.
     other = replace(indenter, tilt=(-x, -y))
-    whole = np.eye(3)
-    whole[:2, :2] = turn
-    places = PLACES * 2 * scene.body.thickness
-    if np.abs(indenter.distance(places)[0] - other.distance(places @ whole.T)[0]).max() > 1e-9:
+    places = PLACES * 2 * body.thickness
+    if np.abs(indenter.distance(places)[0] - other.distance(places @ turn.T)[0]).max() > 1e-9:
         return None
-    size_x, size_y = np.abs(turn) @ (scene.body.size_x, scene.body.size_y)
-    body = replace(scene.body, size_x=float(size_x), size_y=float(size_y))
+    size_x, size_y, _ = map(abs, turned((body.size_x, body.size_y, 0.0)))
+    body = replace(body, size_x=size_x, size_y=size_y)
     if effects.gravity is not None:
-        effects = replace(effects, gravity=Gravity(turned(*effects.gravity.acceleration)))
-    motion = replace(scene.motion, tip=tuple(turned(*tip) for tip in scene.motion.tip))
-    return Twin(Scene(other, motion, body, effects), lambda force: force @ whole.T)
+        effects = replace(effects, gravity=Gravity(turned(effects.gravity.acceleration)))
+    motion = replace(scene.motion, tip=tuple(turned(tip) for tip in scene.motion.tip))
+    return Twin(Scene(other, motion, body, effects), lambda force: force @ turn.T)
 
 
 def _larger(scene: Scene) -> Twin | None:
@@ -145,9 +143,9 @@ def _at_once(scene: Scene) -> Twin | None:
 
 
 MIRRORS = {
-    "mirror-x": np.diag([-1.0, 1.0]),
-    "mirror-y": np.diag([1.0, -1.0]),
-    "swap-xy": np.array([[0.0, 1.0], [1.0, 0.0]]),
+    "mirror-x": np.diag([-1.0, 1.0, 1.0]),
+    "mirror-y": np.diag([1.0, -1.0, 1.0]),
+    "swap-xy": np.eye(3)[[1, 0, 2]],
 }
 # Constructor of the twin of each name.
 KINDS: dict[str, Callable[[Scene], Twin | None]] = {
