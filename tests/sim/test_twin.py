@@ -678,9 +678,11 @@ def test_a_rest_without_shear_does_not_tell_the_error_of_the_others() -> None:
 
 def test_a_tip_that_falls_between_pixels_is_not_planned() -> None:
     planner = Planner(sensor("gelsight"), grid=24)
-    tip, ball = (planner.candidates((name,))[-2] for name in ("cone", "sphere"))
-    # Long enough for both.
-    assert planner.best([tip, ball], seconds=300.0, change=20.0) == [ball]
-    assert planner.rough([tip, ball]) == [tip]
+    tip, *others = (
+        planner.candidates((name,))[-1] for name in ("cone", "hemisphere", "sphere", "torus")
+    )
+    # Long enough for all of them.
+    assert set(planner.best([tip, *others], seconds=300.0, change=20.0)) == set(others)
+    assert planner.rough([tip, *others]) == [tip]
     with pytest.raises(SceneError, match="cone: forces jump between 24 pixels"):
         planner.best([tip], seconds=300.0, change=20.0)
