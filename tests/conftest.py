@@ -1,7 +1,5 @@
 """Fixtures, and a check that no test leaves a thread or process behind."""
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil

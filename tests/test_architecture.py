@@ -1,7 +1,5 @@
 """Architecture rules: allowed imports between packages, and access to the clock."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import itertools

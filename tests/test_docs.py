@@ -1,7 +1,5 @@
 """Names in the documentation exist: files, links, modules, make targets, commands, options."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import importlib.util

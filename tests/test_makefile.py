@@ -1,7 +1,5 @@
 """The Makefile hands variables over whole, and refuses names that nothing reads."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

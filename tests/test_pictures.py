@@ -1,7 +1,5 @@
 """Pictures of the pages: drawn of the things that they show."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The tutorials run as they are written, block by block, in an empty folder."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """Labels are transferred to another skin by equations 7 to 9; priors equal the measurements."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

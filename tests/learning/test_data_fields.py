@@ -1,7 +1,5 @@
 """Displacement fields: reading with gaps filled, inversion, and warping of images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Images as network inputs: exact area means, the authors' upscaling, arrays and tensors."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from PIL import Image

@@ -1,7 +1,5 @@
 """Presses in memory: the right frames in the right order, from every kind of source."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

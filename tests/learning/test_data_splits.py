@@ -1,7 +1,5 @@
 """Splits: every press has the same role in all sensors, and a split is stored in a file."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Windows of sessions and archives as a data set for PyTorch."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

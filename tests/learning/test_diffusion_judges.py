@@ -1,7 +1,5 @@
 """Losses on translated images: the vision-aided discriminator, its augmentation, and LPIPS."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

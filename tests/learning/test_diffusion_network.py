@@ -1,7 +1,5 @@
 """The diffusion translator's network: its single step, its tokens, and its trainable parameters."""
 
-from __future__ import annotations
-
 import ast
 import copy
 import functools

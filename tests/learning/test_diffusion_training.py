@@ -1,7 +1,5 @@
 """Training of the diffusion translator and of its autoencoder."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The trained diffusion translator from archive to masks, and loading from its folder."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from functools import partial

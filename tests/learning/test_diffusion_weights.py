@@ -1,7 +1,5 @@
 """Weights of the diffusion translator: the published ones and the authors' checkpoints."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import os

@@ -1,7 +1,5 @@
 """Training of all weights of the marker autoencoder and the translator, without published ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

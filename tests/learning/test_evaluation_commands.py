@@ -1,7 +1,5 @@
 """`predict` with a model of a few weights, and its errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

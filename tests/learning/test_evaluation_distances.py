@@ -1,7 +1,5 @@
 """Distances of features against closed forms, and properties of the features."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

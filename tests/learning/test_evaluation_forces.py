@@ -1,7 +1,5 @@
 """Force errors against hand-computed values, and predictions on disk."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Overlap and marker metrics of masks against hand-computed values, and the nearest frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """The report of synthetic predictions, and scores of translations of known quality."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An experiment makes every result once, resumes where it stopped, and rejects other settings."""
 
-from __future__ import annotations
-
 import json
 import threading
 from concurrent.futures import ThreadPoolExecutor

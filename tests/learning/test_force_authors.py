@@ -1,7 +1,5 @@
 """The authors' force models open, and predict as their network does."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models trained side by side equal those trained alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

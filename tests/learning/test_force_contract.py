@@ -1,7 +1,5 @@
 """The contract of force models, which ours and one of another package keep."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise

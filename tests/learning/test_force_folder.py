@@ -1,7 +1,5 @@
 """Folders of force models: paths, web addresses and the installed demo."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from functools import partial

@@ -1,7 +1,5 @@
 """GenForce folders, built here as published: reading, writing and rejection."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

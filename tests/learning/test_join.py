@@ -1,7 +1,5 @@
 """Archives joined by place: presses that match, reasons why others do not, and refusals."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

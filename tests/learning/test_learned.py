@@ -1,7 +1,5 @@
 """Frames outside of what a model learned from: few of a new indenter, most of any other kind."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Frames become forces one by one, starting without contact; memory ends with contact."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Marker detection fitted to pictures without contact, on painted ones whose mask is known."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

@@ -1,7 +1,5 @@
 """Markers found again under a contact: painted ones, and those of a GelSlim marked by eye."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

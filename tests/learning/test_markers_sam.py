@@ -1,7 +1,5 @@
 """EfficientSAM through ONNX Runtime: box prompts, best masks, and checks of model files."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Presets, masks and centres: measured on pictures with known markers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sessions converted to archives: labels, references, locations, flags, resuming, and errors."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Markers keep their identity through a sequence, despite missed and false detections."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

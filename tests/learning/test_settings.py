@@ -1,7 +1,5 @@
 """Settings: strict YAML to frozen values; every error states the place and the allowed values."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from pathlib import Path

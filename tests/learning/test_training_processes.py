@@ -1,7 +1,5 @@
 """Distributed training: two processes with half a batch each equal one with the full batch."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Run folders: a training that is stopped at any point resumes with identical results."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Steps of a training: stateless randomness, learning rates, devices, Ctrl-C."""
 
-from __future__ import annotations
-
 import os
 import signal
 

@@ -1,7 +1,5 @@
 """Forces on a sensor without a gauge: its labels are never read, and intervals keep their word."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.made_up_archives import LATTICE, State, field_at, mask_of

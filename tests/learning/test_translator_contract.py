@@ -1,7 +1,5 @@
 """The contract of translators, which ours and one of another package keep."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 end otherwise, with exit code 1; `--some` compares only the rows that were run.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -1,7 +1,5 @@
 """Forces of twelve scenes and masks of three sensors are those of before the house shrank."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -4,8 +4,6 @@
 `test_values.py` compares with.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Marker archives: parallel writing in any order, local and remote reading, checks and pairing."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import multiprocessing

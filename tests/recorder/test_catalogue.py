@@ -1,7 +1,5 @@
 """The catalogue: it finds sessions, and never shows outdated ones."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Charts: one style whatever the user's settings, and the same bytes for the same chart."""
 
-from __future__ import annotations
-
 import io
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Offset and drift of device clocks, recovered under positive delays."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Exports in general: atomic, inside their folder, and with clear errors for missing libraries."""
 
-from __future__ import annotations
-
 import builtins
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """GenForce folders, read as the published scripts do: by folder, file name and column."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """HDF5 exports, read back with h5py."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

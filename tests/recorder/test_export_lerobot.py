@@ -1,7 +1,5 @@
 """LeRobot exports, read with pyarrow, and with LeRobot itself if it is installed."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """MCAP exports, read back with the mcap and mcap-protobuf readers, with checksums verified."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager

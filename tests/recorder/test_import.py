@@ -1,7 +1,5 @@
 """Imported recordings become valid sessions, or leave nothing behind but a clear error."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

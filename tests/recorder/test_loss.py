@@ -1,7 +1,5 @@
 """Samples deleted from streams are counted and placed; delays and pauses are no losses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Packed masks, uSkin discs and marker counting, shared by sim, rig and learning."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Memory and reads of sessions are bounded however many are open, and no value suffers by it."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import shutil

@@ -1,7 +1,5 @@
 """Natural sort order of names."""
 
-from __future__ import annotations
-
 from recorder.natural_order import natural_key
 
 

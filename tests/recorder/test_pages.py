@@ -1,7 +1,5 @@
 """Pages from templates: lines of tags, missing values, escaping, and Jinja only when it is used."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Worker processes: a lost worker is reported; current calls are finished or stopped."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Progress: nothing at first, then the fraction done and the time left, as a bar or as lines."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

@@ -1,7 +1,5 @@
 """The names of `recorder` are imported on demand."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

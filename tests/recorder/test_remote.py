@@ -1,7 +1,5 @@
 """Sessions behind URLs: same values as on disk, little network traffic, and clear errors."""
 
-from __future__ import annotations
-
 import http.server
 import logging
 import os

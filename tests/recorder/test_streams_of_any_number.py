@@ -1,7 +1,5 @@
 """Sessions with none, one and three streams of each kind: everything goes by streams, not names."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

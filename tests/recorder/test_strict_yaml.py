@@ -1,7 +1,5 @@
 """Strict YAML: written values are read back unchanged, and nothing is overwritten silently."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

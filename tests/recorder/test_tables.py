@@ -1,7 +1,5 @@
 """Frames of a session in pandas, xarray and notebooks."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The newest image can be read while its shard grows, and is never incomplete."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

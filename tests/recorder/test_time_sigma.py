@@ -1,7 +1,5 @@
 """The stated uncertainty of times covers the errors that delays, exposure and latency cause."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

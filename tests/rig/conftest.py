@@ -1,7 +1,5 @@
 """An address of its own for each test of a device."""
 
-from __future__ import annotations
-
 import itertools
 import os
 

@@ -1,7 +1,5 @@
 """Arms that crash, hang, fall silent, stop or lose their parent, each with its own emulator."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """Reactions of an arm to the force that its guard sees: one arm for all tests, and a simulated."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The real ur_rtde in its supervised child, moving the emulator; all tests share one arm."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

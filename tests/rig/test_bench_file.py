@@ -1,7 +1,5 @@
 """A bench file: built once for a collection, and again with the addresses of emulators."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """JPEG segments: size, missing Huffman tables, truncated files, the emulator's time stamp."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The camera driver against the emulated network camera, and the emulator's image sources."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import socket

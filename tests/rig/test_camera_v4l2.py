@@ -1,7 +1,5 @@
 """The camera driver on a V4L2 node that a preloaded library provides for one process only."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

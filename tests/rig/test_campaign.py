@@ -1,7 +1,5 @@
 """A day of sessions: complete sessions are kept, interrupted ones resume, however they ended."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """Pacing is exact in whole nanoseconds, never bursts, and counts missed ticks."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

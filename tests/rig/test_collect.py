@@ -1,7 +1,5 @@
 """Whole collections on the mock bench, as a technician runs them."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A collection with real devices imports no emulator, in any process."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Ctrl-C, pausing, the dead-man pedal and the watched grip, from rules to whole collections."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

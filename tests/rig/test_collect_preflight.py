@@ -1,7 +1,5 @@
 """Preflight rejections: slow device, tip in the sensor, noisy gauge, existing contact."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Targets that are done, or pressed again, and the live line that shows the progress."""
 
-from __future__ import annotations
-
 import io
 import logging
 import math

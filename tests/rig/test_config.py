@@ -1,7 +1,5 @@
 """Every error of a bench file states the file, the key, the value found and those allowed."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@
 Devices of installed packages are tested too: `pytest tests/rig/test_device_contract.py -k KIND`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Each part of a bench that is wrong is named by the doctor, with its cure."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil

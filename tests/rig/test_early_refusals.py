@@ -1,7 +1,5 @@
 """Mistakes are found before a device, an emulator or a page starts; then, devices that are dead."""
 
-from __future__ import annotations
-
 import re
 import socket
 import subprocess

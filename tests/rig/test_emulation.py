@@ -1,7 +1,5 @@
 """Common parts of all emulators: the World in shared memory, and a process that can be stopped."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,8 +1,6 @@
 """Line faults: messages sent in place of each original, on a fake clock, and the reactions of the
 real drivers."""
 
-from __future__ import annotations
-
 import itertools
 import socket
 from collections.abc import Callable, Iterator

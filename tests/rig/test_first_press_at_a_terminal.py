@@ -1,7 +1,5 @@
 """The first press of a lab sensor goes on with the word `move`, and stops at any other answer."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re

@@ -1,7 +1,5 @@
 """One word in the bench file selects the F/T sensor: configuration, guard, whole collections."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path

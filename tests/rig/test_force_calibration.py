@@ -1,7 +1,5 @@
 """ATI calibration files: parsing, rejection, and comparison with ATI's own library."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The Net F/T sensor: its wire format, times of arrival, and the driver against the emulator."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import socket

@@ -1,7 +1,5 @@
 """The NI-DAQ driver, using the real client library, against the emulated card."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 import threading

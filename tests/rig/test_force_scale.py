@@ -1,7 +1,5 @@
 """Load cells and scales: their lines, settling, and the label that a hold gets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Devices of other packages: registered by an entry point, accepted, emulated and recorded."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

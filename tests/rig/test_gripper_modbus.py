@@ -1,7 +1,5 @@
 """The gripper's frames and registers: inverse functions, and the examples of its manual."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

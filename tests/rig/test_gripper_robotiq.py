@@ -1,7 +1,5 @@
 """The gripper's driver and emulator over a pty, and the emulator with a third-party client."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

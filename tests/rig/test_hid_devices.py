@@ -1,7 +1,5 @@
 """Drivers of pedal and SpaceMouse with the real hidapi, on nodes of a preloaded shim."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

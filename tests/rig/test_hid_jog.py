@@ -1,7 +1,5 @@
 """Jogging: the motion requested by the cap, and the arm of a mock bench moved by hand."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path

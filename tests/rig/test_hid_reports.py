@@ -1,7 +1,5 @@
 """Meaning of the reports of pedals and SpaceMice."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

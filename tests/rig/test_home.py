@@ -1,7 +1,5 @@
 """The surface is found by the onset of force, for any indenter, and sessions are shifted to it."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from pathlib import Path

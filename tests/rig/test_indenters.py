@@ -1,7 +1,5 @@
 """Indenters have a shape: the paper's by name, a lab's own by a file, and no other name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a lab in a real browser, by clicks and keys, from a phone to a large screen."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

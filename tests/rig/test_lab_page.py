@@ -1,7 +1,5 @@
 """The page of a lab on the wire: search, replay, marks; and requests that are refused."""
 
-from __future__ import annotations
-
 import io
 import json
 import urllib.parse

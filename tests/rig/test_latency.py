@@ -1,7 +1,5 @@
 """Image latency measured from taps: accurate to a millisecond, or rejected."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Live forces: the newest frame is used, losses are reported, and a mock bench has a presser."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import csv

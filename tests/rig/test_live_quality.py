@@ -1,7 +1,5 @@
 """Quality of a running collection: a planted fault of each kind is found, and only that one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

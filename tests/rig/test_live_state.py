@@ -1,7 +1,5 @@
 """The page's state of benches with several streams of a kind, which is bounded."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Iterator

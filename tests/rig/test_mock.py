@@ -1,7 +1,5 @@
 """The mock bench starts the emulators its sensor needs, finds an address, and reports failures."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

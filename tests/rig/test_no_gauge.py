@@ -1,7 +1,5 @@
 """Collecting without a force gauge: settings, guards that stand in, surface, wrong benches."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import math

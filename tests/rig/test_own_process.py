@@ -1,7 +1,5 @@
 """A session is recorded in a process of its own, at the same terminal."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Every bench's plan is drawn and described; one beyond a limit is a fault of the bench."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

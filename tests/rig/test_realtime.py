@@ -1,7 +1,5 @@
 """Cyclic garbage is collected only at suitable moments."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from collections.abc import Iterator

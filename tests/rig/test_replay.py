@@ -1,7 +1,5 @@
 """A replay returns the same bytes through the real drivers, and reports when it cannot."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

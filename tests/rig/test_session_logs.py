@@ -1,7 +1,5 @@
 """Log files of sessions, also of those that are recorded within another."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The set-up goes on where it stopped, and its acceptance goes with every session."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

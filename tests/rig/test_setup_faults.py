@@ -1,7 +1,5 @@
 """Each fault of a bench's set-up is named by `tactile setup` or `tactile doctor`, with its cure."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """Readers of a shared record see complete records in order, and survive a dead writer."""
 
-from __future__ import annotations
-
 import itertools
 import multiprocessing
 from pathlib import Path

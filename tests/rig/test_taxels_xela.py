@@ -1,7 +1,5 @@
 """The uSkin driver and emulator: message layouts, garbage, gaps, logs of raw counts."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """Access to the page, decided from headers alone."""
 
-from __future__ import annotations
-
 import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request

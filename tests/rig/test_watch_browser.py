@@ -1,7 +1,5 @@
 """The page in a real browser, with a real mock collection."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

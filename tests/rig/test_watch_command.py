@@ -1,7 +1,5 @@
 """Options of the page, and values that are rejected before anything is started."""
 
-from __future__ import annotations
-
 import argparse
 import ipaddress
 import re

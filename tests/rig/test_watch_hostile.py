@@ -1,7 +1,5 @@
 """A collection whose page is attacked records as if there were no attack."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -1,7 +1,5 @@
 """The collecting process's side of the page: no event of the page disturbs it."""
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """The page's process and its clients: friendly, slow, rude, too many."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

@@ -1,7 +1,5 @@
 """The mock bench's physics: known values, limits, and effects that are absent when off."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

@@ -1,7 +1,5 @@
 """The mock bench with physics: its World's wrench, its camera's images, its failures."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Content of archives: references, rows of a unit, forces, presses without a solution."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

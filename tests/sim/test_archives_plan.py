@@ -1,7 +1,5 @@
 """Plans of simulated archives: the paper's counts, shared deformations, division into units."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """Archives that are stopped, killed, resumed, or made in parallel and out of order are equal."""
 
-from __future__ import annotations
-
 import errno
 import os
 import random

@@ -1,7 +1,5 @@
 """The paper's states on the default mesh: presses of a bonded, nearly incompressible layer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

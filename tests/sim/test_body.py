@@ -1,7 +1,5 @@
 """The soft body: invalid values, moduli, shape."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 

@@ -1,7 +1,5 @@
 """The camera: a pinhole with correct projection, mount and inverse."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

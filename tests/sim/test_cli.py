@@ -1,7 +1,5 @@
 """`tactile sim`: output, files, errors, and the examples of its documentation."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Effects that are off change nothing, and weak effects change little."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Failures of the finite-element tier: it reports them and returns no result."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path as File

@@ -1,7 +1,5 @@
 """Coulomb friction of the finite-element tier, in whole presses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

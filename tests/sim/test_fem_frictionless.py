@@ -3,8 +3,6 @@
 Errors are compared with those that the results state themselves.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -3,8 +3,6 @@
 Ground truth is from GetFEM (`benchmarks independent`) where available, else from a finer mesh.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

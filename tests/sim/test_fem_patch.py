@@ -1,7 +1,5 @@
 """Patch tests of the assembled equations: uniform deformation, and internal consistency."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import warp as wp

@@ -1,7 +1,5 @@
 """Frictionless presses of the finite-element tier: force, surface, symmetry, batches."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Readings of a batch: equal to sums that are written out for each environment alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Self-contact of the skin: detection of folds and their depth."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Literal

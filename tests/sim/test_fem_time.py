@@ -1,7 +1,5 @@
 """Time-dependent effects and weight: viscosity, inertia and gravity against their references."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

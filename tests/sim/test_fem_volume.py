@@ -1,7 +1,5 @@
 """Nearly incompressible bodies, whose pressure is split for the solve."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

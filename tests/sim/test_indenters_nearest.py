@@ -1,7 +1,5 @@
 """Distances to triangles, on the device and by an independent implementation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

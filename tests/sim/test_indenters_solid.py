@@ -1,7 +1,5 @@
 """Indenters from STL files: compared with exact shapes, and stored and read as values."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Callable

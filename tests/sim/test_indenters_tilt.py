@@ -1,7 +1,5 @@
 """Tilted indenters."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """STL files: reading, reported repairs, and rejection."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Forces of twins in the presses of an archive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

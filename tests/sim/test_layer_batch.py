@@ -1,7 +1,5 @@
 """Layers solved together, as on a GPU, are those solved one by one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.devices import DEVICES

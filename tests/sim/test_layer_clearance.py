@@ -1,7 +1,5 @@
 """The gap under an indenter, interpolated from its samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The layer's compliance, wave by wave, against its differential equations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Frictionless contact of the layer against exact solutions."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

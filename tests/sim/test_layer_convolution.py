@@ -1,7 +1,5 @@
 """Convolutions with the layer's compliance, against explicit sums and point loads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Coulomb friction on the layer: pointwise, against exact solutions, and around loops."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

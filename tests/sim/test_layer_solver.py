@@ -1,7 +1,5 @@
 """Public interface of the layer tier: errors, results and reports."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

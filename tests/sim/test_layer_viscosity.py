@@ -1,7 +1,5 @@
 """A relaxing layer against Lee and Radok, and around loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Forces and errors measured by two meshes, for a tolerance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Motions: tip position over time, and invalid motions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

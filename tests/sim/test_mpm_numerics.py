@@ -1,7 +1,5 @@
 """Settings of the `mpm` tier: sampling, mass, time step, and invalid values."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Presses with the material-point method: known errors, and properties that must hold exactly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

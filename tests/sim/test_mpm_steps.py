@@ -1,7 +1,5 @@
 """One time step of the material points: against NumPy, and against conservation laws."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Negligible effects are omitted, judged jointly, and their error is reported."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Patterns: their markers, and signed distances that agree with geometry."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

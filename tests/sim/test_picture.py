@@ -1,7 +1,5 @@
 """The picture of a result: positions are correct, and colours match the colour bar."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Scenes distributed over processes: equal results, and no process survives an error."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal

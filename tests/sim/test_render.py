@@ -1,7 +1,5 @@
 """Rendering: material points at ray intersections, masks at markers, and nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

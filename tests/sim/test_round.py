@@ -1,7 +1,5 @@
 """Round bodies and domes with a thin rim: shape, forces, and behaviour at their side."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

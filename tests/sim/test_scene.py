@@ -1,7 +1,5 @@
 """Scenes: frozen values that reject unsolvable input; effects and their flags."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import FrozenInstanceError
 

@@ -1,7 +1,5 @@
 """The displacement field that signals are computed from: interpolation, rotation, slopes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Displacement inside a bonded layer: its equations, and `fem`'s interior solution."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pins under a skin: their tips magnify the slope, stay round, and mirror with the press."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """From one deformation to every signal: references, mirror images, variations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sensor rows: specified values, and errors that state the place and the cause."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """uSkin: dipoles over Hall elements, counts, and the discs drawn from them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Device variation: draws by seed and name with the stated spread; off means unchanged."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple
 from typing import Any

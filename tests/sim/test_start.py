@@ -1,7 +1,5 @@
 """Start of the simulator: no store of sessions where none is needed, no messages of Warp."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from types import SimpleNamespace

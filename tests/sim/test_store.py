@@ -1,7 +1,5 @@
 """Results on disk: atomic, equal when read again, readable by any Zarr reader."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A live press matches a simulation of the same poses, and predicts the next state."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Consequences of a scene's symmetry, and the resulting error estimate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

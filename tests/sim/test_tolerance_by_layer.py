@@ -1,7 +1,5 @@
 """Tolerances that `layer` satisfies, and those that need meshes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Solver accuracy and meshes required by a tolerance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Twins: points along a path, fits of planted skins, rows and draws."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -1,7 +1,5 @@
 """Camera and markers of twins: images that are followed, fits of planted cameras, refusals."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

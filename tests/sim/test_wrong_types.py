@@ -1,7 +1,5 @@
 """Wrong argument types: errors state name, value and allowed values, without a traceback."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

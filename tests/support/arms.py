@@ -1,7 +1,5 @@
 """Arms for tests: simulated ones, and the real ur_rtde in its child against an emulator."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """ATI calibration files (`.cal`) of made-up transducers."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

@@ -4,8 +4,6 @@ They are for figures, and for tests of segmentation. There are no shadows, and t
 light.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Run the module of a command without the handling of its errors."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Folders that many tests need alike: made once by a process, copied for each test."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Hashable
 from pathlib import Path

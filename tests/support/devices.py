@@ -1,7 +1,5 @@
 """Devices on which kernels are tested: the CPU, and a GPU where there is one."""
 
-from __future__ import annotations
-
 import pytest
 import warp as wp
 

@@ -1,7 +1,5 @@
 """Drivers and emulators of devices for tests: a constant world, opening, reading and closing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any, TypeVar

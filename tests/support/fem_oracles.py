@@ -4,8 +4,6 @@ It shares only the energy with the kernels: forces are computed node by node, an
 derivatives by the complex step f'(u) v = Im f(u + i h v) / h, exact to round-off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

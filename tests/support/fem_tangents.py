@@ -1,7 +1,5 @@
 """A batch of tangents assembled in two ways: by the kernels, and densely by NumPy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

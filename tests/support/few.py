@@ -1,7 +1,5 @@
 """Parameters of tests that repeat a behaviour: a few by default, all with the slow tests."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A package outside the repository that offers a translator and a force model by entry points."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Run Python with nodes that a preloaded shim provides, as that of rig.devices.hid."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

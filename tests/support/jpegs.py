@@ -1,7 +1,5 @@
 """JPEG files as some cameras send them."""
 
-from __future__ import annotations
-
 from rig.devices.camera.jpeg import SOI, frame_stamp, segments
 
 

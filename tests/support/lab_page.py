@@ -1,7 +1,5 @@
 """A lab of made sessions, its page, and clients for it."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

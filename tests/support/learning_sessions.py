@@ -1,7 +1,5 @@
 """Small sessions of the mock camera or of taxels: two presses of four phases, 0.1 s each."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A session that is recorded press by press, with planted faults, and its judged quality."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Machine code of a compiled kernel, to check that two kernels are the same."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

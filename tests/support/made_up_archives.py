@@ -9,8 +9,6 @@ inverse of p + d(p), found by iteration on a coarse grid. All sensors have the s
 indenters; their forces differ only by their stiffness.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@
 Prints one line if a name is unknown, with the nearest that is known; nothing if all are known.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Marker archives of given images, with the sources that `tactile markers` writes."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -6,8 +6,6 @@ The mock bench's camera draws discs at known positions; the simulator's GelSight
 lamps and comes with the mask that was rendered.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

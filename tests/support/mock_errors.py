@@ -1,7 +1,5 @@
 """Deviation of a mock session from the World's truth: time error per stream, worst force error."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """NumPy reference of one time step of the material points, written node by node."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Archives, sessions and GenForce folders whose presses follow a plan, without any physics."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from itertools import product

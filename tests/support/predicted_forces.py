@@ -1,7 +1,5 @@
 """Predicted forces with known errors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from learning.evaluation.predictions import Predictions

@@ -5,8 +5,6 @@ finding is one line, `file:line: found; use ...`. Names are those of Python code
 1 if there is any finding.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

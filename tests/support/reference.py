@@ -3,8 +3,6 @@
 Packages are parsed, not imported: public names are those in the `__all__` of a package.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Small triangulated bodies and the files that contain them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

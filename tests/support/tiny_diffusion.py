@@ -1,7 +1,5 @@
 """Networks like SD-Turbo, CLIP and VGG16, each with a few thousand random weights."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

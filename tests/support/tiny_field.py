@@ -1,7 +1,5 @@
 """Settings of a field translator that trains in a second."""
 
-from __future__ import annotations
-
 from learning.config import read_settings
 from learning.translation.field.network import FieldModel
 from learning.translation.field.train import PRESETS, FieldSettings

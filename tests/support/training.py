@@ -1,7 +1,5 @@
 """Surroundings of a training for tests, with a stop after some steps."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from learning.training.run import RunFolder, Stop, TrainingSession, accelerator

@@ -1,7 +1,5 @@
 """Tutorials, as pages whose blocks of code can be run in order."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Wait for an event, however busy the machine is."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

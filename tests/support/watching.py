@@ -1,7 +1,5 @@
 """A page backed only by shared records and a session, and clients for it."""
 
-from __future__ import annotations
-
 import functools
 import json
 from dataclasses import dataclass, field

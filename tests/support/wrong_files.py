@@ -4,8 +4,6 @@
 tests/tactile/test_wrong_inputs.py compares the page with what they print now.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

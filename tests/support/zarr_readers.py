@@ -1,7 +1,5 @@
 """Other readers of Zarr arrays than zarr-python's own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

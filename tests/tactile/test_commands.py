@@ -1,7 +1,5 @@
 """The command `tactile`: its table, its help, and unknown commands."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

@@ -1,7 +1,5 @@
 """The end of a command: exit code and printed line of every kind of error."""
 
-from __future__ import annotations
-
 import errno
 import subprocess
 import sys

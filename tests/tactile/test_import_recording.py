@@ -1,7 +1,5 @@
 """`tactile import` recognises files, asks for the unknown, and never guesses."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`tactile init`: the folder of a lab, and commands that work in it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

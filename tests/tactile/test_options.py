@@ -1,7 +1,5 @@
 """The commands and options of the whole program: their number and their help."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import importlib

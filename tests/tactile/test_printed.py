@@ -1,7 +1,5 @@
 """Printed lines that no other test compares, and the values that are stored with them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The installed package: all files that the code opens, and a lab based on the wheel alone."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

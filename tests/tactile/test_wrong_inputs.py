@@ -1,7 +1,5 @@
 """Wrong files and options: each is refused in a line, and nothing is written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

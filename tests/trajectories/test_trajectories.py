@@ -1,7 +1,5 @@
 """Properties of the plans: the paper's counts, closed paths, maximum depth, JSON round trip."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
