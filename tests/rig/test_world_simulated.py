@@ -348,6 +348,7 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
     assert "allowed: 3 finite numbers" in run.stderr.splitlines()[-1]
 
 
+@pytest.mark.serial
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", ["tacpalm", "gelsight", "uskin"])
 def test_a_session_on_the_simulated_bench_holds_what_the_simulator_says(
