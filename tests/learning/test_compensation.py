@@ -266,21 +266,6 @@ def test_a_target_without_labels_has_no_oracle_and_one_without_a_curve_no_pair(
         read_stored(out).pair("dots", "grid", "oracle")
 
 
-def test_wrong_pairs_and_archives_without_force_depth_presses_are_refused(
-    archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, out = tmp_path / "plain.markers.zarr", tmp_path / "c.json"
-    plain = made_up_archive(path, ("dots", "grid"), ("prism",), (), 1, 1, displacement=False)
-    for one, more, message in (
-        (archive, ["--pairs", "dots:none"], "no sensor none"),
-        (archive, ["--pairs", "dots"], "SOURCE:TARGET"),
-        (plain, [], "a force-depth session of each sensor"),
-    ):
-        assert main(["compensate", str(one.path), "--out", str(out), *more]) == 2
-        assert message in capsys.readouterr().err
-        assert not out.exists()
-
-
 def test_another_file_is_never_overwritten_and_a_damaged_one_is_named(
     archive: MarkerArchive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -156,22 +156,6 @@ def test_an_unfinished_archive_is_refused(tmp_path: Path) -> None:
         presses_of(half)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("{", "not JSON"),
-        ("[1]", "found format"),
-        ('{"format": "tactile-rig split", "format_version": 2}', r"allowed: \('tactile-rig split'"),
-        ('{"format": "tactile-rig split", "format_version": 1}', "corrupt or incomplete split"),
-    ],
-)
-def test_other_files_are_refused(tmp_path: Path, content: str, message: str) -> None:
-    path = tmp_path / "split.json"
-    path.write_text(content)
-    with pytest.raises(LearningError, match=message):
-        read_split(path)
-
-
 def test_a_press_with_two_roles_is_refused(archive: MarkerArchive, tmp_path: Path) -> None:
     path = tmp_path / "split.json"
     make_split(archive).write(path)

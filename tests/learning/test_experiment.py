@@ -343,8 +343,6 @@ def test_senseless_experiments_are_refused(changed: str, reported: str) -> None:
 @pytest.mark.parametrize(
     ("changed", "reported"),
     [
-        ("force={preset: tinny}", "force: preset: found 'tinny'; known: "),
-        ('fine_tuning=["stages"]', "fine_tuning: --set: found 'stages'"),
         ("field={preset: smoke}", "field: preset: found 'smoke'; known: "),
         ('field={preset: cpu_smoke, set: ["sed=2"]}', "field: .*unknown sed; did you mean"),
     ],

@@ -157,16 +157,3 @@ def test_readings_typed_in_are_the_labels_of_a_sensor_without_a_gauge(
     # Other readings are other data, which a run does not continue with.
     typed.write_text(typed.read_text().replace("-1.0", "-1.5"))
     assert main([*words, *one, "--labels", str(typed)]) == 2
-
-
-def test_wrong_input_begins_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _, words = begin(tmp_path)
-    for change, message in (
-        (["--sensor", "other"], "--sensor: found other; known: dots, grid"),
-        (["--set", "input.sides=3"], "unknown sides"),
-        (["--pair", "dots-to-grid"], "--pair: found without --labels"),
-        (["--start-from", "nowhere"], "model: found 'nowhere'; no such folder"),
-    ):
-        assert main([*words, "--sensor", "dots", *change]) == 2
-        assert message in capsys.readouterr().err
-        assert not (tmp_path / "run").exists()

@@ -393,18 +393,3 @@ def test_the_command_prints_what_met_and_the_next_command(
     # Repeated, it finds nothing left to do.
     assert main(["archive", "join", *archives, "--out", str(out)]) == 0
     assert "0 frames copied" in capsys.readouterr().out
-
-
-def test_the_command_says_what_is_wrong_and_exits_with_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    a = str(planned_archive(tmp_path / "a.markers.zarr", {"x": SMALL}).path)
-    for arguments, message in (
-        ([f"{a}:q", a], "has no sensor 'q'; allowed: x"),
-        ([a], "sensors: found 1; allowed: two or more"),
-        ([str(tmp_path / "none.markers.zarr"), a], "none.markers.zarr"),
-        ([a, f"{a}:x=y", "--place-mm", "2000"], "place: found 2.0"),
-    ):
-        assert main(["archive", "join", *arguments, "--out", str(tmp_path / "j.markers.zarr")]) == 2
-        assert message in capsys.readouterr().err
-    assert not (tmp_path / "j.markers.zarr").exists()

@@ -58,12 +58,6 @@ def test_the_authors_numbers_are_theirs() -> None:
     [
         ("kind: lidar\n", r"x\.yaml\.kind: found 'lidar'; allowed: camera, taxels"),
         ("kind: camera\ndescription: a\n", "missing detectors"),
-        ("kind: taxels\ndescription: a\ncolour: red\n", "unknown colour; known: description"),
-        (
-            f"{OWN}[{{kind: sonar}}]",
-            r"detectors\[0\]\.kind: found 'sonar'; allowed: contrast, hat, bl",
-        ),
-        (f"{OWN}[{{kind: dark, below: 70}}]\narea_px: [9]", r"area_px: found 1 values; allowed: 2"),
         (
             f"{OWN}[{{kind: blur_difference, kernel_px: 4, sigma_px: 1, least: 3}}]",
             r"kernel_px: found 4; allowed: odd",
@@ -78,13 +72,6 @@ def test_a_preset_that_is_wrong_is_refused_with_file_and_key(
     with pytest.raises(LearningError, match=message) as error:
         read_preset(path)
     assert str(path) in str(error.value)
-
-
-def test_a_preset_that_is_not_there_is_refused_with_those_that_are() -> None:
-    with pytest.raises(LearningError, match="found 'gelsite'; known: bench-gelsight"):
-        preset("gelsite")
-    with pytest.raises(LearningError, match="no such file"):
-        preset("/nowhere/own.yaml")
 
 
 @pytest.mark.parametrize("name", list(marker_truth.VIEWS))

@@ -358,17 +358,3 @@ def test_the_command_makes_an_archive_and_a_sheet(
     red, green, blue = pixels.T
     assert np.sum((red > 200) & (green > 100) & (green < 190) & (blue < 110)) > 500  # outlines
     assert np.sum((red > 190) & (green < 90) & (blue < 80)) > 500  # borders of flagged frames
-
-
-def test_the_command_says_what_is_wrong_and_exits_with_2(
-    camera: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = str(tmp_path / "a.markers.zarr")
-    for arguments, message in (
-        ([str(camera)], "arguments are required: --out"),
-        ([str(camera), "--out", out, "--preset", OWN], "mm_per_px: not in preset"),
-        ([str(tmp_path / "none.zarr"), "--out", out], "none.zarr"),
-        ([str(camera), "--out", out, "--sam-encoder", "x.onnx"], "both or neither"),
-    ):
-        assert main(["markers", *arguments]) == 2
-        assert message in capsys.readouterr().err

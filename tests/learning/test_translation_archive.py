@@ -188,24 +188,6 @@ def test_the_command_translates_and_draws(tmp_path, capsys):
     assert "0 frames made" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (["--source", "dots"], "--source, --target: missing"),
-        (["--source", "dots", "--target", "dots"], "--target: found dots, the source itself"),
-        (["--source", "dots", "--target", "grid", "--all"], "--all: found"),
-        (["--source", "lost", "--target", "grid"], "found no sensor 'lost'; known: dots, grid"),
-        (["--all", "--role", "train"], "--split, --role: found one"),
-        (["--all", "--model", "nowhere"], "--model: found 'nowhere'; allowed: flow"),
-    ],
-)
-def test_wrong_options_are_refused_and_nothing_is_written(archive, tmp_path, given, message):
-    out = tmp_path / "x.markers.zarr"
-    with pytest.raises(LearningError, match=message):
-        run_module(command, archive.path, *given, "--out", out)
-    assert not out.exists()
-
-
 def test_an_archive_that_is_half_written_is_refused(tmp_path):
     half = made_up_archive(tmp_path / "half.markers.zarr", indenters=("sphere",), finish=False)
     with pytest.raises(LearningError, match="still being written"):

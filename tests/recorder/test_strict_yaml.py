@@ -48,6 +48,7 @@ def test_merging_changes_neither() -> None:
     [
         ("a: 1\nb: {c: 1,\n  c: 2}\n", r"it\.yaml: line 3: key 'c' is written twice"),
         ("a: [\n", r"it\.yaml: not YAML"),
+        ("", r"it\.yaml: found nothing; allowed: a mapping"),
         ("- 1\n", r"it\.yaml: found the list \[1\]; allowed: a mapping"),
         ("extends: 3\n", r"it\.yaml\.extends: found 3; allowed: the name of a file"),
         ("extends: it.yaml\n", "extend each other in a circle"),

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 import pytest
 
 from rig.bench.bench import BenchFile, find_bench
-from rig.core.config import build, read_yaml
+from rig.core.config import build
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES, CAMPAIGNS, packaged
 
@@ -96,37 +96,6 @@ def test_a_missing_key_is_named(key: str) -> None:
     content = {name: value for name, value in GOOD.items() if name != key}
     with pytest.raises(ConfigError, match=f"missing {key};"):
         build(Thing, content, "f.yaml")
-
-
-def test_extends_merges_mappings_and_replaces_the_rest(tmp_path: Path) -> None:
-    (tmp_path / "a.yaml").write_text("x: {p: 1, q: [1, 2]}\ny: {kind: round, r: 1}\n")
-    (tmp_path / "b.yaml").write_text("extends: a.yaml\nx: {q: [3]}\ny: {kind: square, s: 2}\n")
-    assert read_yaml(tmp_path / "b.yaml") == {
-        "x": {"p": 1, "q": [3]},
-        "y": {"kind": "square", "s": 2},
-    }
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("a: 1\na: 2\n", ["line 2", "'a'", "twice"]),
-        ("- 1\n", ["mapping"]),
-        ("", ["mapping"]),
-        ("a: [1\n", ["not YAML"]),
-        ("a: \udc80", ["not YAML"]),
-        ("extends: 3\n", ["extends", "3"]),
-        ("extends: other.yaml\n", ["other.yaml", "no such file"]),
-        ("extends: f.yaml\n", ["circle"]),
-    ],
-)
-def test_a_broken_file_is_named(tmp_path: Path, text: str, words: list[str]) -> None:
-    path = tmp_path / "f.yaml"
-    path.write_bytes(text.encode("utf-8", "surrogateescape"))
-    with pytest.raises(ConfigError) as caught:
-        read_yaml(path)
-    for word in words:
-        assert word in str(caught.value)
 
 
 ROOT = Path(__file__).parents[2]

@@ -39,60 +39,12 @@ def folder_of_recordings(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ("--sensor tacpalm --out {}/old.zarr", "exists already; resume it or choose another"),
-        ("--sensor nose", "known in"),
-        ("", "--sensor"),
-        ("--sensor tacpalm --targets 161", "1 to 160"),
-        ("--sensor tacpalm --targets 0", "1 to 160"),
-        ("--sensor tacpalm --camera /no/such", "no such file"),
-        ("--resume /no/such.zarr", "/no/such.zarr"),
-        ("--sensor tacplam", "--sensor: found 'tacplam'; did you mean tacpalm? known in"),
-        ("--sensor tacpalm --indenter bananna", "--indenter: found 'bananna'; known in the paper"),
-        ("--sensor tacpalm --indenter cylinde", "did you mean cylinder?"),
-        ("--sensor uskin --camera {}/images", "uskin.yaml has no camera: nothing"),
-        ("--sensor tacpalm --taxels {}/taxels.npy", "tacpalm.yaml has no taxels: nothing"),
-        ("--sensor tacpalm --still", "--still: goes with --camera only"),
-        ("--bench {}/lab.yaml --camera {}/images", "--camera: {}/lab.yaml is a lab bench"),
-        ("--bench {}/lab.yaml --truth {}/t", "--truth: {}/lab.yaml is a lab bench"),
-        ("--sensor tacpalm --watch 203.0.113.7:8765", "allowed: a free port of this"),
-        ("--bench {}/lab.yaml", "lab bench: no terminal to ask on"),
-    ],
-)
-def test_a_collection_that_cannot_be_is_refused(
-    arguments: str, words: str, folder: Path, capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    monkeypatch.chdir(folder)
-    assert main(["collect", *arguments.replace("{}", str(folder)).split()]) == 2
-    assert words.replace("{}", str(folder)) in capsys.readouterr().err
-    assert not list(folder.glob("sessions/*.zarr"))
-
-
-@pytest.mark.parametrize("command", ["home", "calibrate-latency", "force-depth"])
-def test_every_recording_command_knows_the_indenters_and_asks(
-    command: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(folder)
-    assert main([command, "--sensor", "tacpalm", "--indenter", "bananna"]) == 2
-    assert "found 'bananna'" in capsys.readouterr().err
-    assert main([command, "--bench", str(folder / "lab.yaml")]) == 2
-    assert "no terminal to ask on" in capsys.readouterr().err
-
-
 def test_a_busy_port_is_found_early(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         out = str(folder / "s.zarr")
         assert main(["collect", "--sensor", "tacpalm", "--out", out, "--watch", str(port)]) == 2
     assert f"127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
-
-
-def test_a_model_that_is_no_folder_is_found_early(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["live", "--sensor", "tacpalm", "--model", "nope"]) == 2
-    assert "model: found 'nope'; no such folder" in capsys.readouterr().err
 
 
 def test_mistakes_are_found_before_anything_slow_is_imported(folder: Path) -> None:

@@ -35,7 +35,6 @@ from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
 from rig.monitor.forces_page import ForcesJob, ForcesPage
 from rig.monitor.lab import Folders
 from rig.monitor.watched import GaugeBeside, Watched, mock_bench, replayed
-from tactile.__main__ import main
 
 # Time that the stub needs for a frame.
 WORK_NS = 5_000_000
@@ -303,26 +302,6 @@ def test_pixels_can_be_watched_and_a_session_without_a_signal_cannot(tmp_path: P
     blind = make_session(tmp_path / "blind.zarr", seconds=0.2, names=("force", "pose"))
     with pytest.raises(SessionError, match="neither camera nor taxels"), replayed(blind, clock):
         pass
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("--sensor uskin --session x.zarr", "--session: not allowed with"),
-        ("--sensor uskin --seconds 0", "--seconds: found '0'; allowed: a number"),
-        ("--sensor uskin --rate-hz -1", "--rate-hz: found '-1'"),
-        ("--sensor uskin --page x", "--page: found 'x'; allowed: PORT or HOST:PORT"),
-        ("--sensor uskin", "found no config.yaml; allowed: the folder of a training run"),
-        ("--sensor nothing", "--sensor: found 'nothing'"),
-        ("--session x.zarr --indenter cone", "--indenter: x.zarr is no mock bench"),
-        ("", "--sensor, --bench: both missing"),
-    ],
-)
-def test_wrong_options_end_before_anything_is_started(
-    options: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["live", "--model", str(tmp_path), *options.split()]) == 2
-    assert message in capsys.readouterr().err
 
 
 def live_options(*words: str) -> argparse.Namespace:

@@ -135,33 +135,6 @@ def test_the_command_tells_the_contents_before_and_the_sum_after_and_a_sheet_is_
     assert "another plan, which differs in seed; allowed" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("states:Array9",), "pattern: 'Array9'; allowed: Array1"),
-        (("states", "--indenters", "ball"), "--indenters: ball; allowed: sphere"),
-        (("states", "--tier", "layer", "--spacing", "1"), "0.001 m with tier layer; allowed: None"),
-        (("states", "--tier", "fem", "--tolerance", "3 %"), "'fem' with --tolerance; allowed"),
-        ((), "the following arguments are required: CONTENTS"),
-        (("material", "--scale", "2"), "--scale: '2'; allowed: smoke"),
-        (("material", "--draws", "2"), "--draws: r6 has no posterior"),
-        (("eye",), "sensor: 'eye'; allowed: array-i"),
-        (("nowhere.markers.zarr",), "nowhere.markers.zarr"),
-    ],
-)
-def test_wrong_options_are_refused_before_anything_is_written(
-    options: tuple[str, ...],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["sim", "archive", *options]) == 2
-    assert message in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 # ------------------------------------------------------------------------------- slow: processes
 
 

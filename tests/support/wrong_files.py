@@ -133,6 +133,7 @@ TEXTS: dict[str, tuple[str, str, dict[str, str]]] = {
             "newer version": (WRONG_SPLIT % 5).replace('version": 1', 'version": 9'),
             "part missing": (WRONG_SPLIT % 5).replace('"presses"', '"pressed"'),
             "text for a number": WRONG_SPLIT % '"a"',
+            "a list": "[1]",
             "a bench": BENCH,
         },
     ),
