@@ -25,10 +25,11 @@ ROOT = Path(__file__).parents[2]
 
 
 def patient_bench(folder: Path, sensor: str, *, limits: Any = None, more: str = "") -> Path:
-    """Write a quick bench whose arm and guard wait seconds for what a busy machine delays."""
+    """Write a quick bench whose parts wait for what a busy machine delays by seconds."""
     waits = {"stale_force_ms": 4000.0, "stale_pose_ms": 4000.0, **(limits or {})}
     path = quick_bench(folder, sensor, limits=json.dumps(waits), more=more)
-    path.write_text(path.read_text().replace("arm: {", "arm: {watchdog_hz: 0.2, "))
+    text = path.read_text().replace("arm: {", "arm: {watchdog_hz: 0.2, ")
+    path.write_text(text.replace("preflight: {", "preflight: {timeout: 60.0, "))
     return path
 
 
