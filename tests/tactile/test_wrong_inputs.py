@@ -112,7 +112,7 @@ OPTIONS = {
     "compensate a.markers.zarr --out c.json --pairs dots:digit": "no sensor digit; known: dots,",
     "compensate a.markers.zarr --out c.json --pairs dots": "SOURCE:TARGET",
     "compensate a.markers.zarr --out c.json --pairs dots:grid": "a force-depth session of",
-    "archive join a.markers.zarr:q a.markers.zarr --dry-run": "has no sensor 'q'; allowed: dots, grid",
+    "archive join a.markers.zarr:q a.markers.zarr --dry-run": "has no sensor 'q'; allowed: dots,",
     "archive join a.markers.zarr:dots --dry-run": "sensors: found 1; allowed: two or more",
     "archive join a.markers.zarr none.markers.zarr --dry-run": "none.markers.zarr",
     "archive join a.markers.zarr --place-mm 2000 --dry-run": "place: found 2.0",
