@@ -24,7 +24,7 @@ from rig.monitor.server import LINGER, LiveView, PageServer
 # Interval between messages to the page [s]; commands are received immediately.
 _PERIOD = 0.2
 # Longest start of an interpreter on a busy machine [s].
-_START_TIMEOUT = 30.0
+_START_TIMEOUT = 60.0
 
 
 class PageProcess:
