@@ -15,15 +15,9 @@ BENCHMARKS = {
     "faults": ("benchmarks.faults.command", "faults, kills, wrong benches, endurance"),
     "first-hour": ("benchmarks.first_hour", "every command from the wheel to live forces"),
     # The simulator
-    "hard-cases": (
-        "benchmarks.hard_cases.command",
-        "scenes that break simulators; finer meshes",
-    ),
+    "hard-cases": ("benchmarks.hard_cases.command", "scenes that break simulators; finer meshes"),
     "accuracy": ("benchmarks.accuracy.command", "what accuracy costs in time"),
-    "independent": (
-        "benchmarks.independent.command",
-        "forces beside solutions by other methods",
-    ),
+    "independent": ("benchmarks.independent.command", "forces beside solutions by other methods"),
     "twin": ("benchmarks.twin.command", "twins of sensors: skins, labels, rows, live forces"),
     # Learning
     "paper": ("benchmarks.paper.command", "the paper's models trained from nothing"),

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
+from contextlib import contextmanager
 from functools import partial
+from types import FrameType
 from typing import Any, TypeVar
 
 from benchmarks.report import Run
@@ -15,6 +18,12 @@ from recorder.processes import Workers
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
+# Time after which work that ignored its time limit is called out again [s].
+AGAIN = 5.0
+
+
+class OutOfTime(Exception):
+    """Raised if work takes too long."""
 
 
 def add_processes(parser: argparse.ArgumentParser, default: int = 1) -> None:
@@ -28,16 +37,34 @@ def add_processes(parser: argparse.ArgumentParser, default: int = 1) -> None:
     )
 
 
-def side_by_side(
-    run: Callable[[Item], Outcome], items: Iterable[Item], device: str, processes: int
+def _side_by_side(
+    run: Callable[[Item], Outcome], items: Sequence[Item], device: str, processes: int
 ) -> Iterator[Outcome]:
     """Yield results as they complete, from several processes; items start in their order."""
-    if processes == 1:
+    processes = min(processes, len(items))
+    if processes <= 1:
         yield from map(run, items)
         return
     with Workers(processes, _begin, device) as workers:
         for task in as_completed([workers.submit(run, item) for item in items]):
             yield task.result()
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Raise `OutOfTime` in the main thread if the block takes longer."""
+
+    def ring(_number: int, _frame: FrameType | None) -> None:
+        raise OutOfTime(f"no answer within {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    # Again and again: an exception within a destructor is ignored.
+    signal.setitimer(signal.ITIMER_REAL, seconds, AGAIN)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def rows_of(
@@ -60,7 +87,7 @@ def rows_of(
     progress = progress or run.progress
     left = [(name, item) for name, item in items.items() if name not in run.rows]
     done = len(items) - len(left)
-    for name, row in side_by_side(partial(_named, work), left, run.device, run.options.processes):
+    for name, row in _side_by_side(partial(_named, work), left, run.device, run.options.processes):
         run.rows[name] = row
         run.store()
         done += 1

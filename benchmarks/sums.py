@@ -8,23 +8,6 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-def r_squared_of_sums(count: Floats, one: Floats, square: Floats, missed: Floats) -> Floats:
-    """Return R2 from sums over frames, which may be added up before; arrays of any shape.
-
-    Args:
-        count: Number of frames.
-        one: Sum of the true values.
-        square: Sum of their squares.
-        missed: Sum of squared errors.
-
-    Returns:
-        NaN where true values do not vary, to 1e-9 in the sum of their squared deviations.
-    """
-    with np.errstate(invalid="ignore", divide="ignore"):
-        varied = square - one**2 / count
-        return np.asarray(1 - missed / np.where(varied > 1e-9, varied, np.nan))
-
-
 def sums_by_indenter(
     true: Floats, predicted: Floats, indenter: NDArray[np.str_]
 ) -> dict[str, Floats]:
@@ -43,6 +26,12 @@ def sums_by_indenter(
 
 
 def r2_of(sums: Floats) -> Floats:
-    """Return R2 (...), mean of axes, from sums (..., 5, 3); NaN where forces do not vary."""
-    parts = np.moveaxis(sums[..., :4, :], -2, 0)
-    return np.asarray(r_squared_of_sums(*parts).mean(axis=-1))
+    """Return R2 (...), mean of axes, from sums (..., 5, 3); NaN where forces do not vary.
+
+    They do not if the sum of the squared deviations of an axis is below 1e-9.
+    """
+    count, one, square, missed, _ = np.moveaxis(sums, -2, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        varied = square - one**2 / count
+        fit = 1 - missed / np.where(varied > 1e-9, varied, np.nan)
+    return np.asarray(fit.mean(axis=-1))

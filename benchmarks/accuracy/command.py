@@ -5,17 +5,14 @@ from __future__ import annotations
 import argparse
 
 from benchmarks.accuracy import effects, frames, images, solvers, speed, tolerance
+from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
 from recorder.command_line.options import whole
+from recorder.processes import cores
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--processes",
-        type=whole(),
-        metavar="N",
-        help="processes among which presses are divided, also beside a GPU (default: all cores)",
-    )
+    add_processes(parser, default=cores())
     parser.add_argument(
         "--scenes",
         type=whole(),

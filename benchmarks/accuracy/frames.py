@@ -16,7 +16,7 @@ from benchmarks.accuracy.speed import AUGMENTATIONS, PATH_TOLERANCE, TOLERANCE
 from benchmarks.accuracy.wording import Row, chosen, devices_of, kind_of, percent, rounded
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, GREEN, ORANGE, RED, SKY
-from recorder.processes import Workers, cores, several
+from recorder.processes import Workers, several
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
@@ -91,7 +91,7 @@ def measure(run: Run) -> list[Row]:
     truths = simulate_many(scenes(1 if run.quick else COMPARED), fine, device=run.device)
     for number, device in enumerate(devices):
         ready_device(device)
-        with several(run.options.processes or cores()) as workers:
+        with several(run.options.processes) as workers:
             for step, way in enumerate(chosen):
                 rows += _counted(run, way, device, workers, truths)
                 run.progress((number + (step + 1) / len(chosen)) / len(devices))

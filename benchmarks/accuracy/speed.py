@@ -19,7 +19,7 @@ from benchmarks.accuracy.spent import WARM, spent_by
 from benchmarks.accuracy.wording import Row, chosen, devices_of, kind_of, percent, rounded, seconds
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, RED
-from recorder.processes import Workers, cores, several
+from recorder.processes import Workers, several
 from recorder.store import replace_file
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
@@ -172,7 +172,7 @@ def measure(run: Run) -> list[Row]:
     for number, device in enumerate(devices):
         spacings = QUICK_SPACINGS if run.quick else SPACINGS[kind_of(device)]
         warm_up(presses[0], device)
-        with several(run.options.processes or cores()) as workers:
+        with several(run.options.processes) as workers:
             solved = {}
             for step, spacing in enumerate(spacings):
                 # Processes share a GPU only for pairs of meshes.

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,12 +24,10 @@ from benchmarks.accuracy.chart import Panel, Series, save_chart
 from benchmarks.accuracy.spent import spent_by
 from benchmarks.accuracy.wording import Row, kind_of, percent, rounded, seconds
 from benchmarks.hard_cases.random_scenes.dice import Dice
-from benchmarks.hard_cases.random_scenes.judgement import OutOfTime, time_limit
 from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
-from benchmarks.processes import side_by_side
+from benchmarks.processes import OutOfTime, rows_of, time_limit
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, INK, RED
-from recorder.processes import cores
 from recorder.progress import span_of
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
@@ -83,9 +81,9 @@ def measure(run: Run) -> dict[str, Any]:
         chosen = scenes(SEED, first, min(run.options.scenes or most, most), run.folder)
         coarsest = QUICK_COARSEST if run.quick else COARSEST
         compare = partial(compared, tolerance=tolerance, coarsest=coarsest, device=run.device)
-        rows = _once_each(
-            run, tolerance, compare, chosen, span_of(run.progress, 0.4 * number, 0.4), run.device
-        )
+        named = {f"{tolerance}: {one.name}": one for one in chosen}
+        progress = span_of(run.progress, 0.4 * number, 0.4)
+        rows = [*rows_of(run, compare, named, progress).values()]
         tolerances[tolerance] = rows
         kept, answers = _count(rows, "kept"), _count(rows, "kept", "missed")
         if kept < LEAST * answers:
@@ -93,28 +91,10 @@ def measure(run: Run) -> dict[str, Any]:
     count = 1 if run.quick else min(run.options.scenes or NEEDED, NEEDED)
     first = QUICK_NEEDED if run.quick else 0
     some = scenes(NEEDED_SEED, first, count, run.folder, effects=True)
-    needed = _once_each(run, "needed", left_out_error, some, span_of(run.progress, 0.8, 0.2))
+    named = {f"needed: {one.name}": one for one in some}
+    needed = rows_of(run, left_out_error, named, span_of(run.progress, 0.8, 0.2))
     run.seeds, run.spread = [SEED, NEEDED_SEED], "single run of each scene"
-    return {"tolerances": tolerances, "needed": needed}
-
-
-def _once_each(
-    run: Run,
-    prefix: str,
-    work: Callable[[Drawn], Row],
-    some: Sequence[Drawn],
-    progress: Callable[[float], None],
-    device: str = "cpu",
-) -> list[Row]:
-    """Return the rows of scenes, first those that an interrupted run has stored."""
-    stored = [one.name for one in some if f"{prefix}: {one.name}" in run.rows]
-    rows: list[Row] = [run.rows[f"{prefix}: {name}"] for name in stored]
-    left = [one for one in some if one.name not in stored]
-    processes = min(run.options.processes or cores(), max(1, len(left)))
-    for row in side_by_side(work, left, device, processes):
-        rows.append(run.once(f"{prefix}: {row['scene']}", partial(dict, row)))
-        progress(len(rows) / len(some))
-    return rows
+    return {"tolerances": tolerances, "needed": [*needed.values()]}
 
 
 def scenes(

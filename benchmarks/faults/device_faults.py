@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.faults.collection_run import CollectionRun, Hangs, quick_bench
-from benchmarks.faults.disk import CannotMount, tmpfs
 from benchmarks.faults.judge import RowResult, judge
+from benchmarks.faults.program_kills import CannotMount, tmpfs
 from benchmarks.faults.rows import PEDAL, QUICK, ROWS, Row
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, chart

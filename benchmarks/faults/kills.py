@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.faults.collection_run import CollectionRun, Hangs, quick_bench
-from benchmarks.faults.disk import CannotMount
 from benchmarks.faults.judge import UNREPORTED, complaints, judge, stored_in
-from benchmarks.faults.program_kills import PROGRAMS, Loss, fill_disk, kill_in_turn
+from benchmarks.faults.program_kills import PROGRAMS, CannotMount, Loss, fill_disk, kill_in_turn
 from benchmarks.faults.rows import Row
 from benchmarks.report import Page, Run
 from recorder import Session, SessionError

@@ -6,20 +6,21 @@ Accepted rows are counted in memory that the killed process shares with this one
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import random
 import shutil
 import signal
+import subprocess
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.faults.disk import tmpfs
 from recorder import (
     Session,
     SessionError,
@@ -143,6 +144,28 @@ def kill_in_turn(folder: Path, dice: random.Random, kills: Counter[str]) -> int:
     recover(session.path)
     session.compare("recovery", clean=True)
     return sum(session.accepted)
+
+
+class CannotMount(Exception):
+    """Raised if no tmpfs can be mounted, with the reason."""
+
+
+@contextlib.contextmanager
+def tmpfs(folder: Path, megabytes: int) -> Iterator[None]:
+    """Mount a disk of a few megabytes in a new folder, for the time of the context."""
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(folder)]
+    try:
+        done = subprocess.run(mount, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise CannotMount(str(error)) from error
+    if done.returncode != 0:
+        raise CannotMount(done.stderr.strip() or f"mount ended with {done.returncode}")
+    try:
+        yield
+    finally:
+        # Lazily: files may still be open for a moment.
+        subprocess.run(["umount", "--lazy", str(folder)], check=False)
 
 
 def fill_disk(folder: Path, dice: random.Random) -> int:

@@ -172,6 +172,7 @@ def section(values: dict[str, Any], page: Page) -> str:
         axes = figure.subplots()
         axes.barh(list(faults), [100 * one["largest"] for one in faults.values()], color=BLUE)
         axes.axvline(100, color=RED)
+        axes.annotate("rating", (99, len(faults) - 0.6), color=RED, ha="right")
         axes.set(xlabel="largest true force [% of the rating]", xlim=(0, 105))
         axes.invert_yaxis()
     rows = [

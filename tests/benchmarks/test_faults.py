@@ -18,7 +18,7 @@ from support.collecting import ROOT
 from support.sessions import make_session
 
 from benchmarks.__main__ import main
-from benchmarks.faults import device_faults, disk, endurance, kills, program_kills
+from benchmarks.faults import device_faults, endurance, kills, program_kills
 from benchmarks.faults.device_faults import run_row
 from benchmarks.faults.judge import RowResult, arm_in_words, complaints, losses, stored_in
 from benchmarks.faults.kills import Kills
@@ -211,7 +211,7 @@ def test_a_labs_stale_limits_are_50_and_100_ms_and_stop_the_arm_just_past_them()
 def test_every_row_is_as_it_should_be(name: str, tmp_path: Path) -> None:
     try:
         assert run_row(BY_NAME[name], tmp_path)["wrong"] == ()
-    except disk.CannotMount as error:
+    except program_kills.CannotMount as error:
         pytest.skip(f"no tmpfs can be mounted: {error}")
 
 

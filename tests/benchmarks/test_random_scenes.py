@@ -11,17 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import processes
 from benchmarks.__main__ import main
 from benchmarks.hard_cases.mistakes import MISTAKES
 from benchmarks.hard_cases.random_scenes import judgement
 from benchmarks.hard_cases.random_scenes.geometry import footprint, half_wall
 from benchmarks.hard_cases.random_scenes.judgement import (
-    OutOfTime,
     SceneOutcome,
     covered,
     judge_scene,
     of_laws,
-    time_limit,
     unsolved,
 )
 from benchmarks.hard_cases.random_scenes.referee import (
@@ -34,6 +33,7 @@ from benchmarks.hard_cases.random_scenes.referee import (
 )
 from benchmarks.hard_cases.random_scenes.scenes import ELEMENTS_MAX, Drawn, drawn
 from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
+from benchmarks.processes import OutOfTime, time_limit
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem, Grading
 from sim.fem.mesh import meshes_of
@@ -351,7 +351,7 @@ def test_a_solve_is_ended_although_the_first_call_comes_within_a_destructor(
         del slow
         time.sleep(5)
 
-    monkeypatch.setattr(judgement, "AGAIN", 0.3)
+    monkeypatch.setattr(processes, "AGAIN", 0.3)
     monkeypatch.setattr(sys, "unraisablehook", lambda _told: None)
     began = time.perf_counter()
     with pytest.raises(OutOfTime, match=r"within 0.05 s"), time_limit(0.05):

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from benchmarks.hard_cases.laws import Array
 from sim.result import Result
 from sim.scene import Point, Scene
-
-Array = NDArray[np.float64]
 
 # Number of samples along x and y; later passes cover only the region of the one before.
 SAMPLES = 61

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import time
 import traceback
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import FrameType
 from typing import Any
 
 from benchmarks.hard_cases.random_scenes.dice import Dice
@@ -20,7 +17,7 @@ from benchmarks.hard_cases.random_scenes.referee import LAWS, Named, measured
 from benchmarks.hard_cases.random_scenes.scenes import FOLDER, drawn
 from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
 from benchmarks.hard_cases.solver import Solver
-from benchmarks.processes import rows_of
+from benchmarks.processes import OutOfTime, rows_of, time_limit
 from benchmarks.report import Page, Run, table
 from sim.errors import SceneError, SimulationDiverged
 from sim.result import Result, to_json
@@ -37,8 +34,8 @@ CLASSES = {
 }
 # Outcomes that fail a run.
 WRONG = frozenset({"silent", "crash"})
-# Time limit of a solve [s], and time after which one that ignored it is called out again.
-SECONDS, AGAIN = 60.0, 5.0
+# Time limit of a solve [s].
+SECONDS = 60.0
 # Maximum number of elements, so that a scene takes seconds; coarsened meshes are reported.
 SOLVED_MAX = 12_000
 # Fraction of the scenes that are also solved as a twin.
@@ -66,10 +63,6 @@ STATEMENTS = {
     "symmetric": "A mirror-symmetric scene has mirror-symmetric forces.",
     **{f"twin-{name}": "The twin scene has the same forces." for name in KINDS},
 }
-
-
-class OutOfTime(Exception):
-    """Raised if a solve takes too long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,23 +148,6 @@ def unsolved(error: Exception) -> SceneOutcome:
         return SceneOutcome("diverged", message)
     place = "".join(traceback.format_tb(error.__traceback__)[-1:])
     return SceneOutcome("crash", f"{type(error).__name__}: {message} {' '.join(place.split())}")
-
-
-@contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """Raise `OutOfTime` in the main thread if the block takes longer."""
-
-    def ring(_number: int, _frame: FrameType | None) -> None:
-        raise OutOfTime(f"no answer within {seconds:g} s")
-
-    before = signal.signal(signal.SIGALRM, ring)
-    # Again and again: an exception within a destructor is ignored.
-    signal.setitimer(signal.ITIMER_REAL, seconds, AGAIN)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
 
 
 # The part of the benchmark.

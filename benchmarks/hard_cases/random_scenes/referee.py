@@ -9,16 +9,15 @@ skipped.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cached_property
 from itertools import combinations, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import distance_transform_edt
 
-from benchmarks.hard_cases.laws import Law, at_least, at_most
+from benchmarks.hard_cases.laws import Array, Law, Laws, at_least, at_most
 from benchmarks.hard_cases.random_scenes import geometry
 from benchmarks.hard_cases.random_scenes.geometry import footprint, half_wall, inside_by
 from sim.errors import SceneError, SimulationDiverged
@@ -26,9 +25,6 @@ from sim.layer import Layer
 from sim.result import Result, force_scale
 from sim.scene import Motion, Point, Scene
 from sim.tiers import simulate
-
-Array = NDArray[np.float64]
-Laws = Iterator[Law]
 
 # Negligible force, in modulus times thickness squared: 0.2 uN in the paper's gel.
 FLOOR = 1e-7

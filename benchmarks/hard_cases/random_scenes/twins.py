@@ -8,16 +8,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.hard_cases.laws import at_most
+from benchmarks.hard_cases.laws import Array, at_most
 from benchmarks.hard_cases.random_scenes.referee import Named, Reading
 from sim.errors import SceneError
 from sim.indenters import Part
 from sim.result import Result
 from sim.scene import Effects, Gravity, Motion, Point, Scene
-
-Array = NDArray[np.float64]
 
 # Allowed difference of forces over the largest, or the errors that both results state, if larger:
 # symmetry error of default meshes; with friction, where a point that slips early or late affects
