@@ -22,8 +22,16 @@ Outcome = TypeVar("Outcome")
 AGAIN = 5.0
 
 
+# Time in which a process of its own must answer [s].
+_ANSWER = 300.0
+
+
 class OutOfTime(Exception):
     """Raised if work takes too long."""
+
+
+class ChildFailed(RuntimeError):
+    """Raised if a process did not answer, with its error."""
 
 
 def add_processes(parser: argparse.ArgumentParser, default: int = 1) -> None:
@@ -48,6 +56,21 @@ def _side_by_side(
     with Workers(processes, _begin, device) as workers:
         for task in as_completed([workers.submit(run, item) for item in items]):
             yield task.result()
+
+
+def alone(work: Callable[..., Outcome], *arguments: object) -> Outcome:
+    """Return what `work` returns in a process of its own, whose CPU time and memory are its own.
+
+    Raises:
+        ChildFailed: It gave no answer.
+    """
+    try:
+        with Workers(1) as worker:
+            return worker.submit(work, *arguments).result(_ANSWER)
+    except ImportError as error:
+        raise ChildFailed(f"{error.name or error} is not installed") from None
+    except Exception as error:
+        raise ChildFailed(f"{type(error).__name__}: {error}"[:160]) from error
 
 
 @contextmanager

@@ -6,13 +6,14 @@ import itertools
 import shutil
 import statistics
 import time
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.processes import ChildFailed, alone
 from benchmarks.recording import storing
-from benchmarks.recording.child import ChildFailed, answer, start
 from benchmarks.recording.stores import MCAP, OURS, STORES
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, SKY, chart
@@ -63,10 +64,10 @@ def _measure_once(row: dict[str, Any], path: Path, quick: bool, seed: int) -> No
     seconds, most_bytes, reading = _QUICK if quick else _FULL
     key = row["key"]
     try:
-        row["written"].append(answer(start(storing.write, key, path, seconds, most_bytes)))
-        row["read"].append(answer(start(storing.read, key, path, reading, seed)))
+        row["written"].append(alone(storing.write, key, path, seconds, most_bytes))
+        row["read"].append(alone(storing.read, key, path, reading, seed))
         if key == OURS:
-            row["decoded"].append(answer(start(storing.read, "decoder", path, reading, seed)))
+            row["decoded"].append(alone(storing.read, "decoder", path, reading, seed))
     finally:
         if path.is_dir():
             shutil.rmtree(path)
@@ -84,19 +85,22 @@ def kill(key: str, folder: Path, seed: int) -> dict[str, Any]:
     path, count = folder / f"killed-{key}-{seed}", folder / f"accepted-{key}-{seed}"
     count.write_bytes(bytes(8))
     wanted = int(rng.integers(*_KILL_AFTER))
-    child = start(storing.append_until_killed, key, path, count)
+    child = get_context("spawn").Process(
+        target=storing.append_until_killed, args=(key, path, count)
+    )
+    child.start()
     deadline = time.monotonic() + _KILL_TIMEOUT
     try:
         while int.from_bytes(count.read_bytes(), "little") < wanted:
-            if child.poll() is not None or time.monotonic() > deadline:
-                answer(child)
+            if not child.is_alive() or time.monotonic() > deadline:
+                raise ChildFailed(f"{key}: {wanted} frames were not written")
             time.sleep(0.001)
         time.sleep(rng.uniform(0.0, 0.005))
     finally:
         child.kill()
-        child.communicate()
+        child.join()
     accepted = int.from_bytes(count.read_bytes(), "little")
-    return left_after_kill(accepted, answer(start(storing.inspect, key, path)))
+    return left_after_kill(accepted, alone(storing.inspect, key, path))
 
 
 def left_after_kill(accepted: int, inspected: dict[str, Any]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from PIL import Image
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from benchmarks.recording.child import answer, start
+from benchmarks.processes import alone
 from benchmarks.recording.frames import HEIGHT, WIDTH, GelFrames
 from benchmarks.recording.measure import WINDOW, cpu_seconds
 from benchmarks.report import Page, Run, table
@@ -43,7 +43,7 @@ def measure(run: Run) -> list[dict[str, Any]]:
     for loader in LOADERS:
         for workers in numbers:
             run.progress(0.2 + 0.8 * len(rows) / (len(LOADERS) * len(numbers)))
-            read = answer(start(measured, loader, run.folder, workers, seconds))
+            read = alone(measured, loader, run.folder, workers, seconds)
             rows.append({"loader": loader, "workers": workers} | read)
     run.seeds = range(sessions)
     return rows
@@ -114,12 +114,12 @@ def opened(loader: str, folder: Path) -> Dataset[Any]:
     return Files(folder / "files")
 
 
-def measured(name: str, folder: str, workers: int, seconds: float) -> dict[str, float]:
+def measured(name: str, folder: Path, workers: int, seconds: float) -> dict[str, float]:
     """Read shuffled batches for some seconds, in a process of its own.
 
     Return the number of images, the time on the clock and of the CPU, and the memory.
     """
-    windows = opened(name, Path(folder))
+    windows = opened(name, folder)
     loader = DataLoader(windows, BATCH, shuffle=True, num_workers=workers)
     read = 0
     batches = iter(loader)

@@ -18,13 +18,13 @@ from benchmarks.recording.stores import STORES
 FEWEST = 20
 
 
-def write(key: str, path: str, seconds: float, most_bytes: int) -> dict[str, Any]:
+def write(key: str, path: Path, seconds: float, most_bytes: int) -> dict[str, Any]:
     """Append frames for `seconds` or until `most_bytes`, close durably; return the cost.
 
     The CPU time of making the frames, which takes a large part of that of storing a JPEG, is left
     out.
     """
-    entry, place = STORES[key], Path(path)
+    entry = STORES[key]
     frames = GelFrames(decoded=entry.frames == "decoded")
     make = frames.jpeg if entry.frames == "jpeg" else frames.pixels
     nbytes = len(bytes(make(0)))
@@ -32,7 +32,7 @@ def write(key: str, path: str, seconds: float, most_bytes: int) -> dict[str, Any
     took: list[int] = []
     making = 0.0
     cpu, began = cpu_seconds(), time.monotonic()
-    store.create(place)
+    store.create(path)
     end = time.monotonic() + seconds
     while len(took) < FEWEST or (len(took) * nbytes < most_bytes and time.monotonic() < end):
         making -= thread_time()
@@ -42,7 +42,7 @@ def write(key: str, path: str, seconds: float, most_bytes: int) -> dict[str, Any
         store.append(frame, before)
         took.append(time.monotonic_ns() - before)
     store.close()
-    for file in [] if entry.ours else files_of(place):
+    for file in [] if entry.ours else files_of(path):
         with file.open("rb") as written:
             os.fsync(written.fileno())
     return {
@@ -50,11 +50,11 @@ def write(key: str, path: str, seconds: float, most_bytes: int) -> dict[str, Any
         "seconds": time.monotonic() - began - making,
         "cpu": cpu_seconds() - cpu - making,
         "append_ms": spread_ms(took),
-        "bytes": tree_bytes(place),
+        "bytes": tree_bytes(path),
     }
 
 
-def read(key: str, path: str, seconds: float, seed: int) -> dict[str, Any]:
+def read(key: str, path: Path, seconds: float, seed: int) -> dict[str, Any]:
     """Read windows of 16 images at random places for `seconds`, the files in the page cache.
 
     With the key `decoder`, the camera's JPEGs are decoded from memory: no store that keeps them
@@ -64,10 +64,10 @@ def read(key: str, path: str, seconds: float, seed: int) -> dict[str, Any]:
         jpegs = [GelFrames().jpeg(number) for number in range(WINDOW)]
         return _repeated(WINDOW, lambda first, count: decoded(jpegs, count), seconds, seed)
     store = STORES[key].make()
-    store.finish(Path(path))
-    for file in files_of(Path(path)):
+    store.finish(path)
+    for file in files_of(path):
         file.read_bytes()
-    with store.reader(Path(path)) as opened:
+    with store.reader(path) as opened:
         return _repeated(*opened, seconds, seed)
 
 
@@ -82,24 +82,24 @@ def _repeated(count: int, images: Any, seconds: float, seed: int) -> dict[str, A
     return {"frames": done, "seconds": time.monotonic() - began, "cpu": cpu_seconds() - cpu}
 
 
-def append_until_killed(key: str, path: str, accepted: str) -> dict[str, Any]:
+def append_until_killed(key: str, path: Path, accepted: Path) -> dict[str, Any]:
     """Append as fast as possible; after each accepted frame write the count into `accepted`."""
     frames, store, number = GelFrames(), STORES[key].make(), 0
     make = frames.jpeg if STORES[key].frames == "jpeg" else frames.pixels
-    store.create(Path(path))
-    with Path(accepted).open("r+b", buffering=0) as count:
+    store.create(path)
+    with accepted.open("r+b", buffering=0) as count:
         while True:
             store.append(make(number), time.monotonic_ns())
             number += 1
             os.pwrite(count.fileno(), number.to_bytes(8, "little"), 0)
 
 
-def inspect(key: str, path: str) -> dict[str, Any]:
+def inspect(key: str, path: Path) -> dict[str, Any]:
     """Return the readable frames of a store whose writer was killed, before and after repair."""
     store = STORES[key].make()
     try:
-        left, error = store.left(Path(path)), ""
+        left, error = store.left(path), ""
     except Exception as fault:
         # Any exception of its reader is the result: the store does not open.
         left, error = None, f"{type(fault).__name__}: {fault}"[:200]
-    return {"left": left, "error": error, "repaired": store.repaired(Path(path))}
+    return {"left": left, "error": error, "repaired": store.repaired(path)}

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
+from benchmarks.processes import ChildFailed, alone
 from benchmarks.recording import comparison, load, loading
 from benchmarks.recording.alignment import (
     force_error,
@@ -24,7 +25,6 @@ from benchmarks.recording.alignment import (
     measure_methods,
     rms_and_most,
 )
-from benchmarks.recording.child import ChildFailed, answer, start
 from benchmarks.recording.command import summary
 from benchmarks.recording.feed import Feed, record
 from benchmarks.recording.frames import GelFrames, number_in
@@ -85,11 +85,11 @@ def test_a_store_gives_back_what_was_appended_and_counts_its_bytes(
     except ImportError as error:
         pytest.skip(f"{error.name} is not installed: extra bench")
     path = tmp_path / "store"
-    written = write(key, str(path), 0.0, 1)
+    written = write(key, path, 0.0, 1)
     assert written["frames"] == 20  # the minimum, since no time was given
     assert written["bytes"] == tree_bytes(path) > 20 * 10_000
-    assert inspect(key, str(path))["left"] == list(range(20))
-    assert read(key, str(path), 0.0, 0)["frames"] == 16
+    assert inspect(key, path)["left"] == list(range(20))
+    assert read(key, path, 0.0, 0)["frames"] == 16
     with store.reader(path) as (count, images):
         assert count == 20
         window = images(3, 16)
@@ -110,7 +110,7 @@ def test_frames_that_were_not_sealed_are_read_without_repair_and_after_it(
     # A copy is the state that a kill at this moment would have left.
     shutil.copytree(tmp_path / "store", tmp_path / "killed")
     store.close()
-    after = inspect(key, str(tmp_path / "killed"))
+    after = inspect(key, tmp_path / "killed")
     assert after == {"left": [0, 1, 2, 3, 4], "error": "", "repaired": [0, 1, 2, 3, 4]}
 
 
@@ -129,9 +129,9 @@ def test_zeros_that_a_store_declares_are_wrong_and_not_counted_as_left() -> None
     assert repaired == {"accepted": 2, "wrong": 0, "lost": 0}
 
 
-def test_a_measuring_process_that_fails_gives_its_last_words(tmp_path: Path) -> None:
+def test_a_measuring_process_that_fails_gives_its_error(tmp_path: Path) -> None:
     with pytest.raises(ChildFailed, match=r"Error.*nowhere"):
-        answer(start(read, "ours-zstd", tmp_path / "nowhere", 0.0, 0))
+        alone(read, "ours-zstd", tmp_path / "nowhere", 0.0, 0)
 
 
 # Streams at their rates
