@@ -96,8 +96,8 @@ def solved(device: str) -> list[RenderState]:
     """
     scenes = {
         "sphere R 4 mm, 1.5 mm deep": Scene(sphere(4e-3), press([1.5e-3])),
-        "prism, 1 mm deep at (4, -4) mm": Scene(
-            indenter_of("prism"), press([1e-3], at=(4e-3, -4e-3))
+        "prism, 0.7 mm deep at (4, -4) mm": Scene(
+            indenter_of("prism"), press([0.7e-3], at=(4e-3, -4e-3))
         ),
         "cylinder, 0.8 mm deep, sheared 0.8 mm": Scene(
             indenter_of("cylinder"),

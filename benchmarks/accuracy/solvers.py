@@ -203,7 +203,7 @@ def summary(values: dict[str, Any]) -> str:
     head = ["press", "on", *(f"{100 * goal:g} %" for goal in GOALS), f"error in {WITHIN:g} s"]
     return (
         "**Shortest time to an error of the force, and the solver; and the smallest error in "
-        f"{WITHIN:g} s.** CPU is one core. Errors are those of the worst frame and axis. "
+        f"{WITHIN:g} s.** CPU is one core. Errors are those of the worst frame and axis."
         f"{_unmeasured(rows)}\n\n{table(head, lines)}\n\n{' '.join(sentences)}"
     )
 
@@ -212,7 +212,7 @@ def _unmeasured(rows: Sequence[Row]) -> str:
     """Return which solvers were measured on a CPU alone, so that no row of a GPU can name them."""
     on_cpu, on_gpu = ({row["ladder"] for row in chosen(rows, kind)} for kind in ("CPU", "GPU"))
     missing = [name for name in COLOURS if name in on_cpu - on_gpu]
-    return f"Not measured on the GPU: {', '.join(missing)}." if on_gpu and missing else ""
+    return f" Not measured on the GPU: {', '.join(missing)}." if on_gpu and missing else ""
 
 
 def section(values: dict[str, Any], page: Page) -> str:
@@ -240,7 +240,7 @@ The paper's gel, 20 x 20 x 4 mm, is pressed 0.5, 1.0 and 1.5 mm deep; the loop g
 1 mm aside; the viscous press takes 0.1 s for 1 mm and is held for 1 s. **Force**: difference along
 an axis over the frame's force, or over a tenth of the largest. **Surface**, **markers**: root of
 the mean square distance between points of the top, and in the image (33.9 um a pixel).
-**Memory**: on a CPU the process with Python and libraries (220 MiB), on a GPU the arrays. **fem**
+**Memory**: on a CPU the process with Python and libraries, on a GPU the arrays. **fem**
 adapts its mesh, **fem even** does not; **tolerance** refines until its own estimate of the error is
 met. **mpm** has two particles a cell and dimension, **as published** the lattice, contact, time
 step and mass of Tacchi and GenForce. **Closed forms**: Hertz and Sneddon on a half-space.
