@@ -7,7 +7,7 @@ from functools import partial
 
 from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
-from benchmarks.twin import demo, labels, live, rows, skins
+from benchmarks.twin import demo, labels, live, skins
 from recorder.command_line.options import whole
 
 
@@ -47,7 +47,6 @@ BENCHMARK = Benchmark(
             weight=300,
         ),
         Part("labels", labels.measure, labels.section, weight=100),
-        Part("rows", rows.measure, rows.section, weight=10),
         Part("live", live.measure, live.section, weight=15),
     ],
     options=_options,

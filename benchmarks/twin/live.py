@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.report import Page, Run, table
-from benchmarks.twin.rows import SPACING
 from sim.device import ready_device
 from sim.errors import SimulationDiverged
 from sim.fem import FOR_EDGES, Fem
@@ -29,6 +28,8 @@ from sim.tiers import simulate
 Array = NDArray[np.floating[Any]]
 
 INDENTERS = ("sphere", "prism", "cylinder")
+# Element height of `fem` [m]; at the indenter elements are half as wide.
+SPACING = {"uskin": 0.667e-3, "gelsight": 0.667e-3, "tacpalm": 1.2e-3}
 # Poses per second of the live sensor.
 RATE = 60.0
 # Number of frames of each of the four phases.

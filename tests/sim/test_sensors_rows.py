@@ -3,11 +3,13 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sim.errors import SceneError
-from sim.indenters import sphere
-from sim.scene import press
+from sim.indenters import named, sphere
+from sim.layer import Layer
+from sim.scene import press, through
 from sim.sensors import (
     HETEROGENEOUS,
     HOMOGENEOUS,
@@ -19,7 +21,10 @@ from sim.sensors import (
     read_sensor,
     sensor,
 )
+from sim.sensors.field import SurfaceField
 from sim.sensors.sensor import ROWS
+from sim.sensors.taxels import TaxelPad
+from sim.tiers import simulate
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -38,6 +43,35 @@ def test_the_groups_are_the_papers() -> None:
 def test_skins_grow_softer_with_their_ratio() -> None:
     moduli = [sensor(name).body.modulus for name in MATERIAL]
     assert moduli == [3.0e5, 2.5e5, 2.1e5, 1.8e5, 1.55e5, 1.35e5, 1.2e5]
+
+
+def test_forces_and_losses_of_the_three_kinds_are_those_that_they_were_fitted_to() -> None:
+    peaks = {}
+    for name, lost in (("uskin", 0.12), ("gelsight", 0.15), ("tacpalm", 0.15)):
+        each = sensor(name)
+        assert each.force_depth is not None
+        down = np.linspace(0.0, each.force_depth.depth_max, 9)
+        depth = np.concatenate([down, down[-2::-1]])
+        motion = through([(0.0, 0.0, -one) for one in depth], speed=each.speed)
+        force = -simulate(each.scene(named("prism"), motion), Layer()).force[:, 2]
+        loading = np.trapezoid(force[:9], down)
+        assert (loading + np.trapezoid(force[8:], depth[8:])) / loading == pytest.approx(lost, 0.1)
+        peaks[name] = force[8]
+    parts = [peaks[name] / peaks["gelsight"] for name in peaks]
+    assert parts == pytest.approx([2, 1, 0.5], rel=0.1)
+
+
+def test_a_full_press_of_uskin_with_shear_reaches_the_counts_that_its_gains_are_for() -> None:
+    pad = sensor("uskin")
+    plan = pad.trajectory
+    assert isinstance(pad.signal, TaxelSignal)
+    assert plan is not None
+    (x, y), deep = plan.position(2), -plan.depth_max
+    motion = through([(x, y, 0), (x, y, deep), (x + plan.shear, y, deep)], speed=pad.speed)
+    result = simulate(pad.scene(named("prism"), motion), Layer())
+    counts = TaxelPad(pad.body, pad.signal).counts(SurfaceField.of(result))
+    assert counts[..., 2].max() == pytest.approx(10_000, rel=0.05)
+    assert np.abs(counts[..., :2]).max() == pytest.approx(2_000, rel=0.3)
 
 
 def test_homogeneous_sensors_share_a_body_and_a_life_and_differ_in_patterns() -> None:
