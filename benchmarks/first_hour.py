@@ -25,6 +25,7 @@ from benchmarks.report import ROOT, Benchmark, Page, Part, Run, table
 from recorder.charts import BLUE, chart
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
 from recorder.progress import duration
+from tactile.commands import COMMANDS
 from tests.support.chromium import CHROMIUM, Chromium
 
 SENSOR = "gelsight"
@@ -229,18 +230,21 @@ def shown(words: Sequence[str]) -> str:
     return shlex.join([Path(word).name if word.startswith("/") else word for word in words])
 
 
+def named(command: str) -> str:
+    """Return command and subcommand: `tactile session info ...` is `session info`."""
+    words = [word for word in command.split()[1:] if not word.startswith("-")]
+    both = " ".join(words[:2])
+    return both if words[0] == "pip" or both in COMMANDS else words[0]
+
+
 def section(values: dict[str, Any], page: Page) -> str:
     """Return the times of the commands as table and chart, and the last lines."""
     commands = values["commands"]
     with chart(page.picture("times"), 8, 0.8 + 0.25 * len(commands)) as figure:
         axes = figure.subplots()
-        names = [
-            f"{number} {each['command'].partition(' --')[0]}"
-            for number, each in enumerate(commands, 1)
-        ]
+        names = [f"{row} {named(each['command'])}" for row, each in enumerate(commands, 1)]
         axes.barh(names, [each["seconds"] for each in commands], color=BLUE)
-        axes.set(xlabel="time [s]")
-        axes.set(ylim=(len(commands) - 0.5, -0.5))
+        axes.set(xlabel="time [s]", ylim=(len(commands) - 0.5, -0.5))
     rows = [(f"`{each['command']}`", f"{each['seconds']:.0f}", each["tries"]) for each in commands]
     last = "\n".join(commands[-1]["lines"])
     return f"""## The commands

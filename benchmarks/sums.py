@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+# Resamples of test indenters.
+RESAMPLES = 2000
 
 
 def sums_by_indenter(
@@ -35,3 +37,20 @@ def r2_of(sums: Floats) -> Floats:
         varied = square - one**2 / count
         fit = 1 - missed / np.where(varied > 1e-9, varied, np.nan)
     return np.asarray(fit.mean(axis=-1))
+
+
+def resampled(sums: Floats, random: np.random.Generator) -> Floats:
+    """Return R2 (RESAMPLES, ...) of resamples from sums by indenter (..., k, 5, 3).
+
+    Indenters are drawn again, the same ones for all.
+    """
+    count = sums.shape[-3]
+    counts = random.multinomial(count, np.full(count, 1 / count), RESAMPLES).astype(float)
+    return r2_of(np.einsum("rk,...kqa->r...qa", counts, sums))
+
+
+def interval(values: Floats, quantiles: tuple[float, float] = (0.025, 0.975)) -> Floats:
+    """Return the interval between quantiles of resamples (2,); NaN if none has a value."""
+    if not np.isfinite(values).any():
+        return np.full(2, np.nan)
+    return np.asarray(np.nanquantile(values, quantiles))

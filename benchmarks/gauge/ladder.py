@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import permutations, product
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,6 @@ from benchmarks.paper.study import (
     PAPER_RECIPE,
     Joined,
     Study,
-    field_translator,
     folder_of,
     forces_by_curves,
     form_of,
@@ -34,7 +33,7 @@ from benchmarks.paper.study import (
     train_net,
 )
 from benchmarks.report import Run
-from benchmarks.sums import r2_of, sums_by_indenter
+from benchmarks.sums import RESAMPLES, interval, r2_of, resampled, sums_by_indenter
 from benchmarks.twin.planted import Truth
 from learning.compensation.simulated import simulated_labels, twin_forces
 from learning.data.presses import Presses
@@ -43,7 +42,6 @@ from learning.errors import LearningError
 from learning.force.labels import Relabelling, by_twins
 from learning.force.model import ForceModel
 from learning.training.run import generator
-from learning.translation.translator import Translator
 from recorder import MarkerArchive
 from recorder.archive import write_simulated
 from recorder.progress import span_of
@@ -67,8 +65,6 @@ MEAN, NEAREST, SOURCE = "mean of the source's labels", "nearest frame", "source 
 DISPLACED, TRANSLATED = "displacement", "translation"
 BY_TWIN, OWN = "own frames, the twin's forces", "own labels"
 AT_PLACES = ("the source's labels", "labels by curves", "labels by both twins", "the twin's forces")
-# Resamples of test indenters and seeds, and the interval between their quantiles.
-RESAMPLES, INTERVAL = 2000, (0.025, 0.975)
 # Presses of the target with a gauge: a force-depth curve, and those of a twin's fit.
 CURVE, TWIN = 1, 4
 # Draws from a twin's uncertainty, for the spread of its labels; pixels of twins and labels.
@@ -92,46 +88,36 @@ class Prediction:
     """Fx, Fy, Fz of the test frames (n, 3) [N]; NaN where there is none."""
 
 
-@dataclass(frozen=True, eq=False)
-class Ladder(Study):
-    """Planted sensors."""
-
-    @cached_property
-    def translator(self) -> Translator:
-        """The field translator of the seed, trained on the frames of all sensors."""
-        return field_translator(self, 0 if self.quick else FIELD_SECONDS)
-
-
 def measure(group: str, run: Run) -> dict[str, Any]:
     """Plant a group's sensors, fit their twins, train every way, and return the table's lines."""
     seeds = run.options.seeds[: 1 if run.quick else None]
-    ladder = prepare(run, folder_of(run, f"gauge-{group}"), group)
-    cells = list(run.once("baselines", lambda: [cell(ladder, one) for one in baselines(ladder)]))
+    study = prepare(run, folder_of(run, f"gauge-{group}"), group)
+    cells = list(run.once("baselines", lambda: [cell(study, one) for one in baselines(study)]))
     ways: dict[str, Way] = {"own": own, "from": from_source}
     for done, seed in enumerate(seeds):
         run.progress(0.5 + 0.5 * done / len(seeds))
-        of_seed = replace(ladder, seed=seed)
-        for name, sensor in product(ways, ladder.archive):
+        of_seed = replace(study, seed=seed)
+        for name, sensor in product(ways, study.archive):
 
-            def job(name: str = name, sensor: str = sensor, one: Ladder = of_seed) -> Any:
+            def job(name: str = name, sensor: str = sensor, one: Study = of_seed) -> Any:
                 return [cell(one, each) for each in ways[name](one, sensor)]
 
             cells += run.once(f"{name} {sensor} {seed}", job)
     run.seeds = seeds
     run.spread = "means of pairs and seeds; 95 % intervals by drawing indenters and seeds again"
     return {
-        "designs": GROUPS[group][: len(ladder.archive)],
+        "designs": GROUPS[group][: len(study.archive)],
         "skins": SEED,
         "fit": run.options.fit,
         "truth": "layer" if run.quick else "fem",
         "lines": lines_of(cells),
         "twins": {}
         if run.quick
-        else {name: run.rows[f"twin {name}"]["errors"] for name in ladder.archive},
+        else {name: run.rows[f"twin {name}"]["errors"] for name in study.archive},
     }
 
 
-def prepare(run: Run, folder: Path, group: str) -> Ladder:
+def prepare(run: Run, folder: Path, group: str) -> Study:
     """Return the sensors' frames with true forces and those of their twins.
 
     A quick run has two sensors by tier `layer`, under three indenters.
@@ -161,7 +147,9 @@ def prepare(run: Run, folder: Path, group: str) -> Ladder:
         progress(1.0)
     archives = Joined(paths)
     split = make_split(archives, validation=0, new_press=0, unseen=[*UNSEEN, *tested])
-    return Ladder(archives, split, torch.device(run.device), quick=run.quick)
+    seconds = 0 if run.quick else FIELD_SECONDS
+    device = torch.device(run.device)
+    return Study(archives, split, device, quick=run.quick, field_seconds=seconds)
 
 
 def add_labels(archive: MarkerArchive, one: Planted, folder: Path, run: Run) -> None:
@@ -200,11 +188,11 @@ def _places(table: Any) -> dict[tuple[int, int], int]:
 
 # Ways
 
-Way = Callable[[Ladder, str], Iterator[Prediction]]
+Way = Callable[[Study, str], Iterator[Prediction]]
 
 
 def trained(
-    ladder: Ladder,
+    study: Study,
     preset: str,
     presses: Presses,
     start_from: ForceModel | None = None,
@@ -215,9 +203,9 @@ def trained(
     Raises:
         LearningError: There is nothing to learn from, or the training diverged.
     """
-    settings = net_settings(ladder, preset, NETS[preset])
+    settings = net_settings(study, preset, NETS[preset])
     parts = {"paper": 2} if start_from is None else {preset: 4}
-    steps = 2 if ladder.quick else STEPS // parts.get(preset, 1)
+    steps = 2 if study.quick else STEPS // parts.get(preset, 1)
     epochs = max(1, round(steps / -(-len(presses) // settings.sequences.batch)))
     return train_net(presses, settings, settings.stages[-1:], epochs, start_from, labels)
 
@@ -250,48 +238,48 @@ def baselines(study: Study) -> Iterator[Prediction]:
         yield Prediction(AT_PLACES[3], "-", target, target, TWIN, force)
 
 
-def from_source(ladder: Ladder, source: str) -> Iterator[Prediction]:
+def from_source(study: Study, source: str) -> Iterator[Prediction]:
     """Yield predictions of nets that are trained on one source, for all targets."""
-    archive = ladder.archive
+    archive = study.archive
     images, moved, packed = (
-        ladder.presses(source, "train", form) for form in ("images", "field", "packed")
+        study.presses(source, "train", form) for form in ("images", "field", "packed")
     )
-    nets = {MAIN: trained(ladder, MAIN, images)}
-    nets["displacement"] = trained(ladder, "displacement", moved)
+    nets = {MAIN: trained(study, MAIN, images)}
+    nets["displacement"] = trained(study, "displacement", moved)
     for target in (each for each in archive if each != source):
         one, other = archive[source], archive[target]
 
         def of(way: str, net: str, model: ForceModel, spent: int, to: str = target) -> Prediction:
-            force = model.predict(ladder.unseen(to, form_of(net)))
+            force = model.predict(study.unseen(to, form_of(net)))
             return Prediction(way, net, source, to, spent, force)
 
         yield of(SOURCE, MAIN, nets[MAIN], 0)
         yield of(DISPLACED, "displacement", nets["displacement"], 0)
-        frames = ladder.translated(ladder.translator, packed, target)
+        frames = study.translated(study.field, packed, target)
         for words, spent, labels in (
-            (AT_PLACES[1], CURVE, ladder.curves(source, target)),
+            (AT_PLACES[1], CURVE, study.curves(source, target)),
             (AT_PLACES[2], TWIN, by_twins(simulated_labels(one, other))),
         ):
             if labels is not None:
-                tuned = trained(ladder, "displacement", moved, nets["displacement"], labels)
+                tuned = trained(study, "displacement", moved, nets["displacement"], labels)
                 yield of(f"{DISPLACED}, {words}", "displacement", tuned, spent)
-                tuned = trained(ladder, MAIN, frames, nets[MAIN], labels)
+                tuned = trained(study, MAIN, frames, nets[MAIN], labels)
                 yield of(f"{TRANSLATED}, {words}", MAIN, tuned, spent)
 
 
-def own(ladder: Ladder, sensor: str) -> Iterator[Prediction]:
+def own(study: Study, sensor: str) -> Iterator[Prediction]:
     """Yield predictions of nets that are trained on a sensor's frames alone.
 
     With its twin's forces as labels, and with its own.
     """
-    labels = by_twins(twin_forces(ladder.archive[sensor]))
-    for preset in [MAIN, "displacement"] if ladder.quick else NETS:
-        presses = ladder.presses(sensor, "train", form_of(preset))
-        test = ladder.unseen(sensor, form_of(preset))
+    labels = by_twins(twin_forces(study.archive[sensor]))
+    for preset in [MAIN, "displacement"] if study.quick else NETS:
+        presses = study.presses(sensor, "train", form_of(preset))
+        test = study.unseen(sensor, form_of(preset))
         if preset != "paper":
-            force = trained(ladder, preset, presses, labels=labels).predict(test)
+            force = trained(study, preset, presses, labels=labels).predict(test)
             yield Prediction(BY_TWIN, preset, sensor, sensor, TWIN, force)
-        force = trained(ladder, preset, presses).predict(test)
+        force = trained(study, preset, presses).predict(test)
         yield Prediction(OWN, preset, sensor, sensor, len(presses), force)
 
 
@@ -344,14 +332,14 @@ def lines_of(cells: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             "mae_shear_n": float(errors[:2].mean()),
             "mae_fz_n": float(errors[2]),
         }
-        paper = resampled(sums_of(grid, lambda name: name in UNSEEN))
-        scored.append((line, resampled(sealed), paper))
+        paper = scores_of(sums_of(grid, lambda name: name in UNSEEN))
+        scored.append((line, scores_of(sealed), paper))
     owned = [sealed for line, sealed, _ in scored if line["way"] == OWN and np.isfinite(sealed[0])]
     best = max(owned, key=lambda sealed: float(sealed[0]), default=np.full(1 + RESAMPLES, np.nan))
     for line, sealed, paper in scored:
         for name, values in (("sealed", sealed), ("paper", paper), ("below", best - sealed)):
-            low, high = span(values)
-            line |= {name: float(values[0]), f"{name}_low": low, f"{name}_high": high}
+            low, high = interval(values[1:])
+            line |= {name: float(values[0]), f"{name}_low": float(low), f"{name}_high": float(high)}
     return [line for line, _, _ in scored]
 
 
@@ -363,7 +351,7 @@ def sums_of(grid: Sequence[Sequence[Mapping[str, Any]]], of: Callable[[str], boo
     return np.array(parts, np.float64).reshape(len(grid), len(grid[0]), len(names), 5, 3)
 
 
-def resampled(sums: Floats) -> Floats:
+def scores_of(sums: Floats) -> Floats:
     """Return the mean R2 over seeds and pairs, then that of each resample (1 + RESAMPLES,).
 
     Indenters are drawn again, the same for all pairs, and so are seeds.
@@ -371,20 +359,10 @@ def resampled(sums: Floats) -> Floats:
     Args:
         sums: Sums by seed, pair and indenter (s, p, k, 5, 3).
     """
-    seeds, _, indenters = sums.shape[:3]
-    if not indenters:
+    if not sums.shape[2]:
         return np.full(1 + RESAMPLES, np.nan)
     random = generator(0, "resamples")
-    counts = random.multinomial(indenters, np.full(indenters, 1 / indenters), RESAMPLES)
-    drawn = r2_of(np.einsum("rk,spkqa->rspqa", counts.astype(float), sums)).mean(axis=2)
-    chosen = random.integers(seeds, size=(RESAMPLES, seeds))
+    drawn = resampled(sums, random).mean(axis=2)
+    chosen = random.integers(len(sums), size=(RESAMPLES, len(sums)))
     again = np.take_along_axis(drawn, chosen, axis=1).mean(axis=1)
     return np.append(r2_of(sums.sum(axis=2)).mean(), again)
-
-
-def span(values: Floats) -> tuple[float, float]:
-    """Return the interval of resamples; NaN if there are none."""
-    if not np.isfinite(values[1:]).any():
-        return float("nan"), float("nan")
-    low, high = np.nanquantile(values[1:], INTERVAL)
-    return float(low), float(high)

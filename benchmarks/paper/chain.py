@@ -25,7 +25,6 @@ from benchmarks.paper.study import (
     PROBED_EPOCHS,
     Joined,
     Study,
-    field_translator,
     folder_of,
     form_of,
     nearest_labels,
@@ -118,11 +117,6 @@ class Chain(Study):
             begun = {"start_from": self.between_patterns.state_dict()}
         rate = 3e-4 if self.patterns is None else 2e-4
         return self.opened(self.trained_m2m("m2m", self.archive, self.split, rate, **begun))
-
-    @cached_property
-    def field(self) -> Translator:
-        """Our translator between sensors."""
-        return field_translator(self, self.size.seconds["field"])
 
     def opened(self, network: MarkerToMarker) -> Translator:
         """Return a translator of a network, in the precision of `load_translator`."""
@@ -227,6 +221,7 @@ def begin(run: Run, folder: Path, size: Size) -> Chain:
         torch.device(run.device),
         size.skins_differ,
         run.quick,
+        field_seconds=size.seconds["field"],
         size=size,
         patterns=joined if size.patterns and patterns is None else patterns,
     )

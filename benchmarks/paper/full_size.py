@@ -13,63 +13,41 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from torch.nn import functional
 
 from benchmarks.report import Page, Run, table
 from learning.config import read_settings
 from learning.data.images import SIDE, enlarge_images
 from learning.data.pairs import PairedFrames
-from learning.data.synthetic import pixel_grid, sample_patterns
-from learning.training.run import TrainingSession, accelerator, generator
+from learning.training.run import TrainingSession, accelerator
 from learning.translation.diffusion.network import MarkerToMarker, fuse
 from learning.translation.diffusion.train import PRESETS, Pretrained, TranslatorSettings, train
 from learning.translation.diffusion.translator import DiffusionTranslator
 from learning.translation.diffusion.weights import WIDTHS, PerceptualDistance, vendor
-from learning.translation.field.data import random_shifts
 
 # Batch sizes, steps of each training, of which the first are not timed, and frames translated.
 BATCHES, STEPS, WARM, TRANSLATED = [4, 8, 16], 50, 5, 64
 # Learning rate: high, because random weights have no learned content to lose.
 RATE = 1e-3
-# Pairs that are trained on repeatedly.
-SAME = 4
+# Pairs of images.
+PAIRS = 4
 
-# Stable Diffusion 2.1's UNet (865.9 M parameters).
+# Where Stable Diffusion 2.1's UNet (865.9 M parameters) differs from the defaults of diffusers.
 UNET: dict[str, Any] = {
     "sample_size": 64,
-    "in_channels": 4,
-    "out_channels": 4,
-    "down_block_types": ["CrossAttnDownBlock2D"] * 3 + ["DownBlock2D"],
-    "up_block_types": ["UpBlock2D"] + ["CrossAttnUpBlock2D"] * 3,
-    "block_out_channels": [320, 640, 1280, 1280],
-    "layers_per_block": 2,
     "attention_head_dim": [5, 10, 20, 20],
     "cross_attention_dim": 1024,
     "use_linear_projection": True,
-    "norm_eps": 1e-5,
 }
 # Its autoencoder (83.7 M parameters).
 VAE: dict[str, Any] = {
-    "in_channels": 3,
-    "out_channels": 3,
     "down_block_types": ["DownEncoderBlock2D"] * 4,
     "up_block_types": ["UpDecoderBlock2D"] * 4,
     "block_out_channels": [128, 256, 512, 512],
     "layers_per_block": 2,
-    "latent_channels": 4,
     "sample_size": 768,
-    "scaling_factor": 0.18215,
 }
-# Image encoder of CLIP ViT-B/32.
-CLIP: dict[str, Any] = {
-    "hidden_size": 768,
-    "intermediate_size": 3072,
-    "num_hidden_layers": 12,
-    "num_attention_heads": 12,
-    "image_size": 224,
-    "patch_size": 32,
-    "projection_dim": 512,
-}
+# The image encoder of CLIP ViT-B/32 is the default of transformers.
+CLIP: dict[str, Any] = {}
 # A few thousand weights, for a quick run: what of each configuration differs.
 _SMALL: tuple[dict[str, Any], ...] = (
     {
@@ -146,15 +124,13 @@ Stable Diffusion 2.1's UNet and autoencoder, CLIP and VGG16, with random weights
 {table(names, rows)}"""
 
 
-def overfitted_pairs(device: torch.device) -> PairedFrames:
-    """Return pairs of random patterns with equal motion."""
-    chance = generator(0, "full-size")
-    patterns, grid = sample_patterns(2 * SAME, chance, device), pixel_grid(SIDE, device)
-    shift = functional.interpolate(random_shifts(SAME, chance, device), (SIDE, SIDE))
-    moved, still = patterns.draw(grid - torch.cat((shift, shift))), patterns.draw(grid)
-    images, references = ((each[:, 0] * 255).round().to(torch.uint8) for each in (moved, still))
-    every = torch.arange(2 * SAME, device=device)
-    return PairedFrames(images, every, every, references, every.view(2, SAME).T)
+def random_pairs(device: torch.device) -> PairedFrames:
+    """Return pairs of random images, which are trained on repeatedly."""
+    chance = torch.Generator(device).manual_seed(0)
+    size = (2, 2 * PAIRS, SIDE, SIDE)
+    images, references = torch.randint(256, size, generator=chance, device=device).byte()
+    every = torch.arange(2 * PAIRS, device=device)
+    return PairedFrames(images, every, every, references, every.view(2, PAIRS).T)
 
 
 def _row(networks: Pretrained, settings: TranslatorSettings, runs_on: Any) -> dict[str, Any]:
@@ -171,7 +147,7 @@ def _row(networks: Pretrained, settings: TranslatorSettings, runs_on: Any) -> di
             times[done] = _now(device)
 
     session = TrainingSession(runs_on, progress=stamp)
-    network = train(overfitted_pairs(device), networks, settings, session=session)
+    network = train(random_pairs(device), networks, settings, session=session)
     seconds = times[settings.steps] - times[WARM]
     memory = "-"
     if device.type == "cuda":
@@ -197,7 +173,7 @@ def _translated_per_s(
         batch=settings.batch,
         precision=torch.bfloat16 if lower else torch.float32,
     )
-    masks = enlarge_images(overfitted_pairs(device).images)
+    masks = enlarge_images(random_pairs(device).images)
     many = masks[torch.arange(TRANSLATED) % len(masks)] if device.type == "cuda" else masks
     translator.translate(many[: settings.batch], masks[0], masks[0])
     begun = _now(device)

@@ -125,6 +125,8 @@ class Study:
     quick: bool = False
     seed: int = 0
     """Seed of the trainings."""
+    field_seconds: float = 0
+    """Training time of the field translator [s]; 0: a few steps."""
     _unseen: dict[tuple[str, str], Presses] = field(default_factory=dict)
 
     @cached_property
@@ -166,6 +168,28 @@ class Study:
         look = look_of(self.archive[target], packed, self.device)
         return translate_presses(packed, look, for_pair(translator, *ends))
 
+    @cached_property
+    def field(self) -> FieldTranslator:
+        """The field translator between sensors, trained without a simulator's displacement."""
+        sensors = self.split.trained_sensors(self.archive)
+        frames = gather_role(self.archive, self.split, sensors, "train", device=self.device)
+        if frames is None:
+            raise LearningError(f"{self.archive.name}: no press to train on; allowed: some")
+        without = replace(frames, shift=None)
+        preset, *batches = FIELD[self.quick]
+
+        def settings(steps: int) -> field_training.FieldSettings:
+            half = [f"{stage}.steps={max(1, steps // 2)}" for stage in ("field_stage", "map_stage")]
+            own = [f"seed={self.seed}", f"validate_every_steps={steps}", self.launch]
+            overrides = [*batches, *half, *own]
+            presets = field_training.PRESETS
+            return read_settings(field_training.FieldSettings, presets, preset, overrides)
+
+        def train(steps: int, session: TrainingSession) -> FieldModel:
+            return field_training.train_field(without, settings(steps), None, session)
+
+        return FieldTranslator("field", timed(self.field_seconds, settings(PROBE).launch, train))
+
     @property
     def launch(self) -> str:
         """Override of settings that names the device."""
@@ -199,28 +223,6 @@ def _seconds_of_one(units: int, launch: Any, train: Train[Result]) -> float:
             if seconds > ENOUGH_S:
                 return seconds / units
         units *= 4
-
-
-def field_translator(study: Study, seconds: float) -> FieldTranslator:
-    """Train the field translator for some time, without a simulator's true displacement."""
-    sensors = study.split.trained_sensors(study.archive)
-    frames = gather_role(study.archive, study.split, sensors, "train", device=study.device)
-    if frames is None:
-        raise LearningError(f"{study.archive.name}: no press to train on; allowed: some")
-    without = replace(frames, shift=None)
-    preset, *batches = FIELD[study.quick]
-
-    def settings(steps: int) -> field_training.FieldSettings:
-        half = [f"{stage}.steps={max(1, steps // 2)}" for stage in ("field_stage", "map_stage")]
-        own = [f"seed={study.seed}", f"validate_every_steps={steps}", study.launch]
-        overrides = [*batches, *half, *own]
-        presets = field_training.PRESETS
-        return read_settings(field_training.FieldSettings, presets, preset, overrides)
-
-    def train(steps: int, session: TrainingSession) -> FieldModel:
-        return field_training.train_field(without, settings(steps), None, session)
-
-    return FieldTranslator("field", timed(seconds, settings(PROBE).launch, train))
 
 
 def form_of(preset: str) -> Any:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
-from benchmarks.sums import r2_of, sums_by_indenter
+from benchmarks.sums import RESAMPLES, interval, r2_of, resampled, sums_by_indenter
 from benchmarks.twin.pads import ALL, DEEPEST, ERRORS, GRIDS, INDENTERS, SENSORS, Pad, Pressed
 from benchmarks.twin.pads import table as archive_rows
 from benchmarks.twin.planted import GAUGE
@@ -42,8 +42,6 @@ METHODS = {
     "simulated, no gauge": "`simulated`, the target's row for its twin",
     "twin, no gauge": "the target's row alone",
 }
-# Resamplings of an interval.
-RESAMPLED = 2000
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -164,17 +162,13 @@ def r2(parts: Sequence[Values], method: str) -> tuple[float, tuple[float, float]
         method: One of `METHODS`.
     """
     random = np.random.default_rng(0)
-    of_draws, again = [], []
-    for part in parts:
-        rows = np.array([*part[method].values()])
-        of_draws.append(r2_of(rows.sum(axis=0)))
-        counts = random.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), RESAMPLED)
-        again.append(r2_of(np.einsum("rk,kqa->rqa", counts, rows)))
-    drawn = random.integers(len(parts), size=(RESAMPLED, len(parts)))
-    means = np.array(again)[drawn, random.integers(RESAMPLED, size=drawn.shape)]
+    sums = [np.array([*part[method].values()]) for part in parts]
+    again = np.array([resampled(rows, random) for rows in sums])
+    drawn = random.integers(len(parts), size=(RESAMPLES, len(parts)))
+    means = again[drawn, random.integers(RESAMPLES, size=drawn.shape)]
     # Indenters without any force along an axis have no R2 there.
-    low, high = np.nanquantile(means.mean(axis=1), (0.025, 0.975))
-    return float(np.mean(of_draws)), (float(low), float(high))
+    low, high = interval(means.mean(axis=1))
+    return float(np.mean([r2_of(rows.sum(axis=0)) for rows in sums])), (float(low), float(high))
 
 
 def section(values: Values, page: Page) -> str:
