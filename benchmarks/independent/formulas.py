@@ -47,11 +47,6 @@ def hertz(depth: float, radius: float, modulus: float, poisson: float) -> float:
     return stiffness * math.pow(max(depth, 0.0), 1.5)
 
 
-def hertz_contact_radius(depth: float, radius: float) -> float:
-    """Return the contact radius of a paraboloid [m]: a = sqrt(R d). Johnson (1985), eq. 4.23."""
-    return math.sqrt(radius * max(depth, 0.0))
-
-
 def flat_punch(depth: float, radius: float, modulus: float, poisson: float) -> float:
     """Return the force of a flat circular punch [N]: F = 2 a E* d; 0 without contact.
 
@@ -176,17 +171,7 @@ def uniaxial_stress(stretch: float, modulus: float, poisson: float) -> float:
     return shear * math.pow(volume, -5 / 3) * (stretch**2 - side) * side
 
 
-def simple_shear_stress(amount: float, modulus: float, poisson: float) -> tuple[float, float]:
-    """Return shear and normal stress on a face that moves by u_x = amount z [Pa].
-
-    (G g, -G g^2/3): J = 1, so P = G (F - tr(F^T F)/3 F^-T). The face pushes outwards (negative
-    normal stress) unless it is free to lift.
-    """
-    shear, _ = shear_and_bulk(modulus, poisson)
-    return shear * amount, -shear * amount**2 / 3
-
-
-# Viscosity, weight and inertia of a linear body: E(t) = E (1 + sum_i ratio_i exp(-t/time_i)) with
+# Viscosity and weight of a linear body: E(t) = E (1 + sum_i ratio_i exp(-t/time_i)) with
 # the equilibrium modulus E; nu is constant. A wide bonded layer, from z = -h to 0, is a function of
 # height at several heights from its sides.
 
@@ -238,11 +223,3 @@ def layer_sag(
     profile = (thickness**2 - np.square(np.asarray(z, float))) / 2
     sag: Array = profile[..., None] * density * np.asarray(acceleration, float) / stiffness
     return sag
-
-
-def compression_frequency(
-    thickness: float, density: float, modulus: float, poisson: float, *, overtone: int = 0
-) -> float:
-    """Return the vertical frequency [Hz]: (2 n + 1) c_p / (4 h), c_p = sqrt(M / density)."""
-    speed = math.sqrt(oedometric_modulus(modulus, poisson) / density)
-    return (2 * overtone + 1) * speed / (4 * thickness)

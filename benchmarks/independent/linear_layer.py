@@ -73,21 +73,6 @@ def layer_deficit(alpha: ArrayLike, poisson: float) -> Array:
     return deficit
 
 
-def layer_compliance(
-    wave_number: ArrayLike, thickness: float, modulus: float, poisson: float
-) -> Array:
-    """Return the sinking of the surface over pressure, w / p at wave number k [m/Pa].
-
-    2 (1 - nu^2) / (E k) L(k h). The limit at k = 0 is h / M with the oedometric modulus M.
-    """
-    alpha = np.asarray(wave_number, float) * thickness
-    slope = (1 - 2 * poisson) / (2 * (1 - poisson) ** 2)
-    ratio = layer_ratio(alpha, poisson)
-    per_alpha = np.divide(ratio, alpha, out=np.full_like(alpha, slope), where=alpha > 0)
-    compliance: Array = 2 * (1 - poisson**2) * thickness / modulus * per_alpha
-    return compliance
-
-
 def _denominator(alpha: Array, poisson: float) -> Array:
     """Return the denominator of L as written in `layer_ratio`, times exp(-2 alpha)."""
     once, kappa = np.exp(-2 * alpha), 3 - 4 * poisson
