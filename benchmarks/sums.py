@@ -30,9 +30,10 @@ def sums_by_indenter(
 def r2_of(sums: Floats) -> Floats:
     """Return R2 (...), mean of axes, from sums (..., 5, 3); NaN where forces do not vary.
 
-    They do not if the sum of the squared deviations of an axis is below 1e-9.
+    They do not if the sum of the squared deviations of an axis is below 1e-9. Absolute errors, the
+    last of the sums, may be missing.
     """
-    count, one, square, missed, _ = np.moveaxis(sums, -2, 0)
+    count, one, square, missed = np.moveaxis(sums[..., :4, :], -2, 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         varied = square - one**2 / count
         fit = 1 - missed / np.where(varied > 1e-9, varied, np.nan)

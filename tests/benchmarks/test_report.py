@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,9 @@ from typing import Any
 import pytest
 
 from benchmarks import report
+from benchmarks.__main__ import main
 from benchmarks.processes import rows_of
-from benchmarks.report import FAILED, Benchmark, Page, Part, Run, table
+from benchmarks.report import FAILED, RESULTS, Benchmark, Page, Part, Run, table
 from recorder.command_line.errors import CommandError
 
 SPEEDS = {"ours": 3.0, "theirs": 2.0}
@@ -216,3 +218,13 @@ def test_values_of_another_version_are_refused_by_name(page: Path) -> None:
     path.write_text(json.dumps(stored | {"size": stored["speed"] | {"results": []}}))
     with pytest.raises(CommandError, match=r"does not fit this version .*: IndexError"):
         run(benchmark(), "--draw")
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in RESULTS.glob("*.json")))
+def test_each_page_is_what_its_command_draws_from_its_measurements(
+    tmp_path: Path, name: str
+) -> None:
+    page = tmp_path / f"{name}.md"
+    shutil.copy(RESULTS / f"{name}.json", tmp_path)
+    assert main([name, "--draw", "--out", str(page)]) == 0
+    assert page.read_text(encoding="utf-8") == (RESULTS / page.name).read_text(encoding="utf-8")
