@@ -14,21 +14,23 @@ from numpy.typing import NDArray
 from scipy.integrate import quad, solve_bvp
 from scipy.linalg import expm
 from scipy.optimize import minimize_scalar
-
-from benchmarks.independent.formulas import (
+from support.closed_forms import (
     boussinesq,
     cerruti,
-    cone,
     confined_stress,
-    flat_punch,
     hereditary,
-    hertz,
-    layer_sag,
     mindlin_displacement,
     mindlin_stick_radius,
+    uniaxial_stress,
+)
+
+from benchmarks.independent.formulas import (
+    cone,
+    flat_punch,
+    hertz,
+    layer_sag,
     oedometric_modulus,
     reduced_modulus,
-    uniaxial_stress,
 )
 from benchmarks.independent.linear_layer import (
     LinearLayer,

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.closed_forms import uniaxial_stress
 from support.commands import run_module
 
 from benchmarks.independent import command, presses
 from benchmarks.independent.axisymmetric import AxisymmetricPress, Layer
 from benchmarks.independent.comparison import scene_of
 from benchmarks.independent.element import Elastic, Grid
-from benchmarks.independent.formulas import uniaxial_stress
 from benchmarks.independent.linear_layer import LinearLayer, layer_punch, layer_sphere
 from benchmarks.independent.mesh import Fine, layer_grid
 from benchmarks.independent.presses import MODULUS, PRESSES, Press, Shape

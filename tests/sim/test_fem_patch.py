@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import warp as wp
 from support import fem_oracles as oracle
+from support.closed_forms import confined_stress, uniaxial_stress
 from support.fem_oracles import Array
 
-from benchmarks.independent.formulas import confined_stress, uniaxial_stress
 from sim import Body, Effects, Friction, Gravity, Indenter, Inertia, Scene, Viscosity, press
 from sim.fem import Fem
 from sim.fem.assembly import Assembly

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.closed_forms import hereditary
 
-from benchmarks.independent.formulas import hereditary, oedometric_modulus
+from benchmarks.independent.formulas import oedometric_modulus
 from sim import (
     Body,
     Effects,

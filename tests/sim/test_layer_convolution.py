@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from support.closed_forms import boussinesq, cerruti
 
-from benchmarks.independent.formulas import boussinesq, cerruti
 from sim.errors import SceneError
 from sim.layer.spectral import Convolutions, PixelGrid
 from sim.scene import Body

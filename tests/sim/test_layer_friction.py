@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from support.closed_forms import mindlin_displacement, mindlin_stick_radius
 
-from benchmarks.independent.formulas import mindlin_displacement, mindlin_stick_radius
 from sim.errors import SimulationDiverged
 from sim.indenters import flat_punch, sphere
 from sim.layer import Layer, contact

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from support.closed_forms import hereditary
 
-from benchmarks.independent.formulas import hereditary
 from benchmarks.independent.linear_layer import LinearLayer, layer_sphere
 from sim.indenters import Indenter, flat_punch, sphere
 from sim.layer import Layer
