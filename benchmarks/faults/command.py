@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from benchmarks.faults import device_faults, endurance, kills, wrong_benches
+from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
+from recorder.processes import cores
 
 
 def _summary(values: dict[str, Any]) -> str:
@@ -41,5 +44,6 @@ BENCHMARK = Benchmark(
         Part("endurance", endurance.measure, endurance.section, weight=30.0),
     ),
     summary=_summary,
+    options=partial(add_processes, default=cores()),
 )
 add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

@@ -39,12 +39,6 @@ class Track:
     rows: list[tuple[float, int, int]] = field(default_factory=list)
     """Time since the start [s], memory that no other process shares [bytes], and open files."""
 
-    def look(self, pid: int, seconds: float) -> None:
-        """Add the resource use of process `pid` at `seconds`, if it still runs."""
-        with contextlib.suppress(psutil.Error):
-            process = psutil.Process(pid)
-            self.rows.append((seconds, process.memory_full_info().uss, process.num_fds()))
-
 
 def long_bench(folder: Path) -> Path:
     """Write a bench with a plan of half an hour, by more shear directions."""
@@ -65,7 +59,9 @@ def watched(run: CollectionRun, every: float, progress: Callable[[float], None])
             track = tracks.setdefault(pid, Track())
             if track.role in ("", "arm"):
                 track.role = role
-            track.look(pid, seconds)
+            with contextlib.suppress(psutil.Error):
+                process = psutil.Process(pid)
+                track.rows.append((seconds, process.memory_full_info().uss, process.num_fds()))
         progress(seconds)
     return [track for track in tracks.values() if track.role and track.rows]
 

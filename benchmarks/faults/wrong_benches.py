@@ -7,7 +7,7 @@ import io
 import math
 import tempfile
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,9 @@ from benchmarks.faults.simulated_bench import (
     Stages,
     Truth,
 )
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, RED, chart
-from recorder.processes import Workers, cores
 from rig.acquire.calibration.store import Calibration
 from rig.acquire.no_gauge import find_surface, press_in_steps
 from rig.bench.bench import Bench, BenchFile, bench_from
@@ -43,48 +43,29 @@ COUNT, QUICK_COUNT = 300, 3
 _TARGETS = 5
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """Result of one wrong bench."""
-
-    seed: int
-    sensor: str
-    fault: str
-    wrist: bool
-    """True if the arm reports its wrench."""
-    fraction: float
-    """Largest true force as a fraction of the sensor's rating."""
-    end: str
-    """`completed`, or the stage in which it was stopped."""
-
-
 def measure(run: Run) -> dict[str, Any]:
     """Collect on each wrong bench; return the largest forces and the ends, by fault."""
     each = len(SENSORS)
     run.seeds = range(each, each * (QUICK_COUNT + 1), each) if run.quick else range(COUNT)
-    outcomes: list[Outcome] = []
-    with Workers(cores()) as workers:
-        for waiting in [workers.submit(collected, seed) for seed in run.seeds]:
-            outcomes.append(waiting.result())
-            run.progress(len(outcomes) / len(run.seeds))
+    rows = rows_of(run, collected, {f"seed {seed}": seed for seed in run.seeds})
     run.failures += [
-        f"seed {one.seed}: {one.fraction:.0%} of the rating of {one.sensor} ({one.fault})"
-        for one in outcomes
-        if one.fraction > 1
+        f"{seed}: {one['fraction']:.0%} of the rating of {one['sensor']} ({one['fault']})"
+        for seed, one in rows.items()
+        if one["fraction"] > 1
     ]
-    worst = max(outcomes, key=lambda one: one.fraction)
-    bare = [one.fraction for one in outcomes if not one.wrist]
-    by_fault = {fault: [one for one in outcomes if one.fault == fault] for fault in FAULTS}
+    worst = max(rows, key=lambda seed: rows[seed]["fraction"])
+    bare = [one["fraction"] for one in rows.values() if not one["wrist"]]
+    by_fault = {fault: [one for one in rows.values() if one["fault"] == fault] for fault in FAULTS}
     return {
-        "benches": len(outcomes),
-        "largest": worst.fraction,
-        "worst": f"seed {worst.seed}: {worst.sensor}, {worst.fault}",
+        "benches": len(rows),
+        "largest": rows[worst]["fraction"],
+        "worst": f"{worst}: {rows[worst]['sensor']}, {rows[worst]['fault']}",
         "without_wrench": [len(bare), max(bare, default=0.0)],
         "faults": {
             fault: {
                 "benches": len(ones),
-                "largest": max(one.fraction for one in ones),
-                "ends": Counter(one.end for one in ones),
+                "largest": max(one["fraction"] for one in ones),
+                "ends": Counter(one["end"] for one in ones),
             }
             for fault, ones in by_fault.items()
             if ones
@@ -92,8 +73,12 @@ def measure(run: Run) -> dict[str, Any]:
     }
 
 
-def collected(seed: int) -> Outcome:
-    """Find the surface, press in steps and press the plan on the wrong bench of a seed."""
+def collected(seed: int) -> dict[str, Any]:
+    """Find the surface, press in steps and press the plan on the wrong bench of a seed.
+
+    Return its sensor, its fault, whether its arm reports the wrench, the largest true force over
+    the sensor's rating, and its end: `completed`, or the stage in which it was stopped.
+    """
     rng = np.random.default_rng(seed)
     sensor = SENSORS[seed % len(SENSORS)]
     fault = FAULTS[seed // len(SENSORS) % len(FAULTS)]
@@ -116,7 +101,8 @@ def collected(seed: int) -> Outcome:
         except (ConfigError, SafetyStop, DeviceLost):
             end = f"stopped in {stages.stage or 'plan check'}"
     fraction = clock.largest / (bench.limits.sensor_rating or math.nan)
-    return Outcome(seed, sensor, fault, has_wrist, fraction, end)
+    row = {"sensor": sensor, "fault": fault, "wrist": has_wrist}
+    return row | {"fraction": float(fraction), "end": end}
 
 
 def _collect(file: BenchFile, stages: Stages) -> None:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from benchmarks.hard_cases.named_cases import escaped, judge
 from benchmarks.hard_cases.solver import Solver
+from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from sim.result import Result
 from sim.scene import Scene
@@ -95,15 +97,15 @@ QUICK = ("force-scaled", "gravity-upwards", "loose-tolerance")
 def measure(run: Run) -> dict[str, list[str]]:
     """Judge each wrong solver by the case that must notice it."""
     names = QUICK if run.quick else tuple(MISTAKES)
-    noticed = {}
-    for done, name in enumerate(names, start=1):
-        mistake = MISTAKES[name]
-        report = judge(replace(mistake.solver, device=run.device), mistake.case)
-        noticed[name] = report["failures"]
-        if not report["failures"]:
-            run.failures.append(f"{name}: not noticed by {mistake.case}")
-        run.progress(done / len(names))
+    noticed = rows_of(run, partial(_failures, run.device), {name: name for name in names})
+    missed = [name for name, failures in noticed.items() if not failures]
+    run.failures += [f"{name}: not noticed by {MISTAKES[name].case}" for name in missed]
     return noticed
+
+
+def _failures(device: str, name: str) -> list[str]:
+    _, case, solver = MISTAKES[name]
+    return list(judge(replace(solver, device=device), case)["failures"])
 
 
 def section(noticed: dict[str, list[str]], _page: Page) -> str:
