@@ -12,8 +12,8 @@ RESAMPLES = 2000
 
 def sums_by_indenter(
     true: Floats, predicted: Floats, indenter: NDArray[np.str_]
-) -> dict[str, Floats]:
-    """Return sums (5, 3) of each indenter's frames.
+) -> dict[str, list[list[float]]]:
+    """Return sums (5, 3) of each indenter's frames, in JSON.
 
     Count, forces, their squares, squared and absolute errors.
 
@@ -24,7 +24,7 @@ def sums_by_indenter(
     """
     error = predicted - true
     parts = np.stack([np.ones_like(true), true, true**2, error**2, np.abs(error)], axis=1)
-    return {str(name): parts[indenter == name].sum(axis=0) for name in np.unique(indenter)}
+    return {str(name): parts[indenter == name].sum(axis=0).tolist() for name in np.unique(indenter)}
 
 
 def r2_of(sums: Floats) -> Floats:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from benchmarks.gauge.planted import GROUPS, SEED, Planted, name_of, planted, twin_of
+from benchmarks.gauge.planted import GROUPS, SEED, Planted, planted, twin_of
 from benchmarks.paper.study import (
     PAPER_RECIPE,
     Joined,
@@ -141,7 +141,7 @@ def prepare(run: Run, folder: Path, group: str) -> Study:
             steps=phase,
             fraction=round(targets / len(one.row.trajectory), 6),
         )
-        paths.append(folder / f"{name_of(design)}.markers.zarr")
+        paths.append(folder / f"{one.row.name}.markers.zarr")
         archive = simulate(paths[-1], plan, run, span_of(progress, 0, 0.5))
         add_labels(archive, one, folder, run)
         progress(1.0)
@@ -157,8 +157,7 @@ def add_labels(archive: MarkerArchive, one: Planted, folder: Path, run: Run) -> 
 
     In a quick run the design stands for the twin, which saves the fit.
     """
-    name = name_of(one.design)
-    twin, draws, grid = one.design, 0, 16
+    name, twin, draws, grid = one.row.name, one.design, 0, 16
     if not run.quick:
         twin, draws, grid = str(folder / f"{name}-twin.yaml"), DRAWS, GRID
         # True forces are those of `fem`.
@@ -298,11 +297,7 @@ def cell(study: Study, one: Prediction) -> dict[str, Any]:
         raise LearningError(f"{one.way}, {one.source} to {one.target}: forces are not finite")
     sums = sums_by_indenter(true[finite], one.force[finite], names[finite])
     described = {name: getattr(one, name) for name in ("way", "net", "source", "target", "spent")}
-    return {
-        **described,
-        "seed": study.seed,
-        "sums": {name: each.tolist() for name, each in sums.items()},
-    }
+    return described | {"seed": study.seed, "sums": sums}
 
 
 def lines_of(cells: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

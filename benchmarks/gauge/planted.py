@@ -62,11 +62,6 @@ class Planted:
     bench: Bench
 
 
-def name_of(design: str) -> str:
-    """Return the name of the planted sensor of a design."""
-    return f"{design}-planted"
-
-
 def planted(folder: Path, group: str, design: str) -> Planted:
     """Write the row of a planted sensor into a folder, and return it as it was written."""
     values, bench = _drawn(group, design)
@@ -78,7 +73,7 @@ def planted(folder: Path, group: str, design: str) -> Planted:
         "variation": {**MOUNTED, **(SEEN if isinstance(made.signal, CameraSignal) else {})},
     }
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{name_of(design)}.yaml"
+    path = folder / f"{design}-planted.yaml"
     replace_file(path, yaml_text(content).encode())
     row = read_sensor(path)
     assert row.variation.mount is not None

@@ -35,7 +35,7 @@ def force_scores(
         indenter: Name of the indenter of each frame (n,).
         seed: Seed of the resamples.
     """
-    sums = np.stack([*sums_by_indenter(true, predicted, indenter).values()])
+    sums = np.array([*sums_by_indenter(true, predicted, indenter).values()])
     again = resampled(sums, generator(seed, "indenters"))
     low, high = interval(again, (0.05, 0.95))
     scores = {"r2": r_squared(true, predicted).mean(), "r2_low": low, "r2_high": high}

@@ -123,10 +123,7 @@ def sums(source: Pressed, target: Pressed, by_row: Pressed) -> dict[str, Any]:
     rows = np.flatnonzero(finite & (source.table["location"] >= 0))
     names = np.array(NAMES)[source.table["indenter"][rows]]
     return {
-        method: {
-            name: each.tolist()
-            for name, each in sums_by_indenter(true[rows], labels[rows], names).items()
-        }
+        method: sums_by_indenter(true[rows], labels[rows], names)
         for method, labels in predicted.items()
     }
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.twin.planted import GAUGE, Bench, Truth, felt, observed, random_skin, usual
+from benchmarks.twin.planted import GAUGE, Bench, Truth, along, felt, observed, random_skin, usual
 from recorder.archive import ArchivedSensor, Simulated
 from sim.dataset import DatasetPlan
 from sim.dataset.plan import PlannedPress, code, target_presses
@@ -132,7 +132,7 @@ class Pad:
         count = len(press.motion)
         fine = np.arange((count - 1) * BETWEEN + 1) / BETWEEN
         frames = np.column_stack([press.motion.time, press.motion.tip])
-        path = np.stack([np.interp(fine, np.arange(count), axis) for axis in frames.T], axis=1)
+        path = along(fine, np.arange(count), frames)
         return felt(
             self.skin,
             indenter_of(press.indenter),

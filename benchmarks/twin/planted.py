@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import Indenter, Part, named
 from sim.result import ContactTier
-from sim.scene import Motion
 from sim.sensors import SimulatedSensor, sensor
 from sim.sensors.quantities import with_quantities
 from sim.stream import LivePress
 from sim.tiers import simulate
 from sim.twin import PressTrack, track_of
-from sim.twin.model import leaning
+from sim.twin.model import leaning, motion_of
 from sim.twin.plan import PlannedPresses, planned_presses
 
 Array = NDArray[np.float64]
@@ -108,14 +107,14 @@ def recorded(
     """
     corners, tips = presses.path()
     time = np.arange(0.0, corners[-1], 1 / RATE)
-    late = _along(time - bench.latency, solutions, forces)
+    late = along(time - bench.latency, solutions, forces)
     turned = late + np.cross(np.array(bench.turn), late)
     random = np.random.default_rng(seed)
     noise = random.normal(0.0, bench.noise, late.shape)
-    return time, _along(time, corners, tips), turned + noise
+    return time, along(time, corners, tips), turned + noise
 
 
-def _along(at: Array, time: Array, values: Array) -> Array:
+def along(at: Array, time: Array, values: Array) -> Array:
     """Return values (n, 3) at some times (n,), from those (m, 3) at others (m,)."""
     return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
 
@@ -173,9 +172,8 @@ def felt(
         forces = np.array([force_of(each) for each in press])
     if truth.tier == "layer":
         return forces[::every]
-    places = tuple(tuple(place) for place in seen[::every].tolist())
-    motion = Motion(places, tuple(time[::every].tolist()))
-    result = simulate(skin.scene(indenter, motion), truth.fem, device=truth.device)
+    scene = skin.scene(indenter, motion_of(seen[::every], time[::every]))
+    result = simulate(scene, truth.fem, device=truth.device)
     return np.asarray(result.wrench[:, :3], float)
 
 

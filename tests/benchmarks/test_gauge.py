@@ -54,8 +54,7 @@ def cells(noise: float, way: str) -> list[dict[str, Any]]:
             force = true + noise * chance.normal(size=true.shape)
             indenter = np.repeat(["drawn-0", "drawn-1", "drawn-2", "cone"], 200)
             sums = sums_by_indenter(true, force, indenter)
-            plain = {name: each.tolist() for name, each in sums.items()}
-            ends = {"source": source, "target": target, "seed": seed, "sums": plain}
+            ends = {"source": source, "target": target, "seed": seed, "sums": sums}
             made.append({"way": way, "net": "tiny", "spent": 4, **ends, "force": (true, force)})
     return made
 
