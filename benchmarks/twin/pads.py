@@ -132,7 +132,7 @@ class Pad:
         count = len(press.motion)
         fine = np.arange((count - 1) * BETWEEN + 1) / BETWEEN
         frames = np.column_stack([press.motion.time, press.motion.tip])
-        path = along(fine, np.arange(count), frames)
+        path = along(fine, np.arange(count, dtype=float), frames)
         return felt(
             self.skin,
             indenter_of(press.indenter),
