@@ -156,11 +156,11 @@ def tmpfs(folder: Path, megabytes: int) -> Iterator[None]:
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(folder)]
     try:
-        done = subprocess.run(mount, capture_output=True, text=True, check=False)
+        subprocess.run(mount, capture_output=True, text=True, check=True)
     except OSError as error:
         raise CannotMount(str(error)) from error
-    if done.returncode != 0:
-        raise CannotMount(done.stderr.strip() or f"mount ended with {done.returncode}")
+    except subprocess.CalledProcessError as error:
+        raise CannotMount(error.stderr.strip() or str(error)) from error
     try:
         yield
     finally:

@@ -96,8 +96,8 @@ def section(reports: dict[str, Report], page: Page) -> str:
     by_family = {
         family: {name: reports[name] for name in cases if name in reports}
         for family, cases in BY_FAMILY.items()
+        if cases.keys() & reports.keys()
     }
-    by_family = {family: some for family, some in by_family.items() if some}
     _draw(by_family, page)
     rows = []
     for family, some in by_family.items():

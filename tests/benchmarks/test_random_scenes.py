@@ -33,6 +33,7 @@ from benchmarks.hard_cases.random_scenes.referee import (
 )
 from benchmarks.hard_cases.random_scenes.scenes import ELEMENTS_MAX, Drawn, drawn
 from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
+from benchmarks.hard_cases.solver import Solver
 from benchmarks.processes import OutOfTime, time_limit
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem, Grading
@@ -424,7 +425,7 @@ SLIDE = Scene(
     ],
 )
 def test_the_referee_notices_a_wrong_solver(mistake: str, scene: Scene, law: str) -> None:
-    outcome = judge_scene(scene, solver=MISTAKES[mistake].solver, seconds=300.0)
+    outcome = judge_scene(scene, "", MISTAKES[mistake].solver, 300.0)
     assert law in outcome.silent
 
 
@@ -432,5 +433,5 @@ def test_the_referee_notices_a_wrong_solver(mistake: str, scene: Scene, law: str
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("scene", [LOOP, SLIDE])
 def test_the_referee_accepts_the_right_solver(scene: Scene) -> None:
-    outcome = judge_scene(scene, seconds=300.0)
+    outcome = judge_scene(scene, "", Solver(), 300.0)
     assert outcome.kind == "right", outcome.why

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.hard_cases.random_scenes.judgement import WRONG, judge_scene
+from benchmarks.hard_cases.solver import Solver
 from sim.result import from_json
 from sim.scene import Scene
 
@@ -43,7 +44,9 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
 @pytest.mark.parametrize("path", [_case(path) for path in FOUND])
 def test_a_scene_once_found_is_no_longer_silently_wrong(path: Path) -> None:
     stored = json.loads(path.read_text(encoding="utf-8"))
-    outcome = judge_scene(from_json(Scene, stored["scene"], "scene"), stored["twin"])
+    outcome = judge_scene(
+        from_json(Scene, stored["scene"], "scene"), stored["twin"], Solver(), 60.0
+    )
     assert outcome.kind not in WRONG, outcome.why
 
 

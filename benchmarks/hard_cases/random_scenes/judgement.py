@@ -34,8 +34,6 @@ CLASSES = {
 }
 # Outcomes that fail a run.
 WRONG = frozenset({"silent", "crash"})
-# Time limit of a solve [s].
-SECONDS = 60.0
 # Maximum number of elements, so that a scene takes seconds; coarsened meshes are reported.
 SOLVED_MAX = 12_000
 # Fraction of the scenes that are also solved as a twin.
@@ -89,13 +87,11 @@ class SceneOutcome:
         return "; ".join(f"{name}: {law}" for name, law in self.broken) or self.message
 
 
-RIGHT_SOLVER = Solver()
+def judge_scene(scene: Scene, twin: str, solver: Solver, seconds: float) -> SceneOutcome:
+    """Solve a scene, and its twin of that name if it has one, and return the outcome.
 
-
-def judge_scene(
-    scene: Scene, twin: str = "", solver: Solver = RIGHT_SOLVER, seconds: float = SECONDS
-) -> SceneOutcome:
-    """Solve a scene, and its twin of that name if it has one, and return the outcome."""
+    Each solve may take `seconds` [s].
+    """
 
     def solved(scene: Scene) -> Result:
         with time_limit(seconds):
