@@ -176,18 +176,9 @@ def judge(row: Row, collection: CollectionRun, code: int, touched: int = 0) -> R
         wrong.append("no session can be read")
     if lost:
         wrong.append(f"{lost} accepted samples are missing")
-    printed = collection.last_line.replace(str(session), session.name)
+    reaction = reaction_of(row, collection.last_line.replace(str(session), session.name))
     return RowResult(
-        row.device,
-        row.fault,
-        code,
-        reaction_of(row, printed),
-        noticed,
-        looked_for,
-        lost,
-        arm,
-        tuple(wrong),
-        stored,
+        row.device, row.fault, code, reaction, noticed, looked_for, lost, arm, tuple(wrong), stored
     )
 
 
