@@ -232,7 +232,7 @@ def _count(rows: Sequence[Row], *outcomes: str) -> int:
 
 
 def section(values: dict[str, Any], page: Page) -> str:
-    """Return the table of tolerances, with the picture, and what leaving effects out costs."""
+    """Return the table of tolerances, with the picture, and the error of leaving effects out."""
     compared = {
         tolerance: [row for row in rows if row.get("error_percent")]
         for tolerance, rows in values["tolerances"].items()

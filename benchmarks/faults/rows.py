@@ -33,7 +33,7 @@ Act = Callable[[CollectionRun], object]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One fault, its expected exit codes, and what injects it into a pressing collection.
+    """One fault, its expected exit codes, and its injection into a pressing collection.
 
     `limits` is YAML merged over the limits of the sensor's bench, `more` YAML to add to it.
     """

@@ -30,7 +30,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _summary(values: dict[str, Any]) -> str:
-    """Say in two sentences what came out."""
+    """Return the results in two sentences."""
     lines = []
     if reports := values.get("cases"):
         failed = sum(bool(report["failures"]) for report in reports.values())

@@ -16,7 +16,7 @@ from sim.scene import Scene
 
 
 def _times(factor: float, name: str) -> Callable[[Scene], Scene]:
-    """Return what scales an effect of a scene; by 0 there is none."""
+    """Return a function that scales an effect of a scene; by 0 there is none."""
 
     def changed(scene: Scene) -> Scene:
         effect = getattr(scene.effects, name)

@@ -41,7 +41,7 @@ QUICK = (
     "millimetres-for-metres", "one-newton-iteration", "phases-without-time",
 )  # fmt: skip
 
-# What a case asserts, its laws, what did not hold, and the seconds that it took.
+# Claim of a case, its laws, those that did not hold, and the seconds that it took.
 Report = dict[str, Any]
 
 

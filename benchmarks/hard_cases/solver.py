@@ -65,7 +65,7 @@ class Solver:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A hard case: what it asserts in one sentence, and what solves scenes and measures laws."""
+    """A hard case: its claim in one sentence, and how scenes are solved and laws measured."""
 
     says: str
     laws: Callable[[Solver], Laws]
@@ -87,7 +87,7 @@ def case(
 ) -> Callable[[Callable[..., Laws]], Case]:
     """Make a case of a function that returns the laws of the results of these scenes, in order.
 
-    Without `says`, its docstring says what it asserts. The scenes are solved in one call for each
+    Without `says`, its docstring is its claim. The scenes are solved in one call for each
     variant of the numerics. The laws of every press are added, with `det_f` and `pull` as their
     limits. If `or_none`, there may be no solution, with evidence.
     """

@@ -59,7 +59,7 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Chain(Study):
-    """Sensors, patterns, and what was trained."""
+    """Sensors, patterns, and trained networks."""
 
     size: Size
     patterns: MarkerArchive | None
@@ -208,7 +208,7 @@ class Chain(Study):
 
 
 def begin(run: Run, folder: Path, size: Size) -> Chain:
-    """Simulate what is not simulated yet, and return the surroundings of all jobs."""
+    """Simulate archives that are not there yet, and return the surroundings of all jobs."""
     archives = {}
     for done, (name, plan) in enumerate(size.plans.items()):
         progress = span_of(run.progress, 0.4 * done / len(size.plans), 0.4 / len(size.plans))

@@ -57,7 +57,7 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def goals(values: dict[str, Any]) -> list[tuple[str, str, bool]]:
-    """Return what the errors must show, what they show, and whether they do."""
+    """Return each goal of the errors, the values, and whether they reach it."""
     lines = []
     for stream, (default, unit) in DEFAULTS.items():
         methods = [one for one in values["methods"] if one["stream"] == stream]

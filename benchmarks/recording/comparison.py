@@ -138,7 +138,7 @@ def survives(row: dict[str, Any]) -> bool:
 
 
 def goals(rows: list[dict[str, Any]]) -> list[tuple[str, str, bool]]:
-    """Return what the stores must reach, what they reach, and whether it is enough."""
+    """Return each goal of the stores, the values, and whether they reach it."""
     measured = {row["key"]: row for row in rows if row["written"]}
     lines = []
     kills = [one for key, row in measured.items() if STORES[key].ours for one in row["kills"]]

@@ -52,7 +52,7 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def goals(values: dict[str, Any]) -> list[tuple[str, str, bool]]:
-    """Return what the streams must reach, what they reach, and whether it is enough."""
+    """Return each goal of the streams, the values, and whether they reach it."""
     fed = values["together"]
     dropped = sum(one["dropped"] + bool(one["failure"]) for one in fed)
     p99 = max(one["append_ms"]["p99"] for one in fed)

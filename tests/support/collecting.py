@@ -1,4 +1,4 @@
-"""Sessions as `tactile collect` leaves them, what is typed for it, and what it prints."""
+"""Sessions as `tactile collect` leaves them, its typed answers, and its printed lines."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def patient_bench(folder: Path, sensor: str, *, limits: Any = None, more: str = "") -> Path:
-    """Write a quick bench whose parts wait for what a busy machine delays by seconds."""
+    """Write a quick bench whose parts wait for seconds, as on a busy machine."""
     waits = {"stale_force_ms": 4000.0, "stale_pose_ms": 4000.0, **(limits or {})}
     path = quick_bench(folder, sensor, limits=json.dumps(waits), more=more)
     text = path.read_text().replace("arm: {", "arm: {watchdog_hz: 0.2, ")
