@@ -62,7 +62,8 @@ class Law:
 
     def __str__(self) -> str:
         sense = "≤" if self.sense == "<=" else "≥"
-        return f"{self.says}: {self.measured:.3g} {sense} {self.limit:.3g}"
+        value = "no number, not" if math.isnan(self.measured) else f"{self.measured:.3g}"
+        return f"{self.says}: {value} {sense} {self.limit:.3g}"
 
 
 Laws = Iterable[Law]

@@ -105,8 +105,8 @@ def section(reports: dict[str, Report], page: Page) -> str:
         inexact = [law for law in laws if law[1] != law[3]]
         words = "none"
         if inexact:
-            *law, _, name = max(inexact, key=lambda law: law[4])
-            words = f"{escaped(str(Law(*law)))} (`{name}`)"
+            *law, used, name = max(inexact, key=lambda law: law[4])
+            words = f"{escaped(str(Law(*law)))}, {100 * used:.0f} % used (`{name}`)"
         passed = sum(not report["failures"] for report in some.values())
         seconds = sum(report["seconds"] for report in some.values())
         rows.append([family, len(some), passed, len(laws), words, f"{seconds:.0f}"])
@@ -124,7 +124,7 @@ def section(reports: dict[str, Report], page: Page) -> str:
         "`SimulationDiverged` lists its attempts and stores the last converged state. Limits are "
         "explained where they are used, in `benchmarks/hard_cases/cases`: the accuracy expected "
         "of the mesh, the tolerance or float32, and a factor of 2 to 5. Most cases use elements "
-        "of 1 mm, coarse for force, but the laws must hold there as well."
+        "of 1 mm, coarse for force, but the laws must hold there as well. Used: of the allowance."
     )
     picture = page.link(
         "laws", "Each law of each case: the part of its allowance that it uses, at the bottom none"
@@ -153,5 +153,6 @@ def _draw(by_family: dict[str, dict[str, Report]], page: Page) -> None:
             axes.axvline(first - 0.5, color=SOFT, linewidth=0.8)
         axes.axhline(1, color=RED, linewidth=1)
         axes.set(yscale="log", ylabel="part of the allowance used", xlim=(-0.5, first - 0.5))
+        axes.set_title("Laws of the cases; above the line at 1 a law fails")
         axes.set_xticks(middles, [name.replace(" and ", "\nand ") for name in by_family])
         axes.tick_params(axis="x", length=0, grid_alpha=0)
