@@ -46,5 +46,4 @@ BENCHMARK = Benchmark(
     on_device=True,
 )
 
-add_arguments = BENCHMARK.add_arguments
-run = BENCHMARK.run
+add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

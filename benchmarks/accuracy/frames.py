@@ -221,4 +221,5 @@ def section(rows: Sequence[Row], page: Page) -> str:
 
 Spheres of 3 to 5 mm are pressed 1 mm deep in {FRAMES} frames of {FRAME / MM:g} mm, one or many at
 once, at places of their own; errors from 0.1 mm on are relative to elements half as long as the
-default's. Others state, with other scenes and hardware and without an error: {cited} at once."""
+default's. *Every solver* has another press, whose mesh differs, and the error of its worst frame.
+Others state, with other scenes and hardware and without an error: {cited} at once."""

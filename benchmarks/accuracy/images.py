@@ -36,7 +36,7 @@ ALLOWED = 1e-3
 # Frames at once, and runs of which the fastest counts.
 FRAMES, REPEATS = 9, 5
 # The picture: patterns, and colours of the markers.
-DRAWN = ("Array3", "Circle1", "Diamond4")
+DRAWN = ("Array3", "Circle1", "Diamond1")
 MARKER, BEFORE = np.array([0.16, 0.17, 0.21]), np.array([0.91, 0.59, 0.47])
 # Radius of a dent [m].
 RADIUS = 3e-3
@@ -224,11 +224,10 @@ def section(values: dict[str, Any], page: Page) -> str:
         ]
         for row in values["compared"]
     ]
-    rates = values["rates"]
     times = [
         f"{row['what']} {1e3 * row['seconds']:.3g} ms"
         + (" on a GPU" if kind_of(row["device"]) == "GPU" else "")
-        for row in rates
+        for row in values["rates"]
     ]
     head = ["state", "smallest overlap", "pixels that differ", "worst pattern"]
     return f"""## Marker images
@@ -250,7 +249,8 @@ def draw(page: Page, state: RenderState) -> None:
     textures = renderer.textures([named(name) for name in DRAWN])
     before = renderer.undeformed().coverage(textures)[0]
     after = renderer.see(state.x, state.y, state.surface[None]).coverage(textures)[0]
-    with chart(page.picture("images"), 7.4, 2.1) as figure:
+    with chart(page.picture("images"), 7.4, 2.4) as figure:
+        figure.suptitle("Dark: markers of the dent; red: where they were before", x=0.01, ha="left")
         every = figure.subplots(1, len(DRAWN))
         for axes, name, old, new in zip(every, DRAWN, before, after, strict=True):
             pixels = np.ones((*old.shape, 3))
