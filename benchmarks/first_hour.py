@@ -258,7 +258,7 @@ window, if there is one. A command on the mock bench is run again if an emulator
 
 {table(("command", "time [s]", "tries"), rows)}
 
-The last one ended with:
+The last one ended with (its latency includes capture and markers, not the model alone):
 
 ```text
 {last}

@@ -22,6 +22,7 @@ from rig.bench.bench import BenchFile, BenchLimits
 from rig.core.clock import SystemClock
 from rig.core.errors import ConfigError
 from rig.core.packaged import BENCHES
+from rig.devices.arm.reader import SILENCE
 from rig.devices.arm.settings import ArmConfig
 from rig.devices.hid.shim import build
 
@@ -147,10 +148,11 @@ its position and speed through a separate port.
 
 *Noticed* is the time from the fault to the end of the phase it ended. *Exit* is 0 done, 3 device
 lost, 4 safety stop, 130 interrupted. *Lost* is the number of accepted samples missing from the
-session, of those looked for; *rejected* counts samples that arrived and were not stored. Rows by
-stream, gaps by the devices' own numbers and the findings of `tactile session check` are in the JSON
-file. MJPEG over HTTP does not number frames, so frames that a camera reorders are stored in order
-of arrival."""
+session, of those looked for; *rejected* counts samples that arrived and were not stored. MJPEG over
+HTTP does not number frames, so those that a camera reorders are stored in order of arrival. *Arm*
+is what its emulator reports at the end: `clear` is out of contact, `at -1.1 mm` is below the
+surface, where an arm stays that cannot retract, and the rig says so. A hard limit is a share of the
+axis's rating in the bench file; `overload` sets a rating of 0.3 N, which a press exceeds."""
 
 
 def _limits() -> str:
@@ -163,7 +165,8 @@ than a lab's: the arm stops after {_ms(mock.limits.stale_force)} without a force
 {_ms(lab["stale_force"])}), {_ms(mock.limits.stale_pose)} without a pose ({_ms(lab["stale_pose"])}),
 {watchdogs[0]} without a message to the watchdog ({watchdogs[1]}).
 On both it stops after {_ms(streams.SILENT)} without a frame or scan, and after {_ms(streams.SLOW)}
-below {streams.SLOW_FRACTION:.0%} of a stream's rate."""
+below {streams.SLOW_FRACTION:.0%} of a stream's rate. A frozen arm cannot be stopped: its driver
+gives it up after {_ms(SILENCE)} without a package."""
 
 
 def _ms(seconds: Any) -> str:

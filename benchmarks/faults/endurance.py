@@ -15,7 +15,7 @@ import psutil
 from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from benchmarks.report import Page, Run, table
 from recorder import Session, check, faults
-from recorder.charts import BLUE, chart
+from recorder.charts import BLUE, SKY, chart
 from rig.bench.bench import BenchFile
 from rig.core.clock import SECOND_NS, SystemClock
 
@@ -134,10 +134,11 @@ def section(values: dict[str, Any], page: Page) -> str:
         return f"## Endurance\n\nThe collection ended with exit code {values['exit']}."
     with chart(page.picture("memory"), 8, 0.8 + 0.25 * len(values["growth"])) as figure:
         axes = figure.subplots()
-        for each in values["growth"]:
-            ends = [each["first"] / _MIB, each["last"] / _MIB]
-            axes.plot(ends, 2 * [each["role"]], "|-", color=BLUE, markersize=10)
+        for when, mark, colour in (("first", "o", SKY), ("last", "|", BLUE)):
+            memory = {each["role"]: each[when] / _MIB for each in values["growth"]}
+            axes.plot([*memory.values()], [*memory], mark, color=colour, ms=10, label=when)
         axes.set(xlabel="memory in the first and in the last minute [MiB]", xlim=(0, None))
+        axes.legend()
     streams = [
         (name, each["rows"], each["dropped"], f"{1e3 * each['longest_gap']:.1f} ms")
         for name, each in values["streams"].items()

@@ -54,6 +54,7 @@ def number(value: Any) -> str:
 def summary(values: Mapping[str, Any]) -> str:
     """Return the ladder of the groups that there are, and its conclusion."""
     groups = {name: values[name]["lines"] for name in TITLES if name in values}
+    heads = [f"R2, {TITLES[name]} (twins by `{values[name]['fit']}`)" for name in groups]
     if not groups:
         return ""
     lines = []
@@ -64,7 +65,7 @@ def summary(values: Mapping[str, Any]) -> str:
             spent = sorted({line["spent"] for line in there})
             presses = f"{spent[0]} to {spent[-1]}" if len(spent) > 1 else str(spent[0])
             lines.append([way, *map(_short, of_groups), presses, privilege])
-    head = ["way", *(f"R2, {TITLES[name]}" for name in groups), "presses with a gauge", "privilege"]
+    head = ["way", *heads, "presses with a gauge", "what it is given besides"]
     return f"""\
 R2 is the mean of Fx, Fy, Fz on **drawn indenters that no training, twin or choice saw**, of all
 pairs of sensors and all seeds; of a way's best net, with its 95 % interval. All in simulation.
@@ -116,20 +117,25 @@ def _short(line: Line | None) -> str:
 
 
 def _verdicts(groups: Mapping[str, Sequence[Line]]) -> str:
-    """Return a sentence on the named way of each group: how far it is below own labels."""
-    sentences = []
+    """Return a sentence on the ways without a gauge press, and one on the twin's forces."""
+    bare, below = [], []
     for name, lines in groups.items():
+        free = [line for line in lines if line["way"] in PRIVILEGES and not line["spent"]]
+        best = max(free, key=lambda each: float(each["sealed"]), default=None)
+        if best is not None:
+            words = "no way works, the best has" if best["sealed"] < 0 else "the best way has"
+            bare.append(f"{TITLES[name]}: {words} R2 {number(best['sealed'])} ({best['way']})")
         line = best_net(lines, BY_TWIN)
         if line is not None and best_net(lines, OWN) is not None:
             low, high = number(line.get("below_low")), number(line.get("below_high"))
             interval = f" (95 % interval {low} to {high})" if low != "-" else ""
-            word = "within" if line["below"] <= GOAL else "not within"
-            sentences.append(
-                f"{TITLES[name]}: {line['below']:.3f}{interval}, {word} the aim of {GOAL:g}"
-            )
-    if not sentences:
-        return ""
-    return f"Below own labels, by own frames with the forces of a twin: {'; '.join(sentences)}."
+            goal = f"{'within' if line['below'] <= GOAL else 'not within'} the aim of {GOAL:g}"
+            below.append(f"{TITLES[name]}: {line['below']:.3f}{interval}, {goal}")
+    heads = (
+        ("**With no gauge press on the target**", bare),
+        ("Below own labels, by own frames with the forces of a twin", below),
+    )
+    return "\n\n".join(f"{head}: {'; '.join(of)}." for head, of in heads if of)
 
 
 def _twins(twins: Mapping[str, Mapping[str, float]]) -> str:
@@ -165,6 +171,6 @@ def _draw(lines: Sequence[Line], page: Page) -> None:
             low, middle, high = (max(-0.5, line[f"sealed{end}"]) for end in ("_low", "", "_high"))
             axes.plot([low, high], [place, place], color=colour, linewidth=1)
             axes.plot(middle, place, "o", color=colour, markersize=5)
-        axes.set_yticks(range(len(rows)), [f"{way}, {line['spent']}" for way, line in rows])
-        axes.set_xlim(-0.55, 1.02)
-        axes.set_xlabel("R2 on sealed indenters (below -0.5 at the edge); number of gauge presses")
+        axes.set_yticks(range(len(rows)), [f"{way} ({line['spent']})" for way, line in rows])
+        axes.set(title="Between kinds, by way (gauge presses on the target)", xlim=(-0.55, 1.02))
+        axes.set_xlabel("R2 on drawn indenters, with its 95 % interval; below -0.5 at the edge")

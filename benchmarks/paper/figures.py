@@ -17,6 +17,7 @@ MEASURES = {
     "shear": ("mae_shear_n", "MAE of shear [N]"),
     "r2": ("r2", "R2"),
 }
+WORDS = {"source-only": "source only", "m2m": "the chain"}
 FIGURES = {
     "patterns": "Results, Fig. 5d, 5f",
     "skins": "Results, Fig. 6d, 6f",
@@ -58,7 +59,7 @@ def beside_the_paper(rows: Mapping[str, Sequence[Row]]) -> str:
     """Return the table of the paper's figures, by the rows of each part."""
     lines = [
         [
-            f"{part}, {method}: {MEASURES[measure][1]}, {statistic}",
+            f"{part}, {WORDS[method]}: {MEASURES[measure][1]}, {statistic.replace(':', ' to ')}",
             value,
             ours(method, measure, statistic, rows[part]),
             FIGURES[part],

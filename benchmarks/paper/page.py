@@ -52,11 +52,14 @@ def summary(values: Mapping[str, Any]) -> str:
         # Own labels are learned by the net of the chain, and by that of displacement.
         some = [row for row in rows if (row["method"], row["net"]) != (OWN, "displacement")]
         lines.append([TITLES[name], *(mean(some, "r2", method) for method in columns)])
-    head = ["R2, mean of pairs", *columns[:3], "`field`", "paper's chain", "own labels"]
+    head = ["R2, mean of pairs", "source only", *columns[1:3], "`field`", "the chain", OWN]
     return f"""\
 R2 is the mean of Fx, Fy, Fz on frames of indenters that no network saw, in simulation; labels that
 are carried between skins are compensated by force-depth curves. Which way is the best where the
-target has no gauge is [another page](gauge.md), with more seeds and other indenters.
+target has no gauge is [another page](gauge.md), with more seeds and other indenters. *Source only*
+is the source's net on the target's frames as they are. The chain is the paper's: M2M, marker to
+marker, translates frames by diffusion, then a net is trained; `field` is our translator, which
+moves the target's own markers. Dice is the overlap of two marker images: 1 if equal, 0 if none.
 
 {table(head, lines)}
 
@@ -114,6 +117,7 @@ def _patterns(rows: Sequence[Row], held_out: Sequence[str], page: Page) -> str:
         dice = f"{mean(own, 'dice_before')}, {mean(own, 'dice_after')}"
         lines.append([words, len(own), dice])
     names = list(dict.fromkeys(row[end] for row in rows for end in ("source", "target")))
+    labels = [f"{name} (held out)" if name in held_out else name for name in names]
     with chart(page.picture("patterns"), 9, 3.6) as figure:
         every = figure.subplots(1, 2)
         for axes, when in zip(every, ("before", "after"), strict=True):
@@ -122,8 +126,8 @@ def _patterns(rows: Sequence[Row], held_out: Sequence[str], page: Page) -> str:
                 pair = names.index(row["source"]), names.index(row["target"])
                 values[pair] = float(row[f"dice_{when}"])
             image = axes.imshow(values, vmin=0, vmax=1)
-            axes.set_xticks(range(len(names)), names, rotation=90, fontsize=6)
-            axes.set_yticks(range(len(names)), names, fontsize=6)
+            axes.set_xticks(range(len(names)), labels, rotation=90, fontsize=6)
+            axes.set_yticks(range(len(names)), labels, fontsize=6)
             axes.set(title=f"Dice, {when}", xlabel="target", ylabel="source")
         figure.colorbar(image, ax=list(every))
     return f"""All pairs of simulated patterns, M2M after its training on patterns alone:

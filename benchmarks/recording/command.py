@@ -17,12 +17,14 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def summary(results: dict[str, Any]) -> str:
-    """Return the goals that the measurements decide, and whether they are reached."""
+    """Return the frames a second that can be kept, and the goals, with whether they are reached."""
     goals: dict[str, Callable[[Any], list[tuple[str, str, bool]]]]
     goals = {"stores": comparison.goals, "load": load.goals, "alignment": alignment.goals}
     lines = [line for name, of in goals.items() if name in results for line in of(results[name])]
     rows = [[goal, measured, "yes" if reached else "**no**"] for goal, measured, reached in lines]
-    return table(["goal", "measured", "reached"], rows) if rows else ""
+    trials = results.get("load", {}).get("trials")
+    goals_table = table(["goal", "measured", "reached"], rows) if rows else ""
+    return f"{load.capacity(results['load'])}\n\n{goals_table}" if trials else goals_table
 
 
 def _learning(name: str) -> Part:
@@ -42,11 +44,9 @@ def _learning(name: str) -> Part:
 BENCHMARK = Benchmark(
     name="recording",
     title="Recording",
-    question=(
-        "What does recording cost beside other stores, what is lost when a writer is killed, how "
-        "many streams can a machine keep, how well do labels fit their images, and how fast are "
-        "windows and forces read?"
-    ),
+    question="What does recording cost beside other stores, what is lost when a writer is killed, "
+    "how many streams can a machine keep, how well do labels fit their images, and how fast are "
+    "windows and forces read?",
     parts=(
         Part("stores", comparison.measure, comparison.section, 8, "the extra bench"),
         Part("load", load.measure, load.section, 6),
@@ -57,5 +57,4 @@ BENCHMARK = Benchmark(
     summary=summary,
     options=_options,
 )
-add_arguments = BENCHMARK.add_arguments
-run = BENCHMARK.run
+add_arguments, run = BENCHMARK.add_arguments, BENCHMARK.run

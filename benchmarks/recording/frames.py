@@ -34,12 +34,9 @@ _NUMBER = 8
 
 
 class GelFrames:
-    """Frames, generated before the measurement begins.
+    """Frames with seeded noise, generated before the measurement begins.
 
-    Args:
-        decoded: Use pixels of a decoded camera JPEG, as from a driver that decodes, instead of raw
-            pixels.
-        seed: Random seed of the noise.
+    `decoded` ones are pixels of a camera's decoded JPEG, as from a driver that decodes.
     """
 
     def __init__(self, *, decoded: bool = False, seed: int = 0) -> None:

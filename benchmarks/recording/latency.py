@@ -146,9 +146,7 @@ def _times_ms(stream: ForceStream, frames: np.ndarray, count: int) -> NDArray[np
 _ABOUT = """\
 Frames one by one as from a live sensor, keeping the recurrent state, on two threads. Weights are
 random, on which time does not depend. The error is the largest difference of a force from torch in
-fp32, that of the precision; errors against true forces are in [paper](paper.md).""".replace(
-    "\n", " "
-)
+fp32, that of the precision; errors against true forces are in [paper](paper.md)."""
 
 
 def section(rows: list[dict[str, Any]], page: Page) -> str:
@@ -178,7 +176,7 @@ def _draw(rows: list[dict[str, Any]], page: Page) -> str:
                     mark = _MARKS.get(row["precision"], "D")
                     axes.plot(row["p50_ms"], row["difference_n"], mark, color=colour)
             live = axes.axvline(1e3 / LIVE_HZ, color=SOFT, linestyle=":")
-            axes.set(title=runtime, xscale="log", xlabel="time of a frame [ms]")
+            axes.set(title=runtime, xscale="log", xlabel="p50 time of a frame [ms]")
         every[0].set_yscale("symlog", linthresh=1e-6)
         every[0].set_ylabel("from torch in fp32 [N]")
         marks = [every[0].plot([], [], "o", color=f"C{k}")[0] for k in range(len(models))]

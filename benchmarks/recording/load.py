@@ -65,6 +65,22 @@ def goals(values: dict[str, Any]) -> list[tuple[str, str, bool]]:
     ]
 
 
+def capacity(values: dict[str, Any]) -> str:
+    """Return the frames a second that were recorded without a drop, and the drops of the next."""
+    held, lost = [], []
+    for codec, words in (("zstd", "lossless"), ("jpeg", "as JPEG")):
+        trials = values["trials"][codec]
+        whole = [trial["cameras"] for trial in trials if not trial["dropped"]]
+        most, more = max(whole, default=0), " or more" if len(whole) == len(trials) else ""
+        held.append(f"{60 * most:,}{more} {words} ({most} cameras)")
+        for trial in trials[len(whole) :]:
+            late = ", so a process had its turn too late" if trial["cpu"] < CORE else ""
+            dropped = f"{trial['cameras']} cameras {words} dropped {trial['dropped']}"
+            lost.append(f"{dropped} at {100 * trial['cpu']:.0f} % of a core{late}")
+    return f"""**Frames of 640x480 a second that were recorded without a drop, for some seconds, by
+cameras of 60 Hz: {", ".join(held)}.** {f"Then {'; '.join(lost)}." if lost else ""}"""
+
+
 def trial_of(fed: list[dict[str, Any]]) -> dict[str, float]:
     """Return the combined result of cameras that were recorded together; a failure is a drop."""
     return {
@@ -77,11 +93,7 @@ def trial_of(fed: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def require_room(place: Path, nbytes: float) -> None:
-    """Refuse to begin on a disk without room.
-
-    Raises:
-        ConfigError: Too little disk space.
-    """
+    """Raise ConfigError on a disk without room."""
     free = shutil.disk_usage(place).free
     if free < _FREE * nbytes:
         raise ConfigError(
@@ -100,12 +112,6 @@ def section(values: dict[str, Any], page: Page) -> str:
     """Return the tables of the streams."""
     fed = [*values["alone"], *values["together"]]
     granted = "granted" if all(one["punctual"] for one in fed) else "**refused**"
-    names = {"zstd": "lossless", "jpeg": "as JPEG"}
-    held = []
-    for codec, tried in values["trials"].items():
-        whole = [trial["cameras"] for trial in tried if not trial["dropped"]]
-        more = " or more" if len(whole) == len(tried) else ""
-        held.append(f"{max(whole, default=0)}{more} {names[codec]}")
     cpu, start, end = (
         sum(one[key] for one in values["together"]) for key in ("cpu", "rss_start", "rss_end")
     )
@@ -118,7 +124,6 @@ def section(values: dict[str, Any], page: Page) -> str:
             f"{100 * cpu:.0f} % of a core; memory of all processes {start / 1e6:.0f} MB after a "
             f"fifth of the time and {end / 1e6:.0f} MB at the end.",
             _streams(values["together"]),
-            f"Cameras of 640x480 at 60 Hz without a dropped frame: {' and '.join(held)}.",
         ]
     )
 

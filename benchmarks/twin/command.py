@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
+from typing import Literal
 
 from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
@@ -18,34 +19,23 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add_processes(parser)
 
 
+def _skins(name: str, title: str, tier: Literal["layer", "fem"] = "layer") -> Part:
+    picture, weight = ("skins", 60) if name == "skins" else ("", 300)
+    section = partial(skins.section, title, picture=picture)
+    return Part(name, partial(skins.measure, tier, name == "planned"), section, weight)
+
+
 BENCHMARK = Benchmark(
     name="twin",
     title="Twins of sensors, in simulation",
-    question=(
-        "How well does a fit find a skin that is known, do its intervals contain the truth, and "
-        "how good are forces and labels by such a twin? No real sensor has been identified: the "
-        "skins are simulated."
-    ),
+    question="How well does a fit find a skin that is known, do its intervals contain the truth, "
+    "and how good are forces and labels by such a twin? No real sensor has been identified: the "
+    "skins are simulated.",
     parts=[
         Part("demo", demo.measure, demo.section, weight=20, needs="a mock bench in real time"),
-        Part(
-            "skins",
-            partial(skins.measure, "layer", False),
-            partial(skins.section, "Random skins", picture="skins"),
-            weight=60,
-        ),
-        Part(
-            "planned",
-            partial(skins.measure, "layer", True),
-            partial(skins.section, "Presses of a plan of five minutes"),
-            weight=300,
-        ),
-        Part(
-            "large-strain",
-            partial(skins.measure, "fem", False),
-            partial(skins.section, "Large strain: truth and correction by `fem`"),
-            weight=300,
-        ),
+        _skins("skins", "Random skins"),
+        _skins("planned", "Presses of a plan of five minutes"),
+        _skins("large-strain", "Large strain: truth and correction by `fem`", "fem"),
         Part("labels", labels.measure, labels.section, weight=100),
         Part("live", live.measure, live.section, weight=15),
     ],

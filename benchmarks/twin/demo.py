@@ -46,6 +46,7 @@ preflight: {timeout: 20}
 limits: {stale_force_ms: 1500, stale_pose_ms: 1500}
 """
 HELD_OUT = "torus"
+UNITS = {"modulus": " [Pa]", "thickness": " [m]", "time": " [s]"}
 
 
 def measure(run: Run) -> dict[str, Any]:
@@ -124,15 +125,12 @@ def last_line(values: dict[str, Any]) -> str:
 def section(values: dict[str, Any], page: Page) -> str:
     """Return the twin beside the truth, and draw both."""
     rows = values["rows"]
-    body = [
-        [
-            row["name"],
-            f"{row['truth']:.4g}",
-            f"{row['twin']:.4g}",
-            "{:.4g} to {:.4g}".format(*row["interval"]),
-        ]
-        for row in rows
-    ]
+    body = []
+    for row in rows:
+        unit = UNITS.get(row["name"].partition("_")[0], "")
+        values_of = [f"{row[key]:.4g}" for key in ("truth", "twin")]
+        low, high = row["interval"]
+        body.append([f"{row['name']}{unit}", *values_of, f"{low:.4g} to {high:.4g}"])
     with chart(page.picture("demo"), 7.0, 2.8) as figure:
         axes = figure.subplots()
         for place, row in enumerate(rows):
@@ -142,11 +140,12 @@ def section(values: dict[str, Any], page: Page) -> str:
         axes.axvline(0, color=ORANGE, lw=1)
         axes.set_yticks(range(len(rows)), [row["name"] for row in rows])
         axes.invert_yaxis()
-        axes.set_xlabel("difference from the truth [%]; grey: 90 % interval")
+        axes.set_xlabel("difference from the truth (orange) [%]; grey: 90 % interval")
     return f"""## A mock session and its twin
 `make demo-twin` records a sensor whose skin differs from its row in all that is fitted, in real
 time on the mock bench, with noise of 10 mN and forces that lag behind the arm; sphere and prism,
-two directions, three depths, held three relaxation times. SI units:
+two directions, three depths, held three relaxation times. Of the two relaxing branches the fit has
+the second: `ratio_2` is its stiffness over that at rest, `time_2` its time.
 
 {table(["quantity", "truth", "twin", "90 % interval"], body)}
 

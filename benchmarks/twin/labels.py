@@ -187,7 +187,8 @@ frames of a draw, then over draws, with 95 % intervals. Twins are fitted by `lay
 {" and ".join(GAUGE)}; true forces are of tier `fem`. Errors are drawn for each mount of an indenter
 (place 0.3 mm, tilt 1 deg, height 30 um), for each indenter (size 0.1 mm), and the mount yields by
 20 um/N. Each error alone is one of the labelled presses; with all, the presses of the twins have
-them too."""
+them too. The paper's formulas scale the source's labels; twins give the ratio of two simulated
+presses, or the target's twin gives the force itself. A sensor's row is its design, not a fit."""
     ]
     for pair, errors in scores.items():
         source, target = pair.split(", ")
