@@ -165,8 +165,8 @@ than a lab's: the arm stops after {_ms(mock.limits.stale_force)} without a force
 {_ms(lab["stale_force"])}), {_ms(mock.limits.stale_pose)} without a pose ({_ms(lab["stale_pose"])}),
 {watchdogs[0]} without a message to the watchdog ({watchdogs[1]}).
 On both it stops after {_ms(streams.SILENT)} without a frame or scan, and after {_ms(streams.SLOW)}
-below {streams.SLOW_FRACTION:.0%} of a stream's rate. A frozen arm cannot be stopped: its driver
-gives it up after {_ms(SILENCE)} without a package."""
+below {streams.SLOW_FRACTION:.0%} of a stream's rate. A silent arm is sent nothing, so that its own
+watchdog stops it; its driver gives it up after {_ms(SILENCE)} without a package."""
 
 
 def _ms(seconds: Any) -> str:

@@ -144,8 +144,8 @@ def section(values: dict[str, Any], page: Page) -> str:
     return f"""## A mock session and its twin
 `make demo-twin` records a sensor whose skin differs from its row in all that is fitted, in real
 time on the mock bench, with noise of 10 mN and forces that lag behind the arm; sphere and prism,
-two directions, three depths, held three relaxation times. Of the two relaxing branches the fit has
-the second: `ratio_2` is its stiffness over that at rest, `time_2` its time.
+two directions, three depths, held three relaxation times. A ratio is the stiffness of a relaxing
+branch over that at rest, and the time is its own.
 
 {table(["quantity", "truth", "twin", "90 % interval"], body)}
 

@@ -96,6 +96,15 @@ def test_a_sentence_says_how_far_the_twins_forces_are_below_own_labels() -> None
     assert "Below own labels" not in page.summary({"kinds": group(cells(0.5, MEAN))})
 
 
+@pytest.mark.parametrize(("noise", "words"), [(0.1, "the best way has R2 0.9"), (3.0, "no way")])
+def test_a_sentence_says_whether_a_way_works_without_a_gauge_press(
+    noise: float, words: str
+) -> None:
+    bare = [each | {"spent": 0} for each in cells(noise, MEAN)]
+    text = page.summary({"kinds": group(bare, cells(0.1, OWN))})
+    assert f"**With no gauge press on the target**: three kinds of sensors: {words}" in text
+
+
 def test_each_way_has_its_privilege_and_its_presses(tmp_path: Path) -> None:
     values = group(cells(1.0, MEAN), cells(0.1, OWN))
     rows = [line for line in page.summary({"kinds": values}).splitlines() if line.startswith("| ")]
