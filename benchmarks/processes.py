@@ -20,8 +20,6 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 # Time after which work that ignored its time limit is called out again [s].
 AGAIN = 5.0
-
-
 # Time in which a process of its own must answer [s].
 _ANSWER = 300.0
 

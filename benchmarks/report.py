@@ -171,6 +171,10 @@ class Benchmark:
             CommandError: `--draw` without a JSON file, or one that does not fit.
         """
         path = options.out or (QUICK_RESULTS if options.quick else RESULTS) / f"{self.name}.md"
+        if path.suffix != ".md" or path.is_dir():
+            raise CommandError(
+                f"--out: found {str(path)!r}; allowed: a file whose name ends in .md"
+            )
         measurements = path.with_suffix(".json")
         stored = self._stored(measurements)
         if options.draw:
@@ -181,6 +185,7 @@ class Benchmark:
         chosen = [part for part in self.parts if not options.only or part.name in options.only]
         whole, before, failures = sum(part.weight for part in chosen), 0.0, []
         origin = (machine_name(str(getattr(options, "device", "cpu"))), commit())
+        _store(measurements, stored)  # a place that cannot be written to is refused now
         with Progress(self.name, sys.stderr) as progress:
             for part in chosen:
                 fraction = part.weight / whole
@@ -229,16 +234,15 @@ class Benchmark:
             if self.summary is not None:
                 texts.append(self.summary(values))
             texts += [part.section(values[part.name], Page(path)) for part in there]
-        except (LookupError, TypeError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             if {part.name for part in there} <= set(measured):
                 raise
             raise CommandError(
                 f"{path.with_suffix('.json')}: does not fit this version of the benchmark, "
                 f"measure again: {type(error).__name__}: {error}"
             ) from error
-        path.write_text(
-            "\n\n".join(text.strip() for text in texts if text) + "\n", encoding="utf-8"
-        )
+        page = "\n\n".join(text.strip() for text in texts if text)
+        path.write_text(f"{page}\n", encoding="utf-8")
         print(f"written: {path}, {path.with_suffix('.json').name}")
 
 
@@ -290,7 +294,9 @@ def commit() -> str:
     if named := os.environ.get("TACTILE_COMMIT"):
         return named
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", "*.py")
+        if Path(git("rev-parse", "--show-toplevel")) != ROOT.resolve():
+            return "unknown"
+        changed = git("status", "--porcelain", "--", ".", ":!docs", ":!*.md")
         return git("rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

@@ -17,7 +17,7 @@ from recorder.command_line.options import names, whole
 
 def seeds(text: str) -> tuple[int, ...]:
     """Return the seeds of an option's value."""
-    return tuple(whole(0)(each) for each in names(text))
+    return tuple(dict.fromkeys(whole(0)(each) for each in names(text)))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -84,7 +84,7 @@ def judge(solver: Solver, name: str) -> Report:
 
 def measure(run: Run) -> dict[str, Report]:
     """Run the cases."""
-    names = list(QUICK) if run.quick else chosen(run.options.case)
+    names = chosen(run.options.case or (list(QUICK) if run.quick else []))
     reports = rows_of(run, partial(judge, Solver(run.device)), {name: name for name in names})
     for name, report in reports.items():
         run.failures += [f"{name}: {failure}" for failure in report["failures"]]

@@ -41,8 +41,6 @@ AGAIN, REPEATS = "sphere 4 in 4, mu 0, nu 0.45, to 0.005", 0.1
 # Spheres on the gel of the paper by radius, and depths, over the gel's thickness.
 RADII, DEPTHS = (0.5, 1.0, 5.0), (0.01, 0.03, 0.1, 0.3)
 COLORS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, INK)
-
-
 # Forces beside stored ones.
 
 

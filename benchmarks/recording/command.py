@@ -9,10 +9,12 @@ from typing import Any
 
 from benchmarks.recording import alignment, comparison, load
 from benchmarks.report import Benchmark, Part, table
+from recorder.command_line.options import whole
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--repeats", type=int, default=5, help="of each store (%(default)s)")
+    add = parser.add_argument
+    add("--repeats", type=whole(1, 100), default=5, help="of each store (%(default)s)")
     parser.epilog = "The disk that is measured is that of TMPDIR; it needs about 16 GB."
 
 

@@ -48,8 +48,6 @@ _POSE_NOISE, _TURN_NOISE = 2e-6, 2e-5
 # Streams begin before and end after the ticks by this time [s].
 _LEAD = 0.5
 _ORIGIN_NS = 1_000 * SECOND_NS
-
-
 # A GelSight-like sensor under a flat punch, with friction and hysteresis.
 _MARKERS = MarkerView(layout="grid", pitch=1.5e-3, radius=0.25e-3, pixel=0.025e-3)
 _WORLD = AnalyticSpec(
