@@ -237,7 +237,7 @@ def lines(change: Callable[[list[str]], list[str]]) -> Change:
 IMAGES, FORCES, DEPTHS = (f"{name}/Array1/sphere/2" for name in ("img/npy", "force", "depth"))
 MASK, FRAME, ENDS = (f"{IMAGES}/{name}" for name in ("0003.npy", "0005.npy", "last.csv"))
 FT, DEC = f"{FORCES}/ft.csv", f"{DEPTHS}/dec_z.csv"
-# What is done to a file, and what is said of it or of its folder.
+# A file, the damage done to it, and the error message, which names it or its folder.
 MALFORMED: dict[str, tuple[str, Change, str]] = {
     "a mask cut short": (MASK, cut(20_000), r"2/0003\.npy: 20000 bytes, no whole"),
     "a mask without bytes": (MASK, cut(0), r"2/0003\.npy: 0 bytes, no whole"),

@@ -152,7 +152,7 @@ def test_what_is_stored_is_read_again_and_shifts_the_frame(tmp_path: Path) -> No
     # A second indenter is stored next to the first.
     store.store(tmp_path, "gelsight", home={"sphere": _home(bench, shift=1e-4)})
     assert store.load(tmp_path, bench, "prism")[0].home == found.home
-    # That of another indenter is not used, and that is said; an old one is, with a warning.
+    # Another indenter's surface is not used, with a warning; an old surface is used, with one too.
     other, warnings = store.load(tmp_path, bench, "moon")
     assert other.home is None
     assert "not for moon" in warnings[0]

@@ -17,7 +17,7 @@ from sim.indenters import Part, named, shapes
 from sim.result import Result
 from sim.scene import Body, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 
-# The name that a rejection must contain, and what sets one field of a scene to a number.
+# A name that the error message must contain, and a function that sets one field of a scene.
 Field = tuple[str, Callable[[Any], object]]
 ORIGIN = (0.0, 0.0, 0.0)
 CIRCLE = Part("turned", "circle", (0.0, MM, MM), "union")
