@@ -17,7 +17,6 @@ SMALL   := --tier layer --scale 0.025 --steps 4 --no-check
 ALL     := rig-sim learning-sim diffusion-sim
 SLOW    := RUN_SLOW=1 $(PY) -m pytest -q --durations=10
 comma   := ,
-
 # A variable counts if it is typed after `make`; one of that name in the environment (HOST) does not.
 given   = $(if $(filter command,$(origin $(1))),$(value $(1)))
 quoted  = '$(subst ','\'',$(1))'
@@ -30,7 +29,8 @@ folder  = $(call quoted,$(or $(call given,OUT),$(1)))
 TYPED   := $(foreach name,$(.VARIABLES),$(if $(filter command,$(origin $(name))),$(name)))
 ifneq ($(TYPED),)
 WRONG   := $(shell $(or $(PYTHON),python3) tests/support/make_names.py $(call quoted,$(MAKECMDGOALS)) \
-            $(foreach name,$(TYPED),$(call quoted,$(name)=$(value $(name)))))
+            $(foreach name,$(TYPED),$(call quoted,$(name)=$(value $(name)))) \
+            || echo "PYTHON: found $(PYTHON), which does not run; allowed: Python 3.11 or later")
 $(if $(WRONG),$(error wrong input: $(WRONG)))
 endif
 

@@ -140,13 +140,14 @@ class Benchmark:
             action="store_true",
             help="ends in two minutes; its numbers mean little, its page goes to build/results",
         )
-        parser.add_argument(
+        either = parser.add_mutually_exclusive_group()
+        either.add_argument(
             "--only",
             action="append",
             choices=names,
             help="measure this part (may be repeated); the page keeps the other parts",
         )
-        parser.add_argument(
+        either.add_argument(
             "--draw", action="store_true", help="measure nothing: write the page from its JSON file"
         )
         parser.add_argument(
@@ -191,9 +192,10 @@ class Benchmark:
                 fraction = part.weight / whole
                 with tempfile.TemporaryDirectory(prefix=f"{self.name}-") as folder:
                     run = Run(options, Path(folder), span_of(progress, before, fraction))
-                    seconds = _resume(run, origin, part.name, stored, measurements)
+                    seconds = _resume(run, origin, part.name, self._stored, measurements)
                     values = part.measure(run)
                 before += fraction
+                stored = self._stored(measurements)  # with what another run has measured meanwhile
                 stored[PARTIAL].pop(part.name, None)
                 stored[part.name] = _head(run, origin, seconds()) | {"results": values}
                 failures += [f"{part.name}: {failure}" for failure in run.failures]
@@ -225,7 +227,9 @@ class Benchmark:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             values = {part.name: stored[part.name]["results"] for part in there}
+            absent = ", ".join(part.name for part in self.parts if part.name not in stored)
             texts = [f"# {self.title}", self.question, _made([*values], stored, path)]
+            texts.append(absent and f"**Not measured:** {absent}.")
             texts += [
                 f"**Failed:** {name}: {failure}"
                 for name in values
@@ -264,11 +268,8 @@ _NUMBER = re.compile(r"\W*(\d|$)|none|nan")
 def machine_name(device: str = "cpu") -> str:
     """Return the name of the processor, and of the GPU if `device` is one."""
     model, described = platform.machine(), Path("/proc/cpuinfo")
-    if described.exists():
-        for line in described.read_text().splitlines():
-            if line.startswith("model name"):
-                model = line.partition(":")[2].strip()
-                break
+    if described.exists() and (found := re.search(r"model name\s*:(.*)", described.read_text())):
+        model = found[1].strip()
     cores = f"{model}, {len(os.sched_getaffinity(0))} cores"
     if device == "cpu":
         return cores
@@ -358,7 +359,7 @@ def _minutes(seconds: float) -> str:
 
 
 def _resume(
-    run: Run, origin: tuple[str, str], name: str, stored: dict[str, Any], path: Path
+    run: Run, origin: tuple[str, str], name: str, read: Callable[[Path], dict[str, Any]], path: Path
 ) -> Callable[[], float]:
     """Give a run the rows of one interrupted with the same options, machine and commit (`origin`).
 
@@ -366,7 +367,7 @@ def _resume(
     """
     chosen = [f"{key}={value}" for key, value in vars(run.options).items() if key not in PAGE]
     head = [*chosen, *origin]
-    last = stored[PARTIAL].get(name, {})
+    last = read(path)[PARTIAL].get(name, {})
     if last.get("head") != head or head[-1].endswith(("+", "unknown")):
         last = {"rows": {}, "seconds": 0.0}
     run.rows, began = last["rows"], time.monotonic()
@@ -375,6 +376,7 @@ def _resume(
         return float(last["seconds"]) + time.monotonic() - began
 
     def store() -> None:
+        stored = read(path)
         stored[PARTIAL][name] = {"head": head, "seconds": seconds(), "rows": run.rows}
         _store(path, stored)
 

@@ -46,6 +46,7 @@ def test_it_is_short() -> None:
         (("docs", "SENSOR=uskin"), "allowed: SERVE"),
         (("test", "SENSOR=uskin"), "allowed: none"),
         (("collect", "SENSOR=tacplam"), "SENSOR=tacplam: unknown; did you mean tacpalm? known: "),
+        (("collect", "TARGET=8", "PYTHON=nothing"), "found nothing, which does not run; allowed: "),
         (("campaign", "FILE=campaigns/dya.yaml"), "did you mean campaigns/day.yaml?"),
     ],
 )

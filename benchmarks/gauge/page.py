@@ -52,8 +52,9 @@ def number(value: Any) -> str:
 
 
 def summary(values: Mapping[str, Any]) -> str:
-    """Return the ladder of the groups that there are, and its conclusion."""
+    """Return the ladder of the groups that have a drawn indenter, and its conclusion."""
     groups = {name: values[name]["lines"] for name in TITLES if name in values}
+    groups = {name: lines for name, lines in groups.items() if best_net(lines, OWN)}
     heads = [f"R2, {TITLES[name]} (twins by `{values[name]['fit']}`)" for name in groups]
     if not groups:
         return ""

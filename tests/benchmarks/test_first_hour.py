@@ -63,7 +63,9 @@ def test_it_stops_at_the_first_command_that_fails(
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: apt-get install chromium")
-def test_targets_are_marked_on_the_page_by_clicks(tmp_path: Path) -> None:
+def test_targets_are_marked_on_the_page_by_clicks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "sessions").mkdir()
     known = {"plan": plan_to_json(PLAN), "targets_wanted": TARGETS, "sensor": "gelsight"}
     for name in (*first_hour.INDENTERS, "gelsight-setup-home-20261126-002053"):
@@ -87,6 +89,7 @@ def test_targets_are_marked_on_the_page_by_clicks(tmp_path: Path) -> None:
     assert picture.read_bytes().startswith(b"\x89PNG")
     # The step fails, with a message, if the page lacks a session.
     (tmp_path / "empty").mkdir()
+    monkeypatch.setattr("benchmarks.first_hour.Chromium.patience", 5.0)
     failed = first_hour.clicked(words, tmp_path / "empty", None)
     assert failed.code == 1
     assert any("never true" in line for line in failed.lines)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -146,7 +147,9 @@ def test_the_quick_run_is_whole_and_reads_no_label_of_the_target(tmp_path: Path)
     words = options("--only", "kinds", "--out", str(out))
     assert command.run(words) == 0
     text = out.read_text(encoding="utf-8")
-    assert all(f"| {way} | " in text for way in (MEAN, OWN, BY_TWIN))
+    assert all(re.search(rf"^\| {way} [(|]", text, re.M) for way in (MEAN, OWN, BY_TWIN))
+    # It has no drawn indenter, and concludes nothing.
+    assert "what it is given besides" not in text
 
     def ladder() -> Any:
         run = Run(words, tmp_path, lambda fraction: None)

@@ -154,6 +154,16 @@ def test_ctrl_c_keeps_the_parts_that_were_measured(page: Path) -> None:
     text = page.read_text()
     assert "| ours | 3.0 |" in text
     assert "## Size" not in text
+    assert "**Not measured:** size.\n" in text
+
+
+def test_what_another_run_measures_meanwhile_stays(page: Path) -> None:
+    def measure(ours: Run) -> list[int]:
+        assert run(benchmark(), "--only", "speed") == 0
+        return [int(ours.once("row", lambda: 7))]
+
+    assert run(benchmark(measure), "--only", "size") == 0
+    assert [*json.loads(page.with_suffix(".json").read_text())] == ["speed", "size"]
 
 
 @pytest.mark.parametrize(("after", "measured"), [("1a2b", [2, 3]), ("1a2b+", [1, 2, 3])])

@@ -138,9 +138,12 @@ class Chromium:
             raise RuntimeError(json.dumps(answer["exceptionDetails"]))
         return answer["result"].get("value")
 
-    def until(self, script: str, timeout: float = 240.0) -> Any:
+    # Time within which an expression becomes true [s].
+    patience = 240.0
+
+    def until(self, script: str) -> Any:
         """Wait until a JavaScript expression is true; return its value."""
-        deadline = time.monotonic() + timeout
+        deadline = time.monotonic() + self.patience
         while not (value := self.eval(script)):
             if time.monotonic() > deadline:
                 text = self.eval("document.body?.innerText")
