@@ -321,28 +321,29 @@ def test_presses_at_three_places_tell_the_tilt() -> None:
 
 
 def test_expected_intervals_are_those_of_a_fit(fit: Fit) -> None:
-    planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE, law=fit.law)
+    planner = Planner(planted(), noise=0.005, grid=COARSE, law=fit.law)
     expected = planner.expected([SHORT["sphere"]]).spreads
     for name, found in expected.items():
-        assert 0.45 < fit.spreads[name] / found < 2.0, name
+        assert 0.5 < fit.spreads[name] / found < 2.0, name
 
 
 @pytest.mark.slow
-def test_two_indenters_find_a_skin_more_narrowly_than_one(fit: Fit) -> None:
+def test_two_indenters_find_a_skin_as_narrowly_as_planned() -> None:
     tracks = [
         observed(planted(), SHORT[name], BENCH, seed, LAYER)
         for seed, name in enumerate(("sphere", "prism"))
     ]
     both = fitted(tracks, sensor("gelsight"), grid=COARSE)
-    planner = Planner(sensor("gelsight"), noise=0.005, grid=COARSE, law=both.law)
+    # Of this skin: that of friction is twice as wide at its design.
+    planner = Planner(planted(), noise=0.005, grid=COARSE, law=both.law)
     expected = planner.expected([SHORT["sphere"], SHORT["prism"]]).spreads
     for name, found in expected.items():
         assert 0.5 < both.spreads[name] / found < 2.0, name
     for name, true in quantities(planted()).items():
         low, high = both.interval(name, z=3.0)
         assert low <= true <= high, name
-    # Not by much: on a grid this coarse the prism's forces are hardly trusted.
-    assert both.spreads["modulus"] < fit.spreads["modulus"]
+    alone = planner.expected([SHORT["sphere"]]).spreads
+    assert all(expected[name] < alone[name] for name in ("modulus", "thickness", "friction"))
 
 
 @pytest.mark.slow
