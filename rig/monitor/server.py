@@ -108,8 +108,9 @@ MAX_MESSAGE = 8192
 # Messages of one client in MESSAGE_WINDOW: each wakes the recording process.
 MAX_MESSAGES = 20
 MESSAGE_WINDOW = 5.0
-# Longest time from connection to the end of the answer [s].
-ANSWER_TIMEOUT = 30.0
+# Longest time from connection to the end of the answer, by a page of low priority on a busy machine
+# [s].
+ANSWER_TIMEOUT = 120.0
 STATE_PERIOD = 0.1
 # Time for delivering the final state [s]; the process ends sooner if all clients have it.
 LINGER = 3.0
