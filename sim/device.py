@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from sim.errors import SceneError
+from sim.errors import SceneError, check_kind
 
 
 def ready_device(name: str) -> Path | None:
@@ -22,6 +22,7 @@ def ready_device(name: str) -> Path | None:
     devices = [device.alias for device in wp.get_devices()]
     if name not in devices:
         raise SceneError(f"--device: {name!r}; allowed here: {', '.join(devices)}")
+    _check_compiler(name)
     return Path(wp.config.kernel_cache_dir) if wp.config.kernel_cache_dir else None
 
 
@@ -34,6 +35,7 @@ def check_device(name: str) -> None:
     """
     import warp as wp
 
+    check_kind("device", name, str, "cpu, or cuda:0 and the like")
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
     try:
@@ -41,8 +43,20 @@ def check_device(name: str) -> None:
     except (ValueError, RuntimeError) as error:
         allowed = ", ".join(str(each) for each in wp.get_devices())
         raise SceneError(f"device: {name!r}; allowed here: {allowed}") from error
+    _check_compiler(name)
     if device.is_cuda and not device.stream.cuda_stream:
         device.set_stream(wp.Stream(device))
+
+
+def _check_compiler(name: str) -> None:
+    """Reject a CPU for which Warp has no compiler: a part of its package, which may be missing."""
+    import warp as wp
+
+    if name == "cpu" and not wp.is_cpu_available():
+        raise SceneError(
+            "device: 'cpu', for which Warp has no compiler here (warp-clang); allowed: with the "
+            "whole package, pip install --force-reinstall warp-lang"
+        )
 
 
 @contextlib.contextmanager

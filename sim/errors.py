@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -50,6 +51,20 @@ class PassesThrough(SimulationDiverged):
 # Checks of fields, with messages of one form.
 
 
+def plain(value: Any) -> Any:
+    """Return NumPy's numbers as Python's, and lists and arrays as tuples; all else as it is."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return tuple(map(plain, value)) if isinstance(value, list | tuple) else value
+
+
+def make_plain(owner: Any) -> None:
+    """Apply `plain` to the fields of a frozen dataclass, as its construction begins."""
+    for each in fields(owner):
+        if each.init:
+            object.__setattr__(owner, each.name, plain(getattr(owner, each.name)))
+
+
 def check_range(
     owner: str,
     name: str,
@@ -61,8 +76,8 @@ def check_range(
     open_low: bool = False,
 ) -> None:
     """Reject a number that is not finite or not within `low` to `high`."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    inside = number and math.isfinite(value) and low <= value <= high
+    value = plain(value)
+    inside = is_finite(value) and low <= value <= high
     if not inside or (open_low and value == low):
         unit = f" {unit}" if unit else ""
         edge = "above " if open_low else ""

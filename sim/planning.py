@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
+from sim.device import check_device
 from sim.errors import SceneError, check_kind
 from sim.fem import Fem
 from sim.layer import Layer
@@ -141,6 +142,8 @@ def plan(
     ):
         if value not in allowed:
             raise SceneError(f"{name}: {value!r}; allowed: {', '.join(map(repr, allowed))}")
+    if device != "cpu":
+        check_device(device)
     influence = None
     if effects == "needed":
         influence = plan_effects(scene, tolerance, device=device, progress=progress)

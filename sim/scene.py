@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import SceneError, check_kind, check_range, is_finite
+from sim.errors import SceneError, check_kind, check_range, is_finite, make_plain, plain
 from sim.indenters import Indenter
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ class Body:
     circle if both are equal. Its side wall is vertical."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         for name in ("size_x", "size_y", "thickness"):
             check_range("body", name, getattr(self, name), 1e-4, 1.0, unit="m")
         check_range("body", "modulus", self.modulus, 1e2, 1e9, unit="Pa")
@@ -171,6 +172,8 @@ def _disc_area(u: Array, v: Array) -> Array:
 
 # Motion of the indenter's tip: straight lines between waypoints, with a result at each.
 
+# Fastest tip [m/s], and longest rest [s].
+SPEED_MAX, HOLD_MAX = 1e4, 1e9
 # A position of the tip in the contact frame [m].
 Point = tuple[float, float, float]
 
@@ -196,6 +199,7 @@ class Motion:
     """Deepest indentation below z = 0 [m]; 0 if it never presses. It follows from the waypoints."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         _check_sequence("motion.tip", self.tip, "positions (x, y, z) [m]")
         _check_sequence("motion.time", self.time, "numbers [s]")
         if not len(self.tip) or len(self.tip) != len(self.time):
@@ -229,34 +233,36 @@ def press(
     """Return the motion that touches the surface, then goes to each of `depths` [m] in turn.
 
     Args:
-        depths: Depths below the touched surface [m].
+        depths: Depths below the touched surface [m], 0 or more.
         hold: Rest at the last depth [s]; 0: none.
         shear: Then a move sideways by this length [m], back and up to the surface; 0: none.
-        angle: Direction of the shear, from x towards y [rad].
+        angle: Direction of the shear, from x towards y [rad], at most a turn.
         steps: Equal parts of each move and of the hold, with a frame at the end of each.
         at: Position of the tip along x and y [m].
         speed: Speed of the tip [m/s].
 
     Raises:
-        SceneError: `depths` is no sequence of finite numbers or repeats the tip's position, or
-            another value is not finite.
+        SceneError: `depths` is no sequence of numbers or repeats the tip's position, or another
+            value is out of range.
     """
+    depths, hold, shear, angle = plain(depths), plain(hold), plain(shear), plain(angle)
+    steps, at = plain(steps), plain(at)
     _check_sequence("motion.depths", depths, "numbers [m], such as (0.5e-3, 1e-3)")
     before = 0.0
     for index, depth in enumerate(depths):
-        if not is_finite(depth) or depth == before:
-            allowed = f"finite, and another than {before!r} m, where the tip already is"
+        if not is_finite(depth) or depth < 0 or depth == before:
+            allowed = f"0 or more, and another than {before!r} m, where the tip already is"
             raise SceneError(f"motion.depths[{index}]: {depth!r} m; allowed: {allowed}")
         before = depth
     _check_sequence("motion.at", at, "2 finite numbers [m]")
     if len(at) != 2 or not all(map(is_finite, at)):
         raise SceneError(f"motion.at: {at!r}; allowed: 2 finite numbers [m]")
+    _check_steps(steps)
+    check_range("motion", "hold", hold, 0.0, HOLD_MAX, unit="s")
+    check_range("motion", "shear", shear, -1.0, 1.0, unit="m")
+    check_range("motion", "angle", angle, -math.tau, math.tau, unit="rad")
     corners = [(at[0], at[1], 0.0)] + [(at[0], at[1], -depth) for depth in depths]
-    if not is_finite(shear):
-        raise SceneError(f"motion.shear: {shear!r} m; allowed: a finite number")
     if shear:
-        if not is_finite(angle):
-            raise SceneError(f"motion.tip: sheared at an angle of {angle!r} rad; allowed: finite")
         aside = (at[0] + shear * math.cos(angle), at[1] + shear * math.sin(angle), corners[-1][2])
         corners += [aside, corners[-1], corners[0]]
     points = corners if steps == 1 else _subdivided(corners, steps)
@@ -266,8 +272,6 @@ def press(
 
 def _rested(motion: Motion, index: int, hold: float, steps: int) -> Motion:
     """Return the motion with a rest of `hold` [s] in `steps` frames after waypoint `index`."""
-    if not (is_finite(hold) and hold > 0):
-        raise SceneError(f"motion.hold: {hold!r} s; allowed: 0 or more")
     tip, time = motion.tip, motion.time
     rest = [time[index] + hold * step / steps for step in range(1, steps + 1)]
     return Motion(
@@ -281,6 +285,7 @@ def from_target(plan: Plan, target: Target, *, steps: int = 5, speed: float = 10
 
     The part above z = 0 belongs to the motion too, so contact is found, not assumed.
     """
+    _check_steps(steps)
     moves = plan.moves(target)
     corners = [moves[0].start] + [move.end for move in moves]
     return through(_subdivided(corners, steps), speed=speed)
@@ -288,9 +293,11 @@ def from_target(plan: Plan, target: Target, *, steps: int = 5, speed: float = 10
 
 def through(points: Sequence[Point], *, speed: float) -> Motion:
     """Return the motion along `points` [m] at constant `speed` [m/s]."""
-    if not (is_finite(speed) and speed > 0):
-        raise SceneError(f"motion.speed: {speed!r} m/s; allowed: above 0")
+    points, speed = plain(points), plain(speed)
+    check_range("motion", "speed", speed, 0.0, SPEED_MAX, unit="m/s", open_low=True)
     _check_sequence("motion.tip", points, "positions (x, y, z) [m]")
+    if not points:
+        raise SceneError("motion.tip: no positions; allowed: 1 or more")
     _check_points(points)
     lengths = np.linalg.norm(np.diff(np.asarray(points, float), axis=0), axis=1)
     if (lengths == 0).any():
@@ -303,8 +310,13 @@ def through(points: Sequence[Point], *, speed: float) -> Motion:
     return Motion(tip=tuple(points), time=tuple(float(value) for value in time))
 
 
+def _check_steps(steps: int) -> None:
+    if type(steps) is not int or steps < 1:
+        raise SceneError(f"motion.steps: {steps!r}; allowed: whole numbers from 1 up")
+
+
 def _check_sequence(name: str, value: Any, of: str) -> None:
-    if isinstance(value, str) or not (isinstance(value, Sequence) or np.ndim(value)):
+    if isinstance(value, str) or not isinstance(value, Sequence):
         raise SceneError(f"{name}: {value!r}; allowed: a sequence of {of}")
 
 
@@ -341,6 +353,7 @@ class Friction:
     """Ratio of shear traction to pressure at which a point slips, 0 to 10."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         check_range("friction", "coefficient", self.coefficient, 0.0, 10.0)
 
     def weakened(self, fraction: float) -> Friction:
@@ -368,8 +381,9 @@ class Viscosity:
     to volume changes is elastic. Tier `layer` supports `all` only."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         for name in ("ratios", "times"):
-            check_kind(f"viscosity.{name}", getattr(self, name), tuple | list, "a tuple of numbers")
+            check_kind(f"viscosity.{name}", getattr(self, name), tuple, "a sequence of numbers")
         if not 1 <= len(self.ratios) <= 4 or len(self.ratios) != len(self.times):
             raise SceneError(
                 f"viscosity: {len(self.ratios)} ratios and {len(self.times)} times; allowed: the "
@@ -398,6 +412,7 @@ class Inertia:
     """Factor on `Body.density`, 0 to 1e6: 1 is the real mass, larger is mass scaling."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         check_range("inertia", "scale", self.scale, 0.0, 1e6)
 
     def weakened(self, fraction: float) -> Inertia:
@@ -417,7 +432,8 @@ class Gravity:
     """Acceleration in the contact frame [m/s^2]; +9.81 in z for a sensor that faces down."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.acceleration, tuple | list) or len(self.acceleration) != 3:
+        make_plain(self)
+        if not isinstance(self.acceleration, tuple) or len(self.acceleration) != 3:
             raise SceneError(f"gravity.acceleration: {self.acceleration!r}; allowed: 3 numbers")
         for index, value in enumerate(self.acceleration):
             check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")

@@ -101,6 +101,7 @@ def _by_tier(
         from sim.mpm import Mpm
 
         check_kind("tier", tier, Mpm, "a Layer, a Fem or an Mpm")
+    check_kind("scenes", scenes, Sequence, "a sequence of Scenes; `simulate` takes a single one")
     for scene in scenes:
         check_kind("scene", scene, Scene, "a Scene")
     pool = _pool(processes, len(scenes))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
-from sim.errors import SceneError, check_kind, check_range
+from sim.errors import SceneError, check_kind, check_range, make_plain
 
 if TYPE_CHECKING:
     from sim.scene import Body
@@ -34,6 +34,7 @@ class Grading:
     which an indentation of a bonded layer decays."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         check_range("grading", "finer", self.finer, 0.1, 1.0)
         check_range("grading", "growth", self.growth, 0.0, 1.0)
         check_range("grading", "coarsest", self.coarsest, 0.0, 2.0, open_low=True)
@@ -109,6 +110,7 @@ class Fem:
     """Times that a step is halved before the solver fails."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         if self.precision not in ("auto", "float32", "float64"):
             raise SceneError(
                 f"fem.precision: {self.precision!r}; allowed: 'auto', 'float32', 'float64'"

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_range, make_plain
 from sim.indenters.outline import EVERYWHERE, Bounds, Part
 from sim.indenters.solid import Solid
 
@@ -214,6 +214,7 @@ class Indenter:
     the parts and the edge radius."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         owner = f"indenter {self.name}"
         if len(self.tilt) != 2:
             raise SceneError(f"{owner}.tilt: {self.tilt!r}; allowed: angles about x and y [rad]")
@@ -259,7 +260,7 @@ class Indenter:
         Raises:
             SceneError: The tilt is more than 30 degrees in total, or the body is unbounded.
         """
-        leaning = replace(self, tilt=(float(about_x), float(about_y)))
+        leaning = replace(self, tilt=(about_x, about_y))
         _ = leaning.stance
         return leaning
 

@@ -16,7 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_range, is_finite, make_plain
 
 Pair = tuple[float, float]
 
@@ -353,6 +353,7 @@ class Part:
     right angle. Edges of plane and conical faces are rounded to true arcs only if it is correct."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         for name, option, allowed in (
             ("view", self.view, VIEWS),
             ("figure", self.figure, FIGURES),
@@ -360,7 +361,7 @@ class Part:
         ):
             if option not in allowed:
                 raise SceneError(f"part.{name}: {option!r}; allowed: {', '.join(allowed)}")
-        if not all(math.isfinite(value) for value in self.values):
+        if not isinstance(self.values, tuple) or not all(map(is_finite, self.values)):
             raise SceneError(f"part.values: {self.values!r}; allowed: finite numbers")
         if len(self.axis) != 2:
             raise SceneError(f"part.axis: {self.axis!r}; allowed: x and y [m]")

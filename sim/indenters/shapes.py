@@ -8,7 +8,7 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_kind, check_range, plain
 from sim.indenters.indenter import Indenter
 from sim.indenters.outline import Part
 from sim.indenters.solid import REACH, SPACING, Axis, Solid, Unit, Up, digest
@@ -53,7 +53,7 @@ def cone(half_angle: float, tip_radius: float = 0.0, edge_radius: float = 0.0) -
     With the largest edge radius that fits, the tip is a sphere tangent to the side: see
     `rounded_cone`.
     """
-    check_range("cone", "half_angle", half_angle, 0.0, math.radians(85))
+    _check_half_angle(half_angle)
     check_range("cone", "tip_radius", tip_radius, 0.0, 1.0, unit="m")
     cosine, sine = math.cos(half_angle), math.sin(half_angle)
     side = Part("turned", "half_plane", (cosine, -sine, tip_radius * cosine), "union", cosine=sine)
@@ -63,6 +63,7 @@ def cone(half_angle: float, tip_radius: float = 0.0, edge_radius: float = 0.0) -
 
 def rounded_cone(half_angle: float, tip_radius: float) -> Indenter:
     """Return a cone at `half_angle` [rad] from its axis with a spherical tip [m]."""
+    _check_half_angle(half_angle)
     _check_length("rounded_cone", "tip_radius", tip_radius)
     sine = math.sin(half_angle)
     flat = tip_radius * math.sqrt((1 - sine) / (1 + sine))
@@ -86,7 +87,7 @@ def bar(radius: float, length: float, edge_radius: float = 0.0) -> Indenter:
 
 def extruded(values: Sequence[float], edge_radius: float = 0.0) -> Indenter:
     """Return a flat punch with the outline of a path in x and y (see `Part.values`)."""
-    outline = Part("plan", "path", tuple(float(value) for value in values), "union")
+    outline = Part("plan", "path", plain(values), "union")
     return Indenter("extruded", (outline, TIP_PLANE), edge_radius)
 
 
@@ -121,6 +122,10 @@ def bulge(
     return math.tan(math.atan2(cross, along) / 2)
 
 
+def _check_half_angle(value: float) -> None:
+    check_range("cone", "half_angle", value, 0.0, math.radians(85), unit="rad")
+
+
 def _check_length(owner: str, name: str, value: float) -> None:
     check_range(owner, name, value, 0.0, 1.0, unit="m", open_low=True)
 
@@ -136,7 +141,7 @@ def named(name: str, edge_radius: float | None = None) -> Indenter:
     Raises:
         SceneError: The name is unknown, or the edge radius does not fit the shape.
     """
-    if name not in _TABLE:
+    if not isinstance(name, str) or name not in _TABLE:
         raise SceneError(f"indenter: {name!r}; allowed: {', '.join(NAMES)}")
     make, radius_mm = _TABLE[name]
     radius = radius_mm * MM if edge_radius is None else edge_radius
@@ -338,6 +343,7 @@ def from_stl(
         SceneError: The file is truncated or holds no watertight body of a plausible size, or the
             body has no room for the edge radius.
     """
+    check_kind("path", path, str | PathLike, "the path of a file")
     file = Path(path).resolve()
     solid = Solid(str(file), digest(file.read_bytes()), unit, up, axis, spacing, reach)
     indenter = Indenter(name or file.stem, edge_radius=edge_radius, solid=solid)

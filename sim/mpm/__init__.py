@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, Self
 
-from sim.errors import SceneError, check_range
+from sim.errors import SceneError, check_range, make_plain
 from sim.scene import Body
 
 # Our settings. Particles per cell and dimension.
@@ -68,6 +68,7 @@ class Mpm:
     """Precision of everything but the sums on the grid, which are 64-bit integers."""
 
     def __post_init__(self) -> None:
+        make_plain(self)
         for name, allowed in (
             ("published", ("tacchi", "genforce", None)),
             ("precision", ("float32", "float64")),
