@@ -191,6 +191,41 @@ def kinematics(real):
     return strain, cofactor, deformed, mean_change, pressure_of
 
 
+# At small strain energies are summed by their series, without the cancellation of terms of first
+# order that would leave float32 nothing of a light touch.
+
+# Changes of volume below which, so that both ways have the fewest errors.
+SMALL = {wp.float32: 0.05, wp.float64: 1e-3}
+
+
+@functools.cache
+def energy_functions(real):
+    """Return the energies per volume, as functions of strains of any size.
+
+    `of_volume(theta)` is over half the bulk modulus, and `of_shape(less, trace, norm, power)` over
+    half the shear modulus: from J - 1, trace and square of the norm of the gradient, and J^(-2/3).
+    """
+    half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
+    small, third, fourth, fifth = real(SMALL[real]), real(1.0 / 3.0), real(0.25), real(0.2)
+    cubic, quintic = real(10.0 / 27.0), real(88.0 / 243.0)
+    tiny = real(1.0e-30)
+
+    @wp.func
+    def of_volume(theta: real):
+        if wp.abs(theta) < small:
+            return theta * theta * (one - theta * (third - theta * (fourth - theta * fifth)))
+        return half * theta * (two + theta) - wp.log(wp.max(one + theta, tiny))
+
+    @wp.func
+    def of_shape(less: real, trace: real, norm: real, power: real):
+        changed = power * (three + two * less) - three
+        if wp.abs(less) < small:
+            changed = less * less * (third - less * (cubic - less * (cubic - less * quintic)))
+        return power * (norm + two * (trace - less)) + changed
+
+    return of_volume, of_shape
+
+
 @functools.cache
 def element_kernels(real, viscous: bool, split: bool = False):
     """Return the kernel of the forces for one precision and combination of effects.
@@ -202,7 +237,8 @@ def element_kernels(real, viscous: bool, split: bool = False):
     modes_type, gathered, corners = mode_functions(real, vec3)
     modes_of, column = modes_function(real), column_function(real)
     strain, cofactor, deformed, mean_change, pressure_of = kinematics(real)
-    half, one, two, three = real(0.5), real(1.0), real(2.0), real(3.0)
+    of_volume, of_shape = energy_functions(real)
+    half, two, three = real(0.5), real(2.0), real(3.0)
     third = real(1.0 / 3.0)
     # Divided here: inside a kernel the quotient would be float32 for any `real`.
     power = real(-2.0 / 3.0)
@@ -231,25 +267,22 @@ def element_kernels(real, viscous: bool, split: bool = False):
         shear = material.shear[env]
         bulk = material.bulk[env]
         pressure = pressure_of(bulk, theta)
-        energy = (
-            volume
-            * half
-            * bulk
-            * (half * theta * (two + theta) - wp.log(wp.max(one + theta, real(1.0e-30))))
-        )
+        energy = volume * half * bulk * of_volume(theta)
         if wp.static(viscous or split):
             pressure = material.bulk_factor[env] * pressure + material.bulk_history[env, e]
         total = modes_type()
         for q in range(mesh.weight.shape[2]):
             inv = mesh.inverse[m, e, wp.min(q, last)]
             h, sx, sy, sz = strain(moved, q, inv)
-            f, c, less, j, square = deformed(h)
+            f, c, less, j, _square = deformed(h)
             w = mesh.weight[m, e, q]
-            g = shear * wp.pow(wp.max(j, real(1.0e-30)), power)
-            energy += w * half * (g * square - three * shear)
+            smaller = wp.pow(wp.max(j, real(1.0e-30)), power)
+            g = shear * smaller
             # F - cof(F) tr(F^T F) / 3J in terms of h = F - 1: no cancellation at small strain
             trace = wp.trace(h)
-            excess = (two * trace + wp.ddot(h, h) - three * less) * (third / j)
+            norm = wp.ddot(h, h)
+            energy += w * half * shear * of_shape(less, trace, norm, smaller)
+            excess = (two * trace + norm - three * less) * (third / j)
             stress = h + wp.transpose(h) - cofactor(h) - c * excess
             stress = (stress - wp.identity(n=3, dtype=real) * trace) * g
             if wp.static(viscous):

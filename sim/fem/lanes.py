@@ -17,6 +17,7 @@ from string import Template
 import warp as wp
 
 from sim.fem.arrays import material_struct, mesh_struct
+from sim.fem.element import SMALL
 from sim.scalars import matrix_of, vector_of
 
 # Elements that a thread computes at once.
@@ -177,8 +178,12 @@ _PAST = """
 """
 
 _FORCES = """
+    // Energies of volume and shape as `energy_functions` of `sim.fem.element` have them
+    const auto small = [](wide x) { return x * x < number($small * $small); };
     const wide stretched = __builtin_elementwise_log(__builtin_elementwise_max(1 + theta, tiny));
-    wide energy = volume * half * stiff * (half * theta * (2 + theta) - stretched);
+    const wide series = theta * theta * (1 - theta * (third - theta * (half * half - theta / 5)));
+    wide energy = volume * half * stiff
+                * (small(theta) ? series : half * theta * (2 + theta) - stretched);
     wide back[3][8][3] = {};
     for (int q = 0; q < 8; ++q) {
 $point
@@ -188,10 +193,14 @@ $point
             for (int k = 0; k < 3; ++k)
                 squared += d[i][k] * d[i][k];
         cofactor(d, minor);
-        energy += w[q] * half * (g * square - 3 * material.shear.data[env]);
         // F - cof(F) tr(F^T F) / 3J in terms of h = F - 1: no cancellation at small strain
         const wide trace = d[0][0] + d[1][1] + d[2][2];
         const wide excess = (2 * trace + squared - 3 * less[q]) * (third / j);
+        const wide x = less[q], power = root * root;
+        const wide changed = x * x * (third - x * (10 - x * (10 - x * 88 / 9)) / 27);
+        energy += w[q] * half * material.shear.data[env]
+                * (power * (squared + 2 * (trace - x))
+                   + (small(x) ? changed : power * (3 + 2 * x) - 3));
         for (int i = 0; i < 3; ++i)
             for (int k = 0; k < 3; ++k)
                 stress[i][k] = (d[i][k] + d[k][i] - minor[i][k] - c[i][k] * excess) * g;
@@ -407,7 +416,7 @@ def forces_kernel(real, viscous: bool, split: bool = False):
     The dimensions of a launch are the environments and the groups of elements.
     """
     vec3 = vector_of(real)
-    parts = {"point": _POINT, "pressure": "", "stress": ""}
+    parts = {"point": _POINT, "pressure": "", "stress": "", "small": SMALL[real]}
     if wp.static(viscous or split):
         parts["pressure"] = _PRESSURE
     if wp.static(viscous):
