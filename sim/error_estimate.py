@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.indenters import Indenter
-from sim.result import SIDES, WEAK, Result, force_scale
+from sim.result import SIDES, WEAK, Outcome, Result, force_scale
 from sim.scene import Scene
 
 Array = NDArray[np.float64]
@@ -34,6 +34,9 @@ RESOLVED = 0.5
 PER_EDGE = 0.03
 # Largest error by an unresolved edge: for a sharp punch, a fifth of the force.
 EDGE_MOST = 0.2
+# Error of the force over an overlap's share of the depth or width, where a finer mesh, which would
+# have less of it, has no solution: forces grow with up to the square of the depth.
+PER_OVERLAP = 2.0
 # Error of `layer` over depth over thickness: it is limited to small strains.
 LAYER_PER_DEPTH = 0.7
 # Error of `layer` over the pixel's side over the contact's width. With both numbers the error
@@ -81,6 +84,15 @@ def with_estimate(result: Result) -> Result:
     return replace(result, record={**result.record, "error": error})
 
 
+def estimated(outcome: Outcome) -> Outcome:
+    """Return an outcome with the estimate of its result, or of that which it has reached."""
+    if isinstance(outcome, Result):
+        return with_estimate(outcome)
+    if outcome.reached is not None:
+        outcome.reached = with_estimate(outcome.reached)
+    return outcome
+
+
 def fineness_of(result: Result) -> Array:
     """Return how finely each frame of a `fem` result resolves its own contact (F,).
 
@@ -108,6 +120,7 @@ def side_distance(result: Result) -> float | None:
 
 
 def _of_elements(result: Result) -> dict[str, Any]:
+    from sim.fem.outcome import shares
     from sim.fem.sizing import squeeze
 
     unknown = unknown_at_side(result)
@@ -120,6 +133,10 @@ def _of_elements(result: Result) -> dict[str, Any]:
     # Quadratic where the contact is resolved, linear where it is barely resolved.
     fraction = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
     fraction = fraction + squeeze(result.scene, result.quality.contact_width) / layers**2
+    if result.record["mesh"].get("finer_failed"):
+        scene, width = result.scene, result.quality.contact_width
+        tip, thickness = np.asarray(scene.motion.tip), scene.body.thickness
+        fraction = fraction + PER_OVERLAP * shares(result.quality.overlap, width, tip, thickness)
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
     fraction = fraction + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])

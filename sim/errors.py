@@ -22,10 +22,12 @@ class SimulationDiverged(CommandError, RuntimeError):
     """No converged state was found, even with the smallest step; nothing unconverged is returned.
 
     `tried` lists the attempts (step, iterations, residual); `dump` is the `.npz` with the last
-    converged state and the scene, or None if it could not be written.
+    converged state and the scene, or None if it could not be written. `reached` is the `Result` up
+    to the last waypoint that has a solution, or None if there is none beyond the first.
     """
 
     exit_code = 1
+    reached: Any = None
 
     def __init__(self, message: str, tried: tuple[str, ...] = (), dump: Path | None = None) -> None:
         super().__init__(message)

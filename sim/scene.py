@@ -511,3 +511,11 @@ class Scene:
                     f"motion: {-z * 1e3:.4g} mm deep into a body {body.thickness * 1e3:.4g} mm "
                     f"thick; allowed: up to {limit * 1e3:.4g} mm (are the units metres?)"
                 )
+
+
+def beginning_of(scene: Scene, waypoints: int) -> Scene:
+    """Return the scene with its first `waypoints` waypoints."""
+    motion = scene.motion
+    if waypoints == len(motion.tip):
+        return scene
+    return replace(scene, motion=Motion(motion.tip[:waypoints], motion.time[:waypoints]))

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from recorder.progress import part_of
-from sim.error_estimate import with_estimate
+from sim.error_estimate import estimated
 from sim.errors import SceneError, SimulationDiverged, check_kind
 from sim.fem import Fem
 from sim.layer import Layer
@@ -87,7 +87,7 @@ def simulate_many(
         WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
     outcomes = _by_tier(scenes, tier, device, processes, progress)
-    return [with_estimate(one) if isinstance(one, Result) else one for one in outcomes]
+    return list(map(estimated, outcomes))
 
 
 def _by_tier(

@@ -30,12 +30,12 @@ from sim.error_estimate import (
     LAYER_LEAST,
     LAYER_PER_DEPTH,
     error_entry,
+    estimated,
     fineness_of,
     pixel_of,
     side_distance,
     unknown_at_side,
     vanishing_share,
-    with_estimate,
     with_symmetry,
 )
 from sim.errors import SceneError, SimulationDiverged
@@ -231,9 +231,10 @@ class _Meshes:
             progress=None if self._progress is None else part_of(self._progress, part, 2),
             required=self._required,
         )
+        outcome = estimated(outcome)
         if isinstance(outcome, SimulationDiverged):
             raise outcome
-        self._solved.append(with_estimate(outcome))
+        self._solved.append(outcome)
         if _fineness(outcome) < WHOLLY * fineness:
             self._finest = _fineness(outcome)
         return self._solved[-1]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from recorder.progress import Progress
 from sim.cli.options import add_scene_options, scene_of, split_shape, tier_of
 from sim.error_estimate import notes
-from sim.errors import SceneError
+from sim.errors import SceneError, SimulationDiverged
 from sim.layer import Layer
 from sim.result import ContactTier, Quality, Result
 from sim.scene import Scene
@@ -34,15 +34,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Press, show and save every frame with contact and return the exit code."""
+    """Press, show and save every frame with contact and return the exit code.
+
+    Raises:
+        SimulationDiverged: There is no solution up to the end; what was reached is shown first.
+    """
     began = time.perf_counter()
     scene = scene_of(options)
     if options.plan_effects:
         return _show_effects(scene, options)
     picture = _picture_path(options)
     _make_room(options.save, picture)
-    result = _simulated(scene, options)
-    seconds = time.perf_counter() - began
+    diverged: SimulationDiverged | None = None
+    try:
+        result = _simulated(scene, options)
+    except SimulationDiverged as failed:
+        if failed.reached is None:
+            raise
+        result, diverged = failed.reached, failed
+    _show(result, options, picture, time.perf_counter() - began)
+    if diverged is not None:
+        raise diverged
+    return 0
+
+
+def _show(
+    result: Result, options: argparse.Namespace, picture: Path | None, seconds: float
+) -> None:
+    """Print a result and save what is asked for."""
     if options.save is not None:
         from sim.store import save_results
 
@@ -53,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         save_picture(result, picture)
     if options.json:
         print(json.dumps(as_json(result, seconds=seconds), allow_nan=False))
-        return 0
+        return
     print(heading(result))
     print()
     for line in table(result):
@@ -65,7 +84,6 @@ def run(options: argparse.Namespace) -> int:
     for path in (options.save, picture):
         if path is not None:
             print(path)
-    return 0
 
 
 def _show_effects(scene: Scene, options: argparse.Namespace) -> int:

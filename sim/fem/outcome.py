@@ -7,6 +7,7 @@ the smaller elements that the result requires.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from sim.fem.sizing import (
     sizes_of,
 )
 from sim.result import SIDES, WEAK, Outcome, Quality, Result, touched_by, width_of
-from sim.scene import Body, Scene
+from sim.scene import Body, Scene, beginning_of
 
 Array = NDArray[np.float64]
 
@@ -204,6 +205,15 @@ class FrameCollector:
         if body.overlapped(wall, tip):
             self._at_side["wall"].append(frame)
         self._below_base = max(self._below_base, -1.0 - float(wall[..., 2].min()))
+
+    def up_to(self, frames: int) -> FrameCollector:
+        """Return the collector of the first `frames`, which must have been kept."""
+        some = copy(self)
+        some._scene = beginning_of(self._scene, frames)
+        for name in ("_read", "_host", "_surface", "_traction", "_width", "_resolved"):
+            setattr(some, name, getattr(self, name)[:frames])
+        some._unmeasured = list(self._unmeasured)
+        return some
 
     def result(self, record: dict[str, Any], numerics: Fem) -> Result:
         """Return the result; every frame must have been kept.

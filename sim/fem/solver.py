@@ -22,7 +22,7 @@ from sim.fem.sizing import (
 )
 from sim.fem.stepping import Batch, Crossed, batch_key
 from sim.result import Outcome, Result, with_beginning
-from sim.scene import Motion, Scene
+from sim.scene import Scene, beginning_of
 
 Progress = Callable[[float], None]
 # Required element sizes, by index of the scene and the number of its waypoints they apply to.
@@ -66,10 +66,10 @@ def simulate_fem(
     check_device(device)
     if not numerics.follows:
         outcomes = solve_on_meshes(scenes, numerics, None, device, progress)
-        return [checked(outcome) for outcome in outcomes]
+        return [_judged(outcome) for outcome in outcomes]
     stages = [stages_of(scene) for scene in scenes]
     parts = [(i, stage) for i, each in enumerate(stages) for stage in each]
-    some = [_beginning(scenes[i], stage.waypoints) for i, stage in parts]
+    some = [beginning_of(scenes[i], stage.waypoints) for i, stage in parts]
     keys = [(i, stage.waypoints) for i, stage in parts]
     earlier = required or {}
     sizes = [earlier.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)]
@@ -79,27 +79,39 @@ def simulate_fem(
             required[key] = _sizes_for_finer(size, outcome)
     of_scene: list[list[Outcome]] = [[] for _scene in scenes]
     for (i, _stage), outcome in zip(parts, outcomes, strict=True):
-        of_scene[i].append(checked(outcome))
+        of_scene[i].append(_judged(outcome))
     return [_in_one(each) for each in of_scene]
 
 
-def _beginning(scene: Scene, waypoints: int) -> Scene:
-    """Return the scene with its first `waypoints` waypoints."""
-    motion = scene.motion
-    if waypoints == len(motion.tip):
-        return scene
-    return replace(scene, motion=Motion(motion.tip[:waypoints], motion.time[:waypoints]))
+def _judged(outcome: Outcome) -> Outcome:
+    """Return `checked` of an outcome, and of what it has reached."""
+    if isinstance(outcome, SimulationDiverged) and outcome.reached is not None:
+        reached = checked(outcome.reached)
+        outcome.reached = reached if isinstance(reached, Result) else None
+    return checked(outcome)
 
 
 def _in_one(stages: list[Outcome]) -> Outcome:
     """Return the result of all waypoints, its beginning replaced by solutions of later stages."""
-    whole: Result | None = None
-    for stage in stages:
+    whole, *finer = stages
+    for stage in finer:
+        if isinstance(whole, SimulationDiverged):
+            break
         if isinstance(stage, SimulationDiverged):
-            return stage
-        whole = stage if whole is None else with_beginning(whole, stage)
-    assert whole is not None
+            whole = _without_finer(whole, stage)
+        else:
+            whole = with_beginning(whole, stage)
     return whole
+
+
+def _without_finer(result: Result, failed: SimulationDiverged) -> Result:
+    """Return a result whose contact needs a finer mesh, on which there is no solution."""
+    failed.forget_dump()
+    reason = str(failed).split("; state:")[0]
+    said = f"the contact needs a finer mesh, which has no solution: {reason}"
+    mesh = {**result.record["mesh"], "finer_failed": True}
+    warnings = [*result.record["warnings"], said]
+    return replace(result, record={**result.record, "mesh": mesh, "warnings": warnings})
 
 
 def _following(
@@ -184,7 +196,11 @@ def _remeshed(outcome: Outcome, times: int, before: Outcome) -> Outcome:
     """Return an outcome on a finer mesh, with the history of that `before`, which it replaces."""
     if isinstance(before, Crossed):
         before.forget_dump()
-    if isinstance(outcome, SimulationDiverged) or not isinstance(before, Result | Crossed):
+    if isinstance(outcome, SimulationDiverged):
+        if isinstance(before, Result) and isinstance(checked(before), Result):
+            return _without_finer(before, outcome)
+        return outcome
+    if not isinstance(before, Result | Crossed):
         return outcome
     record = {**outcome.record, "mesh": {**outcome.record["mesh"], "made_anew": times}}
     if record["precision"] == before.record["precision"] and "precision_reason" in before.record:

@@ -398,8 +398,13 @@ class Batch:
         record = self._record()
 
         def outcome(env: int) -> Outcome:
-            failed = self._failed.get(env)
-            return failed or self._collectors[env].result(record, self._numerics)
+            failed, frames = self._failed.get(env), self._paths[env].segment
+            if failed is None:
+                return self._collectors[env].result(record, self._numerics)
+            if frames > 1:
+                some = self._collectors[env].up_to(frames)
+                failed.reached = some.result(record, self._numerics)
+            return failed
 
         return [outcome(env) for env in range(len(self._scenes))]
 

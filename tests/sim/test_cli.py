@@ -18,7 +18,10 @@ from PIL import Image
 from sim.cli import press as press_command
 from sim.cli.options import indenter_of
 from sim.errors import SimulationDiverged
+from sim.layer import Layer
+from sim.scene import Scene, beginning_of
 from sim.store import load_result
+from sim.tiers import simulate
 from tactile.__main__ import main
 
 ROOT = Path(__file__).parents[2]
@@ -232,6 +235,25 @@ def test_no_solution_is_told_with_what_was_tried(
     assert message.startswith("no solution: lost at 1 mm; state: /x/state.npz")
     assert "tried: attempt 8" in message
     assert list(Path().iterdir()) == []
+
+
+def test_what_was_reached_is_shown_and_kept_before_there_is_no_solution(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def diverge(scene: Scene, tier: Layer, **_named: object) -> None:
+        lost = SimulationDiverged("lost on the way to waypoint 2")
+        lost.reached = simulate(beginning_of(scene, 2), tier)
+        raise lost
+
+    monkeypatch.setattr(press_command, "simulate", diverge)
+    argv = ["sim", "press", "--depths", "0.2,0.4", "--save", "x.zarr", "--out", "x.png", *QUICK]
+    assert main(argv) == 1
+    told = capsys.readouterr()
+    assert "0.200" in told.out
+    assert "0.400" not in told.out
+    assert told.err.startswith("no solution: lost on the way to waypoint 2")
+    assert len(load_result(Path("x.zarr")).force) == 2
+    assert Path("x.png").exists()
 
 
 def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path: Path) -> None:

@@ -21,10 +21,11 @@ from sim import (
     press,
     simulate,
 )
+from sim.error_estimate import with_estimate
 from sim.fem import Fem, Precision
 from sim.fem.newton import PATIENT, PATIENT_IN_ALL, Newton
 from sim.fem.outcome import checked
-from sim.fem.solver import precision_for_finer
+from sim.fem.solver import _remeshed, precision_for_finer, simulate_fem
 from sim.fem.stepping import CRUSHED_MOST, Path, path_of
 from sim.indenters import flat_punch, sphere
 
@@ -53,6 +54,33 @@ def test_a_crippled_solver_diverges_with_what_it_tried_and_a_dump_that_loads() -
         assert np.isfinite(state["u"]).all()
         assert state["tip"].shape == (3,)
         assert "sphere" in json.loads(str(state["scene"]))
+
+
+def test_waypoints_that_were_reached_have_their_answers() -> None:
+    brief = Fem(spacing=SPACING, precision="float64", newton_max=8, halvings=0)
+    deep = replace(SCENE, motion=press([0.1e-3, 0.5e-3, 3e-3]))
+    with pytest.raises(SimulationDiverged, match="on the way to waypoint 3") as caught:
+        simulate(deep, brief)
+    reached = caught.value.reached
+    assert reached.scene.motion.tip == deep.motion.tip[:3]
+    shallow = simulate(replace(deep, motion=press([0.1e-3, 0.5e-3])), brief)
+    np.testing.assert_array_equal(reached.wrench, shallow.wrench)
+    assert reached.record["error"] == shallow.record["error"]
+    with pytest.raises(SimulationDiverged) as caught:
+        simulate(SCENE, CRIPPLED)
+    assert caught.value.reached is None
+
+
+def test_a_result_stands_if_a_finer_mesh_has_no_solution_and_its_error_has_the_overlap() -> None:
+    (result,) = simulate_fem([SCENE], Fem(fineness=0.3))
+    assert isinstance(result, Result)
+    kept = _remeshed(SimulationDiverged("lost; state: x.npz"), 1, result)
+    assert isinstance(kept, Result)
+    np.testing.assert_array_equal(kept.wrench, result.wrench)
+    assert kept.record["warnings"][-1].endswith("finer mesh, which has no solution: lost")
+    stated = [with_estimate(one).record["error"]["percent"] for one in (result, kept)]
+    overlap = 100 * float(result.quality.overlap[1]) / 0.5e-3
+    assert stated[1] - stated[0] == pytest.approx(2 * overlap, rel=0.01)
 
 
 def test_a_solver_that_diverges_says_so_where_its_state_cannot_be_written(
