@@ -46,7 +46,7 @@ FIELDS: list[Field] = [
     ("depths[0]", lambda value: down(value)),
     ("motion.at", lambda value: down(1, at=(value, 0.0))),
     ("shear", lambda value: down(1, shear=value)),
-    ("tip", lambda value: down(1, shear=1, angle=value)),
+    ("angle", lambda value: down(1, shear=1, angle=value)),
     ("hold", lambda value: down(1, hold=value)),
     ("edge_radius", lambda value: named("prism", value)),
     ("narrowest", lambda value: replace(named("prism"), narrowest=value)),
@@ -59,7 +59,7 @@ FIELDS: list[Field] = [
     ("axis", lambda value: replace(CIRCLE, axis=(0.0, value))),
 ]
 # Those that may be negative.
-SIGNED = ("acceleration", "tip", "depths", "motion.at", "shear", "values", "axis", "cosine")
+SIGNED = ("acceleration", "tip", "motion.at", "shear", "angle", "values", "axis", "cosine")
 
 
 def _refusals(value: float, fields: Iterable[Field]) -> Laws:
