@@ -17,7 +17,7 @@ from sim.indenters import flat_punch, sphere
 from sim.layer import Layer
 from sim.plot import abscissa, save_picture, shown_frame, surface_of
 from sim.result import Result
-from sim.scene import Body, Effects, Friction, Scene, press
+from sim.scene import Body, Effects, Friction, Scene, press, through
 from sim.tiers import simulate
 
 
@@ -156,7 +156,7 @@ def test_every_axis_has_its_unit_and_shear_its_own_curve(
 
 
 def test_a_surface_that_nothing_touches_is_drawn_too(drawn: list[Figure], tmp_path: Path) -> None:
-    scene = Scene(sphere(4e-3), press([-0.5e-3]))
+    scene = Scene(sphere(4e-3), through([(0, 0, 0), (0, 0, 0.5e-3)], speed=0.01))
     save_picture(simulate(scene, Layer()), tmp_path / "x.png")
     height, pressure, *_ = drawn[0].axes
     assert height.collections[0].get_clim() == pytest.approx((-5e-4, 5e-4))
