@@ -85,7 +85,7 @@ def with_estimate(result: Result) -> Result:
 
 
 def estimated(outcome: Outcome) -> Outcome:
-    """Return an outcome with the estimate of its result, or of that which it has reached."""
+    """Return an outcome with the estimate of its result, or of the part it has reached."""
     if isinstance(outcome, Result):
         return with_estimate(outcome)
     if outcome.reached is not None:

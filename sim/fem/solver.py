@@ -108,9 +108,9 @@ def _without_finer(result: Result, failed: SimulationDiverged) -> Result:
     """Return a result whose contact needs a finer mesh, on which there is no solution."""
     failed.forget_dump()
     reason = str(failed).split("; state:")[0]
-    said = f"the contact needs a finer mesh, which has no solution: {reason}"
+    warning = f"the contact needs a finer mesh, which has no solution: {reason}"
     mesh = {**result.record["mesh"], "finer_failed": True}
-    warnings = [*result.record["warnings"], said]
+    warnings = [*result.record["warnings"], warning]
     return replace(result, record={**result.record, "mesh": mesh, "warnings": warnings})
 
 
