@@ -120,7 +120,7 @@ def side_distance(result: Result) -> float | None:
 
 
 def _of_elements(result: Result) -> dict[str, Any]:
-    from sim.fem.outcome import shares
+    from sim.fem.outcome import overlap_shares
     from sim.fem.sizing import squeeze
 
     unknown = unknown_at_side(result)
@@ -134,9 +134,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     fraction = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
     fraction = fraction + squeeze(result.scene, result.quality.contact_width) / layers**2
     if result.record["mesh"].get("finer_failed"):
-        scene, width = result.scene, result.quality.contact_width
-        tip, thickness = np.asarray(scene.motion.tip), scene.body.thickness
-        fraction = fraction + PER_OVERLAP * shares(result.quality.overlap, width, tip, thickness)
+        fraction = fraction + PER_OVERLAP * overlap_shares(result, result.quality.overlap)
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
     fraction = fraction + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])

@@ -34,6 +34,11 @@ class SimulationDiverged(CommandError, RuntimeError):
         self.tried = tried
         self.dump = dump
 
+    @property
+    def reason(self) -> str:
+        """The message without the place of the dump."""
+        return str(self).partition("; state: ")[0]
+
     def forget_dump(self) -> None:
         """Remove the dump and its folder, as another attempt follows."""
         if self.dump is not None:

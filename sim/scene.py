@@ -307,7 +307,7 @@ def through(points: Sequence[Point], *, speed: float) -> Motion:
             "place than the one before"
         )
     time = np.concatenate([[0.0], np.cumsum(lengths) / speed])
-    return Motion(tip=tuple(points), time=tuple(float(value) for value in time))
+    return Motion(tip=tuple(points), time=tuple(time.tolist()))
 
 
 def _check_steps(steps: int) -> None:

@@ -137,7 +137,8 @@ def simulate_within(
         except SimulationDiverged as diverged:
             if round_ or meshes.limited:
                 raise
-            tried.append(f"fineness {fineness:.3g}: {meshes.reason_of(diverged)}")
+            diverged.forget_dump()
+            tried.append(f"fineness {fineness:.3g}: {diverged.reason}")
             fineness *= COMPANION
             continue
         limited = _fineness(fine) < WHOLLY * fineness
@@ -202,11 +203,6 @@ class _Meshes:
     def limited(self) -> bool:
         """True if a mesh reached the limit on elements."""
         return self._finest < np.inf
-
-    def reason_of(self, diverged: SimulationDiverged) -> str:
-        """Remove the dump of a failure that a finer mesh follows, and return its reason."""
-        diverged.forget_dump()
-        return str(diverged).split("; state:")[0]
 
     def solved(self, fineness: float, part: int) -> Result:
         """Return the solution on a mesh of about that fineness, from the cache or solved now.

@@ -45,16 +45,13 @@ def run(options: argparse.Namespace) -> int:
         return _show_effects(scene, options)
     picture = _picture_path(options)
     _make_room(options.save, picture)
-    diverged: SimulationDiverged | None = None
     try:
         result = _simulated(scene, options)
-    except SimulationDiverged as failed:
-        if failed.reached is None:
-            raise
-        result, diverged = failed.reached, failed
+    except SimulationDiverged as diverged:
+        if diverged.reached is not None:
+            _show(diverged.reached, options, picture, time.perf_counter() - began)
+        raise
     _show(result, options, picture, time.perf_counter() - began)
-    if diverged is not None:
-        raise diverged
     return 0
 
 

@@ -208,11 +208,11 @@ class FrameCollector:
 
     def up_to(self, frames: int) -> FrameCollector:
         """Return the collector of the first `frames`, which must have been kept."""
+        self.measure()
         some = copy(self)
         some._scene = beginning_of(self._scene, frames)
         for name in ("_read", "_host", "_surface", "_traction", "_width", "_resolved"):
             setattr(some, name, getattr(self, name)[:frames])
-        some._unmeasured = list(self._unmeasured)
         return some
 
     def result(self, record: dict[str, Any], numerics: Fem) -> Result:

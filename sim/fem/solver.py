@@ -107,8 +107,7 @@ def _in_one(stages: list[Outcome]) -> Outcome:
 def _without_finer(result: Result, failed: SimulationDiverged) -> Result:
     """Return a result whose contact needs a finer mesh, on which there is no solution."""
     failed.forget_dump()
-    reason = str(failed).split("; state:")[0]
-    warning = f"the contact needs a finer mesh, which has no solution: {reason}"
+    warning = f"the contact needs a finer mesh, which has no solution: {failed.reason}"
     mesh = {**result.record["mesh"], "finer_failed": True}
     warnings = [*result.record["warnings"], warning]
     return replace(result, record={**result.record, "mesh": mesh, "warnings": warnings})

@@ -137,7 +137,7 @@ def covered(law: str, warnings: Sequence[str]) -> bool:
 
 def unsolved(error: Exception) -> SceneOutcome:
     """Return the outcome on an exception, which must state the error and the allowed range."""
-    message = str(error).partition("; state: ")[0]
+    message = error.reason if isinstance(error, SimulationDiverged) else str(error)
     if isinstance(error, SimulationDiverged):
         error.forget_dump()
     if isinstance(error, OutOfTime):
