@@ -7,12 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sim.effect_sizes import EffectsTable, effects_table
     from sim.errors import SceneError, SimulationDiverged
     from sim.fem import Fem
     from sim.indenters import Indenter
     from sim.layer import Layer
     from sim.mpm import Mpm
-    from sim.planning import Plan, plan, plan_effects
+    from sim.planning import Plan, plan
     from sim.result import Quality, Result
     from sim.scene import (
         Body,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Body",
     "Effects",
+    "EffectsTable",
     "Fem",
     "Friction",
     "Gravity",
@@ -46,9 +48,9 @@ __all__ = [
     "SceneError",
     "SimulationDiverged",
     "Viscosity",
+    "effects_table",
     "from_target",
     "plan",
-    "plan_effects",
     "press",
     "simulate",
     "simulate_many",
@@ -56,6 +58,7 @@ __all__ = [
 
 # Module of each name that is not in `scene`.
 _MODULES = {
+    "EffectsTable": "effect_sizes",
     "Fem": "fem",
     "Indenter": "indenters",
     "Layer": "layer",
@@ -65,8 +68,8 @@ _MODULES = {
     "Result": "result",
     "SceneError": "errors",
     "SimulationDiverged": "errors",
+    "effects_table": "effect_sizes",
     "plan": "planning",
-    "plan_effects": "planning",
     "simulate": "tiers",
     "simulate_many": "tiers",
 }

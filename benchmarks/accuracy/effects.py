@@ -1,23 +1,38 @@
-"""Cost of each effect, switched on and off, on one CPU core."""
+"""Cost of each effect, switched on and off, on one CPU core, and the table of effects.
+
+Random scenes with two effects or more are solved with all of them and without each on meshes that
+follow the contact. `sim.effects_table` must agree within the uncertainty that it states.
+"""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from benchmarks.accuracy.spent import spent_by
+from benchmarks.accuracy.wording import Row, percent, rounded, seconds
+from benchmarks.hard_cases.random_scenes.dice import Dice
+from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
+from benchmarks.processes import OutOfTime, rows_of, time_limit
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, chart
+from recorder.progress import span_of
 from sim.device import ready_device
+from sim.effect_sizes import changes, effects_table
+from sim.errors import SimulationDiverged
 from sim.fem import Fem, balance, contact, element, lanes
 from sim.fem.assembly import Assembly
 from sim.fem.mesh import build_mesh
+from sim.fem.stepping import path_of
 from sim.indenters import sphere
 from sim.result import Result
 from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity
@@ -40,6 +55,15 @@ TRIALS: dict[str, tuple[Any, str]] = {
 
 # Pairs of runs, of which times are the minimum.
 REPEATS, QUICK_REPEATS = 7, 1
+
+# Number of random scenes whose table is checked, and most steps of each; `--scenes` may be lower.
+SCENES, SEED, STEPS_MAX = 60, 1, 40
+# Full solves of these scenes, and the time in which all of a scene must end [s].
+REFERENCE, SECONDS = Fem(fineness=0.5, elements_max=4000), 120.0
+# Offset of a scene's number, to draw its effects from a separate random stream.
+EFFECTS_STREAM = 1_000_000
+# Gravity of those scenes [m/s^2].
+PULLS = [(0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0)]
 
 # Arrays that tier `fem` keeps for each effect, as paths from the solver's `State`.
 STATE: dict[str, tuple[str, ...]] = {
@@ -118,7 +142,7 @@ def measure(run: Run) -> dict[str, Any]:
     costs = []
     for name in STATE:
         costs.append(cost(name, base, repeats))
-        run.progress(len(costs) / (len(STATE) + 1))
+        run.progress(0.2 * len(costs) / len(STATE))
     with launched() as again:
         after = simulate(scene(), NUMERICS)
     unchanged = again == base and same_results(before, after)
@@ -127,8 +151,11 @@ def measure(run: Run) -> dict[str, Any]:
     for one in costs:
         if one["numbers_off"] or one["shared_kernels"]:
             run.failures.append(f"{one['name']} leaves a trace when it is off")
-    run.spread = f"minimum of {repeats} pairs of runs"
-    return {"kernels": len(base), "unchanged": unchanged, "effects": costs}
+    count = 1 if run.quick else min(run.options.scenes or SCENES, SCENES)
+    named = {one.name: one for one in scenes(count, run.folder)}
+    rows = [*rows_of(run, table_errors, named, span_of(run.progress, 0.2, 0.8)).values()]
+    run.seeds, run.spread = [SEED], f"minimum of {repeats} pairs of runs; single run of each scene"
+    return {"kernels": len(base), "unchanged": unchanged, "effects": costs, "tables": rows}
 
 
 def cost(name: str, base: set[str], repeats: int) -> dict[str, Any]:
@@ -196,6 +223,71 @@ def _ratio(one: Scene, other: Scene, repeats: int) -> float:
     return min(first for first, _ in pairs) / min(second for _, second in pairs)
 
 
+# Tables of random scenes, beside full solves.
+
+# Numbers of a table that have an uncertainty, with their unit.
+QUANTITIES = {"force": "%", "marker": "px"}
+
+
+def scenes(count: int, folder: Path) -> list[Drawn]:
+    """Return typical uses with contact, few steps, and two or more effects, some of them weak."""
+    chosen: list[Drawn] = []
+    for index in itertools.count():
+        if len(chosen) == count:
+            break
+        one = drawn(SEED, index, folder)
+        if one.scene is None or not one.what.startswith("sensible"):
+            continue
+        scene = replace(one.scene, effects=_effects(Dice(SEED, EFFECTS_STREAM + index)))
+        if scene.motion.depth_max > 0 and path_of(scene, Fem()).steps <= STEPS_MAX:
+            chosen.append(replace(one, scene=scene))
+    return chosen
+
+
+def _effects(dice: Dice) -> Effects:
+    """Return two to four effects, each weak as often as strong."""
+    while True:
+        branches = dice.whole(1, 2)
+        friction = Friction(dice.scaled(1e-3, 1.0)) if dice.chance(0.6) else None
+        viscosity = None
+        if dice.chance(0.5):
+            ratios = tuple(dice.scaled(1e-3, 1.0) for _ in range(branches))
+            viscosity = Viscosity(ratios, tuple(dice.scaled(1e-4, 10.0) for _ in range(branches)))
+        inertia = Inertia(dice.one_of([1.0, 1.0, 100.0])) if dice.chance(0.6) else None
+        gravity = Gravity(dice.one_of(PULLS)) if dice.chance(0.6) else None
+        effects = Effects(friction, viscosity, inertia, gravity)
+        if len(effects.key) >= 2:
+            return effects
+
+
+def table_errors(one: Drawn) -> Row:
+    """Return the table of a scene, and what leaving each effect out changes in full solves."""
+    scene = one.scene
+    assert scene is not None
+    stated = effects_table(scene)
+    row: Row = {"scene": one.name, "seconds": rounded(stated.seconds), "effects": []}
+    try:
+        with time_limit(SECONDS):
+            full, whole = spent_by(partial(simulate, scene, REFERENCE), "cpu")
+            for size in stated.record()["effects"]:
+                off = replace(scene, effects=replace(scene.effects, **{size["name"]: None}))
+                less, spent = spent_by(partial(simulate, off, REFERENCE), "cpu")
+                force, marker = changes(full, less)
+                size |= {"force_true": force, "marker_true": marker}
+                row["effects"].append(size | {"time_true": 1.0 - spent.cpu / whole.cpu})
+    except (SimulationDiverged, OutOfTime) as error:
+        row["reported"] = str(error)
+    return row
+
+
+def compared(rows: Sequence[Row], quantity: str) -> list[tuple[float, float]]:
+    """Return the error and the stated uncertainty of each number of a quantity."""
+    every = [one for row in rows for one in row["effects"] if one[quantity] is not None]
+    return [
+        (abs(one[quantity] - one[f"{quantity}_true"]), one[f"{quantity}_unsure"]) for one in every
+    ]
+
+
 # The page
 
 
@@ -231,4 +323,30 @@ def section(values: dict[str, Any], page: Page) -> str:
 An effect that is off costs nothing: no number of its state is stored, none of the
 {values["kernels"]} kernels of a press without effects has its lines, and after presses with every
 effect that press has {after}. One press of 0.5 mm and 0.15 mm aside into 576
-elements in double precision, one CPU core; viscosity has two branches."""
+elements in double precision, one CPU core; viscosity has two branches.
+
+{tables(values["tables"])}"""
+
+
+def tables(rows: Sequence[Row]) -> str:
+    """Return how well the tables of random scenes agree with full solves, in words."""
+    solved = [row for row in rows if "reported" not in row]
+    text = (
+        f"**The table of effects** (`sim.effects_table`) of {len(rows)} random scenes, of which "
+        f"{len(solved)} have full solutions with all effects and without each: "
+    )
+    for quantity, unit in QUANTITIES.items():
+        pairs, factor = compared(rows, quantity), 100 if unit == "%" else 1
+        errors = [factor * error for error, _ in pairs] or [0.0]
+        within = sum(error <= unsure for error, unsure in pairs)
+        text += (
+            f"{quantity}s differ by {np.median(errors):.2g} {unit} in the median and "
+            f"{max(errors):.2g} {unit} at most, {within} of {len(pairs)} within what is stated; "
+        )
+    every = [one for row in rows for one in row["effects"] if one["time"] is not None]
+    times = [abs(one["time"] - one["time_true"]) for one in every] or [0.0]
+    spent = [row["seconds"] for row in rows]
+    return (
+        f"{text}times by {percent(float(np.median(times)))} of the whole in the median. A table "
+        f"took {seconds(float(np.median(spent)))} in the median, {seconds(max(spent))} at most."
+    )

@@ -1,11 +1,8 @@
-"""Are tolerances met on random scenes, and is the error of leaving effects out what is stated?
+"""Are tolerances met on random scenes?
 
-The reference of a tolerance is extrapolated (Richardson 1911, order 2) from the answer's mesh, or
+The reference is extrapolated (Richardson 1911, order 2) from the answer's mesh, or
 one as fine, and one `FINER` times finer. It uses the same solver, so it measures discretisation
 error only; other errors are covered by `hard-cases` and `independent`.
-
-For the second question each scene is planned with `effects="needed"`, and solved with all effects
-and without the omitted ones on the same default mesh.
 """
 
 from __future__ import annotations
@@ -13,7 +10,6 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,34 +17,27 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy.chart import Panel, Series, save_chart
-from benchmarks.accuracy.spent import spent_by
 from benchmarks.accuracy.wording import Row, kind_of, percent, rounded, seconds
-from benchmarks.hard_cases.random_scenes.dice import Dice
 from benchmarks.hard_cases.random_scenes.scenes import Drawn, drawn
 from benchmarks.processes import OutOfTime, rows_of, time_limit
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, INK, RED
-from recorder.progress import span_of
+from recorder.progress import part_of
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
-from sim.fem.mesh import meshes_of
-from sim.fem.sizing import stages_of
-from sim.fem.stepping import path_of
-from sim.metrics import force_errors, outcome_of, tolerance_of
-from sim.needed import FINENESS, plan_many
+from sim.metrics import tolerance_of
 from sim.planning import plan
 from sim.result import Result, force_scale
-from sim.scene import Effects, Friction, Gravity, Inertia, Scene, Viscosity
-from sim.tiers import simulate, simulate_many
+from sim.scene import Scene
+from sim.tiers import simulate
 from sim.tolerance import RATIO_LEAST, elements_ratio, left_of_difference
 
-# Number of scenes of each tolerance, and of those from which effects are left out; `--scenes` may
-# be lower.
-SCENES, NEEDED = {"3 %": 200, "1 %": 60}, 60
-# In a quick run one small scene of each seed, and a tolerance that takes seconds.
-QUICK_SCENES, QUICK_SCENE, QUICK_NEEDED = {"20 %": 1}, 9, 140
-SEED, NEEDED_SEED = 0, 1
+# Number of scenes of each tolerance; `--scenes` may be lower.
+SCENES = {"3 %": 200, "1 %": 60}
+# In a quick run one small scene, and a tolerance that takes seconds.
+QUICK_SCENES, QUICK_SCENE = {"20 %": 1}, 9
+SEED = 0
 # Limit of a solve [s]; that of a reference is four times as long.
 SECONDS = {"CPU": 300.0, "GPU": 120.0}
 # Fraction of the answers that must keep their tolerance.
@@ -60,20 +49,9 @@ COARSEST, QUICK_COARSEST = 0.75, 0.4
 # Maximum number of elements of a reference.
 TRUTH_ELEMENTS_MAX = {"CPU": 600_000, "GPU": 4_000_000}
 
-# Tolerance of the plans that leave effects out.
-TOLERANCE = "2 %"
-# Maximum steps of a motion and elements of a probe's mesh, for scenes that take seconds.
-STEPS_MAX, COARSE_MAX = 15, 700
-# Maximum number of elements in the meshes that check the plans.
-ELEMENTS_MAX = 6000
-# Offset of a scene's number, to draw its effects from a separate random stream.
-EFFECTS_STREAM = 1_000_000
-# Gravity of those scenes [m/s^2].
-PULLS = [(0.0, 0.0, -9.81), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0)]
-
 
 def measure(run: Run) -> dict[str, Any]:
-    """Return a row for every scene of every tolerance, and for every scene without effects."""
+    """Return a row for every scene of every tolerance."""
     ready_device(run.device)
     tolerances: dict[str, list[Row]] = {}
     for number, (tolerance, most) in enumerate((QUICK_SCENES if run.quick else SCENES).items()):
@@ -82,39 +60,25 @@ def measure(run: Run) -> dict[str, Any]:
         coarsest = QUICK_COARSEST if run.quick else COARSEST
         compare = partial(compared, tolerance=tolerance, coarsest=coarsest, device=run.device)
         named = {f"{tolerance}: {one.name}": one for one in chosen}
-        progress = span_of(run.progress, 0.4 * number, 0.4)
+        progress = part_of(run.progress, number, len(QUICK_SCENES if run.quick else SCENES))
         rows = [*rows_of(run, compare, named, progress).values()]
         tolerances[tolerance] = rows
         kept, answers = _count(rows, "kept"), _count(rows, "kept", "missed")
         if kept < LEAST * answers:
             run.failures.append(f"{tolerance} kept in {kept} of {answers} answers")
-    count = 1 if run.quick else min(run.options.scenes or NEEDED, NEEDED)
-    first = QUICK_NEEDED if run.quick else 0
-    some = scenes(NEEDED_SEED, first, count, run.folder, effects=True)
-    named = {f"needed: {one.name}": one for one in some}
-    needed = rows_of(run, left_out_error, named, span_of(run.progress, 0.8, 0.2))
-    run.seeds, run.spread = [SEED, NEEDED_SEED], "single run of each scene"
-    return {"tolerances": tolerances, "needed": [*needed.values()]}
+    run.seeds, run.spread = [SEED], "single run of each scene"
+    return {"tolerances": tolerances}
 
 
-def scenes(
-    seed: int, first: int, count: int, folder: Path, *, effects: bool = False
-) -> list[Drawn]:
-    """Return typical uses with contact of a seed, from number `first` on.
-
-    With `effects`, two or more of these are drawn again, some weak, and the scenes are those that
-    take seconds.
-    """
+def scenes(seed: int, first: int, count: int, folder: Path) -> list[Drawn]:
+    """Return typical uses with contact of a seed, from number `first` on."""
     chosen: list[Drawn] = []
     for index in itertools.count(first):
         one = drawn(seed, index, folder)
         if one.scene is None or not one.what.startswith("sensible"):
             continue
-        scene = one.scene
-        if effects:
-            scene = replace(scene, effects=_effects(Dice(seed, EFFECTS_STREAM + index)))
-        if _takes_seconds(scene) if effects else scene.motion.depth_max > 0:
-            chosen.append(replace(one, scene=scene))
+        if one.scene.motion.depth_max > 0:
+            chosen.append(one)
             if len(chosen) == count:
                 break
     return chosen
@@ -166,64 +130,6 @@ def _truth(
     return finest.force + step, np.abs(step).max(axis=1) / 2
 
 
-def _effects(dice: Dice) -> Effects:
-    """Return two to four effects, each weak as often as strong."""
-    while True:
-        branches = dice.whole(1, 2)
-        friction = Friction(dice.scaled(1e-3, 1.0)) if dice.chance(0.6) else None
-        viscosity = None
-        if dice.chance(0.5):
-            ratios = tuple(dice.scaled(1e-3, 1.0) for _ in range(branches))
-            viscosity = Viscosity(ratios, tuple(dice.scaled(1e-4, 10.0) for _ in range(branches)))
-        inertia = Inertia(dice.one_of([1.0, 1.0, 100.0])) if dice.chance(0.6) else None
-        gravity = Gravity(dice.one_of(PULLS)) if dice.chance(0.6) else None
-        effects = Effects(friction, viscosity, inertia, gravity)
-        if len(effects.key) >= 2:
-            return effects
-
-
-def _takes_seconds(scene: Scene) -> bool:
-    """Return True if a motion has few steps, and a probe's mesh few elements, as planned."""
-    path, steps = path_of(scene, Fem()), 0
-    for segment in range(1, len(scene.motion)):
-        path.segment = segment
-        steps += round(1 / path.limit)
-    if steps > STEPS_MAX:
-        return False
-    sizes = [stage.sizes for stage in stages_of(scene)]
-    meshes = meshes_of([scene] * len(sizes), Fem(fineness=FINENESS), sizes)
-    return sum(len(one.elements) for one in meshes) <= COARSE_MAX
-
-
-def left_out_error(one: Drawn) -> Row:
-    """Plan a scene, and compare with both solutions if any effect is omitted."""
-    scene = one.scene
-    assert scene is not None
-    (planned,) = plan_many([scene], tolerance=TOLERANCE)
-    row: Row = {
-        "scene": one.name,
-        "effects": list(scene.effects.key),
-        "left_out": list(planned.omitted),
-        "probe_seconds": rounded(planned.seconds),
-    }
-    if not planned.omitted:
-        return row
-    ((full,), cost), ((less,), cost_less) = (
-        spent_by(partial(simulate_many, [some], Fem(elements_max=ELEMENTS_MAX)), "cpu")
-        for some in (scene, planned.needed)
-    )
-    row |= {
-        "stated": rounded(planned.joint.value("fraction")),
-        "seconds": rounded(cost.wall),
-        "seconds_without": rounded(cost_less.wall),
-        "error": None,
-    }
-    if isinstance(full, Result) and isinstance(less, Result):
-        _, fraction = force_errors(outcome_of(less), outcome_of(full))
-        row["error"] = rounded(float(fraction.max()))
-    return row
-
-
 # The page
 
 
@@ -232,7 +138,7 @@ def _count(rows: Sequence[Row], *outcomes: str) -> int:
 
 
 def section(values: dict[str, Any], page: Page) -> str:
-    """Return the table of tolerances, with the picture, and the error of leaving effects out."""
+    """Return the table of tolerances, with the picture."""
     compared = {
         tolerance: [row for row in rows if row.get("error_percent") is not None]
         for tolerance, rows in values["tolerances"].items()
@@ -264,9 +170,7 @@ extrapolated, by the same solver. *Kept*: the error is within the tolerance, of 
 error is known. The error that an answer states is often smaller than the tolerance:
 {_exceeded(compared)} Presses without contact have no error; they are drawn at the lower left.
 Without a converged state are nearly only edges that are sharp for their depth, with little friction
-or none, which have no smooth solution (`tests/benchmarks/test_independent.py`).
-
-{left_out(values.get("needed", []))}"""
+or none, which have no smooth solution (`tests/benchmarks/test_independent.py`)."""
 
 
 def _exceeded(tolerances: dict[str, list[Row]]) -> str:
@@ -300,25 +204,3 @@ def _draw(page: Page, tolerances: dict[str, list[Row]]) -> None:
         "error that the answer states [%]",
         "error [%]",
     )
-
-
-def left_out(some: Sequence[Row]) -> str:
-    """Return gain and cost of leaving effects out, in words."""
-    if not some:
-        return ""
-    less = [row for row in some if row.get("error") is not None]
-    within = sum(row["error"] <= tolerance_of(TOLERANCE).value for row in less)
-    as_stated = sum(row["error"] <= row["stated"] for row in less)
-    worst = max(less, key=lambda row: float(row["error"]), default=None)
-    saved = sum(row["seconds"] - row["seconds_without"] for row in less)
-    text = (
-        f'**Effects left out** by `plan(scene, "{TOLERANCE}", effects="needed")`: of {len(some)} '
-        f"scenes with two or more effects {len(less)} lose some, and are solved with and without "
-        f"them on the same mesh. The error is within {TOLERANCE} in {within}, and within what the "
-        f"plan states in {as_stated}"
-    )
-    if worst is not None:
-        error, stated = percent(worst["error"]), percent(worst["stated"])
-        text += f"; the largest is {error}, where {stated} is stated"
-    probes = sum(row["probe_seconds"] for row in some)
-    return f"{text}. Leaving out saved {seconds(saved)}, the probes took {seconds(probes)}."

@@ -310,11 +310,6 @@ def tier_of(options: argparse.Namespace) -> Layer | Fem:
     tier: Layer | Fem = options.tier or Fem()
     if options.tolerance is not None and tier not in (Layer(), Fem()):
         raise SceneError("--tier: fem with a fineness and --tolerance; allowed: either")
-    if options.tolerance is None and options.effects != "all":
-        raise SceneError(
-            f"--effects: {options.effects!r} without --tolerance; allowed: with one, such as "
-            '"2 %", "0.05 N" or "0.5 px"'
-        )
     return tier
 
 
@@ -441,17 +436,9 @@ def _add_effect_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--effects",
-        choices=("all", "needed"),
-        default="all",
-        help="needed: omit effects that together change less than a third of --tolerance "
-        "(%(default)s)",
-    )
-    group.add_argument(
-        "--plan-effects",
         action="store_true",
-        help="only estimate, by coarse meshes, how much each effect changes force [%%, N] and "
-        "markers [px], and its fraction of the time. With --tolerance, also report which effects "
-        "would be omitted",
+        help="only print a table of what each effect changes: force [%%], markers [px] and time "
+        "[%%], by a coarse mesh",
     )
 
 

@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
     """
     began = time.perf_counter()
     scene = scene_of(options)
-    if options.plan_effects:
+    if options.effects:
         return _show_effects(scene, options)
     picture = _picture_path(options)
     _make_room(options.save, picture)
@@ -84,19 +84,17 @@ def _show(
 
 
 def _show_effects(scene: Scene, options: argparse.Namespace) -> int:
-    """Print the estimated contribution of each effect and return the exit code."""
+    """Print what each effect changes and return the exit code."""
     for name in ("out", "save"):
         if (path := getattr(options, name)) is not None:
-            raise SceneError(
-                f"--{name}: {path} with --plan-effects; allowed: without, it only prints"
-            )
+            raise SceneError(f"--{name}: {path} with --effects; allowed: without, it only prints")
     from sim.device import ready_device
-    from sim.planning import plan_effects
+    from sim.effect_sizes import effects_table
 
     kernels = ready_device(options.device)
     with Progress("press", sys.stderr, kernels=kernels) as progress:
-        influence = plan_effects(scene, options.tolerance, device=options.device, progress=progress)
-    print(json.dumps(influence.record(), allow_nan=False) if options.json else influence)
+        effects = effects_table(scene, device=options.device, progress=progress)
+    print(json.dumps(effects.record(), allow_nan=False) if options.json else effects)
     return 0
 
 
@@ -115,14 +113,7 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
             return simulate(scene, tier, device=options.device, progress=progress)
         from sim.planning import plan
 
-        within = plan(
-            scene,
-            options.tolerance,
-            only=only,
-            effects=options.effects,
-            device=options.device,
-            progress=progress,
-        )
+        within = plan(scene, options.tolerance, only=only, device=options.device)
         return within.run(progress=progress)
 
 
@@ -162,7 +153,6 @@ def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
     scene, frames = result.scene, slice(1, None)
     tip = np.array(scene.motion.tip, float)[frames] * 1e3
     force, torque = result.wrench[frames, :3], result.wrench[frames, 3:]
-    effects = result.record.get("effects")
     quality = {
         one.name: _plain(getattr(result.quality, one.name)[frames]) for one in fields(Quality)
     }
@@ -188,8 +178,6 @@ def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
         "seconds_by_stage": result.record["seconds"],
         "quality": quality,
         "notes": notes(result),
-        # If only needed effects were simulated, the estimates of all.
-        **({"effects_plan": effects} if isinstance(effects, dict) else {}),
     }
 
 

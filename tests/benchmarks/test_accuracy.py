@@ -189,22 +189,24 @@ def test_a_cpu_is_forecast_by_its_processes_and_a_gpu_from_as_many_presses_as_fi
     assert frames.forecast(None, 256, processes=1) == 0.0
 
 
-def test_effects_left_out_are_told_with_the_largest_error_and_what_it_saved() -> None:
+def test_tables_of_effects_are_compared_with_full_solves_number_by_number() -> None:
+    numbers = {
+        **{"force": 0.10, "force_true": 0.13, "force_unsure": 0.02},
+        **{"marker": 0.5, "marker_true": 0.4, "marker_unsure": 0.2},
+        **{"time": 0.2, "time_true": 0.5},
+    }
+    exact = numbers | {"force_true": 0.1, "marker_true": 0.5, "time_true": 0.2}
+    unknown = numbers | dict.fromkeys(("force", "marker", "time"))
     some = [
-        {"probe_seconds": 3.0},
-        {
-            "probe_seconds": 4.0,
-            "error": 0.03,
-            "stated": 0.01,
-            "seconds": 9.0,
-            "seconds_without": 8.0,
-        },
+        {"seconds": 0.5, "effects": [numbers, exact, unknown]},
+        {"seconds": 2.0, "effects": [], "reported": "no answer within 120 s"},
     ]
-    text = tolerance.left_out(some)
-    assert "of 2 scenes with two or more effects 1 lose some" in text
-    assert "within 2 % in 0, and within what the plan states in 0" in text
-    assert "the largest is 3.0 %, where 1.0 % is stated" in text
-    assert "saved 1.00 s, the probes took 7.00 s" in text
+    text = effects.tables(some)
+    assert "of 2 random scenes, of which 1 have full solutions" in text
+    assert "forces differ by 1.5 % in the median and 3 % at most, 1 of 2 within" in text
+    assert "markers differ by 0.05 px in the median and 0.1 px at most, 2 of 2 within" in text
+    assert "times by 15 % of the whole in the median" in text
+    assert "took 1.25 s in the median, 2.00 s at most" in text
 
 
 def test_random_scenes_press_and_are_the_same_for_every_count(tmp_path: Path) -> None:
