@@ -1,4 +1,4 @@
-"""What each effect of a scene changes: the force, the markers and the time, by a coarse mesh.
+"""Changes of force, markers and time by each effect of a scene, measured on a coarse mesh.
 
 The scene is solved on one coarse `fem` mesh with all of its effects, and again with each of them
 at no strength. All are one batch of the same kernels, steps and mesh, whose own error mostly
@@ -56,7 +56,7 @@ class EffectSize:
 
 @dataclass(frozen=True, slots=True)
 class EffectsTable:
-    """What each active effect of a scene changes; printed, it is a table."""
+    """Changes by each active effect of a scene; printed, it is a table."""
 
     sizes: tuple[EffectSize, ...]
     """Active effects in the order of `Effects.key`."""
