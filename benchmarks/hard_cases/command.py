@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from typing import Any
 
-from benchmarks.hard_cases import mistakes, named_cases, refinement
-from benchmarks.hard_cases.random_scenes import judgement as random_scenes
+from benchmarks.hard_cases import mistakes, named_cases, paper_presses, refinement, variants
+from benchmarks.hard_cases.random_scenes import judgement
 from benchmarks.processes import add_processes
 from benchmarks.report import QUICK_RESULTS, Benchmark, Part
 from recorder.command_line.options import add_seed, whole
@@ -23,10 +24,16 @@ def _options(parser: argparse.ArgumentParser) -> None:
         help="run this case only, * and ? are wildcards (may be repeated)",
     )
     count = whole(1, 100_000)
-    add("--scenes", type=count, default=300, metavar="N", help="random scenes (%(default)s)")
+    add(
+        "--scenes",
+        type=count,
+        default=300,
+        metavar="N",
+        help="random scenes (%(default)s); on cores a fifth as many",
+    )
     add("--first", type=whole(0), default=0, metavar="I", help="first scene (%(default)s)")
     add_seed(parser)
-    add("--seconds", type=whole(1, 3600), default=60, help="limit of a random scene (%(default)s)")
+    add("--seconds", type=whole(1, 3600), default=60, help="time for an answer (%(default)s)")
 
 
 def _summary(values: dict[str, Any]) -> str:
@@ -35,28 +42,45 @@ def _summary(values: dict[str, Any]) -> str:
     if reports := values.get("cases"):
         failed = sum(bool(report["failures"]) for report in reports.values())
         lines.append(f"**{len(reports)} cases, {len(reports) - failed} passed.**")
-    if outcomes := values.get("random"):
-        kinds = [one["class"] for one in outcomes]
-        answers = kinds.count("right") + kinds.count("warned")
-        without = kinds.count("refused") + kinds.count("diverged")
-        lines.append(
-            f"Of {len(kinds)} random scenes, {answers} have an answer that is right within its "
-            f"stated error or warns, {without} are refused or diverge with a message, "
-            f"{kinds.count('timeout')} have no answer in time, and {kinds.count('silent')} are "
-            f"silently wrong, {kinds.count('crash')} crash."
-        )
+    for name in ("random", "cores", "variants"):
+        if rows := values.get(name):
+            answers = [row for row in rows if row.get("stated") is not None]
+            lines.append(
+                f"Of {len(rows)} scenes of part {name}, {len(answers)} have an answer with a stated "
+                f"error, which holds in {sum(map(judgement.holds, answers))}; "
+                f"{sum(map(judgement.silent, answers))} are silently wrong."
+            )
     return " ".join(lines)
 
 
 BENCHMARK = Benchmark(
     "hard-cases",
     "Hard cases",
-    "Is the finite-element solver right, or does it say that it has no answer, in scenes that "
-    "break simulators?",
+    "Is the simulator right, or does it say how far it may be off, in scenes that break simulators, "
+    "and in random ones?",
     (
         Part("cases", named_cases.measure, named_cases.section, weight=4),
         Part("mistakes", mistakes.measure, mistakes.section),
-        Part("random", random_scenes.measure, random_scenes.section, weight=20),
+        Part("random", judgement.measure, judgement.section, weight=40),
+        Part(
+            "cores",
+            judgement.measure_cores,
+            partial(judgement.section, title="Random scenes, one core each"),
+            weight=20,
+        ),
+        Part("variants", variants.measure, variants.section, weight=8),
+        Part(
+            "paper",
+            partial(paper_presses.measure, fineness="default"),
+            paper_presses.section,
+            weight=12,
+        ),
+        Part(
+            "paper-fine",
+            partial(paper_presses.measure, fineness="fineness 1"),
+            paper_presses.section,
+            weight=20,
+        ),
         Part("refinement", refinement.measure, refinement.section, weight=3),
     ),
     summary=_summary,

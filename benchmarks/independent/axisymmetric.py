@@ -100,14 +100,24 @@ class AxisymmetricPress:
         grid: The mesh of the layer.
         friction: Coulomb friction coefficient.
         contact_radius: Approximate contact radius [m]; scales the contact stiffness.
+        density: Mass per volume [kg/m^3], for `in_time` only.
     """
 
     def __init__(
-        self, layer: Layer, profile: Profile, grid: Grid, friction: float, contact_radius: float
+        self,
+        layer: Layer,
+        profile: Profile,
+        grid: Grid,
+        friction: float,
+        contact_radius: float,
+        density: float = 0.0,
     ) -> None:
         self.profile, self.friction = profile, friction
         shear, bulk = shear_and_bulk(layer.modulus, layer.poisson)
         self.elastic = Elastic(grid, shear, bulk)
+        self.mass = self.elastic.mass(density)
+        # Mass over the square of the time step [N/m], and where it would be without force.
+        self.inertia, self.free_motion = 0.0 * self.mass, np.zeros(self.elastic.count)
         self.stiffness = STIFFNESS * layer.modulus / min(contact_radius, layer.thickness)
         self.nodes = grid.nodes
         top = grid.top
@@ -146,6 +156,31 @@ class AxisymmetricPress:
             before = depth
         return answers
 
+    def in_time(self, depths: Sequence[float], times: Sequence[float], steps: int) -> list[float]:
+        """Return the force at each depth [m], reached at its time [s] (rising, above 0) [N].
+
+        The tip starts from the top at time 0 and goes from depth to depth at constant speed, in
+        about `steps` even steps in all, of backward Euler.
+
+        Raises:
+            NotSolved: A step does not converge.
+        """
+        none, still = np.zeros_like(self.r), np.zeros(self.elastic.count)
+        state, speed, forces = RingState(0.0, still, none, none, still), still, list[float]()
+        before = 0.0
+        for depth, time in zip(depths, times, strict=True):
+            count = max(1, round(steps * (time - before) / times[-1]))
+            step, top = (time - before) / count, state.tip
+            for number in range(1, count + 1):
+                self.inertia, self.free_motion = self.mass / step**2, state.u + step * speed
+                after = self._balanced(state, top + (-depth - top) * number / count)
+                if after is None:
+                    raise NotSolved(f"at a depth of {-state.tip * 1e3:.4g} mm")
+                speed, state = (after.u - state.u) / step, after
+            forces.append(self._tractions(state, state.u, state.tip).force)
+            before = time
+        return forces
+
     def _moved(self, state: RingState, target: float) -> RingState:
         """Apply Newton's method to a tip at z = `target`, in smaller steps where needed."""
         step, failed = target - state.tip, 0
@@ -182,12 +217,13 @@ class AxisymmetricPress:
             u = old.u.copy()
         contact, residual, merit = self._residual(old, u, tip)
         for _ in range(ITERATIONS):
-            size = float(np.linalg.norm(contact.nodal))
+            accelerated = self.inertia @ (u - self.free_motion)
+            size = float(np.linalg.norm(contact.nodal) + np.linalg.norm(accelerated))
             if np.linalg.norm(residual) < max(CONVERGED * size, self.rounding):
                 travel = tip - old.tip
                 rate = (u - old.u) / travel if travel else old.rate
                 return RingState(tip, u, old.multiplier, contact.shear, rate)
-            tangent = self.elastic.tangent(u)
+            tangent = self.elastic.tangent(u) + self.inertia
             matrix = (tangent + self._tangent(contact))[self.free][:, self.free]
             factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             change = np.zeros_like(u)
@@ -214,10 +250,13 @@ class AxisymmetricPress:
         """
         contact = self._tractions(old, u, tip)
         pushed = np.bincount(self.unknowns.ravel(), contact.nodal.ravel(), len(u))
-        residual: Array = (self.elastic.force(u) - pushed)[self.free]
+        away = u - self.free_motion
+        accelerated = self.inertia @ away
+        residual: Array = (self.elastic.force(u) + accelerated - pushed)[self.free]
         if self.friction:
             return contact, residual, float(np.linalg.norm(residual))
         stored = float(np.sum(contact.pressure**2 * self.area)) / (2 * self.stiffness)
+        stored += float(away @ accelerated) / 2
         return contact, residual, self.elastic.energy(u) + stored
 
     def _inverted(self, u: Array) -> bool:

@@ -100,6 +100,7 @@ class Elastic:
         area = np.linalg.det(ways)
         over_r, over_z = np.einsum("epdc,dpn->cepn", np.linalg.inv(ways), slopes)
         self.volume: Array = 2 * math.pi * r * flat * area
+        self.shape = shape
         # Operator from the 18 displacements to the five entries of F, (E, P, 5, 18).
         self.operator = np.zeros((*r.shape, 5, 18))
         self.operator[:, :, 0, 0::2] = over_r
@@ -112,6 +113,12 @@ class Elastic:
         self.linear = np.stack([np.ones_like(first), first, second], axis=1)
         mass = np.einsum("ep,pa,pb->eab", self.volume, self.linear, self.linear)
         self.inverse = np.linalg.inv(mass)
+
+    def mass(self, density: float) -> csc_matrix:
+        """Return the consistent mass (2 N, 2 N) [kg] of a density [kg/m^3]."""
+        local = density * np.einsum("ep,pn,pm->enm", self.volume, self.shape, self.shape)
+        both = np.einsum("enm,cd->encmd", local, np.eye(2)).reshape(len(local), 18, 18)
+        return assembled(both, self.unknowns, self.count)
 
     def strain(self, u: Array) -> tuple[Array, Array, Array]:
         """Return F (E, P, 5), J and its projection theta, (E, P) each, at the points.

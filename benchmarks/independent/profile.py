@@ -1,7 +1,7 @@
 """Profiles of round indenters: signed distance in the half-plane (r, z), tip at z = 0.
 
 Every profile is a core that is grown by `rounding` on all sides: a point (sphere, ring), an upright
-strip (punch, flat tube) or an upright cone (cone with a round tip). Distance, normal and curvature
+strip (punch, flat tube) or an upright cone (cone with a round or flat tip). Distance, normal and curvature
 of such a body are exact up to a penetration of `rounding`.
 """
 
@@ -26,7 +26,7 @@ class Profile:
     inner: float
     """Smallest r of the core [m]."""
     outer: float
-    """Largest r of the core [m]; for a cone, r of its apex: 0."""
+    """Largest r of the core [m]; of a cone, that of its flat end."""
     rounding: float
     """Distance by which the body extends beyond the core [m]."""
     half_angle: float = 0.0
@@ -45,13 +45,14 @@ class Profile:
 
     def _from_cone(self, r: Array, z: Array) -> tuple[Array, Array, Array, Array]:
         cosine, sine = math.cos(self.half_angle), math.sin(self.half_angle)
-        up = z - self.rounding
-        tip = r * sine + up * cosine <= 0
-        length = np.maximum(np.hypot(r, up), 1e-300)
-        gap = np.where(tip, length, r * cosine - up * sine) - self.rounding
-        normal_r = np.where(tip, r / length, cosine)
+        up, beside = z - self.rounding, np.maximum(r - self.outer, 0.0)
+        tip = beside * sine + up * cosine <= 0
+        length = np.maximum(np.hypot(beside, up), 1e-300)
+        gap = np.where(tip, length, (r - self.outer) * cosine - up * sine) - self.rounding
+        normal_r = np.where(tip, beside / length, cosine)
         normal_z = np.where(tip, up / length, -sine)
-        return gap, normal_r, normal_z, np.where(tip, 1 / length, 0.0)
+        bends = tip & ((beside > 0) | (self.outer == 0))
+        return gap, normal_r, normal_z, np.where(bends, 1 / length, 0.0)
 
 
 def sphere(radius: float) -> Profile:
@@ -74,6 +75,6 @@ def tube(outer_radius: float, inner_radius: float, edge_radius: float) -> Profil
     return Profile("tube", inner_radius + edge_radius, outer_radius - edge_radius, edge_radius)
 
 
-def cone(half_angle: float, tip_radius: float) -> Profile:
-    """Return a cone [rad] on a tangent spherical tip [m]."""
-    return Profile("cone", 0.0, 0.0, tip_radius, half_angle)
+def cone(half_angle: float, rounding: float, flat: float = 0.0) -> Profile:
+    """Return a cone [rad] on a tangent spherical tip [m], or on a `flat` end within it [m]."""
+    return Profile("cone", 0.0, flat, rounding, half_angle)

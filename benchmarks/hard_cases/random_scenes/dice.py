@@ -17,10 +17,10 @@ class Dice:
     `words` describe the scene: the families and kinds that were drawn.
     """
 
-    def __init__(self, seed: int, scene: int) -> None:
+    def __init__(self, seed: int, scene: int, attempt: int = 0) -> None:
         """Create the stream of scene `scene` of `seed`."""
         self.words: list[str] = []
-        self._draw = random.Random(f"hard cases {seed}/{scene}").random
+        self._draw = random.Random(f"hard cases {seed}/{scene}/{attempt}").random
 
     def chance(self, fraction: float) -> bool:
         """Return True with probability `fraction`."""
