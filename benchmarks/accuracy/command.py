@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from benchmarks.accuracy import effects, frames, images, solvers, speed, tolerance
+from benchmarks.accuracy import effects, frames, images, solvers, speed
 from benchmarks.processes import add_processes
 from benchmarks.report import Benchmark, Part
 from recorder.command_line.options import whole
@@ -17,7 +17,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
         "--scenes",
         type=whole(),
         metavar="N",
-        help="at most N random scenes a tolerance (default: 200 at 3 %%, 60 at 1 %%)",
+        help="at most N random scenes for the table of effects (default: 60)",
     )
     parser.add_argument(
         "--references",
@@ -37,7 +37,6 @@ BENCHMARK = Benchmark(
         Part("accuracy", solvers.measure, solvers.section, weight=6),
         Part("speed", speed.measure, speed.section, weight=3),
         Part("frames", frames.measure, frames.section, weight=2),
-        Part("tolerance", tolerance.measure, tolerance.section, weight=8),
         Part("effects", effects.measure, effects.section, weight=1),
         Part("images", images.measure, images.section, weight=0.5),
     ),

@@ -236,8 +236,6 @@ def scenes(count: int, folder: Path) -> list[Drawn]:
         if len(chosen) == count:
             break
         one = drawn(SEED, index, folder)
-        if one.scene is None or not one.what.startswith("sensible"):
-            continue
         scene = replace(one.scene, effects=_effects(Dice(SEED, EFFECTS_STREAM + index)))
         if scene.motion.depth_max > 0 and path_of(scene, Fem()).steps <= STEPS_MAX:
             chosen.append(replace(one, scene=scene))
@@ -263,7 +261,6 @@ def _effects(dice: Dice) -> Effects:
 def table_errors(one: Drawn) -> Row:
     """Return the table of a scene, and what leaving each effect out changes in full solves."""
     scene = one.scene
-    assert scene is not None
     stated = effects_table(scene)
     row: Row = {"scene": one.name, "seconds": rounded(stated.seconds), "effects": []}
     try:

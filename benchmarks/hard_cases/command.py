@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
 from typing import Any
 
-from benchmarks.hard_cases import mistakes, named_cases, paper_presses, refinement, variants
+from benchmarks.hard_cases import mistakes, named_cases, paper_presses, variants
 from benchmarks.hard_cases.random_scenes import judgement
 from benchmarks.processes import add_processes
 from benchmarks.report import QUICK_RESULTS, Benchmark, Part
@@ -23,14 +22,8 @@ def _options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="run this case only, * and ? are wildcards (may be repeated)",
     )
-    count = whole(1, 100_000)
-    add(
-        "--scenes",
-        type=count,
-        default=300,
-        metavar="N",
-        help="random scenes (%(default)s); on cores a fifth as many",
-    )
+    random = "random scenes (%(default)s); on cores a fifth as many"
+    add("--scenes", type=whole(1, 50_000), default=300, metavar="N", help=random)
     add("--first", type=whole(0), default=0, metavar="I", help="first scene (%(default)s)")
     add_seed(parser)
     add("--seconds", type=whole(1, 3600), default=60, help="time for an answer (%(default)s)")
@@ -46,7 +39,7 @@ def _summary(values: dict[str, Any]) -> str:
         if rows := values.get(name):
             answers = [row for row in rows if row.get("stated") is not None]
             lines.append(
-                f"Of {len(rows)} scenes of part {name}, {len(answers)} have an answer with a stated "
+                f"Of {len(rows)} scenes of part {name}, {len(answers)} are answered with a stated "
                 f"error, which holds in {sum(map(judgement.holds, answers))}; "
                 f"{sum(map(judgement.silent, answers))} are silently wrong."
             )
@@ -56,32 +49,16 @@ def _summary(values: dict[str, Any]) -> str:
 BENCHMARK = Benchmark(
     "hard-cases",
     "Hard cases",
-    "Is the simulator right, or does it say how far it may be off, in scenes that break simulators, "
-    "and in random ones?",
+    "Is the simulator right, or does it say how far it may be off, in scenes that break "
+    "simulators, and in random ones?",
     (
         Part("cases", named_cases.measure, named_cases.section, weight=4),
         Part("mistakes", mistakes.measure, mistakes.section),
         Part("random", judgement.measure, judgement.section, weight=40),
-        Part(
-            "cores",
-            judgement.measure_cores,
-            partial(judgement.section, title="Random scenes, one core each"),
-            weight=20,
-        ),
+        Part("cores", judgement.measure_cores, judgement.section_cores, weight=20),
         Part("variants", variants.measure, variants.section, weight=8),
-        Part(
-            "paper",
-            partial(paper_presses.measure, fineness="default"),
-            paper_presses.section,
-            weight=12,
-        ),
-        Part(
-            "paper-fine",
-            partial(paper_presses.measure, fineness="fineness 1"),
-            paper_presses.section,
-            weight=20,
-        ),
-        Part("refinement", refinement.measure, refinement.section, weight=3),
+        Part("paper", paper_presses.measure, paper_presses.section, weight=12),
+        Part("paper-fine", paper_presses.measure_fine, paper_presses.section, weight=20),
     ),
     summary=_summary,
     options=_options,

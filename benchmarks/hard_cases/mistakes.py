@@ -116,7 +116,7 @@ def section(noticed: dict[str, list[str]], _page: Page) -> str:
         rows.append([name, what, f"`{case}`", escaped((failures or ["**not noticed**"])[0])])
     text = (
         "## Deliberate mistakes\n\nSolvers built wrong on purpose, by the arguments of `Solver`, "
-        "and the fastest case that notices each, with the first law that fails. The referee of "
-        "random scenes is tried with them as well, in `tests/benchmarks/test_random_scenes.py`."
+        "and the fastest case that notices each, with the first law that fails. The laws of "
+        "random scenes are tried with them as well, in `tests/benchmarks/test_random_scenes.py`."
     )
     return f"{text}\n\n{table(['mistake', 'what is wrong', 'noticed by', 'law that fails'], rows)}"

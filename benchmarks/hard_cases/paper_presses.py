@@ -1,4 +1,4 @@
-"""Parts `paper` and `paper-fine`: the paper's indenters pressed deep into three gels and sheared."""
+"""Parts `paper` and `paper-fine`: the paper's indenters, deep in three gels."""
 
 from __future__ import annotations
 
@@ -42,19 +42,28 @@ def scenes() -> dict[str, Scene]:
     }
 
 
-def measure(run: Run, fineness: str) -> dict[str, Any]:
-    """Solve the presses; in a quick run one."""
+def measure(run: Run) -> dict[str, Any]:
+    """Solve the presses with the default elements; in a quick run one."""
+    return _measured(run, "default")
+
+
+def measure_fine(run: Run) -> dict[str, Any]:
+    """Solve the presses with finer elements."""
+    return _measured(run, "fineness 1")
+
+
+def _measured(run: Run, fineness: str) -> dict[str, Any]:
     chosen = dict(list(scenes().items())[: 1 if run.quick else None])
     numerics = Fem() if fineness == "default" else Fem(fineness=1.0)
     began = time.perf_counter()
     rows = rows_of(run, partial(_solved, numerics, run.device), chosen)
-    together = round(time.perf_counter() - began, 1)
+    spent = round(time.perf_counter() - began, 1)
     stated = [row["stated"] for row in rows.values() if row.get("stated") is not None]
     if len(stated) < LEAST[fineness] and not run.quick:
         run.failures.append(f"{len(stated)} answered; required: {LEAST[fineness]}")
     if fineness == "default" and (median := np.median(stated or [np.inf])) > MEDIAN:
         run.failures.append(f"stated error {median:.3g} % in the median; required: {MEDIAN:g} %")
-    return {"fineness": fineness, "together": together, "rows": rows}
+    return {"fineness": fineness, "seconds": spent, "rows": rows}
 
 
 def _solved(numerics: Fem, device: str, scene: Scene) -> Row:
@@ -90,8 +99,8 @@ def section(values: dict[str, Any], _page: Page) -> str:
 
 All in gels of 2.5, 4 and 5.5 mm (Poisson's ratio 0.48, 0.45, 0.40) with friction 0, 0.5 and 0.9,
 pressed to {100 * DEPTH:g} % of the thickness and sheared by {1e3 * SHEAR:g} mm: {len(rows)} of
-{len(values["rows"])} are answered, with {median} stated in the median, in {values["together"]:.0f} s
-together.
+{len(values["rows"])} are answered, with {median} stated in the median, in
+{values["seconds"]:.0f} s together.
 
 {table(["indenter", "answered", "stated, median", "largest", "longest"], lines)}"""
     return text + ("\n\n" + table(["no answer", "why"], missing) if missing else "")

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from benchmarks.hard_cases.bodies import MM, down
-from benchmarks.hard_cases.random_scenes.judgement import Row, all_judged, holds
+from benchmarks.hard_cases.random_scenes.judgement import Row, all_judged, answers, holds
 from benchmarks.hard_cases.random_scenes.scenes import Drawn
-from benchmarks.report import Page, Run, table
+from benchmarks.report import Page, Run
 from sim.indenters import Indenter, box, flat_punch, named, rounded_cone, sphere, torus, tube
 from sim.scene import Body, Effects, Friction, Inertia, Motion, Scene, press
 
@@ -110,29 +110,10 @@ def measure(run: Run) -> list[Row]:
 
 def section(rows: list[Row], _page: Page) -> str:
     """Return the table of variants."""
-
-    def percent(row: Row, name: str) -> str:
-        return f"{row[name]:.3g} %" if row.get(name) is not None else "-"
-
-    lines = [
-        [row["scene"], f"{row['seconds']:.0f} s", *(percent(row, n) for n in ("stated", "off"))]
-        + [percent(row, "unsure"), "yes" if holds(row) else "**no**"]
-        + [row.get("by") or row.get("no_reference") or row["why"]]
-        for row in rows
-    ]
-    head = [
-        "scene",
-        "time",
-        "stated",
-        "error",
-        "the reference's",
-        "holds",
-        "reference, or why none",
-    ]
     there = sum(row.get("stated") is not None for row in rows)
     return f"""## Hard scenes
 
 Twelve scenes in five variants each, as the random ones: {there} of {len(rows)} are answered, and
 the stated error of {sum(map(holds, rows))} holds.
 
-{table(head, [[str(cell).replace("|", " ")[:160] for cell in line] for line in lines])}"""
+{answers(rows)}"""

@@ -1,8 +1,8 @@
 """Profiles of round indenters: signed distance in the half-plane (r, z), tip at z = 0.
 
 Every profile is a core that is grown by `rounding` on all sides: a point (sphere, ring), an upright
-strip (punch, flat tube) or an upright cone (cone with a round or flat tip). Distance, normal and curvature
-of such a body are exact up to a penetration of `rounding`.
+strip (punch, flat tube) or an upright cone (cone with a round or flat tip). Distance, normal and
+curvature of such a body are exact up to a penetration of `rounding`.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.commands import run_module
 
-from benchmarks.accuracy import command, effects, frames, solvers, speed, tolerance
+from benchmarks.accuracy import command, effects, frames, solvers, speed
 from benchmarks.accuracy.cases import CASES, finer, solve_reference
 from benchmarks.accuracy.competitors import closed_form, ladders
 from benchmarks.accuracy.speed import TimedPress, extrapolated, forces_of
@@ -209,14 +209,6 @@ def test_tables_of_effects_are_compared_with_full_solves_number_by_number() -> N
     assert "took 1.25 s in the median, 2.00 s at most" in text
 
 
-def test_random_scenes_press_and_are_the_same_for_every_count(tmp_path: Path) -> None:
-    some = tolerance.scenes(0, 0, 3, tmp_path)
-    assert [one.name for one in tolerance.scenes(0, 0, 2, tmp_path)] == [
-        one.name for one in some[:2]
-    ]
-    assert all(one.scene is not None and one.scene.motion.depth_max > 0 for one in some)
-
-
 @pytest.mark.slow
 def test_kernels_with_an_effects_lines_are_a_trace_in_a_press_that_should_not_have_it() -> None:
     with effects.launched() as plain:
@@ -237,7 +229,7 @@ def test_a_quick_run_measures_every_part_and_draws_the_page_again(tmp_path: Path
     assert list(stored) == [part.name for part in command.BENCHMARK.parts]
     text = page.read_text()
     assert "nan" not in text
-    for name in ("solvers", "speed", "frames", "tolerance", "effects", "images"):
+    for name in ("solvers", "speed", "frames", "effects", "images"):
         assert (tmp_path / "images" / f"accuracy-{name}.png").stat().st_size > 1000
     assert run_module(command, "--draw", "--out", str(page)) == 0
     assert page.read_text() == text

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -13,34 +12,27 @@ import pytest
 
 from benchmarks import processes
 from benchmarks.__main__ import main
+from benchmarks.hard_cases import paper_presses, variants
 from benchmarks.hard_cases.mistakes import MISTAKES
-from benchmarks.hard_cases.random_scenes import judgement
+from benchmarks.hard_cases.random_scenes import axial, judgement, reference
 from benchmarks.hard_cases.random_scenes.geometry import footprint, half_wall
-from benchmarks.hard_cases.random_scenes.judgement import (
-    SceneOutcome,
-    covered,
-    judge_scene,
-    of_laws,
-    unsolved,
-)
-from benchmarks.hard_cases.random_scenes.referee import (
+from benchmarks.hard_cases.random_scenes.judgement import compared, holds, silent, within
+from benchmarks.hard_cases.random_scenes.mechanics import (
     LAWS,
     Reading,
-    layer_force,
+    covered,
     least_force,
     measured,
-    most_force,
+    silent_laws,
 )
-from benchmarks.hard_cases.random_scenes.scenes import ELEMENTS_MAX, Drawn, drawn
-from benchmarks.hard_cases.random_scenes.twins import KINDS, agrees, symmetric, twin_of
+from benchmarks.hard_cases.random_scenes.reference import NoReference, Reference
+from benchmarks.hard_cases.random_scenes.scenes import GROUPS, Drawn, drawn
 from benchmarks.hard_cases.solver import Solver
 from benchmarks.processes import OutOfTime, time_limit
 from sim.errors import SceneError, SimulationDiverged
-from sim.fem import Fem, Grading
-from sim.fem.mesh import meshes_of
 from sim.indenters import shapes
-from sim.result import Quality, Result, from_json
-from sim.scene import Body, Effects, Friction, Motion, Scene, press
+from sim.result import Quality, Result
+from sim.scene import Body, Effects, Friction, Gravity, Inertia, Motion, Scene, Viscosity, press
 
 MM = 1e-3
 BALL = Scene(shapes.sphere(4 * MM), press([0.2 * MM, 0.4 * MM]))
@@ -58,7 +50,7 @@ def _made_up(scene: Scene) -> Result:
         height = scene.indenter.heights((x - tip[0])[:, None], (x - tip[1])[None])
         deep = np.maximum(-tip[2] - height, 0.0)
         surface[frame, ..., 2] = -deep
-        push = layer_force(scene, tip) or 0.0
+        push = 1.5 * least_force(scene, tip)
         wrench[frame, 2] = -push
         if deep.any():
             place = np.stack([*np.meshgrid(x, x, indexing="ij"), -deep], axis=-1) - np.array(tip)
@@ -80,45 +72,23 @@ def _broken(result: Result) -> set[str]:
 
 
 def test_a_made_up_answer_of_the_right_size_keeps_all_laws(good: Result) -> None:
-    outcome = of_laws(good, measured(good))
-    assert outcome.kind == "right", outcome.why
-    names = {name for name, _ in outcome.laws}
-    assert {"near-layer", "within-bounds", "sums-up", "no-overlap"} <= names
+    assert silent_laws(good) == []
+    names = {name for name, _ in measured(good)}
+    assert {"finite", "touches", "sums-up", "no-overlap", "symmetric"} <= names
+    assert all((law.__doc__ or "").strip() for law in LAWS.values())
 
 
 @pytest.mark.parametrize(
     ("factor", "laws"),
     [
-        (-1.0, {"no-pull", "touches", "within-bounds", "near-layer"}),
-        (0.0, {"touches", "within-bounds", "near-layer"}),
-        (5.0, {"near-layer"}),
-        (30.0, {"within-bounds", "near-layer"}),
+        (-1.0, {"no-pull", "touches"}),
+        (0.0, {"touches"}),
+        (1.1, {"sums-up"}),
         (math.nan, {"finite"}),
     ],
 )
 def test_a_doctored_force_is_caught(good: Result, factor: float, laws: set[str]) -> None:
     assert laws <= _broken(replace(good, wrench=good.wrench * factor))
-
-
-def _stating(result: Result, error: float) -> Result:
-    stated = {"status": "estimated", "force": [error] * len(result.force), "percent": 100 * error}
-    return replace(result, record={**result.record, "error": stated})
-
-
-def test_forces_that_fall_with_depth_or_differ_between_twins_may_do_so_within_the_stated_error(
-    good: Result,
-) -> None:
-    lower = good.wrench.copy()
-    lower[-1] = 0.8 * lower[-2]
-    falls = replace(good, wrench=lower)
-    assert "rises" in _broken(_stating(falls, 0.05))
-    assert "rises" not in _broken(_stating(falls, 0.2))
-    twin = twin_of(BALL, "mirror-x")
-    assert twin is not None
-    other = replace(good, wrench=good.wrench * 1.1)
-    for error, holds in ((0.0, False), (0.02, False), (0.06, True)):
-        _, law = agrees(_stating(good, error), "mirror-x", twin, _stating(other, error))
-        assert law.holds == holds
 
 
 def _first_touch(good: Result) -> Result:
@@ -147,7 +117,7 @@ def _went_through(good: Result) -> Result:
     ("doctored", "laws"),
     [
         (_first_touch, {"lets-go"}),
-        (_aside, {"through-centre"}),
+        (_aside, {"symmetric"}),
         (_went_through, {"no-overlap", "not-through"}),
         (_below_the_base, {"above-base"}),
     ],
@@ -165,26 +135,13 @@ def test_a_blade_between_two_rows_of_nodes_is_seen() -> None:
     assert {"no-overlap", "not-through"} <= _broken(result)
 
 
-@pytest.mark.slow
-def test_skin_that_went_through_a_wall_sideways_is_caught() -> None:
-    scene = Scene(shapes.box(0.6 * MM, 12 * MM, 0.1 * MM), press([0.5 * MM, 1.0 * MM]))
-    result = _made_up(scene)
-    rest = np.broadcast_to(result.surface_x[:, None], result.surface.shape[1:3])
-    beside = np.abs(rest) < 1.0 * MM
-    surface = result.surface.copy()
-    for frame, side in ((1, -1.0), (2, 1.0)):
-        surface[frame, ..., 0] = np.where(beside, side * 0.5 * MM - rest, 0.0)
-        surface[frame, ..., 2] = 0.0
-    assert "no-crossing" in _broken(replace(result, surface=surface))
-
-
-def test_work_from_nowhere_and_a_force_that_depends_on_the_way_are_caught() -> None:
+def test_work_from_nowhere_is_caught() -> None:
     way = Motion(tuple((0.0, 0.0, -z * MM) for z in (0.0, 0.3, 0.5, 0.3, 0.0)), (0, 1, 2, 3, 4))
     result = _made_up(replace(BALL, motion=way))
     assert _broken(result) == set()
     wrench = result.wrench.copy()
     wrench[3] *= 1.5
-    assert {"closed-loop", "same-place"} <= _broken(replace(result, wrench=wrench))
+    assert "closed-loop" in _broken(replace(result, wrench=wrench))
 
 
 def test_shear_beyond_friction_is_caught() -> None:
@@ -198,146 +155,246 @@ def test_shear_beyond_friction_is_caught() -> None:
 
 def test_a_warning_excuses_only_what_it_owns_up_to(good: Result) -> None:
     edge = "edge radius 0.2 mm is below the element's 0.6 mm: the force depends on the mesh"
-    assert covered("near-layer", [edge])
-    assert covered("twin-mirror-x", [edge])
+    assert covered("coulomb", [edge])
     assert not covered("not-through", [edge])
     assert not covered("touches", [edge])
     assert covered("not-through", ["the skin overlaps the indenter by 0.3 mm"])
     rim = "the contact reaches the rim of the round body, which cuts through elements there"
     assert covered("lets-go", [rim])
     assert not covered("not-through", [rim])
-    less = replace(good, wrench=good.wrench * 0.45, traction=good.traction * np.float32(0.45))
-    message = replace(less, record={"warnings": [edge]})
-    assert of_laws(message, measured(message)).kind == "warned"
-    silent = replace(message, record={"warnings": []})
-    assert of_laws(silent, measured(silent)).kind == "silent"
-
-
-# Random scenes.
-
-
-@pytest.mark.slow
-def test_a_scene_is_the_same_alone_and_among_others(tmp_path: Path) -> None:
-    among = [drawn(7, index, tmp_path) for index in range(12)]
-    alone = drawn(7, 11, tmp_path)
-    assert alone.scene == among[11].scene
-    assert alone.what == among[11].what
-    assert len({repr(one.scene) for one in among}) > 6
-    assert drawn(8, 11, tmp_path) != alone
-
-
-def test_scene_17_of_seed_0_is_what_it_was(tmp_path: Path) -> None:
-    one = drawn(0, 17, tmp_path)
-    assert one.what == "trap, far aside"
-    assert one.scene is not None
-    # If these values change, the name of every counter-example refers to a different scene.
-    assert one.scene.motion.tip[1:3] == ((0.0, 0.0, -0.000584), (0.00146, 0.0, -0.000584))
-
-
-@pytest.mark.slow
-def test_what_is_drawn_is_a_scene_or_says_why_not_and_small_enough(tmp_path: Path) -> None:
-    some = [drawn(1, index, tmp_path) for index in range(40)]
-    for one in some:
-        assert (one.scene is None) == (one.refusal is not None)
-        assert one.refusal is None or isinstance(one.refusal, SceneError), one
-    families = [one.what.split(", ")[0] for one in some]
-    assert families.count("sensible") > 20
-    assert {"trap", "absurd"} < set(families)
-    assert sum(one.scene is None for one in some) < 15
-    for one in some[:8]:
-        sensible = one.what.startswith("sensible")
-        if sensible and one.scene is not None and one.scene.indenter.solid is None:
-            (mesh,) = meshes_of([one.scene], Fem(grading=Grading()))
-            assert len(mesh.elements) <= ELEMENTS_MAX
-
-
-# Twins, bounds and footprints.
-
-
-@pytest.mark.slow
-def test_twins_are_mirrored_in_geometry_too() -> None:
-    box = shapes.box(3 * MM, 3 * MM, 0.3 * MM).tilted(0.1, 0.2)
-    scene = Scene(box, press([0.5 * MM], at=(1 * MM, 2 * MM)))
-    places = np.random.default_rng(0).uniform(-4 * MM, 4 * MM, (200, 3)) + np.array([0, 0, 4 * MM])
-    known = {name: twin for name in KINDS if (twin := twin_of(scene, name)) is not None}
-    gap, _ = scene.indenter.distance(places)
-    for name, turned in (
-        ("mirror-x", places * [-1, 1, 1]),
-        ("mirror-y", places * [1, -1, 1]),
-        ("swap-xy", places[:, [1, 0, 2]]),
-    ):
-        other, _ = known[name].scene.indenter.distance(turned)
-        assert other == pytest.approx(gap, abs=1e-8), name
-    larger, _ = known["ten-times"].scene.indenter.distance(places * 10)
-    assert larger == pytest.approx(gap * 10, abs=1e-7)
-    assert known["mirror-x"].scene.motion.tip[-1] == (-1 * MM, 2 * MM, -0.5 * MM)
-
-
-def test_a_scene_that_is_its_own_image_has_forces_that_are(good: Result) -> None:
-    assert len(symmetric(good)) == 3
-    assert all(law.holds for _, law in symmetric(good))
-    wrench = good.wrench.copy()
-    wrench[-1, 0] = wrench[-1, 2] / 20
-    holds = [law.holds for _, law in symmetric(replace(good, wrench=wrench))]
-    assert holds == [False, True, False]
-    aside = _made_up(Scene(shapes.box(2 * MM, 3 * MM), press([0.4 * MM], at=(1 * MM, 0.0))))
-    assert len(symmetric(aside)) == 1
-
-
-def test_a_bar_has_a_twin_in_a_mirror_but_none_across() -> None:
-    scene = Scene(shapes.bar(2 * MM, 8 * MM), press([0.5 * MM]))
-    assert twin_of(scene, "mirror-x") is not None
-    assert twin_of(scene, "swap-xy") is None
+    torn = replace(good, surface=np.zeros_like(good.surface))
+    message = "the skin stands 400 um inside the indenter"
+    assert silent_laws(torn)
+    assert silent_laws(replace(torn, record={"warnings": [message]})) == []
 
 
 def test_a_footprint_is_as_wide_as_the_sphere_there() -> None:
     raster = footprint(BALL, (0.0, 0.0, -0.4 * MM))
     assert raster.deepest == pytest.approx(0.4 * MM, rel=1e-3)
-    assert raster.box is not None
     width = 2 * math.sqrt(2 * 4 * 0.4 - 0.4**2) * MM
     assert [high - low for low, high in raster.box] == pytest.approx([width] * 2, rel=0.05)
     assert half_wall(Scene(shapes.box(0.5 * MM, 12 * MM), press([MM]))) == 0.25 * MM
-
-
-def test_the_layer_lies_between_the_bounds() -> None:
-    tip = (0.0, 0.0, -0.4 * MM)
-    layer = layer_force(BALL, tip)
-    assert layer is not None
-    assert least_force(BALL, tip) < layer < most_force(BALL, tip)
-
-
-def test_a_ring_around_a_round_body_has_no_push_on_the_layer_either() -> None:
-    ring = shapes.tube(3.3 * MM, 2.7 * MM)
-    body = Body(4.5 * MM, 4.5 * MM, 2.5 * MM)
-    tip = (0.0, 0.0, -0.1 * MM)
-    assert layer_force(Scene(ring, press([0.1 * MM]), body), tip) is None  # at the rim
-    round_body = replace(body, footprint="ellipse")
-    assert layer_force(Scene(ring, press([0.1 * MM]), round_body), tip) == 0.0
 
 
 def test_loading_ends_where_the_tip_goes_aside(good: Result) -> None:
     assert Reading(good).loading == [1, 2]
 
 
-# Classes, shrinking and the command.
+# Random scenes.
+
+
+def test_a_scene_is_the_same_alone_and_among_others_and_differs_by_seed(tmp_path: Path) -> None:
+    among = [drawn(7, index, tmp_path) for index in range(12)]
+    assert drawn(7, 11, tmp_path) == among[11]
+    assert len({repr(one.scene) for one in among}) == 12
+    assert drawn(8, 11, tmp_path).scene != among[11].scene
+
+
+def test_the_shares_of_effects_shapes_and_bodies_are_those_of_the_groups(tmp_path: Path) -> None:
+    some = [drawn(1, index, tmp_path) for index in range(180)]
+    count = {name: sum(name in one.groups for one in some) for name in GROUPS}
+    assert list(count.values()) == [60, 60, 36, 27]
+    timed, curved, papers, on_axis = GROUPS
+    for one in some:
+        effects, body = one.scene.effects, one.scene.body
+        assert (timed in one.groups) == bool(effects.viscosity or effects.inertia), one
+        assert one.scene.motion.depth_max > 0
+        if papers in one.groups:
+            x, y, _ = np.ptp(one.scene.motion.tip, axis=0)
+            assert effects.friction is not None
+            assert 0.24 * MM < math.hypot(x, y) < 1.01 * MM
+        if curved in one.groups and body.dome_radius is None:
+            x, y, _ = one.scene.motion.tip[0]
+            assert float(body.from_side(np.array(x), np.array(y))) < 0.3 * min(
+                body.size_x, body.size_y
+            )
+        assert (axial.press_of(one.scene) is not None) == (on_axis in one.groups), one
+
+
+# The referee.
+
+
+DISC = Body(12 * MM, 12 * MM, 4 * MM, footprint="ellipse")
+TIP = Scene(shapes.sphere(2 * MM), press([0.3 * MM]), DISC)
 
 
 @pytest.mark.parametrize(
-    ("error", "kind"),
+    "other",
     [
-        (SceneError("body.modulus: 0; allowed: 1"), "refused"),
-        (SceneError("no"), "crash"),
-        (ZeroDivisionError("1/0"), "crash"),
-        (SimulationDiverged("on the way to waypoint 2", ("a",)), "diverged"),
-        (SimulationDiverged("no"), "crash"),
-        (OutOfTime("1 s"), "timeout"),
+        replace(TIP, body=replace(DISC, size_x=13 * MM)),
+        replace(TIP, body=replace(DISC, footprint="rectangle")),
+        replace(TIP, indenter=shapes.flat_punch(2 * MM)),
+        replace(TIP, indenter=shapes.box(2 * MM, 2 * MM, 0.3 * MM)),
+        replace(TIP, indenter=TIP.indenter.tilted(0.1, 0.0)),
+        replace(TIP, motion=press([0.3 * MM], at=(0.1 * MM, 0.0))),
+        replace(TIP, motion=press([0.3 * MM, 0.2 * MM])),
+        replace(TIP, effects=Effects(viscosity=Viscosity((1.0,), (1.0,)))),
+        replace(TIP, effects=Effects(gravity=Gravity())),
     ],
 )
-def test_every_exception_has_its_class(error: Exception, kind: str) -> None:
-    outcome = unsolved(error)
-    assert outcome.kind == kind
-    assert str(error) in outcome.message
-    assert kind != "crash" or outcome.message.startswith(type(error).__name__)
+def test_only_presses_along_the_axis_of_a_disc_go_to_the_axisymmetric_solver(other: Scene) -> None:
+    assert axial.press_of(TIP) is not None
+    assert axial.press_of(replace(TIP, effects=Effects(Friction(0.3), inertia=Inertia())))
+    assert axial.press_of(other) is None
+
+
+def test_the_axisymmetric_outline_is_the_indenters() -> None:
+    """For a round tip, a flat one with an edge, a ring and a tube."""
+    r, z = np.random.default_rng(0).uniform([0, -0.5], [4, 3], (300, 2)).T * MM
+    for indenter in (
+        shapes.sphere(2 * MM),
+        shapes.flat_punch(2 * MM, 0.4 * MM),
+        shapes.cone(math.atan(0.35), 0.5 * MM, 0.2 * MM),
+        shapes.rounded_cone(math.radians(40), 0.6 * MM),
+        shapes.tube(3 * MM, 2 * MM, 0.3 * MM),
+        shapes.torus(2 * MM, 0.7 * MM),
+    ):
+        along = axial.press_of(replace(TIP, indenter=indenter))
+        assert along is not None
+        gap = along.profile.distance(r, z)[0]
+        own, _ = indenter.distance(np.stack([r, 0 * r, z], axis=1))
+        near = own > -0.15 * MM  # deeper, distances need not be exact
+        assert gap[near] == pytest.approx(own[near], abs=2e-8), indenter.name
+
+
+def test_moves_and_rests_are_divided_and_their_frames_are_the_waypoints() -> None:
+    motion = press([0.4 * MM], hold=1.0)
+    finer = reference._in_steps(motion, [2, 4])
+    assert len(finer) == 7
+    frames = reference._frames(replace(TIP, motion=motion), [2, 4])
+    assert frames == [0, 2, 6]
+    assert [finer.tip[frame] for frame in frames] == list(motion.tip)
+    assert np.diff(finer.time) == pytest.approx([0.02] * 2 + [0.25] * 4)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_both_referees_agree_within_their_uncertainty() -> None:
+    """The one without shared code, and the one that refines; at rest, with friction."""
+    for effects in (Effects(), Effects(Friction(0.5))):
+        scene = replace(TIP, effects=effects)
+        one = reference.reference_of(scene, 0.45, "cpu")
+        other = reference._by_refining(scene, 0.45, "cpu")
+        assert one.by.startswith("axisymmetric")
+        assert other.by.startswith("fineness 0.63")
+        apart = np.abs(one.force - other.force).max(axis=1)
+        assert (apart <= one.unsure + 2 * other.unsure).all()
+        assert (other.unsure[1:] < 0.03 * np.abs(one.force[1:, 2])).all()
+
+
+def test_a_finest_solution_that_breaks_a_law_is_no_reference(
+    good: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torn = replace(good, wrench=-good.wrench)
+    monkeypatch.setattr(reference, "simulate", lambda *_scene, **_device: torn)
+    monkeypatch.setattr(reference, "elements_ratio", lambda *_both: 1.4)
+    with pytest.raises(NoReference, match="breaks laws of mechanics: no-pull"):
+        reference.reference_of(BALL, 0.5, "cpu")
+
+
+# Verdicts and the command.
+
+
+def test_errors_are_those_of_components_less_what_the_reference_does_not_know() -> None:
+    true = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, -4.0], [0.0, 0.0, -10.0]])
+    off = true + np.array([[0.0, 0.0, 0.1], [0.0, 0.1, 0.25], [0.0, 0.0, 0.0]])
+    verdict = compared(off, true, np.array([0.0, 0.05, 0.2]), 1e-6)
+    assert verdict == pytest.approx({"off": 10.0, "surely": 10.0, "unsure": 2.0})
+    verdict = compared(off[1:], true[1:], np.array([0.05, 0.2]), 1e-6)
+    assert verdict == pytest.approx({"off": 5.0, "surely": 4.0, "unsure": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("row", "verdicts"),
+    [
+        ({"stated": 2.0, "off": 2.2, "surely": 1.9, "unsure": 0.3}, (True, True, False)),
+        ({"stated": 2.0, "off": 3.2, "surely": 1.9, "unsure": 1.3}, (True, False, False)),
+        ({"stated": 9.0, "off": 2.2, "surely": 1.9, "unsure": 0.3}, (True, False, False)),
+        ({"stated": 2.0, "off": 4.2, "surely": 3.9, "unsure": 0.3}, (False, False, False)),
+        ({"stated": 2.0, "off": 4.5, "surely": 4.1, "unsure": 0.4}, (False, False, True)),
+        ({"stated": None, "off": 0.1, "surely": 0.0, "unsure": 0.1}, (False, False, False)),
+        ({"stated": 2.0, "no_reference": "diverged"}, (False, False, False)),
+        ({"why": "out of time"}, (False, False, False)),
+    ],
+)
+def test_a_verdict_is_of_what_is_stated_and_known(
+    row: dict[str, float | str], verdicts: tuple[bool, bool, bool]
+) -> None:
+    assert (holds(row), within(row), silent(row)) == verdicts
+
+
+def test_each_scene_counts_and_a_silent_one_fails_the_run(
+    good: Result,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without an answer, or without a reference, a stated error does not hold."""
+    stated = {"status": "measured", "percent": 2.0}
+    result = replace(good, record={"error": stated, "mesh": {"fineness": 0.6}})
+
+    def answered(scene: Scene, *_settings: object) -> Result:
+        if scene is LOOP:
+            raise OutOfTime("no answer | within 60 s")
+        return result
+
+    def reference_of(scene: Scene, *_settings: object) -> Reference:
+        if scene is SLIDE:
+            raise NoReference("skin folds")
+        factor = 1.1 if scene is BALL else 1.01
+        return Reference(good.force * factor, np.full(len(good.force), 1e-6), "elsewhere")
+
+    scenes = [BALL, LOOP, SLIDE, TIP]
+    monkeypatch.setattr(judgement, "answered", answered)
+    monkeypatch.setattr(judgement, "reference_of", reference_of)
+    monkeypatch.setattr(judgement, "_compiled", lambda *_: True)
+    monkeypatch.setattr(
+        judgement, "drawn", lambda seed, index: Drawn(f"{seed}/{index}", "x", (), scenes[index])
+    )
+    page = tmp_path / "page.md"
+    options = ["--only", "random", "--scenes", "4", "--processes", "1", "--out", str(page)]
+    assert main(["hard-cases", *options]) == 1
+    printed = capsys.readouterr().out
+    assert "FAILED: random: 0/0: 9.09 % off, 2 % stated" in printed
+    assert "FAILED: random: answered: 3 of 4; required: 95 %" in printed
+    assert "FAILED: random: stated error holds: 1 of 3; required: 97 %" in printed
+    text = page.read_text()
+    counts = "3 of 4 | 1 of 4 | 2 of 2 | 1 of 3 | 1 of 3 | 1 of 3"
+    assert f"| all | 4 | {counts} |" in text
+    assert "out of time: no answer \\| within 60 s" in text
+    assert "skin folds" in text
+    assert "0/3" not in text
+
+
+@pytest.mark.parametrize(
+    ("error", "begins"),
+    [
+        (SceneError("body.modulus: 0; allowed: 1"), "refused: body.modulus"),
+        (SimulationDiverged("on the way to waypoint 2", ("a",)), "diverged: on the way"),
+        (ZeroDivisionError("1/0"), "ZeroDivisionError: 1/0"),
+    ],
+)
+def test_a_missing_answer_has_its_reason(
+    error: Exception, begins: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def answered(*_settings: object) -> Result:
+        raise error
+
+    monkeypatch.setattr(judgement, "answered", answered)
+    row = judgement.answer(Drawn("0/0", "x", (), BALL), "cpu", 60.0)
+    assert row["why"].startswith(begins)
+    assert "stated" not in row
+
+
+def test_there_are_twelve_hard_scenes_of_five_variants_and_162_presses_of_the_paper() -> None:
+    some = list(variants.scenes())
+    assert len({one.name for one in some}) == 60
+    assert len({one.what for one in some}) == 12
+    assert sum(axial.press_of(one.scene) is not None for one in some) == 35
+    presses = paper_presses.scenes().values()
+    assert len(presses) == 162
+    depths = [scene.motion.depth_max / scene.body.thickness for scene in presses]
+    assert depths == pytest.approx([0.3] * 162)
 
 
 def test_a_solve_is_ended_although_the_first_call_comes_within_a_destructor(
@@ -360,46 +417,6 @@ def test_a_solve_is_ended_although_the_first_call_comes_within_a_destructor(
     assert time.perf_counter() < began + 2
 
 
-def test_a_silent_scene_is_stored_fails_the_run_and_is_on_the_page(
-    good: Result,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """The others are counted by class."""
-    pulls = of_laws(good, measured(replace(good, wrench=-good.wrench)))
-
-    scenes = {2: BALL, 3: LOOP}
-
-    def judged(scene: Scene, *_settings: object) -> SceneOutcome:
-        return pulls if scene is BALL else SceneOutcome("timeout", "no | answer")
-
-    monkeypatch.setattr(judgement, "judge_scene", judged)
-    monkeypatch.setattr(
-        judgement, "drawn", lambda seed, index: Drawn(f"{seed}/{index}", "trap, x", scenes[index])
-    )
-    monkeypatch.setattr(judgement, "FOLDER", tmp_path)
-    page = tmp_path / "page.md"
-    options = ["--only", "random", "--first", "2", "--scenes", "2", "--processes", "1"]
-    assert main(["hard-cases", *options, "--out", str(page)]) == 1
-    assert "FAILED: random: 0/2: no-pull: least push" in capsys.readouterr().out
-    stored = json.loads((tmp_path / "0-2.json").read_text())
-    assert "no-pull" in stored["broken"]
-    assert from_json(Scene, stored["scene"], "scene") == BALL
-    text = page.read_text()
-    assert all((law.__doc__ or "").strip() for law in LAWS.values())
-    assert "| silent | laws are broken, without a warning | 1 |" in text
-    assert "| no-pull | Contact does not pull," in text
-    assert "| 0/3 | timeout | trap, x | no \\| answer |" in text
-
-
-def test_the_command_judges_one_scene_alone(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    options = ["--only", "random", "--first", "59", "--scenes", "1", "--processes", "1"]
-    assert main(["hard-cases", *options, "--out", str(page)]) == 0
-    assert "1 are refused or diverge" in page.read_text()
-
-
 LOOP = Scene(
     shapes.sphere(4 * MM), press([0.3 * MM, 0.6 * MM, 0.3 * MM, 0.0]), Body(10 * MM, 10 * MM)
 )
@@ -419,19 +436,17 @@ SLIDE = Scene(
         ("force-scaled", LOOP, "sums-up"),
         ("frames-skipped", LOOP, "touches"),
         ("loose-tolerance", LOOP, "closed-loop"),
-        ("soft-contact", LOOP, "same-place"),
+        ("soft-contact", LOOP, "no-overlap"),
         ("pushes-outwards", SLIDE, "closed-loop"),
         ("friction-doubled", SLIDE, "coulomb"),
+        ("", LOOP, ""),
+        ("", SLIDE, ""),
     ],
 )
-def test_the_referee_notices_a_wrong_solver(mistake: str, scene: Scene, law: str) -> None:
-    outcome = judge_scene(scene, "", MISTAKES[mistake].solver, 300.0)
-    assert law in outcome.silent
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("scene", [LOOP, SLIDE])
-def test_the_referee_accepts_the_right_solver(scene: Scene) -> None:
-    outcome = judge_scene(scene, "", Solver(), 300.0)
-    assert outcome.kind == "right", outcome.why
+def test_the_laws_notice_a_wrong_solver_and_accept_the_right_one(
+    mistake: str, scene: Scene, law: str
+) -> None:
+    solver = MISTAKES[mistake].solver if mistake else Solver()
+    broken = silent_laws(solver.one(scene, spacing=None, elements_max=12_000))
+    assert {one.partition(":")[0] for one in broken} >= ({law} if law else set())
+    assert bool(broken) == bool(law)

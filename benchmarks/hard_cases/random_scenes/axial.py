@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def press_of(scene: Scene) -> Axial | None:
     depths = [-tip[2] for tip in scene.motion.tip]
     on_axis = not any(x or y for x, y, _ in scene.motion.tip) and depths[0] == 0
     disc = body.footprint == "ellipse" and body.size_x == body.size_y
-    only_down = all(one <= other for one, other in zip(depths, depths[1:], strict=False))
+    only_down = all(one <= other for one, other in pairwise(depths))
     if not (on_axis and disc and only_down) or effects.viscosity or effects.gravity:
         return None
     shape = SHAPES.get(scene.indenter.name)

@@ -123,29 +123,6 @@ def overlap(result: Result, frame: int) -> tuple[float, float]:
     return float(-gap.min(initial=0.0)), float((inside[:, 2] - lower).max(initial=0.0))
 
 
-def crossed(result: Result, frame: int) -> float:
-    """Return the deepest path [m] of a node through a wall, from the previous frame to this one.
-
-    Only for a tip that moves straight down or up, and only for nodes that were next to one side of
-    a wall and are then next to the opposite side, because such a path cannot lead around the wall.
-    """
-    indenter = result.scene.indenter
-    before, after = (np.array(result.scene.motion.tip[index]) for index in (frame - 1, frame))
-    depth = -after[2]
-    if np.abs(after[:2] - before[:2]).max() > 1e-12 or depth <= 0:
-        return 0.0
-    start = (deformed(result, frame - 1) - before).reshape(-1, 3)
-    end = (deformed(result, frame) - after).reshape(-1, 3)
-    gap_start, normal_start = indenter.distance(start)
-    gap_end, normal_end = indenter.distance(end)
-    beside = (gap_start > 0) & (gap_end > 0) & (np.minimum(start[:, 2], end[:, 2]) > 0.3 * depth)
-    opposite = (normal_start * normal_end).sum(axis=1) < -0.3
-    some = beside & opposite & np.isfinite(gap_end)
-    fraction = np.linspace(0.0, 1.0, 33)[:, None, None]
-    gap, _ = indenter.distance(start[some] + fraction * (end[some] - start[some]))
-    return float(-gap.min(initial=0.0))
-
-
 def deformed(result: Result, frame: int) -> Array:
     """Return deformed positions of the nodes of the top (X, Y, 3) [m]."""
     x, y = np.meshgrid(result.surface_x, result.surface_y, indexing="ij")

@@ -8,9 +8,8 @@ hold.
 from __future__ import annotations
 
 import inspect
-import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 
 from benchmarks.hard_cases.laws import Array
 from benchmarks.hard_cases.random_scenes.reference import NoReference, reference_of
-from benchmarks.hard_cases.random_scenes.scenes import FOLDER, GROUPS, Drawn, drawn
+from benchmarks.hard_cases.random_scenes.scenes import GROUPS, Drawn, drawn
 from benchmarks.processes import OutOfTime, rows_of, time_limit
 from benchmarks.report import Page, Run, table
 from recorder.progress import span_of
@@ -27,7 +26,7 @@ from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import sphere
 from sim.planning import plan
-from sim.result import Result, force_scale, to_json
+from sim.result import Result, force_scale
 from sim.scene import Body, Scene, press
 from sim.tiers import simulate
 
@@ -38,7 +37,7 @@ LATE, REFERENCE = 1.25, 100.0
 # Fraction of the scenes that must be answered, be within the tolerance, state at most `MOST`, and
 # have a stated error that holds.
 LEAST = {"cuda": (0.95, 0.85, 1.0, 0.97), "cpu": (0.95, 0.75, 1.0, 0.97)}
-# Scenes on cores: one in so many of those on the device, from this number on.
+# Scenes on cores: one in this number of those on the device, from this number on.
 FEWER, FIRST_ON_CORES = 5, 100_000
 # Error over the stated one above which an answer is silently wrong.
 SILENT = 2.0
@@ -50,13 +49,7 @@ Row = dict[str, Any]
 
 
 def answered(scene: Scene, tolerance: str, seconds: float, device: str) -> Result:
-    """Return the best answer within a time.
-
-    Raises:
-        OutOfTime: There was none.
-        SceneError: No answer.
-        SimulationDiverged: No answer.
-    """
+    """Return the best answer within a time; raise `OutOfTime` if there is none."""
     in_time = {"seconds": seconds} if "seconds" in inspect.signature(plan).parameters else {}
     with time_limit(LATE * seconds):
         return plan(scene, tolerance, device=device, **in_time).run()  # type: ignore[arg-type]
@@ -163,10 +156,10 @@ def _random(run: Run, indices: Sequence[int], device: str) -> list[Row]:
     run.seeds = [run.options.seed]
     scenes = [drawn(run.options.seed, index) for index in indices]
     rows = all_judged(run, scenes, device)
-    for one, row in zip(scenes, rows, strict=True):
-        if silent(row):
-            _stored(one, row)
-    _demand(run, rows, LEAST["cpu" if device == "cpu" else "cuda"])
+    least = LEAST["cpu" if device == "cpu" else "cuda"]
+    for (name, count, whole), fraction in zip(_counts(rows), least, strict=False):
+        if count < fraction * whole and not run.quick:
+            run.failures.append(f"{name}: {count} of {whole}; required: {100 * fraction:g} %")
     return rows
 
 
@@ -203,41 +196,19 @@ def _compiled(device: str, scene: Scene) -> bool:
     return True
 
 
-def _demand(run: Run, rows: Sequence[Row], least: tuple[float, ...]) -> None:
-    """Add a failure for each fraction that is below its least one."""
-    if run.quick:
-        return
-    for (name, count, whole), fraction in zip(_counts(rows), least, strict=False):
-        if count < fraction * whole:
-            run.failures.append(f"{name}: {count} of {whole}; required: {100 * fraction:g} %")
-
-
 def _counts(rows: Sequence[Row]) -> list[tuple[str, int, int]]:
     """Return each demand with the number of scenes that meet it, and of those it is for."""
     answers = [row for row in rows if row.get("stated") is not None]
     good = [row for row in answers if within(row)]
-    others = [row for row in answers if not within(row)]
+    others = [row["stated"] for row in answers if not within(row)]
     return [
         ("answered", len(answers), len(rows)),
         (f"within {WITHIN:g} %, stated and true", len(good), len(rows)),
-        (
-            f"others, at most {MOST:g} % stated",
-            sum(row["stated"] <= MOST for row in others),
-            len(others),
-        ),
+        (f"others, up to {MOST:g} % stated", sum(one <= MOST for one in others), len(others)),
         ("stated error holds", sum(map(holds, answers)), len(answers)),
         ("silently wrong", sum(map(silent, answers)), len(answers)),
         ("no reference", sum("surely" not in row for row in answers), len(answers)),
     ]
-
-
-def _stored(one: Drawn, row: Row) -> None:
-    """Store a scene with a wrong answer, and name the file in its row."""
-    path = FOLDER / f"{one.name.replace('/', '-')}.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"what": one.what, "scene": to_json(one.scene)}, indent=1)
-    path.write_text(f"{text}\n", encoding="utf-8")
-    row["stored"] = str(path)
 
 
 # The page.
@@ -245,13 +216,10 @@ def _stored(one: Drawn, row: Row) -> None:
 
 def section(rows: list[Row], _page: Page, title: str = "Random scenes") -> str:
     """Return the counts by group, and the answers that are missing or wrong."""
-    groups: dict[str, Callable[[Row], bool]] = {"all": lambda _row: True}
-    groups |= {name: partial(_belongs, name) for name in GROUPS}
-    lines = []
-    for name, chosen in groups.items():
-        some = [row for row in rows if chosen(row)]
-        if some:
-            lines.append([name, len(some), *_figures(some)])
+    groups = {"all": rows} | {
+        name: some for name in GROUPS if (some := [row for row in rows if name in row["groups"]])
+    }
+    lines = [[name, len(some), *_figures(some)] for name, some in groups.items()]
     head = ["scenes", "number", *(name for name, _, _ in _counts([]))]
     text = f"""## {title}
 
@@ -263,20 +231,26 @@ is more than {SILENT:g} times the stated one.
 
 {table([*head, "time: median, longest", "stated over true error, median"], lines)}"""
     troubles = [row for row in rows if not holds(row)]
-    if troubles:
-        text += "\n\n" + table(
-            ["scene", "what", "stated", "error", "reference", "why"],
-            [
-                [row["scene"], row["what"], _percent(row, "stated"), _percent(row, "off")]
-                + [row.get("by", ""), _why(row)]
-                for row in troubles
-            ],
-        )
-    return text
+    return f"{text}\n\n{answers(troubles)}" if troubles else text
 
 
-def _belongs(name: str, row: Row) -> bool:
-    return name in row["groups"]
+def section_cores(rows: list[Row], page: Page) -> str:
+    """Return the same for scenes on cores."""
+    return section(rows, page, "Random scenes, one core each")
+
+
+def answers(rows: Sequence[Row]) -> str:
+    """Return the table of answers: times, errors, and the reference or why there is none."""
+    lines = []
+    for row in rows:
+        why = row.get("by") or row.get("no_reference") or row["why"]
+        cells = [row["scene"], row["what"], f"{row['seconds']:.0f} s"]
+        for name in ("stated", "off", "unsure"):
+            cells.append("-" if row.get(name) is None else f"{row[name]:.3g} %")
+        cells += ["yes" if holds(row) else "**no**", why.replace("|", "\\|")[:200]]
+        lines.append(cells)
+    head = ["scene", "what", "time", "stated", "error", "the reference's", "holds", "reference"]
+    return table(head, lines)
 
 
 def _figures(rows: Sequence[Row]) -> list[str]:
@@ -286,14 +260,3 @@ def _figures(rows: Sequence[Row]) -> list[str]:
     ratio = f"{np.median(ratios):.1f}" if ratios else "-"
     spent = f"{np.median(times):.0f} s, {max(times):.0f} s"
     return [*(f"{some} of {whole}" for _, some, whole in _counts(rows)), spent, ratio]
-
-
-def _percent(row: Row, name: str) -> str:
-    value = row.get(name)
-    return "-" if value is None else f"{value:.3g} %"
-
-
-def _why(row: Row) -> str:
-    """Return why a stated error does not hold, for a cell."""
-    why = row.get("no_reference") or ("" if "surely" in row else row["why"])
-    return str(why).replace("|", "\\|")[:200]

@@ -69,11 +69,10 @@ def reference_of(scene: Scene, fineness: float, device: str) -> Reference:
             raise NoReference(f"axisymmetric elements: {error}") from error
     try:
         return _by_refining(scene, fineness, device)
-    except SimulationDiverged as error:
-        error.forget_dump()
-        raise NoReference(error.reason) from error
-    except SceneError as error:
-        raise NoReference(str(error)) from error
+    except (SceneError, SimulationDiverged) as error:
+        if isinstance(error, SimulationDiverged):
+            error.forget_dump()
+        raise NoReference(str(error).partition("; state: ")[0]) from error
 
 
 def _by_refining(scene: Scene, fineness: float, device: str) -> Reference:
@@ -86,9 +85,7 @@ def _by_refining(scene: Scene, fineness: float, device: str) -> Reference:
     fine = _solved(scene, FINER * fineness, steps, tight, device)
     ratio = elements_ratio(coarse, fine)
     if ratio < RATIO_LEAST:
-        raise NoReference(
-            f"a finer mesh has more than {ELEMENTS_MAX[device[:4].strip(':')]} elements"
-        )
+        raise NoReference("a finer mesh has too many elements")
     if broken := silent_laws(fine):
         raise NoReference(f"its finest solution breaks laws of mechanics: {', '.join(broken)}")
     meshes = (fine.force - coarse.force) * left_of_difference(ratio)
@@ -140,10 +137,10 @@ def _steps(scene: Scene) -> list[int]:
 
 
 def _in_steps(motion: Motion, steps: list[int]) -> Motion:
-    """Return the motion with each move, and each rest, in so many equal parts."""
+    """Return the motion with each move, and each rest, in equal parts: `steps` of each."""
     corners = np.column_stack([motion.tip, motion.time])
     rows = [corners[:1]]
-    for start, end, count in zip(corners, corners[1:], steps, strict=True):
+    for start, end, count in zip(corners[:-1], corners[1:], steps, strict=True):
         rows.append(start + (end - start) * np.arange(1, count + 1)[:, None] / count)
     way = np.concatenate(rows)
     return Motion(tuple(map(tuple, way[:, :3].tolist())), tuple(way[:, 3].tolist()))

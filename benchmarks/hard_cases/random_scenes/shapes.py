@@ -16,8 +16,7 @@ MM = 1e-3
 # Relative frequency of each kind.
 KINDS: dict[str, float] = {
     "sphere": 4, "named": 6, "blade": 3, "box": 2, "punch": 2, "cone": 2, "rounded_cone": 1.5,
-    "tube": 1.5, "torus": 1.5, "bar": 2, "needle": 1, "polygon": 1.5, "composed": 2, "stl": 1.5,
-    "plane": 0.3,
+    "tube": 1.5, "torus": 1.5, "bar": 3, "polygon": 1.5, "composed": 2, "stl": 1.5,
 }  # fmt: skip
 # Maximum tilt [rad], just below the allowed 30 degrees.
 TILT_MAX = 0.5
@@ -27,7 +26,7 @@ def draw_shape(dice: Dice, unit: float, folder: Path) -> Indenter:
     """Return an indenter for a body about 4 `unit` [m] thick; STL files go to `folder`."""
     kind = dice.kind(KINDS)
     indenter = _frustum(dice, folder) if kind == "stl" else _of_parts(kind, dice, unit)
-    if kind != "plane" and dice.chance(0.25):
+    if dice.chance(0.25):
         dice.words.append("tilted")
         size = dice.one_of([0.01, 0.1, 0.3, TILT_MAX])
         indenter = indenter.tilted(*_turned(size, dice.even(0.0, math.tau)))
@@ -57,15 +56,11 @@ def _of_parts(kind: str, dice: Dice, unit: float) -> Indenter:
         tube = unit * dice.even(0.4, 1.5)
         return shapes.torus(tube + unit * dice.even(0.2, 3.0), tube)
     if kind == "bar":
-        radius, length = unit * dice.scaled(0.6, 4.0), unit * dice.even(2.0, 14.0)
+        radius, length = unit * dice.scaled(0.15, 4.0), unit * dice.even(2.0, 14.0)
         return shapes.bar(radius, length, _edge(dice, radius / 2))
-    if kind == "needle":
-        return shapes.bar(unit * dice.even(0.15, 0.5), unit * dice.even(4.0, 12.0))
     if kind == "polygon":
         return _polygon(dice, unit)
-    if kind == "composed":
-        return _composed(dice, unit)
-    return shapes.plane()
+    return _composed(dice, unit)
 
 
 def blade(dice: Dice, unit: float) -> Indenter:
