@@ -8,9 +8,12 @@ and shear, and three in twenty an axis of symmetry, for a solver that shares no 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
+
+import numpy as np
 
 from benchmarks.hard_cases.random_scenes.dice import Dice, rounded
 from benchmarks.hard_cases.random_scenes.shapes import MM, draw_shape
@@ -32,7 +35,7 @@ from sim.scene import (
 # Default folder of STL files and counter-examples.
 FOLDER = Path("build/hard-cases")
 # Groups of scenes, which overlap; each with the numbers that belong to it.
-GROUPS = {
+GROUPS: dict[str, Callable[[int], bool]] = {
     "inertia or viscosity": lambda index: index % 3 == 0,
     "dome or rim": lambda index: index // 3 % 3 == 0,
     "paper's, friction and shear": lambda index: index % 5 == 0,
@@ -182,7 +185,7 @@ def _motion(
         moved = rounded(x + aside * math.cos(angle), 6), rounded(y + aside * math.sin(angle), 6)
         levels, over = [0.0, -depth, -depth, away], [(x, y), (x, y), moved, moved]
     over += over[-1:] * (len(levels) - len(over))
-    inside = bool(body.covers(x, y))
+    inside = body.covers(np.asarray(x), np.asarray(y))
     ground = body.height(x, y) if inside else 0.0
     points = [
         (*at, max(rounded(level + ground, 6), -0.89 * body.thickness))
