@@ -1,4 +1,4 @@
-"""Start of Warp without its banner, and the check of the requested device."""
+"""Start of Warp without its banner, the check of the requested device, and loading of kernels."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from sim.errors import SceneError, check_kind
 
@@ -83,3 +85,47 @@ def _without_driver_warning(*, gpu_requested: bool) -> Iterator[None]:
                     os.write(2, line)
     finally:
         os.close(stderr)
+
+
+# Most threads that compile kernels. Each translates Warp's headers for itself, a third of the work
+# for all kernels of a press, which is 10 s of a core.
+COMPILERS = 4
+# Modules made inside `loaded_together`, with their threads per block.
+_loading: dict[tuple[Any, int], None] | None = None
+
+
+def kernel(*, group: str = "unique", block: int = 256) -> Callable[[Callable[..., None]], Any]:
+    """Return a decorator that makes a Warp kernel without derivatives.
+
+    It is compiled in a module of its own, or with all others of a `group`, which are made together.
+    On a GPU it is launched with `block` threads per block.
+    """
+    import warp as wp
+
+    def made(function: Callable[..., None]) -> Any:
+        one = wp.kernel(enable_backward=False, module=group)(function)
+        if _loading is not None:
+            _loading[one.module, block] = None
+        return one
+
+    return made
+
+
+@contextlib.contextmanager
+def loaded_together(device: str) -> Iterator[None]:
+    """Context at whose end the kernels that were made inside are loaded, compiled side by side.
+
+    Others are loaded when they are first launched.
+    """
+    import warp as wp
+
+    from recorder.processes import cores
+
+    global _loading
+    _loading = {}
+    try:
+        yield
+    finally:
+        new, _loading = _loading, None
+    with ThreadPoolExecutor(min(COMPILERS, cores())) as pool:
+        list(pool.map(lambda one: wp.load_module(one[0], device, block_dim=one[1]), new))

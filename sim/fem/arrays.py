@@ -8,13 +8,15 @@ contact a face.
 
 import contextlib
 import functools
+import itertools
 from collections.abc import Hashable, Iterator, Sequence
 
 import numpy as np
 import warp as wp
 
+from sim.device import kernel
 from sim.fem.mesh import Mesh
-from sim.scalars import matrix_of, numpy_of, vector_of
+from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 
 
 def array_of(values, dtype, real, device: str) -> wp.array:
@@ -130,28 +132,32 @@ def contact_struct(real):
 
 
 @functools.cache
-def _copy_kernel(dtype, dimensions):
-    array = {2: wp.array2d, 3: wp.array3d}[dimensions]
+def vector_kernels(real):
+    """Return the kernels of one precision by name; those that copy by type and dimensions."""
+    vec3 = vector_of(real)
+    together = kernel(group=f"sim.fem.arrays.{real.__name__}")
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def copy_rows(
-        active: wp.array(dtype=wp.int32), source: array(dtype=dtype), copy_out: array(dtype=dtype)
-    ):
-        env, i = wp.tid()
-        if active[env] == 0:
-            return
-        if wp.static(dimensions == 2):
-            copy_out[env, i] = source[env, i]
-        else:
-            for j in range(source.shape[2]):
-                copy_out[env, i, j] = source[env, i, j]
+    def copy(dtype, dimensions: int):
+        array = {2: wp.array2d, 3: wp.array3d}[dimensions]
 
-    return copy_rows
+        @together
+        def copy_rows(
+            active: wp.array(dtype=wp.int32),
+            source: array(dtype=dtype),
+            copy_out: array(dtype=dtype),
+        ):
+            env, i = wp.tid()
+            if active[env] == 0:
+                return
+            if wp.static(dimensions == 2):
+                copy_out[env, i] = source[env, i]
+            else:
+                for j in range(source.shape[2]):
+                    copy_out[env, i, j] = source[env, i, j]
 
+        return copy_rows
 
-@functools.cache
-def _fill_kernel(vec3):
-    @wp.kernel(enable_backward=False, module="unique")
+    @together
     def fill(
         active: wp.array(dtype=wp.int32),
         value: wp.array(dtype=vec3),
@@ -161,16 +167,11 @@ def _fill_kernel(vec3):
         if active[env] == 1:
             field_out[env, n] = value[env]
 
-    return fill
-
-
-@functools.cache
-def _step_kernel(real, vec3, away: bool):
-    """Return the kernel of a step along `other`, or `away` from there."""
-
-    @wp.kernel(enable_backward=False, module="unique")
+    @together
     def step(
         active: wp.array(dtype=wp.int32),
+        # True to step away from `other`, instead of along it
+        away: bool,
         length: wp.array(dtype=real),
         start: wp.array2d(dtype=vec3),
         other: wp.array2d(dtype=vec3),
@@ -180,16 +181,11 @@ def _step_kernel(real, vec3, away: bool):
         if active[env] == 0:
             return
         direction = other[env, n]
-        if wp.static(away):
+        if away:
             direction = start[env, n] - direction
         step_out[env, n] = start[env, n] + direction * length[env]
 
-    return step
-
-
-@functools.cache
-def _blend_kernel(real):
-    @wp.kernel(enable_backward=False, module="unique")
+    @together
     def blend(
         active: wp.array(dtype=wp.int32),
         fraction: real,
@@ -204,38 +200,39 @@ def _blend_kernel(real):
                 source[env, i, j] - mean_out[env, i, j]
             )
 
-    return blend
+    copies = {of: copy(*of) for of in itertools.product((real, vec3), (2, 3))}
+    return {**copies, "fill": fill, "step": step, "blend": blend}
 
 
-def _launch(kernel, inputs, out) -> None:
-    wp.launch(kernel, dim=out.shape[:2], inputs=inputs, outputs=[out], device=out.device)
+def _launch(name: Hashable, inputs, out) -> None:
+    real = next(one for one in PRECISIONS.values() if out.dtype in (one, vector_of(one)))
+    one = vector_kernels(real)[name]
+    wp.launch(one, dim=out.shape[:2], inputs=inputs, outputs=[out], device=out.device)
 
 
 def copy_active(active, source, out) -> None:
     """Copy the rows of active environments, arrays of (B, n) or (B, n, m)."""
-    _launch(_copy_kernel(source.dtype, source.ndim), [active, source], out)
+    _launch((out.dtype, out.ndim), [active, source], out)
 
 
 def fill(active, value, out) -> None:
     """Write the vector `value` of each active environment (B,) everywhere in its row (B, N)."""
-    _launch(_fill_kernel(out.dtype), [active, value], out)
-
-
-def extrapolate(active, fraction, now, before, out) -> None:
-    """Write out = now + fraction * (now - before) where active; vectors (B, N), fraction (B,)."""
-    kernel = _step_kernel(fraction.dtype, now.dtype, away=True)
-    _launch(kernel, [active, fraction, now, before], out)
+    _launch("fill", [active, value], out)
 
 
 def axpy(active, length, start, direction, out) -> None:
     """Write out = start + length * direction where active; vectors (B, N), length (B,)."""
-    kernel = _step_kernel(length.dtype, start.dtype, away=False)
-    _launch(kernel, [active, length, start, direction], out)
+    _launch("step", [active, False, length, start, direction], out)
+
+
+def extrapolate(active, fraction, now, before, out) -> None:
+    """Write out = now + fraction * (now - before) where active; vectors (B, N), fraction (B,)."""
+    _launch("step", [active, True, fraction, now, before], out)
 
 
 def blend(active, fraction: float, source, mean) -> None:
     """Move `mean` by `fraction` of the way to `source` where active; numbers (B, n, m)."""
-    _launch(_blend_kernel(source.dtype), [active, fraction, source], mean)
+    _launch("blend", [active, fraction, source], mean)
 
 
 class Graphs:

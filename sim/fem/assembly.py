@@ -26,6 +26,7 @@ from sim.fem.arrays import (
     fill,
     material_struct,
     mesh_on,
+    vector_kernels,
 )
 from sim.fem.balance import (
     LANES,
@@ -434,6 +435,8 @@ class Assembly:
         self._contact = contact_kernels(real, "friction" in self.effects, traits)
         self._overlap = overlap_kernel(real, traits)
         self._work = work_kernel(real, "friction" in self.effects)
+        self._push = push_kernel(real)
+        vector_kernels(real)
 
         environments, count = self.environments, len(mesh.nodes)
         elements, faces = len(mesh.elements), len(mesh.faces)
@@ -626,7 +629,7 @@ class Assembly:
         fill(active, travel, self._field)
         self._shove(active, self._field)
         inputs = [self._mesh, self.state.contact, active]
-        self._launch(push_kernel(self.real), self.residual.shape, inputs, [self.residual])
+        self._launch(self._push, self.residual.shape, inputs, [self.residual])
 
     def _shove(self, active, v) -> None:
         inputs = [self._mesh, self.state.contact, active, v]

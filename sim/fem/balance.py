@@ -12,6 +12,7 @@ import functools
 import numpy as np
 import warp as wp
 
+from sim.device import kernel
 from sim.fem.arrays import contact_struct, mesh_struct
 from sim.fem.contact import OVERLAPS
 from sim.scalars import vector_of
@@ -65,7 +66,7 @@ def residual_kernel(real, inertia: bool, gravity: bool, *, lanes: int = 1):
     sums_type = wp.types.vector(length=SUMS, dtype=wp.float64)
     nodal = _nodal_function(real)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel(block=LANES)
     def residual(
         mesh: mesh_struct(real),
         contact: contact_struct(real),
@@ -132,7 +133,7 @@ def push_kernel(real):
     """Return the kernel that writes the faces' forces on moving nodes in place of a residual."""
     nodal = _nodal_function(real)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def push(
         mesh: mesh_struct(real),
         contact: contact_struct(real),
@@ -155,7 +156,7 @@ def work_kernel(real, friction: bool):
     """
     vec3 = vector_of(real)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def work(
         mesh: mesh_struct(real),
         # `push` is the pressure as a vector at the start of the step, and then at its end
@@ -195,7 +196,7 @@ def reduce_kernel(*, lanes: int = 1):
     Column `LEAST` takes the least value. `lanes` is as in `residual_kernel`.
     """
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel(block=LANES)
     def reduce(
         # In:
         active: wp.array(dtype=wp.int32),
@@ -263,7 +264,7 @@ def reading_kernels(real, friction: bool, inertia: bool, gravity: bool, *, lanes
     maxima_type = wp.types.vector(length=MAXIMA, dtype=wp.float64)
     zero = wp.float64(0.0)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel(block=LANES)
     def read(
         mesh: mesh_struct(wp.float64),
         contact: contact_struct(real),
@@ -367,7 +368,7 @@ def reading_kernels(real, friction: bool, inertia: bool, gravity: bool, *, lanes
                 row_out[row, READ_SUMS + MAXIMA + column] = wp.float64(most_overlap[env, column])
             row_out[row, FACE] = wp.float64(face)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def top(
         # Mesh: nodes of a column, and the number of faces of the top
         levels: int,

@@ -21,6 +21,7 @@ import math
 import numpy as np
 import warp as wp
 
+from sim.device import kernel
 from sim.fem.arrays import contact_struct, mesh_struct
 from sim.indenters.device import PLAIN, IndenterTraits, distance_function, table_struct
 from sim.scalars import matrix_of, vector_of
@@ -69,13 +70,15 @@ def contact_kernels(real, friction: bool, traits: IndenterTraits = PLAIN):
         helper = vec3(one, zero, zero)
         if wp.abs(normal[0]) > real(0.7):
             helper = vec3(zero, one, zero)
-        first = wp.normalize(wp.cross(normal, helper))
-        second = wp.cross(normal, first)
-        bent = wp.outer(bend(table, env, place, normal, first), first)
-        bent += wp.outer(bend(table, env, place, normal, second), second)
+        along = wp.normalize(wp.cross(normal, helper))
+        bent = mat33()
+        sides = int(2)  # a variable, or the loop is unrolled: each distance takes 0.3 s to compile
+        for _side in range(sides):
+            bent += wp.outer(bend(table, env, place, normal, along), along)
+            along = wp.cross(normal, along)
         return (bent + wp.transpose(bent)) * half
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def contact(
         mesh: mesh_struct(real),
         table: table_type,
@@ -168,7 +171,7 @@ def contact_kernels(real, friction: bool, traits: IndenterTraits = PLAIN):
         state.force[env, s, 2] = f2
         state.force[env, s, 3] = f3
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def tangent(
         mesh: mesh_struct(real),
         # `force` becomes the derivative of -force, for faces that are touched
@@ -237,7 +240,7 @@ def overlap_kernel(real, traits: IndenterTraits = PLAIN):
     zero, half, one, quarter = real(0.0), real(0.5), real(1.0), real(0.25)
     turned = real(FOLDED)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def overlap(
         mesh: mesh_struct(real),
         table: table_type,
@@ -295,22 +298,22 @@ def overlap_kernel(real, traits: IndenterTraits = PLAIN):
                 wp.max(wp.length(x0 - middle), wp.length(x1 - middle)),
                 wp.max(wp.length(x2 - middle), wp.length(x3 - middle)),
             )
-            answer = distance(table, env, middle - at)
-            if answer[3] < reach:
-                # Largest distance of a point of the face from the nearest sample.
-                along = wp.max(wp.length(x2 - x0), wp.length(x3 - x1))
-                across = wp.max(wp.length(x1 - x0), wp.length(x3 - x2))
-                spacing = wp.sqrt(along * along + across * across) * half / real(samples)
-                for i in range(samples):
-                    a = (real(i) + half) / real(samples)
-                    for j in range(samples):
-                        b = (real(j) + half) / real(samples)
-                        place = (x0 * (one - b) + x1 * b) * (one - a) + (
-                            x2 * (one - b) + x3 * b
-                        ) * a
-                        at_sample = distance(table, env, place - at)
-                        deepest = wp.max(deepest, -at_sample[3])
-                        bound = wp.max(bound, spacing - at_sample[3])
+            # Largest distance of a point of the face from the nearest sample.
+            along = wp.max(wp.length(x2 - x0), wp.length(x3 - x1))
+            across = wp.max(wp.length(x1 - x0), wp.length(x3 - x2))
+            spacing = wp.sqrt(along * along + across * across) * half / real(samples)
+            for sample in range(-1, samples * samples):
+                place = middle
+                if sample >= 0:
+                    a = (real(sample // samples) + half) / real(samples)
+                    b = (real(sample % samples) + half) / real(samples)
+                    place = (x0 * (one - b) + x1 * b) * (one - a) + (x2 * (one - b) + x3 * b) * a
+                answer = distance(table, env, place - at)
+                if sample >= 0:
+                    deepest = wp.max(deepest, -answer[3])
+                    bound = wp.max(bound, spacing - answer[3])
+                elif answer[3] >= reach:
+                    break
             if k == count - 1:
                 now = wp.cross(x3 - x0, x2 - x1)
                 rest = wp.cross(first, second)

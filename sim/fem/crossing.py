@@ -17,6 +17,7 @@ import functools
 import numpy as np
 import warp as wp
 
+from sim.device import kernel
 from sim.fem.arrays import mesh_struct
 from sim.fem.self_overlap import SIDES
 from sim.scalars import vector_of
@@ -40,7 +41,7 @@ def _kernels(real):
     def extent(low: vec3, high: vec3):
         return wp.max(wp.max(high[0] - low[0], high[1] - low[1]), high[2] - low[2])
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def surround(
         mesh: mesh_struct(real),
         active: wp.array(dtype=wp.int32),
@@ -64,7 +65,7 @@ def _kernels(real):
             wp.atomic_max(box_out, env, 3 + axis, high[axis])
         wp.atomic_max(box_out, env, 6, extent(low, high))
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def cross(
         mesh: mesh_struct(real),
         sides: wp.array2d(dtype=wp.int32),

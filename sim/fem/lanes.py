@@ -16,6 +16,7 @@ from string import Template
 
 import warp as wp
 
+from sim.device import kernel
 from sim.fem.arrays import material_struct, mesh_struct
 from sim.fem.element import SMALL
 from sim.scalars import matrix_of, vector_of
@@ -436,7 +437,7 @@ def forces_kernel(real, viscous: bool, split: bool = False):
         det_out: wp.array2d(dtype=real),
     ): ...
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def residual(
         mesh: mesh_struct(real),
         material: material_struct(real),
@@ -482,7 +483,7 @@ def blocks_kernel(real, viscous: bool, split: bool = False):
         matrix_out: wp.array3d(dtype=mat33),
     ): ...
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def element_blocks(
         mesh: mesh_struct(real),
         material: material_struct(real),

@@ -25,9 +25,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.device import kernel
 from sim.fem.arrays import array_of, contact_struct, mesh_struct
 from sim.fem.balance import RUN
-from sim.fem.element import element_rows_kernel
+from sim.fem.element import ROWS_BLOCK, element_rows_kernel
 from sim.fem.lanes import AT_ONCE, blocks_kernel, native_of
 from sim.fem.mesh import CORNERS, Mesh
 from sim.scalars import matrix_of, vector_of
@@ -196,9 +197,6 @@ def row_function(real, stored, wide: bool):
 HALF_NODES, HALF_POISSON = 60_000, 0.49
 # Nodes per block of GPU threads, which adds up their sums.
 BLOCK = 128
-# Threads per block that assemble rows of elements: for all tangents of 162 presses an H200 takes
-# 0.49 s, with blocks of 256 0.54 s.
-ROWS_BLOCK = 64
 # Numbers of a matrix that a GPU thread clears or rounds, each next to those of other threads: block
 # by block, a thread's 36 bytes of each, reached a fifth of the memory bandwidth of an H200.
 APIECE = 64
@@ -217,7 +215,7 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
     zero = _zero_function(real)
     own, lanes = (1, BLOCK) if on_gpu else (RUN, 1)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def clear(
         # In:
         active: wp.array(dtype=wp.int32),
@@ -233,7 +231,7 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
                 for i in range(thread, matrix_out.shape[1], threads):
                     matrix_out[env, i] = real(0.0)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def finish(
         mesh: mesh_struct(real),
         contact: contact_struct(real),
@@ -265,23 +263,9 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
                             slot = slots[s, a, b]
                             matrix_out[env, n, slot] = matrix_out[env, n, slot] + block
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def rounded(
-        # In: all numbers of each environment
-        active: wp.array(dtype=wp.int32),
-        threads: int,
-        matrix: wp.array2d(dtype=real),
-        # Out:
-        rounded_out: wp.array2d(dtype=stored),
-    ):
-        env, thread = wp.tid()
-        if active[env] == 1:
-            for i in range(thread, matrix.shape[1], threads):
-                rounded_out[env, i] = stored(matrix[env, i])
-
     line = row_function(real, stored, wide)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel(block=BLOCK)
     def product(
         # Mesh:
         offsets: wp.array(dtype=wp.int32),
@@ -307,7 +291,26 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
         if item % lanes == 0:
             sums_out[env, item // lanes, 0] = curvature
 
-    return clear, finish, rounded, product
+    return clear, finish, product
+
+
+@functools.cache
+def _rounding_kernel(real, stored):
+    @kernel()
+    def rounded(
+        # In: all numbers of each environment
+        active: wp.array(dtype=wp.int32),
+        threads: int,
+        matrix: wp.array2d(dtype=real),
+        # Out:
+        rounded_out: wp.array2d(dtype=stored),
+    ):
+        env, thread = wp.tid()
+        if active[env] == 1:
+            for i in range(thread, matrix.shape[1], threads):
+                rounded_out[env, i] = stored(matrix[env, i])
+
+    return rounded
 
 
 def zero_blocks(environments: int, nodes: int, block, device: str, *, parallel: bool) -> wp.array:
@@ -366,7 +369,8 @@ class BlockMatrix:
             half = self._on_gpu and real == wp.float32 and count <= HALF_NODES
         stored = wp.float16 if half else real
         kernels = _kernels(real, stored, not self._parallel and not half, self._on_gpu)
-        self._clear, self._finish, self._round, self._product = kernels
+        self._clear, self._finish, self._product = kernels
+        self._round = _rounding_kernel(real, stored) if half else None
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
         """Number of partial sums that `product` writes for each sum."""
         if self._parallel:
@@ -409,7 +413,7 @@ class BlockMatrix:
             self._launch(self._elements_kernel, groups, inputs, [self.matrix])
         inputs = [mesh, contact, self._slots, shift, active]
         self._launch(self._finish, by_node, inputs, [self.matrix])
-        if self._rounded is not None:
+        if self._round is not None:
             inputs = [active, self._threads, self._written]
             self._launch(self._round, by_number, inputs, [self._rounded])
 

@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.device import kernel, loaded_together
 from sim.fem.arrays import array_of
 from sim.fem.matrix import CENTRE, SLOTS, row_function, slot_offsets, zero_blocks
 from sim.fem.mesh import Mesh
@@ -65,7 +66,7 @@ def _factor_kernel(real):
             values[i] = wp.max(wp.abs(values[i]), floor)
         return vectors * wp.diag(values) * wp.transpose(vectors)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def factor(
         # Mesh:
         free: wp.array(dtype=wp.int32),
@@ -161,24 +162,7 @@ def _column_kernels(real, on_gpu: bool):
         solution_out[env, n] = solution_out[env, n] + p[env, n] * length
         r_out[env, n] = r_out[env, n] - product[env, n] * length
 
-    @wp.kernel(enable_backward=False, module="unique")
-    def step(
-        # In: step length (B, 2); search direction and the tangent times it
-        which: wp.array(dtype=wp.int32),
-        scalars: wp.array2d(dtype=wp.float64),
-        p: wp.array2d(dtype=vec3),
-        product: wp.array2d(dtype=vec3),
-        # In and out:
-        solution_out: wp.array2d(dtype=vec3),
-        r_out: wp.array2d(dtype=vec3),
-    ):
-        """Step each node's solution and residual before `sweep`, with coalesced memory access."""
-        row, n = wp.tid()
-        env = which[row]
-        if env >= 0:
-            stepped(env, n, scalars, p, product, solution_out, r_out)
-
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel(block=BLOCK)
     def sweep(
         factors: factors_type,
         # As in `step`
@@ -221,6 +205,26 @@ def _column_kernels(real, on_gpu: bool):
             sums_out[env, column // lanes, 0] = rz
             sums_out[env, column // lanes, 1] = rr
 
+    if not on_gpu:
+        return None, sweep
+
+    @kernel()
+    def step(
+        # In: step length (B, 2); search direction and the tangent times it
+        which: wp.array(dtype=wp.int32),
+        scalars: wp.array2d(dtype=wp.float64),
+        p: wp.array2d(dtype=vec3),
+        product: wp.array2d(dtype=vec3),
+        # In and out:
+        solution_out: wp.array2d(dtype=vec3),
+        r_out: wp.array2d(dtype=vec3),
+    ):
+        """Step each node's solution and residual before `sweep`, with coalesced memory access."""
+        row, n = wp.tid()
+        env = which[row]
+        if env >= 0:
+            stepped(env, n, scalars, p, product, solution_out, r_out)
+
     return step, sweep
 
 
@@ -233,7 +237,8 @@ class Factors:
     def __init__(
         self, free, levels: int, real, environments: int, device: str, *, parallel: bool
     ) -> None:
-        self._environments, self._device, self._real = environments, device, real
+        self._environments, self._device = environments, device
+        self._kernel = _factor_kernel(real)
         self.columns = len(free) // levels
         """Number of columns."""
         shape = (levels, self.columns) if parallel else (self.columns, levels)
@@ -247,7 +252,7 @@ class Factors:
     def make(self, active, matrix) -> None:
         """Factor the columns of active environments, from the blocks (B, N, 27) of the tangent."""
         wp.launch(
-            _factor_kernel(self._real),
+            self._kernel,
             dim=(self._environments, self.columns),
             inputs=[self._free, active, matrix],
             outputs=[self.arrays],
@@ -373,7 +378,7 @@ def _kernels(real, parallel: bool):
                 env = -1
         return env
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def scale(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -391,7 +396,7 @@ def _kernels(real, parallel: bool):
         if n < parts:
             sums_out[env, n, 0] = wp.float64(0.0)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def smooth(
         # In: environments; factors; right-hand side; 1 to add to z
         which: wp.array(dtype=wp.int32),
@@ -437,7 +442,7 @@ def _kernels(real, parallel: bool):
         if first >= 0:
             sums_out[env, first + column, 0] = rz
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def residual(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -465,7 +470,7 @@ def _kernels(real, parallel: bool):
             fraction = axis.part[mesh, fine]
         return fraction
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def restrict(
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
@@ -494,7 +499,7 @@ def _kernels(real, parallel: bool):
                 total += fine[env, (a * weights.y.below.shape[1] + b) * levels + k] * along
         coarse_out[env, n] = total
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def prolong(
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
@@ -524,7 +529,7 @@ def _kernels(real, parallel: bool):
         far = coarse[env, first] * (real(1.0) - y) + coarse[env, first + levels] * y
         fine_out[env, n] = fine_out[env, n] + near * (real(1.0) - x) + far * x
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @kernel()
     def coarsen(
         weights: weights_type,
         # In:
@@ -655,7 +660,6 @@ class Multigrid:
         self._grids: list[_Grid] = []
         self.grids = 1
         """Number of grids that `advance` uses."""
-        self._kernels = _kernels(real, self._parallel)
 
     def _factors_of(self, free, levels: int) -> Factors:
         of = self._real, self._environments, self._device
@@ -683,6 +687,8 @@ class Multigrid:
         self.hard = hard
         self._hard.assign(hard.astype(np.int32))
         if not self._grids:
+            with loaded_together(self._device):
+                self._kernels = _kernels(self._real, self._parallel)
             self._make_grids()
 
     def _make_grids(self) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
+from sim.device import kernel
 from sim.fem.arrays import Graphs, array_of, axpy, copy_active
 from sim.fem.assembly import Assembly
 from sim.fem.balance import LANES
@@ -380,7 +381,9 @@ def _cg_kernels(real, lanes: int):
             whole = wp.tile_sum(wp.tile(whole))[0]
         return whole
 
-    @wp.kernel(enable_backward=False, module="unique")
+    together = kernel(group=f"sim.fem.newton.{real.__name__}.{lanes}", block=LANES)
+
+    @together
     def start(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -407,7 +410,7 @@ def _cg_kernels(real, lanes: int):
     def comparison(first: bool):
         """Return the kernel that ends solves by their residual, at the start or later."""
 
-        @wp.kernel(enable_backward=False, module="unique")
+        @together
         def compare(
             # In:
             sums: wp.array3d(dtype=wp.float64),
@@ -440,7 +443,7 @@ def _cg_kernels(real, lanes: int):
 
         return compare
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @together
     def step_length(
         # In:
         sums: wp.array3d(dtype=wp.float64),
@@ -466,7 +469,7 @@ def _cg_kernels(real, lanes: int):
             scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
             scalars_out[env, 5] = scalars_out[env, 5] + wp.float64(1.0)
 
-    @wp.kernel(enable_backward=False, module="unique")
+    @together
     def turn(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -515,7 +518,6 @@ class ConjugateGradient:
     ) -> None:
         vec3 = vector_of(real)
         shape = (environments, nodes)
-        self._real = real
         self._device = wp.get_device(device)
         self._matrix, self._preconditioner = matrix, preconditioner
         self._shape = shape
@@ -536,6 +538,7 @@ class ConjugateGradient:
         self._graphs = Graphs(self._device, record=record)
         self._gathers = self._device.is_cuda if gather is None else gather
         self._lanes = LANES if self._device.is_cuda else 1
+        self._kernels = _cg_kernels(real, self._lanes)
         self._launched = wp.Event(self._device) if self._device.is_cuda else None
 
     def solve(
@@ -605,23 +608,20 @@ class ConjugateGradient:
             self._which.assign(rows_now)
 
     def _begin(self, residual) -> None:
-        start, begin, _step_length, _change, turn = _cg_kernels(self._real, self._lanes)
+        start, begin, _step_length, _change, turn = self._kernels
         vectors = [self.solution, self._r, self._p, self._product]
-        self._launch(start, [residual], [*vectors, self._scalars])
-        self._advance()
-        self._total(begin, [self._sums, self._accuracy], [self._which, self._scalars])
-        self._launch(turn, [self._scalars, self._z], [self._p])
+        self._launch(start, self._shape[1], [self._which, residual], [*vectors, self._scalars])
+        self._step(begin, turn)
 
     def _iterate(self, times: int) -> None:
-        _start, _begin, step_length, change, turn = _cg_kernels(self._real, self._lanes)
+        _start, _begin, step_length, change, turn = self._kernels
         for _time in range(times):
             self._matrix.product(self._which, self._p, self._product, self._along)
-            self._total(step_length, [self._along], [self._which, self._scalars])
-            self._advance()
-            self._total(change, [self._sums, self._accuracy], [self._which, self._scalars])
-            self._launch(turn, [self._scalars, self._z], [self._p])
+            self._launch(step_length, self._lanes, [self._along], [self._which, self._scalars])
+            self._step(change, turn)
 
-    def _advance(self) -> None:
+    def _step(self, compare, turn) -> None:
+        """Step along the search direction, end solves, and turn to the next direction."""
         self._preconditioner.advance(
             self._which,
             self._scalars,
@@ -629,22 +629,11 @@ class ConjugateGradient:
             (self.solution, self._r, self._z),
             self._sums,
         )
+        inputs = [self._sums, self._accuracy]
+        self._launch(compare, self._lanes, inputs, [self._which, self._scalars])
+        inputs = [self._which, self._scalars, self._z]
+        self._launch(turn, self._shape[1], inputs, [self._p])
 
-    def _total(self, kernel, inputs, outputs) -> None:
-        wp.launch(
-            kernel,
-            dim=(len(self._which), self._lanes),
-            inputs=inputs,
-            outputs=outputs,
-            device=self._device,
-            block_dim=LANES,
-        )
-
-    def _launch(self, kernel, inputs, outputs) -> None:
-        wp.launch(
-            kernel,
-            dim=(len(self._which), self._shape[1]),
-            inputs=[self._which, *inputs],
-            outputs=outputs,
-            device=self._device,
-        )
+    def _launch(self, one, width: int, inputs, outputs) -> None:
+        rows = len(self._which), width
+        wp.launch(one, rows, inputs, outputs, device=self._device, block_dim=LANES)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.device import loaded_together
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.fem.assembly import Assembly, kernels_of
@@ -335,8 +336,9 @@ class Batch:
         self._scenes, self._meshes, self._numerics = scenes, meshes, numerics
         self._progress = progress
         began = time.perf_counter()
-        self._assembly = Assembly(meshes, scenes, numerics, precision, device)
-        self._newton = Newton(self._assembly)
+        with loaded_together(device):
+            self._assembly = Assembly(meshes, scenes, numerics, precision, device)
+            self._newton = Newton(self._assembly)
         self._collectors = list(map(FrameCollector, scenes, meshes))
         self._unmeasured: deque[FrameCollector] = deque()
         self._area = np.array([mesh.top_area for mesh in meshes])[..., None]

@@ -3,11 +3,12 @@
 import subprocess
 import sys
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import warp as wp
 
-from sim.device import check_device
+from sim.device import check_device, kernel, loaded_together
 
 
 def test_a_press_that_is_only_printed_imports_no_zarr() -> None:
@@ -43,3 +44,19 @@ def test_a_device_left_on_the_null_stream_gets_a_stream_of_its_own(
     monkeypatch.setattr(wp, "Stream", lambda of: of)
     check_device("cuda:0")
     assert given == [device] * streams
+
+
+def test_kernels_made_in_the_context_are_loaded_at_its_end_those_of_a_group_as_one_module() -> None:
+    def made(group: str) -> Any:
+        @kernel(group=group)
+        def one(out: wp.array[float]) -> None:
+            out[wp.tid()] = wp.static(float(len(group)))
+
+        return one
+
+    with loaded_together("cpu"):
+        kernels = [made(group) for group in ("unique", "tests.pair", "tests.pair")]
+        assert not any(one.module.execs for one in kernels)
+    assert all(one.module.execs for one in kernels)
+    assert [one.module is kernels[1].module for one in kernels] == [False, True, True]
+    assert not made("tests.later").module.execs
