@@ -135,12 +135,12 @@ def contact_struct(real):
 def vector_kernels(real):
     """Return the kernels of one precision by name; those that copy by type and dimensions."""
     vec3 = vector_of(real)
-    together = kernel(group=f"sim.fem.arrays.{real.__name__}")
+    batched = kernel(group=f"sim.fem.arrays.{real.__name__}")
 
     def copy(dtype, dimensions: int):
         array = {2: wp.array2d, 3: wp.array3d}[dimensions]
 
-        @together
+        @batched
         def copy_rows(
             active: wp.array(dtype=wp.int32),
             source: array(dtype=dtype),
@@ -157,7 +157,7 @@ def vector_kernels(real):
 
         return copy_rows
 
-    @together
+    @batched
     def fill(
         active: wp.array(dtype=wp.int32),
         value: wp.array(dtype=vec3),
@@ -167,7 +167,7 @@ def vector_kernels(real):
         if active[env] == 1:
             field_out[env, n] = value[env]
 
-    @together
+    @batched
     def step(
         active: wp.array(dtype=wp.int32),
         # True to step away from `other`, instead of along it
@@ -185,7 +185,7 @@ def vector_kernels(real):
             direction = start[env, n] - direction
         step_out[env, n] = start[env, n] + direction * length[env]
 
-    @together
+    @batched
     def blend(
         active: wp.array(dtype=wp.int32),
         fraction: real,

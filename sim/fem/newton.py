@@ -381,9 +381,9 @@ def _cg_kernels(real, lanes: int):
             whole = wp.tile_sum(wp.tile(whole))[0]
         return whole
 
-    together = kernel(group=f"sim.fem.newton.{real.__name__}.{lanes}", block=LANES)
+    batched = kernel(group=f"sim.fem.newton.{real.__name__}.{lanes}", block=LANES)
 
-    @together
+    @batched
     def start(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -410,7 +410,7 @@ def _cg_kernels(real, lanes: int):
     def comparison(first: bool):
         """Return the kernel that ends solves by their residual, at the start or later."""
 
-        @together
+        @batched
         def compare(
             # In:
             sums: wp.array3d(dtype=wp.float64),
@@ -443,7 +443,7 @@ def _cg_kernels(real, lanes: int):
 
         return compare
 
-    @together
+    @batched
     def step_length(
         # In:
         sums: wp.array3d(dtype=wp.float64),
@@ -469,7 +469,7 @@ def _cg_kernels(real, lanes: int):
             scalars_out[env, 4] = scalars_out[env, 4] - scalars_out[env, 2] * scalars_out[env, 0]
             scalars_out[env, 5] = scalars_out[env, 5] + wp.float64(1.0)
 
-    @together
+    @batched
     def turn(
         # In:
         which: wp.array(dtype=wp.int32),
