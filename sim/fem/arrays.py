@@ -6,10 +6,9 @@ B environments, on M meshes of one topology with E elements, N nodes and S faces
 contact a face.
 """
 
-import contextlib
 import functools
 import itertools
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
 import warp as wp
@@ -140,7 +139,6 @@ def vector_kernels(real):
     def copy(dtype, dimensions: int):
         array = {2: wp.array2d, 3: wp.array3d}[dimensions]
 
-        @batched
         def copy_rows(
             active: wp.array(dtype=wp.int32),
             source: array(dtype=dtype),
@@ -155,7 +153,9 @@ def vector_kernels(real):
                 for j in range(source.shape[2]):
                     copy_out[env, i, j] = source[env, i, j]
 
-        return copy_rows
+        # Graphs on a CPU tell the kernels of a module by their names.
+        copy_rows.__qualname__ += f"_{dimensions}_{int(dtype == vec3)}"
+        return batched(copy_rows)
 
     @batched
     def fill(
@@ -246,23 +246,21 @@ class Graphs:
         self._device, self._records = device, record
         self._graphs = {}
 
-    @contextlib.contextmanager
-    def recorded(self, key: Hashable) -> Iterator[bool]:
-        """Context of launches of kernels, and of nothing else, that depend on no more than `key`.
+    def repeat(self, launches: Callable[..., None], *arguments, key: tuple[int, ...] = ()) -> None:
+        """Call `launches`, a method that launches kernels and does nothing else, or its graph.
 
-        It gives True if a graph has done them, and they are to be left out. They are recorded the
-        second time: the first time compiles kernels, which a recording must not.
+        It depends on no more than `key`, the addresses of the arrays among the arguments, and the
+        others. It is recorded the second time: the first time may compile kernels, which a
+        recording must not.
         """
+        key = launches.__name__, *key, *(getattr(one, "ptr", one) for one in arguments)
         graph = self._graphs.get(key)
-        if graph is not None:
-            wp.capture_launch(graph)
-            yield True
-        elif not self._records or key not in self._graphs:
-            yield False
-            if self._records:
+        if graph is None:
+            if not self._records or key not in self._graphs:
                 self._graphs[key] = None
-        else:
+                launches(*arguments)
+                return
             with wp.ScopedCapture(self._device) as capture:
-                yield False
-            self._graphs[key] = capture.graph
-            wp.capture_launch(capture.graph)
+                launches(*arguments)
+            graph = self._graphs[key] = capture.graph
+        wp.capture_launch(graph)

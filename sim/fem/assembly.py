@@ -494,17 +494,25 @@ class Assembly:
 
     def evaluate(self, active, u, direction) -> np.ndarray:
         """Compute forces at `u`; return `TOTALS` (B,), the slope along `direction` (B, N)."""
-        with self._graphs.recorded(("elements", active.ptr, u.ptr, direction.ptr)) as done:
-            if not done:
-                self._launch_elements(active, u)
-                self._launch_contact(active, u, direction)
+        self._graphs.repeat(self._launch_elements, active, u, direction)
+        return self._sum()
+
+    def depart(self, active, start, whole, direction) -> np.ndarray:
+        """Store the current displacement as `start`, step along `direction`, and evaluate there.
+
+        `whole` are lengths of 1 (B,).
+        """
+        self._graphs.repeat(self._launch_step, active, start, whole, direction)
         return self._sum()
 
     def evaluate_contact(self, active, u, direction) -> np.ndarray:
         """Evaluate again after only the friction limit has changed."""
-        with self._graphs.recorded(("contact", active.ptr, u.ptr, direction.ptr)) as done:
-            if not done:
-                self._launch_contact(active, u, direction)
+        self._graphs.repeat(self._launch_contact, active, u, direction)
+        return self._sum()
+
+    def settle_contact(self, active, u, direction) -> np.ndarray:
+        """Set the limit of friction to the pressure of the last evaluated state; evaluate again."""
+        self._graphs.repeat(self._launch_limit, active, u, direction)
         return self._sum()
 
     def _sum(self) -> np.ndarray:
@@ -514,13 +522,23 @@ class Assembly:
     def _launch(self, kernel, dim, inputs, outputs=(), **options) -> None:
         wp.launch(kernel, dim, inputs, outputs, device=self.device, **options)
 
-    def _launch_elements(self, active, u) -> None:
+    def _launch_step(self, active, start, whole, direction) -> None:
+        copy_active(active, self.state.u, start)
+        axpy(active, whole, start, direction, self.state.u)
+        self._launch_elements(active, self.state.u, direction)
+
+    def _launch_limit(self, active, u, direction) -> None:
+        self.state.settle_limit(active)
+        self._launch_contact(active, u, direction)
+
+    def _launch_elements(self, active, u, direction) -> None:
         self._launch(
             self._element,
             (self.environments, self._element_threads),
             [self._mesh, self.state.material, active, u],
             [self._element_force, self.element_energy, self._element_det],
         )
+        self._launch_contact(active, u, direction)
 
     def _launch_contact(self, active, u, direction) -> None:
         state = self.state
@@ -654,10 +672,12 @@ class Assembly:
             self._shift.assign(shift)
             self._shift_now = shift
 
+        self._graphs.repeat(self._launch_tangent, active, u)
+        self.preconditioner.factor_grids(active, self.block_matrix.matrix)
+
+    def _launch_tangent(self, active, u) -> None:
         structs = self._mesh, self.state.material, self.state.contact
-        with self._graphs.recorded(("tangent", active.ptr, u.ptr)) as done:
-            if not done:
-                self.block_matrix.assemble(active, u, *structs, self._shift)
+        self.block_matrix.assemble(active, u, *structs, self._shift)
         self.preconditioner.factor(active, self.block_matrix.matrix)
 
     def settle_volume(self, active, direction) -> np.ndarray:

@@ -725,11 +725,14 @@ class Multigrid:
         return _Grid(counts, offsets, factors, matrix, vector(), vector(), vector(), weights)
 
     def factor(self, active, matrix) -> None:
-        """Factor the columns, and make and factor the coarser grids of hard environments.
-
-        `matrix` has the blocks (B, N, 27) of the tangent; `advance` reads them as well.
-        """
+        """Factor the columns of the tangent, whose blocks (B, N, 27) are `matrix`."""
         self._factors.make(active, matrix)
+
+    def factor_grids(self, active, matrix) -> None:
+        """Make and factor the coarser grids of hard environments where that is due.
+
+        `advance` reads the matrix as well.
+        """
         if not self._grids:
             return
         self._grids[0].matrix = matrix

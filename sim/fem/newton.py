@@ -180,19 +180,21 @@ class Newton:
             assembly.push(self._mask(predicting), state.travel(predicting))
         accuracy = np.clip(0.3 * self.residual, ACCURACY_LEAST, ACCURACY)
         accuracy[predicting] = PREDICTION
-        used = self._cg.solve(
+        self._cg.solve(
             running,
             assembly.residual,
             np.where(running, accuracy, 1.0),
             assembly.numerics.cg_max,
             meanwhile,
         )
-        self.cg[running] += used[running]
-        assembly.preconditioner.learn(np.where(running, used, 0), accuracy)
-        self.iterations[running] += 1
-        slope, concave = self._cg.status()
         state.set_tip(predicting)
-        walked, length = self._search(active, running, predicting, slope)
+        assembly.depart(active, self._start, self._whole, self._cg.solution)
+        used, slope, concave = self._cg.status()
+        used = np.where(running, used, 0)
+        self.cg += used
+        assembly.preconditioner.learn(used, accuracy)
+        self.iterations[running] += 1
+        walked, length = self._search(running, predicting, slope)
         self._predicting[running] = False
         hard = ~predicting & (concave | (length < LENGTH_GOOD) | ~walked)
         self._convex_left[running & self._convex] -= 1
@@ -234,9 +236,7 @@ class Newton:
             return
         assembly, state = self._assembly, self._assembly.state
         if self._friction:
-            active = self._mask(chosen)
-            state.settle_limit(active)
-            assembly.evaluate_contact(active, state.u, self._cg.solution)
+            assembly.settle_contact(self._mask(chosen), state.u, self._cg.solution)
         is_valid, balanced = self._balance(chosen)
         if assembly.split and balanced.any():
             assembly.settle_volume(self._mask(balanced), self._cg.solution)
@@ -271,20 +271,24 @@ class Newton:
         is_valid = np.isfinite(self.residual) & (sums["det"] > DET_TRIAL)
         return is_valid, chosen & is_valid & (self.residual <= self._tolerance)
 
-    def _search(self, active, running, predicting, slope) -> tuple[np.ndarray, np.ndarray]:
-        """Search along the direction; return success (B,) and step length (B,).
+    def _search(self, running, predicting, slope) -> tuple[np.ndarray, np.ndarray]:
+        """Search along the direction, whose end is the last evaluated state.
 
         A prediction is taken in full, or not at all if it leads to an invalid state.
+
+        Returns:
+            Success (B,) and step length (B,).
         """
         assembly, state = self._assembly, self._assembly.state
         direction = self._cg.solution
-        copy_active(active, state.u, self._start)
         length = np.ones(assembly.environments)
         open_ = running.copy()
-        for _trial in range(TRIALS):
-            trying = self._mask(open_)
-            self._walk(trying, length)
-            sums = assembly.evaluate(trying, state.u, direction)
+        for trial in range(TRIALS):
+            if trial:
+                trying = self._mask(open_)
+                axpy(trying, self._lengths(length), self._start, direction, state.u)
+                assembly.evaluate(trying, state.u, direction)
+            sums = assembly.sums
             with np.errstate(invalid="ignore", divide="ignore"):
                 finite = np.isfinite(sums["square"]) & np.isfinite(sums["slope"])
                 is_valid = finite & (sums["det"] > DET_TRIAL)
@@ -306,10 +310,6 @@ class Newton:
     def _eased(self, sums: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """True if a step reduces the slope to at most half of its start value (B,)."""
         return sums["slope"] <= 0.5 * np.abs(slope)
-
-    def _walk(self, trying, length: np.ndarray) -> None:
-        assembly = self._assembly
-        axpy(trying, self._lengths(length), self._start, self._cg.solution, assembly.state.u)
 
     def _lengths(self, length: np.ndarray):
         """Return lengths (B,) as an array for the kernels; most steps are whole."""
@@ -348,16 +348,17 @@ class Newton:
 
 # Preconditioned conjugate gradients on all environments at once, each stopping independently.
 #
-# The only data read back from the device are the indices of running environments, every `LOOK`
-# iterations, and one array of `SCALARS` at the end. The beginning and the iterations in between, of
-# five kernels each, are graphs, recorded once per number of launched rows. A row holds the index of
-# an environment, or -1. When half of the environments have finished, the others move together and
-# half as many rows are launched, since idle threads take time as well. Dot products are float64
-# whichever precision the vectors have.
+# A row holds the index of an environment, or -1. On a CPU, and for a single environment, a solve is
+# one graph with a loop, and what is read back is one array of `SCALARS` at the end. For more of
+# them on a GPU, the beginning and the iterations, of five kernels each, are graphs, recorded once
+# per number of launched rows, and the indices of running environments are read after every `LOOK`
+# iterations: when half of the environments have finished, the others move together and half as many
+# rows are launched, since idle threads take time as well. Dot products are float64 whichever
+# precision the vectors have.
 
-# Iterations between checks for running environments: free on the CPU, a stop on a GPU, where one
-# with coarser grids takes much longer than the check.
-LOOK, LOOK_GRIDS = {"cpu": 1, "cuda": 8}, {"cpu": 1, "cuda": 2}
+# Iterations between checks by the host for running environments; one with coarser grids takes much
+# longer than a check. Iterations between those of a graph on a GPU, without coarser grids.
+LOOK, LOOK_GRIDS, LOOK_GRAPH = 8, 2, 4
 
 # Mark that replaces the target accuracy: stop here, the tangent is not convex.
 CONCAVE = 1e300
@@ -394,8 +395,11 @@ def _cg_kernels(real, lanes: int):
         p_out: wp.array2d(dtype=vec3),
         product_out: wp.array2d(dtype=vec3),
         scalars_out: wp.array2d(dtype=wp.float64),
+        goes_on_out: wp.array(dtype=wp.int32),
     ):
         row, n = wp.tid()
+        if row == 0 and n == 0:
+            goes_on_out[0] = 0
         env = which[row]
         if env < 0:
             return
@@ -407,41 +411,42 @@ def _cg_kernels(real, lanes: int):
         product_out[env, n] = vec3()
         r_out[env, n] = residual[env, n]
 
-    def comparison(first: bool):
-        """Return the kernel that ends solves by their residual, at the start or later."""
-
-        @batched
-        def compare(
-            # In:
-            sums: wp.array3d(dtype=wp.float64),
-            accuracy: wp.array(dtype=wp.float64),
-            # In and out:
-            which: wp.array(dtype=wp.int32),
-            scalars_out: wp.array2d(dtype=wp.float64),
-        ):
-            row, lane = wp.tid()
-            env = which[row]
-            if env < 0:
-                return
-            rz = total(sums, env, lane, 0)
-            rr = total(sums, env, lane, 1)
-            if lane == 0:
-                ended = rr == wp.float64(0.0)
-                if wp.static(first):
-                    scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
-                else:
-                    scalars_out[env, 3] = rz / scalars_out[env, 0]
-                    ended = not (rr > scalars_out[env, 1])
-                scalars_out[env, 0] = rz
-                if ended:
-                    which[row] = -1
-                elif not (rz > wp.float64(0.0)):
-                    # Nor is the preconditioner positive definite, if it is made from such a
-                    # tangent.
-                    scalars_out[env, 1] = wp.float64(CONCAVE)
-                    which[row] = -1
-
-        return compare
+    @batched
+    def compare(
+        # In: True at the start of solves
+        first: bool,
+        sums: wp.array3d(dtype=wp.float64),
+        accuracy: wp.array(dtype=wp.float64),
+        most: int,
+        # In and out:
+        which: wp.array(dtype=wp.int32),
+        scalars_out: wp.array2d(dtype=wp.float64),
+        # Out: 1 if any environment goes on
+        goes_on_out: wp.array(dtype=wp.int32),
+    ):
+        """End solves by their residual."""
+        row, lane = wp.tid()
+        env = which[row]
+        if env < 0:
+            return
+        rz = total(sums, env, lane, 0)
+        rr = total(sums, env, lane, 1)
+        if lane == 0:
+            ended = rr == wp.float64(0.0)
+            if first:
+                scalars_out[env, 1] = rr * accuracy[env] * accuracy[env]
+            else:
+                scalars_out[env, 3] = rz / scalars_out[env, 0]
+                ended = not (rr > scalars_out[env, 1])
+            scalars_out[env, 0] = rz
+            if not ended and not (rz > wp.float64(0.0)):
+                # Nor is the preconditioner positive definite, if it is made from such a tangent.
+                scalars_out[env, 1] = wp.float64(CONCAVE)
+                ended = True
+            if ended or scalars_out[env, 5] >= wp.float64(most):
+                which[row] = -1
+            else:
+                goes_on_out[0] = 1
 
     @batched
     def step_length(
@@ -450,8 +455,12 @@ def _cg_kernels(real, lanes: int):
         # In and out:
         which: wp.array(dtype=wp.int32),
         scalars_out: wp.array2d(dtype=wp.float64),
+        # Out: 0, until an environment goes on
+        goes_on_out: wp.array(dtype=wp.int32),
     ):
         row, lane = wp.tid()
+        if row == 0 and lane == 0:
+            goes_on_out[0] = 0
         env = which[row]
         if env < 0:
             return
@@ -484,7 +493,7 @@ def _cg_kernels(real, lanes: int):
             return
         p_out[env, n] = z[env, n] + p_out[env, n] * real(scalars[env, 3])
 
-    return start, comparison(first=True), step_length, comparison(first=False), turn
+    return start, step_length, compare, turn
 
 
 class ConjugateGradient:
@@ -500,7 +509,7 @@ class ConjugateGradient:
         preconditioner: `choose(running)` sets and returns the number of `grids` that the running
             environments, by index, need; `advance` steps along p and writes z and the partial sums
             of r.z and r.r, (B, `preconditioner.parts`, 2).
-        gather: Launch fewer rows as environments end; by default only on a GPU.
+        gather: Launch fewer rows as environments end; by default for more than one on a GPU.
         record: Record iterations as a graph; both may only launch kernels then.
     """
 
@@ -534,9 +543,12 @@ class ConjugateGradient:
         self._which = self._all_rows = wp.zeros(environments, dtype=wp.int32, device=device)
         self._accuracy = wp.zeros(environments, dtype=wp.float64, device=device)
         self._scalars = wp.zeros((environments, SCALARS), dtype=wp.float64, device=device)
-        self._ended = np.zeros((environments, SCALARS))
+        self._goes_on = wp.zeros(1, dtype=wp.int32, device=device)
         self._graphs = Graphs(self._device, record=record)
-        self._gathers = self._device.is_cuda if gather is None else gather
+        if gather is None:
+            loops = environments == 1 and wp.is_conditional_graph_supported()
+            gather = self._device.is_cuda and not loops
+        self._gathers = gather
         self._lanes = LANES if self._device.is_cuda else 1
         self._kernels = _cg_kernels(real, self._lanes)
         self._launched = wp.Event(self._device) if self._device.is_cuda else None
@@ -548,50 +560,46 @@ class ConjugateGradient:
         accuracy,
         most: int,
         meanwhile: Callable[[Callable[[], bool]], None] | None = None,
-    ) -> np.ndarray:
-        """Fill `solution` of the chosen environments and return their numbers of iterations (B,).
+    ) -> None:
+        """Fill `solution` of the chosen environments; `status` tells how.
 
         Args:
             chosen: True for the environments to solve (B,).
             residual: Right-hand side (B, N).
             accuracy: Target of |r| / |residual|, float64 NumPy (B,).
-            most: Most iterations; the graph in which this is reached is completed.
+            most: Most iterations.
             meanwhile: Called when a GPU has work to do, with a function that is true while it has.
         """
         running = np.flatnonzero(chosen)
         self._gather(running, renew=True)
         self._accuracy.assign(accuracy)
         grids = self._preconditioner.choose(running)
-        begins = "begin", residual.ptr, len(self._which), grids
-        with self._graphs.recorded(begins) as done_by_graph:
-            if not done_by_graph:
-                self._begin(residual)
-        kind, done = "cuda" if self._device.is_cuda else "cpu", 0
-        while len(running) and done < most:
-            look = (LOOK if grids == 1 else LOOK_GRIDS)[kind]
-            goes_on = "go on", len(self._which), grids
-            with self._graphs.recorded(goes_on) as done_by_graph:
-                if not done_by_graph:
-                    self._iterate(look)
+        key = len(self._which), grids
+        self._graphs.repeat(self._begin, residual, most, key=key)
+        while len(running):
+            if self._gathers:
+                look = LOOK if grids == 1 else LOOK_GRIDS
+                self._graphs.repeat(self._iterate, look, most, key=key)
             if meanwhile is not None and self._launched is not None:
                 wp.record_event(self._launched)
                 meanwhile(lambda: not self._launched.is_complete)
-            done += look
+            if not self._gathers:
+                break
             rows = self._which.numpy()
             running = rows[rows >= 0]
             if len(running):
                 self._gather(running)
                 grids = self._preconditioner.choose(running)
-        self._ended = self._scalars.numpy().copy()
-        return np.where(chosen, self._ended[:, 5], 0.0).astype(int)
+                key = len(self._which), grids
 
-    def status(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return -(right-hand side) . solution, and True for solves that ended concave (B,).
+    def status(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what the last solve of each environment came to, once it has ended (B,).
 
-        Those met a direction along which the tangent is not convex. It is that of the last solve of
-        each environment.
+        Its iterations, -(right-hand side) . solution, and True if it has met a direction along
+        which the tangent is not convex.
         """
-        return self._ended[:, 4], self._ended[:, 1] >= CONCAVE
+        scalars = self._scalars.numpy().copy()
+        return scalars[:, 5].astype(int), scalars[:, 4], scalars[:, 1] >= CONCAVE
 
     def _gather(self, running: np.ndarray, *, renew: bool = False) -> None:
         """Launch at most twice as many rows as are running, if rows are gathered at all.
@@ -607,20 +615,24 @@ class ConjugateGradient:
             self._which = self._all_rows[:rows]
             self._which.assign(rows_now)
 
-    def _begin(self, residual) -> None:
-        start, begin, _step_length, _change, turn = self._kernels
-        vectors = [self.solution, self._r, self._p, self._product]
-        self._launch(start, self._shape[1], [self._which, residual], [*vectors, self._scalars])
-        self._step(begin, turn)
+    def _begin(self, residual, most: int) -> None:
+        start = self._kernels[0]
+        outputs = self.solution, self._r, self._p, self._product, self._scalars, self._goes_on
+        self._launch(start, self._shape[1], [self._which, residual], list(outputs))
+        self._step(most, first=True)
+        if not self._gathers:
+            often = self._preconditioner.grids > 1 or self._device.is_cpu
+            times = 1 if often else LOOK_GRAPH
+            wp.capture_while(self._goes_on, self._iterate, times=times, most=most)
 
-    def _iterate(self, times: int) -> None:
-        _start, _begin, step_length, change, turn = self._kernels
+    def _iterate(self, times: int, most: int) -> None:
         for _time in range(times):
             self._matrix.product(self._which, self._p, self._product, self._along)
-            self._launch(step_length, self._lanes, [self._along], [self._which, self._scalars])
-            self._step(change, turn)
+            outputs = [self._which, self._scalars, self._goes_on]
+            self._launch(self._kernels[1], self._lanes, [self._along], outputs)
+            self._step(most, first=False)
 
-    def _step(self, compare, turn) -> None:
+    def _step(self, most: int, *, first: bool) -> None:
         """Step along the search direction, end solves, and turn to the next direction."""
         self._preconditioner.advance(
             self._which,
@@ -629,8 +641,9 @@ class ConjugateGradient:
             (self.solution, self._r, self._z),
             self._sums,
         )
-        inputs = [self._sums, self._accuracy]
-        self._launch(compare, self._lanes, inputs, [self._which, self._scalars])
+        _start, _step_length, compare, turn = self._kernels
+        inputs, outputs = [first, self._sums, self._accuracy, most], [self._which, self._scalars]
+        self._launch(compare, self._lanes, inputs, [*outputs, self._goes_on])
         inputs = [self._which, self._scalars, self._z]
         self._launch(turn, self._shape[1], inputs, [self._p])
 

@@ -95,11 +95,9 @@ class Solved:
         # NumPy oracles, which no CUDA graph can record.
         both = Dense(matrices), Blocks(matrices)
         solver = ConjugateGradient(real, count, NODES, "cpu", *both, gather=gather, record=False)
-        self.count = solver.solve(
-            active > 0, oracle.vectors(right, real), np.full(count, accuracy), most
-        )
+        solver.solve(active > 0, oracle.vectors(right, real), np.full(count, accuracy), most)
         self.solution = solver.solution.numpy().astype(float).reshape(count, SIZE)
-        self.slope, self.concave = solver.status()
+        self.count, self.slope, self.concave = solver.status()
 
 
 def _right(count: int) -> Array:
@@ -128,8 +126,9 @@ def test_a_preconditioner_that_is_not_positive_ends_as_not_convex() -> None:
     both = Dense(matrices), Negative(matrices)
     solver = ConjugateGradient(wp.float64, 1, NODES, "cpu", *both, record=False)
     right = oracle.vectors(_right(1), wp.float64)
-    assert solver.solve(np.ones(1, bool), right, np.full(1, 1e-9), 400)[0] == 1
-    slope, concave = solver.status()
+    solver.solve(np.ones(1, bool), right, np.full(1, 1e-9), 400)
+    count, slope, concave = solver.status()
+    assert count[0] == 1
     assert concave[0]
     found = solver.solution.numpy().ravel()
     assert np.isclose(slope[0], -(_right(1).ravel() @ found))

@@ -35,7 +35,8 @@ def _made(tangents: Tangents, real: Any, *, parallel: bool = False) -> Multigrid
     made = Multigrid(list(MESHES), tangents.body, real, "cpu", parallel=parallel)
     made.learn(HARD, np.full(3, 1e-2))
     matrix = tangents.block_matrix(real, parallel=parallel).matrix
-    made.factor(oracle.integers(tangents.active), matrix)
+    for factor in made.factor, made.factor_grids:
+        factor(oracle.integers(tangents.active), matrix)
     return made
 
 
@@ -127,6 +128,7 @@ def test_grids_are_made_again_only_when_solves_slow_down() -> None:
     for used in (10, 12, 40):
         made.learn(np.array([used, 0, 0]), np.full(3, 1e-2))
         made.factor(active, stiffer)
+        made.factor_grids(active, stiffer)
         found.append(applied(made, tangents.active, r, wp.float64)[0][0])
     dense = tangents.dense(0).reshape(3 * COUNT, -1)
     mesh = MESHES[tangents.body[0]]
