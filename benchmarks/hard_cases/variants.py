@@ -75,7 +75,7 @@ HARD: dict[str, tuple[str, tuple[Any, ...], Callable[[Any], Scene]]] = {
         lambda depth: _pressed(sphere(4 * MM), _disc(60, 20), depth),
     ),
     "torus on a dome": (
-        "mm", (0.2, 0.4, 0.6, 0.9, 1.2),
+        "mm", (0.4, 0.6, 0.8, 1.0, 1.3),
         lambda depth: _pressed(
             torus(3 * MM, 1 * MM), _disc(24, 6, dome_radius=20 * MM), depth
         ),
@@ -103,9 +103,9 @@ def scenes() -> Iterator[Drawn]:
 
 
 def measure(run: Run) -> list[Row]:
-    """Answer and judge the variants; in a quick run that of a tube."""
+    """Answer and judge the variants; in a quick run the first."""
     some = list(scenes())
-    return all_judged(run, some[20:21] if run.quick else some, run.device)
+    return all_judged(run, some[:1] if run.quick else some, run.device)
 
 
 def section(rows: list[Row], _page: Page) -> str:

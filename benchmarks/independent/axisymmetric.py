@@ -323,10 +323,11 @@ class AxisymmetricPress:
     def _answer(self, state: RingState, depth: float) -> Answer:
         contact = self._tractions(state, state.u, state.tip)
         force = self.elastic.force(state.u)
-        balance = abs(contact.force - float(force[self.base].sum())) / contact.force
         load = contact.pressure * self.area
+        touching = max(float(load.sum()), np.finfo(float).tiny)
+        balance = abs(contact.force - float(force[self.base].sum())) / touching
         left = np.maximum(contact.pressure - state.multiplier, 0.0) / self.stiffness
-        penetration = float(np.sum(load * left) / np.sum(load)) / depth
+        penetration = float(np.sum(load * left)) / touching / depth
         det = float(self.elastic.strain(state.u)[1].min())
         return Answer(depth, contact.force, balance, det, penetration)
 

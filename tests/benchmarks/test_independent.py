@@ -62,6 +62,19 @@ def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
     assert answer.balance < 1e-6
 
 
+def test_a_moving_plane_meets_the_impedance_of_a_column_and_then_its_reflected_wave() -> None:
+    """A column without Poisson's effect: c = sqrt(E / rho), pressure rho c v, then 3 rho c v."""
+    layer = Layer(3 * MM, 4 * MM, MODULUS, 0.0, sliding=True)
+    grid = Grid(np.linspace(0, 3 * MM, 2), np.linspace(-4 * MM, 0, 21))
+    density, speed = 1000.0, 0.01
+    press = AxisymmetricPress(layer, punch(1.0, 0.1), grid, 0.0, 3 * MM, density)
+    wave = math.sqrt(MODULUS / density)
+    times = [turn * 4 * MM / wave for turn in (1.0, 1.5, 2.5, 3.5)]
+    forces = press.in_time([speed * time for time in times], times, 250)
+    impedance = density * wave * speed * math.pi * (3 * MM) ** 2
+    assert np.array(forces) / impedance == pytest.approx([1, 1, 3, 3], rel=0.03)
+
+
 def a_press(shape: Shape, measures: tuple[float, ...], thickness: float, *depths: float) -> Press:
     """Return a press without friction into a body that is wide enough [mm]."""
     press = Press("", shape, measures, tuple((0.0, 0.0, depth) for depth in depths))
