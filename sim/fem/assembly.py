@@ -334,11 +334,18 @@ class SolverState:
         copy_active(active, self._limit_relaxed, self.contact.limit)
 
     def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh) -> None:
-        """Make the current state of the chosen environments (B,) the start of their next step."""
-        active = self.mask(chosen)
+        """Make the current state of the chosen environments (B,) the start of their next step.
+
+        All but what `store` does.
+        """
         if self._branches is not None:
-            self._branches.keep(mesh, self.material, active, self.u)
+            self._branches.keep(mesh, self.material, self.mask(chosen), self.u)
         self._duration_old[chosen] = np.maximum(duration, 1e-12)[chosen]
+        self.tip_before[chosen] = self._tip_after[chosen]
+        self._put(self.contact.tip_old, self.tip_before)
+
+    def store(self, active) -> None:
+        """Copy fields of the current state to those of the last accepted one."""
         copy_active(active, self.contact.u_old, self._u_before)
         copy_active(active, self.u, self.contact.u_old)
         copy_active(active, self.contact.pressure, self.contact.multiplier)
@@ -347,8 +354,6 @@ class SolverState:
             self.volume.accept(active)
         if "friction" in self._effects:
             copy_active(active, self.contact.traction, self.contact.traction_old)
-        self.tip_before[chosen] = self._tip_after[chosen]
-        self._put(self.contact.tip_old, self.tip_before)
 
     def mask(self, chosen: np.ndarray):
         """Return the chosen environments (B,) as a mask for the kernels, which do not change it.
@@ -509,6 +514,10 @@ class Assembly:
         """Evaluate again after only the friction limit has changed."""
         self._graphs.repeat(self._launch_contact, active, u, direction)
         return self._sum()
+
+    def relax_limit(self, active, fraction: float) -> None:
+        """Move the limit of friction by `fraction` of the way from its last relaxed value."""
+        self._graphs.repeat(self.state.relax_limit, active, fraction)
 
     def settle_contact(self, active, u, direction) -> np.ndarray:
         """Set the limit of friction to the pressure of the last evaluated state; evaluate again."""
@@ -689,6 +698,7 @@ class Assembly:
     def accept(self, chosen: np.ndarray, duration: np.ndarray) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step."""
         self.state.accept(chosen, duration, self._mesh)
+        self._graphs.repeat(self.state.store, self.state.mask(chosen))
 
     def _array(self, values, dtype):
         return array_of(values, dtype, self.real, self.device)

@@ -170,10 +170,11 @@ class Newton:
         active, predicting = self._mask(running), running & self._predicting
         if self._friction:
             late = running & (self.iterations >= RELAX_AFTER)
-            state.relax_limit(self._mask(running & ~late), 1.0)
+            for some, fraction in (running & ~late, 1.0), (late, RELAX_SHARE):
+                if some.any():
+                    assembly.relax_limit(self._mask(some), fraction)
             if late.any():
                 slow = self._mask(late)
-                state.relax_limit(slow, RELAX_SHARE)
                 assembly.evaluate_contact(slow, state.u, self._cg.solution)
         assembly.linearise(active, state.u, self._damping)
         if predicting.any():

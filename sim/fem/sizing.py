@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -486,7 +487,7 @@ def _looks(scene: Scene) -> list[Sizes | None]:
                 break
         else:
             if len(estimated) < LOOKS:
-                sizes_at[index] = _look(scene.indenter, scene.body, tip)
+                sizes_at[index] = _look(scene.indenter, scene.body, tuple(tip.tolist()))
                 estimated.append((tip, down, sizes_at[index]))
     return sizes_at
 
@@ -498,11 +499,14 @@ def _onto(body: Body, tip: Array) -> tuple[float, float]:
     )
 
 
-def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
-    """Return the sizes for the contact with the tip at (3,)."""
+@lru_cache(maxsize=4096)
+def _look(indenter: Indenter, body: Body, at: tuple[float, ...]) -> Sizes:
+    """Return the sizes for the contact with the tip at three coordinates; cached."""
+    from sim.layer.contact import THIN as THIN_LAYER
     from sim.layer.contact import solve_frictionless
     from sim.layer.spectral import Convolutions, PixelGrid
 
+    tip = np.array(at)
     box = covered(indenter, body, tip)
     if box is None:
         return NOTHING
@@ -525,7 +529,7 @@ def _look(indenter: Indenter, body: Body, tip: Array) -> Sizes:
     grid = PixelGrid(window, count)
     x, y = grid.x + middle[0], grid.y + middle[1]
     reach = max(body.thickness, 2 * abs(float(tip[2])))
-    height = indenter.heights(x[:, None] - tip[0], y[None, :] - tip[1], reach=reach)
+    height = indenter.heights(x[:, None] - tip[0], y - tip[1], reach=reach, thinnest=THIN_LAYER)
     on_body = body.covers(x[:, None], y)
     gap = np.minimum(height, reach) + tip[2] - _heights(body, x, y)
     gap = np.where(on_body, gap, reach)

@@ -298,9 +298,13 @@ class Convolutions:
         self.kernel: Array = scipy.fft.irfft2(waves, s=grid.period)
         """Displacement of the pixels (6, px, py) by a traction on the first one [m/Pa], rows as in
         `Grid.symbol`."""
-        self.whole = self._cut(grid.shape, np.float32)
-        """Over all pixels, in single precision: for output, not for the solution."""
+        self._shape = grid.shape
         self._made: dict[tuple[int, ...], Elastic] = {}
+
+    @cached_property
+    def whole(self) -> Convolution:
+        """Over all pixels, in single precision: for output, not for the solution."""
+        return self._cut(self._shape, np.float32)
 
     def within(self, shape: tuple[int, ...]) -> Elastic:
         """Return the layer within a window of `shape`, cached by shape."""
