@@ -88,6 +88,11 @@ class Body:
         return self.modulus / (3 * (1 - 2 * self.poisson))
 
     @property
+    def wave_modulus(self) -> float:
+        """M = K + 4 G / 3 [Pa], of waves of compression, whose speed is sqrt(M / density)."""
+        return self.bulk_modulus + 4 / 3 * self.shear_modulus
+
+    @property
     def _farthest(self) -> float:
         """Distance of the footprint's farthest point from its centre [m]."""
         if self.footprint == "ellipse":
@@ -402,7 +407,7 @@ class Viscosity:
 
 @dataclass(frozen=True, slots=True)
 class Inertia:
-    """Lumped mass with backward Euler: stable at any time step, damps motion it cannot resolve.
+    """Lumped mass: the body resists a change of its motion, and waves cross it.
 
     Raises:
         SceneError: A value is out of range.

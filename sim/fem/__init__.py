@@ -106,6 +106,9 @@ class Fem:
     """Longest step of the tip [m]; at most half the sharpest radius of the indenter (or a fiftieth
     of the thickness), because a longer one may put skin on the wrong side of an edge. None: with
     friction at most a fortieth of the thickness."""
+    step_factor: int | None = None
+    """Factor on the number of steps to each waypoint. None: 1, and with inertia up to 4, as an
+    error by time steps of 2 % needs (`sim.fem.in_time`)."""
     halvings: int = 12
     """Times that a step is halved before the solver fails."""
 
@@ -141,6 +144,9 @@ class Fem:
         check_range("fem", "penalty", self.penalty, 1.0, 1e6)
         check_range("fem", "newton_max", self.newton_max, 1, 10_000)
         check_range("fem", "cg_max", self.cg_max, 1, 1_000_000)
+        if self.step_factor is not None:
+            check_kind("fem.step_factor", self.step_factor, int, "a whole number or None")
+            check_range("fem", "step_factor", self.step_factor, 1, 1000)
         check_range("fem", "halvings", self.halvings, 0, 60)
 
     def height(self, body: Body) -> float:

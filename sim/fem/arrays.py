@@ -41,6 +41,7 @@ def mesh_struct(real):
         rule: wp.array(dtype=real)  # weights of these points (P,)
         nodes: wp.array2d(dtype=vec3)  # rest positions (M, N)
         mass: wp.array2d(dtype=real)  # volume lumped to the nodes (M, N)
+        inert: wp.array2d(dtype=real)  # the same for inertia: none at the top
         free: wp.array(dtype=wp.int32)  # 1 for nodes that move (N,)
         node_elements: wp.array2d(dtype=wp.int32)  # 8 e + corner around each node (N, 8), or -1
         node_faces: wp.array2d(dtype=wp.int32)  # 4 s + corner around each node (N, 4), or -1
@@ -49,7 +50,14 @@ def mesh_struct(real):
 
 
 def mesh_on(
-    device: str, meshes: Sequence[Mesh], variant, rule, real, *, elements: bool = True
+    device: str,
+    meshes: Sequence[Mesh],
+    variant,
+    rule,
+    real,
+    *,
+    elements: bool = True,
+    inertia: bool = False,
 ) -> object:
     """Return the struct of meshes (M,) for environments (B,) on `variant` of them.
 
@@ -71,6 +79,7 @@ def mesh_on(
     struct.shape, struct.rule = array(rule[0]), array(rule[1])
     struct.nodes = array([each.nodes for each in meshes], vector_of(real))
     struct.mass = array([each.node_volume for each in meshes])
+    struct.inert = array([each.inert_volume for each in meshes]) if inertia else struct.mass
     return struct
 
 

@@ -74,6 +74,11 @@ WIDE = 1 / 12
 # Most environments of a batch whose launches beside those of conjugate gradients are recorded as
 # graphs. With more of them the device has enough to do, and masks of active ones rarely come again.
 FEW = 16
+# Change of the tip's velocity, over the velocity, from which motion is not smooth; and ratio of a
+# step to the last one beyond which the second backward difference is not stable (1 + sqrt 2).
+KINK, LONGER = 1e-3, 2.0
+# Least time over which stresses are damped, over that in which a shear wave crosses an element.
+DAMPED = 0.15
 # Masks of environments that are kept on the device.
 MASKS = 8
 
@@ -160,7 +165,14 @@ class SolverState:
         """`inertia_rate` on the host."""
         self.predicted = zeros(moving, vec3)
         """Displacement that the nodes would have without forces (B, N)."""
-        self._duration_old = np.ones(count)
+        self.inner, self.inner_old = zeros(moving, vec3), zeros(moving, vec3)
+        """Forces of the elements on the nodes, now and at the last accepted step (B, N)."""
+        self.stiffer = zeros(count if "inertia" in on else 0, real)
+        """Time of damping over the step (B,)."""
+        self._still = zeros(moving, vec3)  # that they would have at rest
+        self._way, self._way_before = zeros(moving, vec3), zeros(moving, vec3)
+        self._times = np.ones((3, count))
+        self._speed = np.zeros((count, 3))
         self.inertia_rate = zeros(count if "inertia" in on else 0, real)
         """Mass of a unit volume over step squared (B,)."""
         self._mass = np.array(
@@ -172,6 +184,7 @@ class SolverState:
                 for scene, body in zip(scenes, bodies, strict=True)
             ]
         )
+        self._damped = np.array(list(map(damping_time, scenes, assembly.meshes)))
         self._weight = np.zeros((0, 3))
         if "gravity" in on:
             self._weight = np.array(
@@ -197,7 +210,8 @@ class SolverState:
             name: np.take(array.numpy(), rows, axis=axis)
             for name, (array, axis) in self._history().items()
         }
-        history["tip"], history["duration"] = self.tip_before[rows], self._duration_old[rows]
+        history["tip"], history["speed"] = self.tip_before[rows], self._speed[rows]
+        history["times"] = self._times[:, rows]
         return history
 
     def go_on(self, history: dict[str, np.ndarray]) -> None:
@@ -209,7 +223,7 @@ class SolverState:
         copy_active(self.everyone, self._multiplier_old, self.contact.multiplier)
         if self.volume is not None:
             self.volume.roll_back(self.everyone)
-        self._duration_old[:] = history["duration"]
+        self._times[:], self._speed[:] = history["times"], history["speed"]
         self.start(history["tip"])
 
     def _history(self) -> dict:
@@ -217,6 +231,9 @@ class SolverState:
         named = {
             "u": self.contact.u_old,
             "u_before": self._u_before,
+            "way": self._way,
+            "way_before": self._way_before,
+            "inner": self.inner_old,
             "multiplier": self._multiplier_old,
             "push": self.contact.push,
             "traction": self.contact.traction_old,
@@ -266,13 +283,50 @@ class SolverState:
             self._put(self.material.bulk_factor, factor)
 
     def _foresee(self, active, duration: np.ndarray) -> None:
-        """Predict the motion of mass without forces in the step of `duration` (B,) [s]."""
-        if "inertia" in self._effects:
-            step = np.maximum(duration, 1e-12)
-            self.rates = self._mass / step**2
-            self._put(self.inertia_rate, self.rates)
-            fraction = self._array(step / self._duration_old, self._real)
-            extrapolate(active, fraction, self.contact.u_old, self._u_before, self.predicted)
+        """Predict the motion of mass without forces in the step of `duration` (B,) [s].
+
+        By the second backward difference, of second order and stable for any step (BDF2; Hairer &
+        Wanner, Solving Ordinary Differential Equations II, 1996, section V.1), for displacement and
+        velocity: u' = (u - still) / span, u'' = (u' - the same of u') / span. Where the tip changes
+        its velocity, or the step is much longer than the last one, by backward Euler.
+        """
+        if "inertia" not in self._effects:
+            return
+        last, span, before = self._times
+        moves = duration > 0  # what happens in no time ends at rest
+        ratio = np.where(moves & self._smooth(duration), duration / last, 0.0)
+        ratio[ratio > LONGER] = 0.0
+        onward, now = ratio**2 / (1 + 2 * ratio), duration * (1 + ratio) / (1 + 2 * ratio)
+        self.rates = np.divide(self._mass, now**2, where=moves, out=np.zeros(len(now)))
+        self._put(self.inertia_rate, self.rates)
+        self._put(self.stiffer, np.divide(self._damped, duration, where=moves, out=0 * now))
+        last_share, before_share = now * (1 + onward) / span, -now * onward / before
+        self._now = np.where(moves, now, np.inf)
+
+        def along(length, start, direction, out) -> None:
+            axpy(active, self._array(length, self._real), start, direction, out)
+
+        fraction = self._array(onward, self._real)
+        extrapolate(active, fraction, self.contact.u_old, self._u_before, self._still)
+        along(last_share, self._still, self._way, self.predicted)
+        along(before_share, self.predicted, self._way_before, self.predicted)
+
+    def _smooth(self, duration: np.ndarray) -> np.ndarray:
+        """Return True where the tip goes on as fast as before in a step of `duration` (B,) [s]."""
+        moved = self.step - self._speed * duration[:, None]
+        return np.linalg.norm(moved, axis=1) <= KINK * np.linalg.norm(self.step, axis=1)
+
+    def _move(self, active, chosen: np.ndarray, duration: np.ndarray) -> None:
+        """Keep the motion of the chosen environments (B,) in the step of `duration` (B,) [s]."""
+        if "inertia" not in self._effects:
+            return
+        copy_active(active, self._way, self._way_before)
+        copy_active(active, self.inner, self.inner_old)
+        back = self._array(np.full(len(chosen), -1.0), self._real)
+        axpy(active, back, self.u, self._still, self._way)
+        moves = np.where(duration > 0, duration, np.inf)
+        self._times[:, chosen] = np.array([moves, self._now, self._times[1]])[:, chosen]
+        self._speed[chosen] = (self.step / moves[:, None])[chosen]
 
     def put_within(self, chosen: np.ndarray, fraction: float, duration: np.ndarray, way) -> None:
         """Set history and predicted motion of the chosen (B,) for a fraction of their step.
@@ -340,7 +394,7 @@ class SolverState:
         """
         if self._branches is not None:
             self._branches.keep(mesh, self.material, self.mask(chosen), self.u)
-        self._duration_old[chosen] = np.maximum(duration, 1e-12)[chosen]
+        self._move(self.mask(chosen), chosen, duration)
         self.tip_before[chosen] = self._tip_after[chosen]
         self._put(self.contact.tip_old, self.tip_before)
 
@@ -374,6 +428,23 @@ class SolverState:
 
     def _array(self, values, dtype):
         return array_of(values, dtype, self._real, self._device)
+
+
+def damping_time(scene: Scene, mesh: Mesh) -> float:
+    """Return the time over which stresses are damped [s]; 0 without inertia.
+
+    Stress is damped by this time times its rate, so that waves of a few elements, which no mesh
+    carries, do not ring, however short the steps are. It is the time in which a wave of
+    compression crosses the topmost element: then the force of an impact is density times speed of
+    that wave times velocity and area at once, as of a continuum, where it would first have to
+    cross the element.
+    """
+    inertia, body = scene.effects.inertia, scene.body
+    if inertia is None:
+        return 0.0
+    density, height = inertia.scale * body.density, mesh.topmost * body.thickness
+    wave, shear = (np.sqrt(density / one) for one in (body.wave_modulus, body.shear_modulus))
+    return float(height * max(wave, DAMPED * shear))
 
 
 def kernels_of(scenes: Sequence[Scene]) -> tuple[tuple[str, ...], IndenterTraits, bool]:
@@ -426,10 +497,12 @@ class Assembly:
         self._reduce = reduce_kernel(lanes=self._lanes)
 
         variant = [variant_of[id(each)] for each in meshes]
-        self._mesh = mesh_on(device, variants, variant, rule, real)
+        self._mesh = mesh_on(device, variants, variant, rule, real, inertia=on[1])
         self._precise = self._mesh
         if real != wp.float64:
-            self._precise = mesh_on(device, variants, variant, rule, wp.float64, elements=False)
+            self._precise = mesh_on(
+                device, variants, variant, rule, wp.float64, elements=False, inertia=on[1]
+            )
         table = PartTable.pack(
             [scene.indenter for scene in scenes],
             unit=scenes[0].body.thickness,
@@ -479,6 +552,7 @@ class Assembly:
             split=self.split,
             # Short steps make inertia stiff without a bound, and the range of float16 is bounded.
             half=None if most <= HALF_POISSON and "inertia" not in self.effects else False,
+            damped="inertia" in self.effects,
         )
         """Tangent of the last linearised state."""
         self.preconditioner = Multigrid(variants, variant, real, device)
@@ -557,10 +631,11 @@ class Assembly:
             self._residual,
             (self.environments, self._runs * self._lanes),
             [
-                *(self._mesh, state.contact, state.inertia_rate, state.predicted, state.weight),
+                *(self._mesh, state.contact, state.inertia_rate, state.predicted),
+                *(state.stiffer, state.inner_old, state.weight),
                 *(active, self._element_force, self._element_det, u, direction),
             ],
-            [self.residual, self._sums],
+            [state.inner, self.residual, self._sums],
             block_dim=LANES,
         )
         self._launch(
@@ -686,7 +761,7 @@ class Assembly:
 
     def _launch_tangent(self, active, u) -> None:
         structs = self._mesh, self.state.material, self.state.contact
-        self.block_matrix.assemble(active, u, *structs, self._shift)
+        self.block_matrix.assemble(active, u, *structs, self._shift, self.state.stiffer)
         self.preconditioner.factor(active, self.block_matrix.matrix)
 
     def settle_volume(self, active, direction) -> np.ndarray:

@@ -73,6 +73,9 @@ def residual_kernel(real, inertia: bool, gravity: bool, *, lanes: int = 1):
         # Inertia: mass over step squared, by environment, and positions of nodes without forces
         inertia_rate: wp.array(dtype=real),
         predicted: wp.array2d(dtype=vec3),
+        # Damping: time over the step, by environment, and the elements' forces before it
+        stiffer: wp.array(dtype=real),
+        inner_old: wp.array2d(dtype=vec3),
         # Gravity: weight of a unit volume, by environment
         weight: wp.array(dtype=vec3),
         # In:
@@ -81,7 +84,8 @@ def residual_kernel(real, inertia: bool, gravity: bool, *, lanes: int = 1):
         element_det: wp.array2d(dtype=real),
         u: wp.array2d(dtype=vec3),
         direction: wp.array2d(dtype=vec3),
-        # Out: residual, and parts of `TOTALS`
+        # Out: the elements' forces, with inertia only; residual, and parts of `TOTALS`
+        inner_out: wp.array2d(dtype=vec3),
         residual_out: wp.array2d(dtype=vec3),
         sums_out: wp.array3d(dtype=wp.float64),
     ):
@@ -104,7 +108,9 @@ def residual_kernel(real, inertia: bool, gravity: bool, *, lanes: int = 1):
             if wp.static(gravity):
                 applied += weight[env] * mesh.mass[m, n]
             if wp.static(inertia):
-                inner += (u[env, n] - predicted[env, n]) * (inertia_rate[env] * mesh.mass[m, n])
+                inner_out[env, n] = inner
+                inner += (inner - inner_old[env, n]) * stiffer[env]
+                inner += (u[env, n] - predicted[env, n]) * (inertia_rate[env] * mesh.inert[m, n])
             if mesh.free[n] == 0:
                 for axis in range(3):
                     sums[7 + axis] += wp.float64(inner[axis] - applied[axis])
@@ -343,7 +349,7 @@ def reading_kernels(real, friction: bool, inertia: bool, gravity: bool, *, lanes
         if wp.static(inertia):
             for n in range(lane, mesh.nodes.shape[1], lanes):
                 ahead = wp.vec3d(u[env, n]) - wp.vec3d(predicted[env, n])
-                body -= ahead * (mesh.mass[m, n] * inertia_rate[env])
+                body -= ahead * (mesh.inert[m, n] * inertia_rate[env])
         sums = sums_type()
         for axis in range(3):
             sums[axis] = force[axis]

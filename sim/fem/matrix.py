@@ -203,11 +203,12 @@ APIECE = 64
 
 
 @functools.cache
-def _kernels(real, stored, wide: bool, on_gpu: bool):
+def _kernels(real, stored, wide: bool, on_gpu: bool, damped: bool):
     """Return the kernels for one precision; `stored` is the scalar type of the matrix they read.
 
     `wide` kernels read a whole row of contiguous blocks, as on a CPU. A block of threads with one
-    node each adds up its sums if `on_gpu`, else a thread those of a run of nodes.
+    node each adds up its sums if `on_gpu`, else a thread those of a run of nodes. `damped` elements
+    are stiffer.
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
@@ -238,6 +239,8 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
         slots: wp.array3d(dtype=wp.int32),
         # Stiffness of a unit volume against any motion, by environment
         shift: wp.array(dtype=real),
+        # Further stiffness of the elements over theirs, by environment
+        stiffer: wp.array(dtype=real),
         # In:
         active: wp.array(dtype=wp.int32),
         # In and out:
@@ -246,7 +249,10 @@ def _kernels(real, stored, wide: bool, on_gpu: bool):
         env, n = wp.tid()
         if active[env] == 0 or mesh.free[n] == 0:
             return
-        own = wp.identity(n=3, dtype=real) * (shift[env] * mesh.mass[mesh.variant[env], n])
+        if wp.static(damped):
+            for slot in range(matrix_out.shape[2]):
+                matrix_out[env, n, slot] = matrix_out[env, n, slot] * (real(1.0) + stiffer[env])
+        own = wp.identity(n=3, dtype=real) * (shift[env] * mesh.inert[mesh.variant[env], n])
         matrix_out[env, n, CENTRE] = matrix_out[env, n, CENTRE] + own
         for k in range(mesh.node_faces.shape[1]):
             place = mesh.node_faces[n, k]
@@ -342,6 +348,7 @@ class BlockMatrix:
         split: bool = False,
         parallel: bool | None = None,
         half: bool | None = None,
+        damped: bool = False,
     ) -> None:
         """Allocate 972 bytes per node, environment and matrix in float32.
 
@@ -356,6 +363,7 @@ class BlockMatrix:
                 with node numbers running fastest; by default only on a GPU.
             half: Let products read a copy of the matrix in float16, 486 bytes more; unsuitable
                 above `HALF_POISSON`. By default only in float32 on a GPU, up to `HALF_NODES`.
+            damped: True if `stiffer` of `assemble` counts.
         """
         count = len(mesh.nodes)
         mat33 = matrix_of(real)
@@ -368,7 +376,7 @@ class BlockMatrix:
         if half is None:
             half = self._on_gpu and real == wp.float32 and count <= HALF_NODES
         stored = wp.float16 if half else real
-        kernels = _kernels(real, stored, not self._parallel and not half, self._on_gpu)
+        kernels = _kernels(real, stored, not self._parallel and not half, self._on_gpu, damped)
         self._clear, self._finish, self._product = kernels
         self._round = _rounding_kernel(real, stored) if half else None
         self.parts = -(-count // (BLOCK if self._on_gpu else RUN))
@@ -389,11 +397,12 @@ class BlockMatrix:
         self._slots = self._integers(face_slots(mesh))
         self._offsets = self._integers(slot_offsets(mesh.cells))
 
-    def assemble(self, active, u, mesh, material, contact, shift) -> None:
+    def assemble(self, active, u, mesh, material, contact, shift, stiffer) -> None:
         """Fill `matrix` of active environments with the tangent at `u` (B, N).
 
         Mesh, material and contact are structs of `sim.fem.arrays`; `shift` (B,) is the stiffness of
-        a unit volume against any motion.
+        a unit volume against any motion, and `stiffer` (B,) a further stiffness of elements over
+        theirs.
         """
         by_node = self._environments, self._nodes
         by_number = self._environments, self._threads
@@ -411,7 +420,7 @@ class BlockMatrix:
             groups = self._environments, -(-self._elements // AT_ONCE)
             inputs = [mesh, material, active, u, contact.convex]
             self._launch(self._elements_kernel, groups, inputs, [self.matrix])
-        inputs = [mesh, contact, self._slots, shift, active]
+        inputs = [mesh, contact, self._slots, shift, stiffer, active]
         self._launch(self._finish, by_node, inputs, [self.matrix])
         if self._round is not None:
             inputs = [active, self._threads, self._written]

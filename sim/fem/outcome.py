@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem import Fem
+from sim.fem.assembly import damping_time
 from sim.fem.balance import READ
 from sim.fem.mesh import Mesh
 from sim.fem.sizing import (
@@ -291,6 +292,7 @@ class FrameCollector:
         """Return the entry `mesh` of the record: what all meshes of the batch share, and its own.
 
         `resolved` is the contact resolution of each frame, 1 for 12 elements; None without contact.
+        `damped` is the time of damping with inertia [s].
         """
         mesh, unit = self._mesh, self._scene.body.thickness
         entry = {
@@ -299,6 +301,9 @@ class FrameCollector:
             "topmost": mesh.topmost * unit,
             "resolved": [float(one) if np.isfinite(one) else None for one in self._resolved],
         }
+        damped = damping_time(self._scene, mesh)
+        if damped:
+            entry["damped"] = damped
         if np.isfinite(mesh.fineness):
             entry["fineness"] = round(mesh.fineness, 4)
         return entry

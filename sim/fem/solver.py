@@ -13,6 +13,7 @@ from recorder.progress import span_of
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.fem import Fem, Precision
+from sim.fem.assembly import damping_time
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
 from sim.fem.sizing import (
@@ -20,7 +21,7 @@ from sim.fem.sizing import (
     coarser_than_required,
     stages_of,
 )
-from sim.fem.stepping import Batch, Crossed, batch_key
+from sim.fem.stepping import Batch, Crossed, batch_key, path_of
 from sim.result import Outcome, Result, with_beginning
 from sim.scene import Scene, beginning_of
 
@@ -222,6 +223,9 @@ SOFT_SHARE = 24
 # Instantaneous over relaxed stiffness of a viscous body above which contact is made stiffer: with a
 # ratio of 100 the indenter stood 10 % of its depth inside the skin.
 STIFF_AT_ONCE = 4.0
+# Stiffness of contact over the resistance of a body with inertia to a motion within a step, its
+# density times the speed of a wave over the step.
+IMPACT = 8.0
 
 
 def solve_on_meshes(
@@ -256,11 +260,18 @@ def solve_on_meshes(
 
 
 def _penalty(scene: Scene, mesh: Mesh, numerics: Fem) -> float:
-    """Return the contact stiffness on a mesh [E / T]."""
+    """Return the contact stiffness on a mesh [E / T].
+
+    It is stiffer for a body that is stiffer in a short time, by viscosity or by inertia.
+    """
     finer = max(1.0, 1.0 / (SOFT_SHARE * mesh.finest)) if numerics.follows else 1.0
-    viscosity = scene.effects.viscosity
+    viscosity, damped = scene.effects.viscosity, damping_time(scene, mesh)
     at_once = 1.0 if viscosity is None else 1.0 + sum(viscosity.ratios)
     stiffer = max(1.0, at_once / STIFF_AT_ONCE)
+    if damped:
+        path = path_of(scene, numerics, mesh.finest if numerics.follows else np.inf)
+        impact = scene.body.wave_modulus / scene.body.modulus * damped / mesh.topmost
+        stiffer *= max(1.0, IMPACT * impact / path.shortest / numerics.penalty)
     return float(numerics.penalty * 2.0 ** (np.round(np.log2(finer)) + np.round(np.log2(stiffer))))
 
 

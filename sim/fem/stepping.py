@@ -96,9 +96,13 @@ NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
 CROSSED_MOST = 3
 # Largest ratio of a step to the last one that was accepted.
 GROWTH = 1.5
-# Steps per shortest relaxation time, but at most `STEPS_MAX` in a segment.
-RELAXATION_STEPS = 4
+# Steps per shortest relaxation time, and per time in which a shear wave crosses the body, but at
+# most `STEPS_MAX` in a segment. `sim.fem.in_time` measures their error, and adds more.
+RELAXATION_STEPS, CROSSING_STEPS = 4, 16
 STEPS_MAX = 16
+# Way of the tip in that time at the speed by which it changes, over the depth, below which a wave
+# is not resolved; and the number of crossings for which it is.
+SLOW, RINGING = 0.01, 10.0
 # Longest step in sides of the smallest elements, if the mesh follows the contact, and the number of
 # steps in the depth that need not be exceeded. Longer steps bring too many elements into contact at
 # once, and Newton's method takes several times the iterations.
@@ -120,9 +124,11 @@ class Path:
     """Time of each corner [s] (F + 1,); the first is before the body was touched."""
     longest: float
     """Length of the longest step."""
-    shortest_time: float
-    """Shortest time that a step has to resolve [s]; inf if nothing depends on time."""
+    by_time: Array
+    """Number of steps of each segment by what depends on time (F,)."""
     halvings_max: int
+    factor: int = 1
+    """Factor on the number of steps."""
     heavy: bool = False
     """True if the body has weight."""
     ramped: bool = False
@@ -171,23 +177,27 @@ class Path:
     @property
     def limit(self) -> float:
         """Largest fraction of the segment that one step may take."""
-        return 1.0 / self._steps_of(self.segment)
+        return 1.0 / self.steps_of(self.segment)
 
     @property
     def steps(self) -> float:
         """Number of steps of all segments, if none is halved."""
-        return sum(self._steps_of(segment) for segment in range(len(self.corners) - 1))
+        return sum(self.steps_of(segment) for segment in range(len(self.corners) - 1))
+
+    @property
+    def shortest(self) -> float:
+        """Duration of the shortest step [s], if none is halved; inf without waypoints but one."""
+        lasts = np.diff(self.times)[1:]
+        return min((t / self.steps_of(i) for i, t in enumerate(lasts, 1)), default=np.inf)
 
     def _length_of(self, segment: int) -> float:
         return float(np.linalg.norm(self.corners[segment + 1] - self.corners[segment]))
 
-    def _steps_of(self, segment: int) -> float:
-        duration = self.times[segment + 1] - self.times[segment]
-        by_time = min(STEPS_MAX, max(1.0, duration / self.shortest_time * RELAXATION_STEPS))
-        if not segment:
-            by_time = 1.0
+    def steps_of(self, segment: int) -> float:
+        """Return the number of steps of a segment, if none is halved."""
         by_way = np.ceil(self._length_of(segment) / self.longest)
-        return float(max(1.0, by_way, np.ceil(by_time)))
+        steps = float(max(1.0, by_way, np.ceil(self.by_time[segment])))
+        return steps * self.factor if segment else steps
 
     def goal(self) -> tuple[float, Array, float]:
         """Return the fraction of the segment after the next step, tip (3,), and time [s]."""
@@ -277,17 +287,34 @@ def path_of(scene: Scene, numerics: Fem, finest: float = np.inf) -> Path:
     elif scene.effects.friction is not None:
         longest = min(longest, unit / 40)
     longest = min(longest, max(FINE_STEPS * finest * unit, scene.motion.depth_max / DEPTH_STEPS))
-    shortest = np.inf
-    if scene.effects.viscosity is not None:
-        shortest = min(scene.effects.viscosity.times)
     return Path(
         corners=np.concatenate([start[None], tip]),
         times=np.concatenate([[0.0], np.asarray(scene.motion.time)]),
         longest=longest / unit,
-        shortest_time=shortest,
+        by_time=_steps_by_time(scene),
         halvings_max=numerics.halvings,
+        factor=numerics.step_factor or 1,
         heavy=scene.effects.gravity is not None,
     )
+
+
+def _steps_by_time(scene: Scene) -> Array:
+    """Return the number of steps of each segment by relaxation times and waves (F,)."""
+    motion, body = scene.motion, scene.body
+    viscosity, inertia = scene.effects.viscosity, scene.effects.inertia
+    begins, lasts = np.array(motion.time[:-1]), np.diff(motion.time)
+    count = np.ones(len(lasts))
+    if viscosity is not None:
+        count = np.maximum(count, lasts / min(viscosity.times) * RELAXATION_STEPS)
+    if inertia is not None and inertia.scale and len(lasts):
+        at_once = body.shear_modulus * (1.0 + sum(viscosity.ratios if viscosity else ()))
+        crossing = body.thickness * np.sqrt(inertia.scale * body.density / at_once)
+        velocity = np.diff(np.asarray(motion.tip), axis=0) / lasts[:, None]
+        change = np.linalg.norm(np.diff(velocity, axis=0, prepend=0.0), axis=1)
+        waves = np.where(change * crossing > SLOW * motion.depth_max, begins, -np.inf)
+        ringing = begins - np.maximum.accumulate(waves) < RINGING * crossing
+        count = np.where(ringing, np.maximum(count, lasts / crossing * CROSSING_STEPS), count)
+    return np.concatenate([[1.0], np.minimum(count, STEPS_MAX)])
 
 
 # Batches of presses that advance together.

@@ -61,6 +61,7 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
     elements, faces = _random(3, len(MESH.elements), 8, 3), _random(3, len(MESH.faces), 4, 3)
     u, direction, predicted = _random(3, COUNT, 3), _random(3, COUNT, 3) + 1, _random(3, COUNT, 3)
     rate, weight = np.array([3.0, 5.0, 7.0]), _random(3, 3)
+    stiffer, before = np.array([0.5, 2.0, 1.5]), _random(3, COUNT, 3)
     det, touched = _random(3, len(MESH.elements)), _touched()
     residual = oracle.zeros((3, COUNT), vector_of(real))
     runs = RUNS if lanes == 1 else -(-COUNT // lanes)
@@ -69,6 +70,8 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
         *_inputs(real, touched, faces),
         oracle.scalars(rate, real),
         oracle.vectors(predicted, real),
+        oracle.scalars(stiffer, real),
+        oracle.vectors(before, real),
         oracle.vectors(weight, real),
         oracle.integers(ACTIVE),
         oracle.vectors(elements, real),
@@ -77,7 +80,8 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
         oracle.vectors(direction, real),
     ]
     kernel = residual_kernel(real, inertia, gravity, lanes=lanes)
-    dim, out = (3, runs * lanes), [residual, sums]
+    of_elements = oracle.zeros((3, COUNT), vector_of(real))
+    dim, out = (3, runs * lanes), [of_elements, residual, sums]
     wp.launch(kernel, dim=dim, inputs=inputs, outputs=out, device="cpu", block_dim=LANES)
     running = ACTIVE[:, None]
     applied = _at_nodes(MESH.faces, faces * touched[:, :, None, None]) * running[..., None]
@@ -86,6 +90,8 @@ def test_residual_gathers_every_share_once_and_the_sums_are_numpys(
     if gravity:
         applied = applied + weight[:, None] * MASS * running[..., None]
     if inertia:
+        assert oracle.relative(of_elements.numpy(), inner) < error
+        inner = inner + stiffer[:, None, None] * (inner - before) * running[..., None]
         inner = inner + rate[:, None, None] * MASS * (u - predicted) * running[..., None]
     held = ((inner - applied) * ~MESH.free[:, None]).sum(1)
     expected = (applied - inner) * MESH.free[:, None]
@@ -127,7 +133,9 @@ def test_a_run_knows_the_least_determinant_around_its_own_nodes() -> None:
                 wp.float64, np.zeros((3, len(MESH.faces))), np.zeros((3, len(MESH.faces), 4, 3))
             ),
             oracle.scalars(np.zeros(0), wp.float64),
-            oracle.vectors(np.zeros((0, 0, 3)), wp.float64),
+            empty := oracle.vectors(np.zeros((0, 0, 3)), wp.float64),
+            oracle.scalars(np.zeros(0), wp.float64),
+            empty,
             oracle.vectors(np.zeros((0, 3)), wp.float64),
             oracle.integers(ACTIVE),
             oracle.vectors(np.zeros((3, len(MESH.elements), 8, 3)), wp.float64),
@@ -136,7 +144,9 @@ def test_a_run_knows_the_least_determinant_around_its_own_nodes() -> None:
             oracle.vectors(nothing, wp.float64),
         ]
         kernel = residual_kernel(wp.float64, False, False)
-        wp.launch(kernel, dim=(3, RUNS), inputs=inputs, outputs=[residual, sums], device="cpu")
+        wp.launch(
+            kernel, dim=(3, RUNS), inputs=inputs, outputs=[empty, residual, sums], device="cpu"
+        )
         expected = np.ones(RUNS)
         expected[runs[MESH.elements[element]]] = -0.25
         np.testing.assert_array_equal(sums.numpy()[0, :, 3], expected)

@@ -33,6 +33,7 @@ class Tangents:
         self.u = random.normal(0, strain, (3, COUNT, 3)) * GRID.free[:, None]
         self.mass = random.uniform(0.5, 1.5, (2, COUNT))
         self.shift = np.array([0.0, 0.3, 0.6])
+        self.stiffer = np.array([0.5, 0.0, 2.0]) if variant == "viscous" else np.zeros(3)
         self.convex = np.zeros(3)
         self.touched = random.integers(0, 2, (3, len(GRID.faces)))
         points = random.normal(0, 1, (3, len(GRID.faces), len(SHAPE), 3, 3))
@@ -58,7 +59,7 @@ class Tangents:
         """Return the tangent assembled by the kernels over a matrix full of `FILLED`."""
         viscous = self.variant == "viscous"
         block_matrix = BlockMatrix(
-            GRID, real, 3, "cpu", viscous=viscous, parallel=parallel, half=half
+            GRID, real, 3, "cpu", viscous=viscous, parallel=parallel, half=half, damped=viscous
         )
         block_matrix.matrix.fill_(FILLED)
         self.assemble(block_matrix, real)
@@ -67,7 +68,7 @@ class Tangents:
     def assemble(self, block_matrix: BlockMatrix, real: Any) -> None:
         """Assemble again for the current state."""
         mesh = oracle.on_device(MESHES, self.body, real)
-        mesh.mass = oracle.scalars(self.mass, real)
+        mesh.inert = oracle.scalars(self.mass, real)
         contact = oracle.contact_of(
             real,
             touched=oracle.integers(self.touched),
@@ -81,11 +82,13 @@ class Tangents:
             oracle.material_of(self.materials, real),
             contact,
             oracle.scalars(self.shift, real),
+            oracle.scalars(self.stiffer, real),
         )
 
     def dense(self, env: int) -> Array:
         """Return the same (N, 3, N, 3) by complex steps, face by face, from the definition."""
         dense = _stiffness(MESHES[self.body[env]], self.u[env], self.materials[env])
+        dense *= 1.0 + self.stiffer[env]
         blocks = np.einsum("spij,pa,pb->saibj", self.contact[env], SHAPE, SHAPE)
         for face, touched, block in zip(GRID.faces, self.touched[env], blocks, strict=True):
             dense[np.ix_(face, range(3), face, range(3))] += block * touched
@@ -123,7 +126,7 @@ def flat_tangent(by: float) -> BlockMatrix:
     mesh = oracle.on_device([GRID], [0], real)
     mesh.inverse = oracle.matrices(np.linalg.inv(jacobian)[None], real)
     mesh.weight = oracle.scalars(np.linalg.det(jacobian)[None], real)
-    mesh.mass = oracle.scalars(np.ones((1, COUNT)), real)
+    mesh.inert = oracle.scalars(np.ones((1, COUNT)), real)
     contact = oracle.contact_of(
         real,
         touched=oracle.integers(np.zeros((1, len(GRID.faces)))),
@@ -136,6 +139,7 @@ def flat_tangent(by: float) -> BlockMatrix:
         mesh,
         oracle.material_of([Material(0.35, 1.0)], real),
         contact,
+        oracle.scalars([0.0], real),
         oracle.scalars([0.0], real),
     )
     return block_matrix

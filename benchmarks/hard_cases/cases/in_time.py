@@ -104,8 +104,7 @@ def fast_press_with_mass(moving: Result, still: Result) -> Laws:
 def released_body_comes_to_rest(result: Result) -> Laws:
     """Released within 0.1 ms, the skin swings back and comes to rest without gaining energy."""
     size = np.abs(result.surface).reshape(len(RELEASED), -1).max(axis=1)
-    # The lowest mode has a period of 2.3 ms; backward Euler with 0.25 ms removes a third of its
-    # amplitude per period: after 4 periods a hundredth to a tenth of it remains.
+    # The lowest mode has a period of 2.3 ms. Of its waves, those of a few elements are damped.
     yield law.at_most("largest swing / before", size[2:].max() / size[1], 1.0)
     yield law.at_most("swing after 10 ms / before", size[-4:].max() / size[1], 0.1)
     yield law.at_most("force once released [N]", np.abs(result.force[2:]).max(), 1e-9)
