@@ -52,6 +52,11 @@ LAYER_LEAST = 0.003
 RIM = 1.0
 # An edge radius below this fraction of an element is worth a note.
 EDGE_NOTE_SHARE = 0.999
+# Error of the force by damping over the stress of damping; how long it lasts, over its time.
+PER_DAMPING, WAVE_REACH = 2.5, 2.0
+# Error of a force just after an impact; how long it lasts, over the time of damping. With all four,
+# errors cover those of a plate that hits a layer, but when a wave returns to it, up to twice them.
+IMPACT, IMPACT_LASTS = 0.4, 1.3
 # Height of a dome's rim over the thickness below which it does not behave like a layer.
 RIM_UNEVEN = 0.5
 
@@ -137,10 +142,10 @@ def _of_elements(result: Result) -> dict[str, Any]:
         fraction = fraction + PER_OVERLAP * overlap_shares(result, result.quality.overlap)
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
     fraction = fraction + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
+    fraction = _weighed(result, fraction) + time_share(result)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
-    error = error_entry(
-        result, "estimated", _weighed(result, fraction), "how finely the contact is meshed"
-    )
+    by = "how finely the contact is meshed" + (", and steps in time" * ("time" in result.record))
+    error = error_entry(result, "estimated", fraction, by)
     missed = pressed & ~result.force.any(axis=1) & (result.quality.overlap > 0)
     if missed.any():
         error["force"] = [
@@ -149,6 +154,32 @@ def _of_elements(result: Result) -> dict[str, Any]:
         ]
         error["percent"] = 100.0
     return error
+
+
+def time_share(result: Result) -> Array:
+    """Return the error by steps in time and by waves of each frame (F,), over the force.
+
+    Waves are damped as if stresses were those of a moment earlier or later
+    (`sim.fem.assembly.damping_time`): by how much shows in the frames around. A force that begins
+    at once is too large for about as long.
+    """
+    fraction, record = np.zeros(len(result.force)), result.record
+    if "time" in record:
+        fraction = np.array(record["time"]["force"])
+    damped = record.get("mesh", {}).get("damped", 0.0)
+    if not damped or len(fraction) < 2:
+        return fraction
+    time, felt = np.array(result.scene.motion.time), np.asarray(result.force.any(axis=1))
+    rate = np.abs(np.diff(result.force, axis=0)).max(axis=1) / np.diff(time)
+    reach, going_on = WAVE_REACH * damped, np.append(felt[2:], False)
+    began = np.maximum.accumulate(np.where(felt[1:] & ~felt[:-1], time[:-1], -np.inf))
+    rate[(time[:-1] - began < reach) & going_on] = 0.0
+    near = (time[:-1] <= time[:, None] + reach) & (time[1:] >= time[:, None] - reach)
+    fastest = np.where(near, rate, 0.0).max(axis=1)
+    since = time - np.append(-np.inf, began)
+    impact = IMPACT * np.exp(-since / (IMPACT_LASTS * damped))
+    waves = PER_DAMPING * damped * fastest / force_scale(result.force)
+    return np.asarray(fraction + waves + impact * felt)
 
 
 def _of_layer(result: Result) -> dict[str, Any]:

@@ -128,9 +128,9 @@ def _by_tier(
                 outcomes.append(diverged)
         return outcomes
     if isinstance(tier, Fem):
-        from sim.fem.solver import simulate_fem
+        from sim.fem.in_time import simulate_in_time
 
-        return simulate_fem(scenes, tier, device=device, progress=progress)
+        return simulate_in_time(scenes, tier, device=device, progress=progress)
     from sim.mpm.solver import simulate_mpm
 
     return simulate_mpm(scenes, tier, device=device, progress=progress)

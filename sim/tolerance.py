@@ -20,6 +20,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +35,7 @@ from sim.error_estimate import (
     fineness_of,
     pixel_of,
     side_distance,
+    time_share,
     unknown_at_side,
     vanishing_share,
     with_symmetry,
@@ -47,6 +49,7 @@ from sim.tiers import simulate
 
 if TYPE_CHECKING:
     from sim.fem import Fem
+    from sim.fem.in_time import TimeSteps
     from sim.fem.solver import Required
 
 Array = NDArray[np.float64]
@@ -87,6 +90,8 @@ HOPELESS = 8.0
 ROUNDS = 4
 # Fineness of a mesh over the requested one, below which the limit on elements was reached.
 WHOLLY = 0.97
+# Fraction of the tolerance for the error by time steps, of viscosity or inertia.
+IN_TIME = 1 / 3
 # Range of the ratio of fineness from one mesh to the next.
 FINER_LEAST, FINER_MOST = 1.25, 2.0
 # Elements beyond which a tolerance is rejected: a quarter of an hour on a CPU.
@@ -123,7 +128,8 @@ def simulate_within(
         )
     states = first_mesh(scene, wanted, device)
     fineness, most = states.fineness, states.elements_max
-    meshes = _Meshes(scene, states, device, progress)
+    sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
+    meshes = _Meshes(scene, states, device, progress, sought)
     tried: list[str] = []
     if tier == "layer" or (tier is None and layer_may_do(scene, wanted)):
         linear = _of_layer(scene, wanted, tier, tried, device, progress)
@@ -192,8 +198,10 @@ def _states(scene: Scene, fraction: float) -> Fem:
 class _Meshes:
     """Solutions of one scene on meshes of different fineness, each built from those before it."""
 
-    def __init__(self, scene: Scene, states: Fem, device: str, progress: Progress | None) -> None:
-        self._scene, self._states = scene, states
+    def __init__(
+        self, scene: Scene, states: Fem, device: str, progress: Progress | None, sought: float
+    ) -> None:
+        self._scene, self._states, self._sought = scene, states, sought
         self._device, self._progress = device, progress
         self._solved: list[Result] = []
         self._finest = np.inf
@@ -204,19 +212,27 @@ class _Meshes:
         """True if a mesh reached the limit on elements."""
         return self._finest < np.inf
 
+    @cached_property
+    def _time(self) -> TimeSteps | None:
+        from sim.fem.in_time import time_steps
+
+        return time_steps(self._scene, self._states, self._device, self._sought)
+
     def solved(self, fineness: float, part: int) -> Result:
         """Return the solution on a mesh of about that fineness, from the cache or solved now.
 
         `part` is 0 or 1 of 2, for the progress. The mesh is coarser if it would have too many
         elements.
         """
+        from sim.fem.in_time import with_time
         from sim.fem.solver import precision_for_finer, simulate_fem
 
         fineness = min(fineness, self._finest)
         for result in self._solved:
             if abs(_fineness(result) / fineness - 1) < 0.15:
                 return result
-        numerics = replace(self._states, fineness=fineness)
+        factor = None if self._time is None else self._time.factor
+        numerics = replace(self._states, fineness=fineness, step_factor=factor)
         if self._solved:
             finest = max(self._solved, key=_fineness)
             numerics = replace(numerics, precision=precision_for_finer(finest, numerics))
@@ -227,7 +243,7 @@ class _Meshes:
             progress=None if self._progress is None else part_of(self._progress, part, 2),
             required=self._required,
         )
-        outcome = estimated(outcome)
+        outcome = estimated(with_time(outcome, self._time))
         if isinstance(outcome, SimulationDiverged):
             raise outcome
         self._solved.append(outcome)
@@ -355,7 +371,7 @@ def extrapolated(
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
     unsure = LEFT * _most_of_difference(coarse, least_ratio(coarse, fine)) * apart
-    newton = np.maximum(unsure, vanishing_share(result) * scale)
+    newton = np.maximum(unsure, vanishing_share(result) * scale) + time_share(fine) * scale
     fraction = np.maximum(newton / scale, floor * (size > 0))
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
     pixels = MARKERS * left * float(np.sqrt(np.mean(moved**2, axis=1)).max(initial=0.0))

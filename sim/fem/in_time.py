@@ -1,0 +1,169 @@
+"""Error by the time steps of scenes with viscosity or inertia, and the number of steps it needs.
+
+With inertia the scene is solved on a coarse mesh in as many steps as on its own, and in four times
+as many. Viscosity alone has no companion: its steps are those of a force that follows the depth by
+a power, for which the response is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SimulationDiverged
+from sim.fem import Fem
+from sim.fem.mesh import meshes_of
+from sim.fem.solver import simulate_fem
+from sim.fem.stepping import Path, path_of
+from sim.result import Outcome, Result, force_scale
+from sim.scene import Scene
+
+Array = NDArray[np.float64]
+
+# Error of the force by time steps that is sought, and most times as many steps as usual.
+SOUGHT, FACTOR_MOST = 0.02, 4
+# Ratio of both numbers of steps, and the error of the smaller one over the difference of forces,
+# if it falls as the step does.
+FINER, OF_DIFFERENCE = 4, 4 / 3
+# Fineness of the coarse mesh.
+FINENESS = 0.3
+# Error of frames that the coarse mesh has no solution for, over the largest of those that it has,
+# and the error without any.
+BEYOND, UNMEASURED = 2.0, 0.3
+# Power of the depth with which the force of a cone grows, that of all shapes grows most; steps of
+# the reference over those of the path; and the error over that of such a force.
+POWER, EXACT, OF_POWER = 2.0, 8, 2.0
+
+
+class TimeSteps(NamedTuple):
+    """Steps in time of a scene, and their error."""
+
+    factor: int
+    """Factor on the number of steps, for `Fem.step_factor`."""
+    force: Array
+    """Error by time steps of each frame (F,), over the force."""
+
+
+def simulate_in_time(
+    scenes: Sequence[Scene],
+    numerics: Fem = Fem(),
+    *,
+    device: str = "cpu",
+    progress: Callable[[float], None] | None = None,
+) -> list[Outcome]:
+    """Return the outcomes of `simulate_fem`, with `record["time"]` of what depends on time.
+
+    It has `factor` and `force`, see `TimeSteps`.
+    """
+    steps = [time_steps(scene, numerics, device) for scene in scenes]
+    factors = [1 if one is None else one.factor for one in steps]
+    if numerics.one_topology:
+        factors = [max(factors, default=1)] * len(scenes)
+    outcomes: dict[int, Outcome] = {}
+    for factor in sorted(set(factors)):
+        chosen = [i for i, one in enumerate(factors) if one == factor]
+        settings = numerics if factor == 1 else replace(numerics, step_factor=factor)
+        some = simulate_fem([scenes[i] for i in chosen], settings, device=device, progress=progress)
+        outcomes.update(zip(chosen, some, strict=True))
+    return [with_time(outcomes[i], one) for i, one in enumerate(steps)]
+
+
+def with_time(outcome: Outcome, steps: TimeSteps | None) -> Outcome:
+    """Return an outcome whose result, or the part it has reached, has the error by time steps."""
+    if steps is None:
+        return outcome
+    if isinstance(outcome, SimulationDiverged):
+        if outcome.reached is not None:
+            outcome.reached = with_time(outcome.reached, steps)
+        return outcome
+    force = [float(f"{one:.4g}") for one in steps.force[: len(outcome.force)]]
+    time = {"factor": steps.factor, "force": force}
+    return replace(outcome, record={**outcome.record, "time": time})
+
+
+def time_steps(
+    scene: Scene, numerics: Fem, device: str, sought: float = SOUGHT
+) -> TimeSteps | None:
+    """Return the steps in time of a scene and their error; None if nothing depends on time.
+
+    With `numerics.step_factor` that many; else as many as an error of `sought` needs.
+    """
+    effects = scene.effects
+    if effects.inertia is None and effects.viscosity is None:
+        return None
+    (mesh,) = meshes_of([scene], numerics)
+    path = path_of(scene, numerics, mesh.finest if numerics.follows else np.inf)
+    if effects.inertia is None:
+        return TimeSteps(path.factor, _of_viscosity(scene, path))
+    travel = min(path.longest * scene.body.thickness, 1.0)  # infinite for a plane
+    coarse = Fem(fineness=FINENESS, step_travel=travel, tolerance=numerics.tolerance)
+    if numerics.step_factor is not None:
+        return _of_inertia(scene, coarse, device, path.factor)
+    first = _of_inertia(scene, coarse, device, 1)
+    worst = float(first.force.max(initial=0.0))
+    if worst <= sought:
+        return first
+    # Of second order, if the first steps resolve the waves.
+    factor = int(np.clip(np.ceil((worst / sought) ** 0.5), 2, FACTOR_MOST))
+    more = _of_inertia(scene, coarse, device, factor)
+    return more if more.force.max() < worst / 2 else first
+
+
+def _of_inertia(scene: Scene, coarse: Fem, device: str, factor: int) -> TimeSteps:
+    """Return the error of a number of steps, from solutions on the `coarse` mesh."""
+    few, many = (
+        _forces(*simulate_fem([scene], replace(coarse, step_factor=times), device=device))
+        for times in (factor, FINER * factor)
+    )
+    count = min(len(few), len(many))
+    if not count:
+        return TimeSteps(factor, np.full(len(scene.motion), UNMEASURED))
+    apart = np.abs(few[:count] - many[:count]).max(axis=1) / force_scale(many[:count])
+    # Of two swings that are not in step, a frame may see the moment at which they are equal.
+    near = np.pad(apart, 1)
+    apart = np.maximum(near[1:-1], np.maximum(near[:-2], near[2:]) / 2)
+    beyond = np.full(len(scene.motion) - count, BEYOND * apart.max())
+    return TimeSteps(factor, OF_DIFFERENCE * np.concatenate([apart, beyond]))
+
+
+def _forces(outcome: Outcome) -> Array:
+    """Return the forces of an outcome (F, 3), or those up to where it has no solution."""
+    result = outcome
+    if isinstance(outcome, SimulationDiverged):
+        outcome.forget_dump()
+        result = outcome.reached
+    return result.force if isinstance(result, Result) else np.zeros((0, 3))
+
+
+def _of_viscosity(scene: Scene, path: Path) -> Array:
+    """Return the error by the steps of a path for a force that is a power of the depth (F,)."""
+    few, many = (_relaxing(scene, path, finer) for finer in (1, EXACT))
+    scale = force_scale(many[:, None])
+    return np.asarray(OF_POWER * np.abs(few - many) / scale)
+
+
+def _relaxing(scene: Scene, path: Path, finer: int) -> Array:
+    """Return the viscous force of a power of the depth at the waypoints (F,).
+
+    In steps over which the elastic force is linear, as `sim.fem.element` takes it to be.
+    """
+    viscosity = scene.effects.viscosity
+    assert viscosity is not None
+    ratios, times = np.array(viscosity.ratios), np.array(viscosity.times)
+    corners = np.maximum(-path.corners[:, 2], 0.0)
+    elastic, branches, forces = 0.0, np.zeros(len(times)), []
+    for segment in range(len(corners) - 1):
+        steps = int(path.steps_of(segment)) * (finer if segment else 1)
+        step = (path.times[segment + 1] - path.times[segment]) / steps
+        decay = np.exp(-step / times)
+        fraction = times / step * (1.0 - decay) if step else np.ones(len(times))
+        depths = np.linspace(corners[segment], corners[segment + 1], steps + 1)[1:]
+        for after in depths**POWER:
+            branches = decay * branches + ratios * fraction * (after - elastic)
+            elastic = after
+        forces.append(elastic + branches.sum())
+    return np.array(forces)
