@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import sys
 import tempfile
@@ -87,8 +88,8 @@ def _without_driver_warning(*, gpu_requested: bool) -> Iterator[None]:
         os.close(stderr)
 
 
-# Most threads that compile kernels. Each translates Warp's headers for itself, a third of the work
-# for all kernels of a press, which is 10 s of a core.
+# Most threads that compile kernels. Each translates Warp's headers for itself, once: a third of the
+# work for all kernels of a press, which is 10 s of a core.
 COMPILERS = 4
 # Modules made inside `loaded_together`, with their threads per block.
 _loading: dict[tuple[Any, int], None] | None = None
@@ -119,13 +120,18 @@ def loaded_together(device: str) -> Iterator[None]:
     """
     import warp as wp
 
-    from recorder.processes import cores
-
     global _loading
     _loading = {}
     try:
         yield
     finally:
         new, _loading = _loading, None
-    with ThreadPoolExecutor(min(COMPILERS, cores())) as pool:
-        list(pool.map(lambda one: wp.load_module(one[0], device, block_dim=one[1]), new))
+    load = _compilers().map(lambda one: wp.load_module(one[0], device, block_dim=one[1]), new)
+    list(load)
+
+
+@functools.cache
+def _compilers() -> ThreadPoolExecutor:
+    from recorder.processes import cores
+
+    return ThreadPoolExecutor(min(COMPILERS, cores()))

@@ -368,6 +368,7 @@ def _kernels(real, parallel: bool):
     eliminated, substituted = column_functions(real)
     line = row_function(real, real, not parallel)
     omega = real(SMOOTHING)
+    batched = kernel(group=f"sim.fem.multigrid.{real.__name__}.{parallel}")
 
     @wp.func
     def hard_environment(which: wp.array(dtype=wp.int32), hard: wp.array(dtype=wp.int32), row: int):
@@ -378,7 +379,7 @@ def _kernels(real, parallel: bool):
                 env = -1
         return env
 
-    @kernel()
+    @batched
     def scale(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -396,7 +397,7 @@ def _kernels(real, parallel: bool):
         if n < parts:
             sums_out[env, n, 0] = wp.float64(0.0)
 
-    @kernel()
+    @batched
     def smooth(
         # In: environments; factors; right-hand side; 1 to add to z
         which: wp.array(dtype=wp.int32),
@@ -442,7 +443,7 @@ def _kernels(real, parallel: bool):
         if first >= 0:
             sums_out[env, first + column, 0] = rz
 
-    @kernel()
+    @batched
     def residual(
         # In:
         which: wp.array(dtype=wp.int32),
@@ -470,7 +471,7 @@ def _kernels(real, parallel: bool):
             fraction = axis.part[mesh, fine]
         return fraction
 
-    @kernel()
+    @batched
     def restrict(
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
@@ -499,7 +500,7 @@ def _kernels(real, parallel: bool):
                 total += fine[env, (a * weights.y.below.shape[1] + b) * levels + k] * along
         coarse_out[env, n] = total
 
-    @kernel()
+    @batched
     def prolong(
         which: wp.array(dtype=wp.int32),
         hard: wp.array(dtype=wp.int32),
@@ -529,7 +530,7 @@ def _kernels(real, parallel: bool):
         far = coarse[env, first] * (real(1.0) - y) + coarse[env, first + levels] * y
         fine_out[env, n] = fine_out[env, n] + near * (real(1.0) - x) + far * x
 
-    @kernel()
+    @batched
     def coarsen(
         weights: weights_type,
         # In:
