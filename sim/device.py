@@ -134,4 +134,4 @@ def loaded_together(device: str) -> Iterator[None]:
 def _compilers() -> ThreadPoolExecutor:
     from recorder.processes import cores
 
-    return ThreadPoolExecutor(min(COMPILERS, cores()))
+    return ThreadPoolExecutor(min(COMPILERS, cores()), "kernels")

@@ -99,11 +99,13 @@ def nothing_left_behind() -> Iterator[None]:
     threads, children = set(threading.enumerate()), _children()
     yield
     # zarr keeps one event loop thread and its pool for the life of the process, tqdm the monitor of
-    # its bars, multiprocessing one resource tracker; they are exempt.
+    # its bars, sim the compilers of its kernels, multiprocessing one resource tracker; they are
+    # exempt.
     ours = [
         thread
         for thread in set(threading.enumerate()) - threads
-        if not thread.name.startswith(("zarr", "asyncio")) and type(thread).__name__ != "TMonitor"
+        if not thread.name.startswith(("zarr", "asyncio", "kernels"))
+        and type(thread).__name__ != "TMonitor"
     ]
     for thread in ours:
         thread.join(2.0)
