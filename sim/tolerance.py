@@ -38,6 +38,7 @@ from sim.error_estimate import (
     time_share,
     unknown_at_side,
     vanishing_share,
+    with_rounding,
     with_symmetry,
 )
 from sim.errors import SceneError, SimulationDiverged
@@ -429,4 +430,4 @@ def _with_plan(
         "notes": list(notes),
         "seconds": round(time.perf_counter() - began, 4),
     }
-    return replace(result, record={**result.record, "plan": plan})
+    return with_rounding(replace(result, record={**result.record, "plan": plan}))

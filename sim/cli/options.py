@@ -195,7 +195,7 @@ def _from_file(path: str, texts: dict[str, str], options: argparse.Namespace) ->
         path,
         unit=cast(Unit, texts.get("unit", "mm")),
         up=cast(Up, texts.get("up", "+z")),
-        edge_radius=_si(path, EDGE, texts.get(EDGE, str(EDGE_MM))),
+        edge_radius=_si(path, EDGE, texts[EDGE]) if EDGE in texts else None,
         # No press goes deeper than the body is thick.
         reach=max(REACH, metres(options.size[2])),
     )

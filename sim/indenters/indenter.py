@@ -226,7 +226,7 @@ class Indenter:
                 raise SceneError(f"{owner}: parts and a solid; allowed: either")
             # The largest radius that fits is known only after the file is read.
             check_range(owner, "edge_radius", self.edge_radius, 0.0, self.solid.reach, unit="m")
-            object.__setattr__(self, "sharpest", self.edge_radius)
+            object.__setattr__(self, "sharpest", max(self.edge_radius, self.solid.sharpest))
             return
         if not self.parts:
             raise SceneError(f"{owner}: no parts; allowed: 1 or more")

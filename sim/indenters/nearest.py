@@ -55,17 +55,20 @@ class Nearest:
         """
         return self._queried(points, True, winding)
 
-    def distance_at_nodes(self, grid: NodeGrid, exact: float) -> Array:
+    def distance_at_nodes(
+        self, grid: NodeGrid, exact: float, where: NDArray[np.bool_] | bool = True
+    ) -> Array:
         """Return the distance (grid.shape) [m] at a grid's nodes, exact at least up to `exact` [m].
 
-        Farther away it is interpolated between every `SKIP`-th node.
+        Farther away, and not `where`, it is interpolated between every `SKIP`-th node.
         """
         weights = [_between(count) for count in grid.shape]
         nodes = np.indices([weight.shape[1] for weight in weights]) * SKIP
         coarse = self.distance(grid.positions(nodes.reshape(3, -1).T))[0].reshape(nodes.shape[1:])
         length = np.einsum("ia,jb,kc,abc->ijk", *weights, coarse, optimize=True)
-        # A distance changes by at most the distance between two places.
-        near = length <= exact + math.sqrt(3) * SKIP * grid.spacing
+        # A distance changes by at most the distance between two places, so that the mean of those
+        # at a cell's corners is off by at most half its diagonal.
+        near = where & (length <= exact + math.sqrt(3) / 2 * SKIP * grid.spacing)
         length[near] = self.distance(grid.positions(np.argwhere(near)))[0]
         return length
 

@@ -9,7 +9,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -18,11 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError, check_range
+from sim.indenters.curved import curved
 from sim.indenters.grid import NodeGrid
 from sim.indenters.outline import Bounds
+from sim.indenters.rounding import RADII, Surface
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
+
+    from sim.indenters.nearest import Nearest
 
 
 # Signed distance on a grid, interpolated by tricubic B-splines.
@@ -434,11 +438,17 @@ MARGIN = 1.2e-3
 EXACT = 0.5e-3
 # Most nodes of a grid; a node takes 8 bytes, and 100 during construction.
 NODES_MAX = 16_000_000
+# Most nodes of a grid that is as fine as a chosen edge radius needs.
+NODES_UNASKED = 4_500_000
+# Room for a ball on a grid, over its radius; and share of the faces that press that is none.
+ROOM, VANISHED = 1.2, 0.05
 # Least edge radius, in spacings, that the grid resolves.
 FINENESS = 1.5
 # Largest loss of material by rounding, in radii. A corner between walls at 20 degrees loses 4.8;
 # a larger loss means that a wall is too narrow for the radius.
 LOSS_MAX = 5.0
+# Distance of a curved surface from its facets [m] above which there is a note.
+BULGE_NOTED = 5e-6
 # Shortening of the tip, in edge radii, above which there is a note.
 LIFT_NOTED = 0.05
 # Largest fraction of the surface that may be buried in the body or face inwards.
@@ -468,6 +478,10 @@ class Solid:
     """Spacing of the grid of distances [m]."""
     reach: float = REACH
     """Height above the tip up to which the body is sampled [m]; above, it continues straight up."""
+    sharpest: float = field(default=0.0, compare=False)
+    """Radius [m] that no convex part of the body is sharper than; 0 with an edge."""
+    unasked: float = field(default=0.0, compare=False)
+    """Edge radius [m] that was chosen for the body, for lack of a given one."""
     notes: tuple[str, ...] = field(default=(), compare=False)
     """Remarks on repairs and suspicious features."""
 
@@ -488,7 +502,15 @@ class Solid:
         Raises:
             SceneError: The file is missing, its content has changed, or it holds no body.
         """
-        return _triangles(self)
+        return _triangles(replace(self, spacing=SPACING, reach=REACH))
+
+    def surface(self) -> Surface:
+        """Return points on the body below `reach`.
+
+        Raises:
+            SceneError: As `triangles`.
+        """
+        return _surface(replace(self, spacing=SPACING))
 
     def distances(self, edge_radius: float) -> Field:
         """Return the signed distance to the body with convex edges rounded to `edge_radius` [m].
@@ -497,6 +519,32 @@ class Solid:
             SceneError: As `triangles`; or the body has no room for the radius.
         """
         return _distances(self, edge_radius)
+
+
+def with_edges(solid: Solid, edge_radius: float | None, spacing: float | None) -> Solid:
+    """Return the body with its remarks, and with an edge radius if none is given.
+
+    A body whose edges are all round as drawn gets none. Others get the largest of `RADII` that
+    leaves the faces that press and their corners, as far as a grid resolves it; none if nothing
+    that presses is left. The grid is as fine as that radius needs, if no `spacing` [m] is given.
+    """
+    surface = solid.surface()
+    sharpest, unasked = surface.sharpest(), 0.0
+    if edge_radius is None and sharpest < FINENESS * solid.spacing:
+        nodes = _grid(solid.triangles(), 0.0, solid).count
+        for radius in RADII:
+            step = solid.spacing if spacing else min(SPACING, radius / FINENESS)
+            if radius < FINENESS * step or nodes * (solid.spacing / step) ** 3 > NODES_UNASKED:
+                break
+            unasked, solid = radius, replace(solid, spacing=step)
+            if surface.suits(radius):
+                break
+        if surface.pressing(surface.fits(ROOM * unasked)) < VANISHED:
+            unasked = 0.0
+    solid = replace(solid, sharpest=sharpest, unasked=unasked)
+    radius = unasked if edge_radius is None else edge_radius
+    notes = solid.triangles().notes + solid.distances(radius).notes
+    return replace(solid, notes=notes)
 
 
 def digest(data: bytes) -> str:
@@ -526,7 +574,35 @@ def _triangles(solid: Solid) -> Triangles:
             f"{path.name}: {100 * misplaced:.2g} % of its surface does not separate inside from "
             "outside; allowed: none of it (unite shells that overlap where they were drawn)"
         )
-    return triangles
+    vertices, faces, bulge, angle = curved(triangles.vertices, triangles.faces.astype(np.int64))
+    notes = triangles.notes
+    if bulge > BULGE_NOTED:
+        notes += (
+            f"facets of {path.name}, up to {math.degrees(angle):.2g} degrees to each other, are "
+            f"read as a curved surface, up to {bulge * 1e3:.2g} mm beyond them",
+        )
+    lowest = [0.0, 0.0, float(vertices[:, 2].min())]
+    return Triangles(vertices - lowest, np.ascontiguousarray(faces, np.int32), notes)
+
+
+@lru_cache(maxsize=16)
+def _nearest(solid: Solid) -> Nearest:
+    from sim.indenters.nearest import Nearest
+
+    triangles = solid.triangles()
+    return Nearest(triangles.vertices, triangles.faces, closed=True)
+
+
+@lru_cache(maxsize=4)
+def _surface(solid: Solid) -> Surface:
+    triangles = solid.triangles()
+    return Surface.of(_nearest(solid), triangles.vertices, triangles.faces, solid.reach)
+
+
+@lru_cache(maxsize=8)
+def _gaps(solid: Solid, grid: NodeGrid, exact: float) -> Array:
+    """Return the signed distance to the unrounded body at the nodes, exact up to `exact` [m]."""
+    return _nearest(solid).signed_at_nodes(grid, exact)
 
 
 @lru_cache(maxsize=16)
@@ -544,12 +620,18 @@ def _distances(solid: Solid, radius: float) -> Field:
             f"edge_radius: {radius:g} m of {name}; allowed: 0, or from "
             f"{FINENESS * solid.spacing:g} m on a grid of {solid.spacing:g} m"
         )
-    triangles = solid.triangles()
+    triangles, whole = solid.triangles(), _nearest(solid)
     grid = _grid(triangles, radius, solid)
-    whole = Nearest(triangles.vertices, triangles.faces, closed=True)
-    exact = EXACT + radius
-    gap = whole.signed_at_nodes(grid, exact)
+    gap = _gaps(solid, grid, max(EXACT, radius + 2 * solid.spacing))
     lift, notes = 0.0, []
+    if radius <= solid.sharpest:
+        radius = 0.0
+    thick, long = solid.surface().removed(max(radius, solid.spacing / 2))
+    if thick:
+        why = f"rounding {name} to {radius * 1e3:g} mm" if radius else f"its grid for {name}"
+        notes.append(
+            f"{why} removes parts up to {thick * 1e3:.2g} mm thick, {long * 1e3:.2g} mm long"
+        )
     if radius:
         if not (gap <= -radius).any():
             raise SceneError(f"edge_radius: {radius:g} m leaves nothing of {name}; allowed: less")
@@ -560,7 +642,10 @@ def _distances(solid: Solid, radius: float) -> Field:
             return radius - length, -away
 
         vertices, faces = level_surface(gap + radius, grid, within)
-        core = Nearest(vertices, faces, closed=False).distance_at_nodes(grid, exact)
+        outside = gap > -radius - 2 * solid.spacing
+        core = Nearest(vertices, faces, closed=False).distance_at_nodes(
+            grid, EXACT + radius, outside
+        )
         rounded = np.where(gap <= -radius, -core, core) - radius
         loss = float(rounded[np.abs(gap) < solid.spacing].max())
         if loss > LOSS_MAX * radius:
@@ -588,7 +673,7 @@ def _grid(triangles: Triangles, radius: float, solid: Solid) -> NodeGrid:
     """Return nodes around the lower part of a body, as high as distances within `reach` need."""
     low, high = _extent(triangles, solid.reach)
     # The spline depends on a few nodes around a place; rounding, on all within the radius.
-    top = min(high[2] + MARGIN, solid.reach + radius + 6 * solid.spacing)
+    top = min(high[2] + MARGIN, solid.reach + max(MARGIN, radius + 6 * solid.spacing))
     ends = np.array([*(low - MARGIN), high[0] + MARGIN, high[1] + MARGIN, top]) / solid.spacing
     first, last = np.floor(ends[:3]).astype(int) - 2, np.ceil(ends[3:]).astype(int) + 2
     shape = last - first + 1

@@ -13,8 +13,9 @@ import pytest
 from support import stl_files as files
 
 from sim import Body, Effects, Friction, Layer, Result, Scene, press, simulate, simulate_many
-from sim.fem import FOR_EDGES, Fem
-from sim.indenters import Indenter, box, from_stl, named, sphere
+from sim.error_estimate import notes
+from sim.fem import Fem
+from sim.indenters import NAMES, Indenter, box, from_stl, named, sphere
 from sim.mpm import Mpm
 from sim.store import load_result, save_results
 from tactile.__main__ import main
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 TILT = math.radians(6), math.radians(-4)
 COARSE = Fem(spacing=1.3e-3)
-EDGED = Fem(spacing=1.3e-3, grading=FOR_EDGES)
 
 
 @pytest.fixture(scope="module")
@@ -69,31 +69,63 @@ def test_a_body_from_a_file_presses_like_the_exact_one(
     assert np.abs(off[:, 3:]).max() < tolerance * 2e-3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("drawn", "declared"),
-    [
-        pytest.param(0.0, 0.3e-3, marks=pytest.mark.slow),
-        (0.3, 0.0),
-        pytest.param(0.3, 0.3e-3, marks=pytest.mark.slow),
-        pytest.param(0.0, 0.15e-3, marks=pytest.mark.slow),
-    ],
-)
-def test_a_prism_from_a_file_presses_like_the_one_by_name(
-    drawn: float, declared: float, tmp_path: Path
+@pytest.mark.parametrize("name", NAMES)
+def test_an_indenter_presses_alike_by_name_and_from_a_file_of_flat_facets(
+    name: str, tmp_path: Path
 ) -> None:
-    """Drawn with its fillets [mm], or sharp with a declared edge radius [m], or both."""
-    sharp, count = files.block(5, 7, 8), 25
-    body = files.rounded_block(5, 7, 8, drawn, count) if drawn else sharp
-    indenter = from_stl(files.write_binary(tmp_path / "prism.stl", body), edge_radius=declared)
-    expected = named("prism", max(drawn * 1e-3, declared))
-    # Fillets that are drawn are those of the file: `layer` sees them as `fem` does.
-    for tier in (EDGED, Layer()) if declared else (Layer(),):
-        found, by_name = (
-            simulate(Scene(one, press([0.5e-3])), tier).force[-1, 2] for one in (indenter, expected)
-        )
-        # An edge finer than the elements (0.4 mm) makes the largest difference.
-        assert found == pytest.approx(by_name, rel=0.03 if tier is EDGED else 0.01)
+    """The file has sharp edges and 28 facets around a circle, as the published ones have."""
+    path = files.write_binary(tmp_path / f"{name}.stl", files.as_published(name, 28))
+    # Narrow contacts need finer pixels.
+    tier = Layer(grid=128 if name in ("cone", "dots") else 64)
+    found, expected = (
+        simulate(Scene(one, press([0.3e-3, 0.7e-3])), tier).force[1:, 2]
+        for one in (from_stl(path, axis="file", reach=1e-3), named(name))
+    )
+    np.testing.assert_allclose(found, expected, rtol=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cylinder_sh", "hemisphere", "moon", "sphere", "triangle"])
+def test_meshes_see_the_same_indenter_by_name_and_from_a_file(name: str, tmp_path: Path) -> None:
+    path = files.write_binary(tmp_path / f"{name}.stl", files.as_published(name, 28))
+    found, expected = (
+        simulate(Scene(one, press([0.3e-3, 0.6e-3])), COARSE).force[1:, 2]
+        for one in (from_stl(path, axis="file", reach=1.5e-3), named(name))
+    )
+    np.testing.assert_allclose(found, expected, rtol=0.01)
+
+
+def test_fillets_that_are_drawn_are_those_of_the_file(tmp_path: Path) -> None:
+    path = files.write_binary(tmp_path / "prism.stl", files.rounded_block(5, 7, 8, 0.3, 25))
+    indenter = from_stl(path, reach=1.5e-3)
+    assert indenter.edge_radius == 0
+    assert 0.15e-3 < indenter.sharpest <= 0.3e-3
+    found, expected = (
+        simulate(Scene(one, press([0.5e-3])), Layer()).force[-1, 2]
+        for one in (indenter, named("prism", 0.3e-3))
+    )
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+def test_edges_that_are_rounded_unasked_are_in_the_error_and_those_given_are_not(
+    tmp_path: Path,
+) -> None:
+    path = files.write_binary(tmp_path / "prism.stl", files.block(5, 7, 8))
+
+    def pressed(indenter: Indenter) -> Result:
+        return simulate(Scene(indenter, press([0.3e-3, 0.7e-3])), Layer(grid=64))
+
+    unasked, asked = (
+        pressed(from_stl(path, reach=1e-3, edge_radius=radius)) for radius in (None, 0.3e-3)
+    )
+    sharp = pressed(named("prism", 0.0))
+    true = 100 * np.abs(unasked.force[1:, 2] / sharp.force[1:, 2] - 1).max()
+    stated = unasked.record["error"]["rounding_percent"]
+    assert 5 < true < stated < 4 * true
+    np.testing.assert_array_equal(asked.force, unasked.force)
+    assert "rounding_percent" not in asked.record["error"]
+    assert unasked.record["error"]["percent"] > asked.record["error"]["percent"] + stated / 2
+    assert any("by edges of the file that are rounded" in note for note in notes(unasked))
 
 
 def test_a_result_can_be_read_without_the_file_that_it_was_made_with(

@@ -218,6 +218,31 @@ def test_a_wall_that_rounding_would_lose_is_refused(make: Make) -> None:
         make("rim", files.revolved(rim, 60), reach=4e-3)
 
 
+@pytest.mark.parametrize(
+    ("thick", "edge_radius", "rounded", "note"),
+    [
+        (0.5, None, 0.05e-3, None),
+        (0.5, 0.3e-3, 0.3e-3, "removes parts up to 0.5"),
+        (0.2, None, 0.05e-3, None),
+        (0.2, 0.3e-3, 0.3e-3, "removes parts up to 0.2"),
+    ],
+)
+def test_edges_leave_thin_parts_or_their_size_is_said(
+    thick: float, edge_radius: float | None, rounded: float, note: str | None, tmp_path: Path
+) -> None:
+    """Pins before a plate, in inches."""
+    pins = [files.moved(files.block(thick, thick, 0.8), (2 * i, 0, 0)) for i in (-1, 0, 1)]
+    plate = files.moved(files.block(5, 1, 4), (0, 0, 0.82))
+    vertices, faces = files.joined(*pins, plate)
+    path = files.write_binary(tmp_path / "pins.stl", (vertices / 25.4, faces))
+    found = from_stl(path, unit="inch", edge_radius=edge_radius, reach=1e-3)
+    assert found.solid is not None
+    assert found.edge_radius == pytest.approx(rounded)
+    assert any(note in one for one in found.solid.notes) if note else not found.solid.notes
+    low = found.heights([-2e-3, 0, 2e-3, 1e-3], 0.0, reach=1e-3)
+    np.testing.assert_allclose(low, [0, 0, 0, 0 if note else 0.82e-3], atol=20e-6)
+
+
 def test_a_scene_keeps_the_file_by_its_content(make: Make, tmp_path: Path) -> None:
     found = make("block", files.block(3, 4, 5))
     scene = Scene(found, press([0.5e-3]))
@@ -246,7 +271,7 @@ def test_a_file_that_has_gone_or_changed_is_told_of_only_when_it_is_needed(
     stored = to_json(Scene(found, press([0.5e-3])))
     # As if in a new process that has not read it yet.
     for name, at in (("changed", path), ("gone", tmp_path / "gone.stl")):
-        stored["indenter"]["solid"].update(path=str(at), reach=2e-3 + 1e-9 * len(name))
+        stored["indenter"]["solid"].update(path=str(at), axis="file")
         if name == "changed":
             files.write_binary(path, files.block(2, 2.5, 3.1))
         again = from_json(Scene, stored, "scene")
