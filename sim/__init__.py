@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         press,
     )
     from sim.tiers import simulate, simulate_many
+    from sim.tolerance import replay
 
 __all__ = [
     "Body",
@@ -52,6 +53,7 @@ __all__ = [
     "from_target",
     "plan",
     "press",
+    "replay",
     "simulate",
     "simulate_many",
 ]
@@ -70,6 +72,7 @@ _MODULES = {
     "SimulationDiverged": "errors",
     "effects_table": "effect_sizes",
     "plan": "planning",
+    "replay": "tolerance",
     "simulate": "tiers",
     "simulate_many": "tiers",
 }

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from sim.device import check_device
-from sim.errors import SceneError, check_kind
+from sim.errors import SceneError, check_kind, check_range
 from sim.fem import Fem
 from sim.layer import Layer
 from sim.metrics import tolerance_of
@@ -29,6 +29,8 @@ class Plan:
     `fem`."""
     device: str = "cpu"
     """Device of the meshes."""
+    seconds: float | None = None
+    """Time after which the best result so far is returned; None: no limit."""
 
     @property
     def tiers(self) -> tuple[Layer | Fem, ...]:
@@ -55,13 +57,18 @@ class Plan:
             progress: Called with the fraction done, 0 to 1, of `layer` and each mesh in turn.
 
         Raises:
-            SceneError: A tier does not support the scene, or the tolerance cannot be reached.
+            SceneError: A tier does not support the scene.
             SimulationDiverged: No converged state was found; nothing unconverged is returned.
         """
         from sim.tolerance import simulate_within
 
         return simulate_within(
-            self.scene, self.tolerance, tier=self.only, device=self.device, progress=progress
+            self.scene,
+            self.tolerance,
+            seconds=self.seconds,
+            tier=self.only,
+            device=self.device,
+            progress=progress,
         )
 
     def __str__(self) -> str:
@@ -89,6 +96,7 @@ def plan(
     scene: Scene,
     tolerance: str,
     *,
+    seconds: float | None = None,
     only: ContactTier | None = None,
     device: str = "cpu",
 ) -> Plan:
@@ -96,21 +104,24 @@ def plan(
 
     `layer` is used if its estimate is below the tolerance and was checked for such scenes.
     Otherwise meshes of `fem` are refined until the error measured by two of them is below
-    (`sim.tolerance`).
+    (`sim.tolerance`). If that is not reached, the result is the best one, with its error.
 
     Args:
         scene: Scene to simulate.
         tolerance: Such as "2 %", "0.05 N", "0.5 px".
+        seconds: Time after which the best result so far is returned; None: no limit.
         only: `layer` or `fem`: only that tier is tried.
         device: Device of the meshes, `cpu` or `cuda:0` and the like.
 
     Raises:
-        SceneError: The scene or the tolerance is invalid, or the device does not exist.
+        SceneError: The scene, tolerance or time is invalid, or the device does not exist.
     """
     check_kind("scene", scene, Scene, "a Scene")
     tolerance_of(tolerance)
     if only not in (None, "layer", "fem"):
         raise SceneError(f"only: {only!r}; allowed: None, 'layer', 'fem'")
+    if seconds is not None:
+        check_range("plan", "seconds", seconds, 0.0, 1e6, unit="s", open_low=True)
     if device != "cpu":
         check_device(device)
-    return Plan(scene, tolerance, only, device)
+    return Plan(scene, tolerance, only, device, seconds)

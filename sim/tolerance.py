@@ -17,10 +17,10 @@ them; none of the 30 errors was more than 0.77 of it. tests/sim/test_tolerance_b
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,25 +33,24 @@ from sim.error_estimate import (
     error_entry,
     estimated,
     fineness_of,
+    further_errors,
     pixel_of,
     side_distance,
     time_share,
-    unknown_at_side,
     vanishing_share,
     with_rounding,
     with_symmetry,
 )
 from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
 from sim.layer import Layer
 from sim.metrics import Tolerance, marker_errors, outcome_of, tolerance_of, with_unit
-from sim.result import ContactTier, Result, force_scale
+from sim.result import ContactTier, Result, force_scale, from_json, to_json
 from sim.scene import Scene
 from sim.tiers import simulate
 
 if TYPE_CHECKING:
-    from sim.fem import Fem
     from sim.fem.in_time import TimeSteps
-    from sim.fem.solver import Required
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -93,6 +92,13 @@ ROUNDS = 4
 WHOLLY = 0.97
 # Fraction of the tolerance for the error by time steps, of viscosity or inertia.
 IN_TIME = 1 / 3
+# Fraction of a limited time in which those steps are chosen, and their error if there is none.
+CHOOSING, UNCHOSEN = 0.5, 0.3
+# Fineness of the first mesh if the time is limited: seconds on one core.
+QUICK = 0.3
+# Power of the fineness by which the time of a mesh grows, and fraction of the time left that a
+# pair of meshes may take by it.
+TIME_POWER, SPENT = 4.0, 0.7
 # Range of the ratio of fineness from one mesh to the next.
 FINER_LEAST, FINER_MOST = 1.25, 2.0
 # Elements beyond which a tolerance is rejected: a quarter of an hour on a CPU.
@@ -103,23 +109,31 @@ def simulate_within(
     scene: Scene,
     tolerance: str,
     *,
+    seconds: float | None = None,
     tier: ContactTier | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
 ) -> Result:
     """Simulate by `layer` if its estimate is reliable, else on meshes until the error is small.
 
-    `record["error"]` has the error and its kind: `estimated` for `layer`, `measured` for meshes.
-    `record["plan"]` has the choice (`chosen`, `why`, `notes`), the earlier attempts (`tried`), and
-    the total time (`seconds`).
+    If that takes too long or no mesh is fine enough, the result has the least error of those that
+    were computed. `record["error"]` has the error and its kind: `estimated` for `layer` and for a
+    single mesh, `measured` for two. `record["plan"]` has the choice (`chosen`, `why`, `notes`),
+    whether the tolerance was reached (`reached`), the earlier attempts (`tried`), the total time
+    (`seconds`), and the settings by which `sim.replay` computes the same result again (`settings`).
 
     Args:
         scene: Scene to simulate.
         tolerance: Such as "2 %", "0.05 N", "0.5 px"; see `sim.metrics.Tolerance`.
+        seconds: Time after which the best result so far is returned; None: no limit.
         tier: `layer` or `fem`: only that one is tried. None: `layer` first, if its estimate was
             checked on such scenes, then `fem`.
         device: Device on which meshes are solved; `layer` runs on the CPU.
         progress: Called with the fraction done, 0 to 1, of `layer` and each mesh in turn.
+
+    Raises:
+        SceneError: The tolerance is below 0.1 %, or `tier` is `layer` and its error is larger.
+        SimulationDiverged: There is no solution on any mesh, or none within the time.
     """
     began = time.perf_counter()
     wanted = tolerance_of(tolerance)
@@ -127,53 +141,232 @@ def simulate_within(
         raise SceneError(
             f"tolerance: {tolerance!r}; allowed: {100 * FLOOR:g} % or more: meshes tell no less"
         )
-    states = first_mesh(scene, wanted, device)
-    fineness, most = states.fineness, states.elements_max
-    sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
-    meshes = _Meshes(scene, states, device, progress, sought)
     tried: list[str] = []
     if tier == "layer" or (tier is None and layer_may_do(scene, wanted)):
         linear = _of_layer(scene, wanted, tier, tried, device, progress)
         if linear is not None:
-            return _with_plan(linear, wanted, tried, began, _why_trusted(linear))
-    best: tuple[float, Result] | None = None
-    for round_ in range(ROUNDS):
-        try:
-            coarse = meshes.solved(fineness / COMPANION, 0)
-            fine = meshes.solved(fineness, 1)
-        except SimulationDiverged as diverged:
-            if round_ or meshes.limited:
-                raise
-            diverged.forget_dump()
-            tried.append(f"fineness {fineness:.3g}: {diverged.reason}")
-            fineness *= COMPANION
-            continue
-        limited = _fineness(fine) < WHOLLY * fineness
-        if limited:
-            coarse = meshes.solved(_fineness(fine) / COMPANION, 0)
-        unknown = unknown_at_side(fine, measured=True)
-        if unknown is not None:
-            raise SceneError(f"tolerance: {tolerance!r}; {unknown['why']}")
-        if least_ratio(coarse, fine) < RATIO_LEAST:
-            tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
-            if limited:
-                break
-            fineness *= COMPANION
-            continue
-        result, error = extrapolated(
-            coarse, fine, wanted, max(FLOOR, UNBALANCED * states.tolerance)
+            return _with_plan(linear, wanted, tried, began, _why_trusted(linear), settings=[])
+    from sim.fem.stepping import OutOfTime, limited
+
+    search = _Search(scene, wanted, device, progress, seconds, tried)
+    try:
+        with limited(search.until):
+            search.run()
+    except OutOfTime:
+        tried.append(f"out of {seconds:g} s")
+    except SimulationDiverged as diverged:
+        if search.best is None:
+            raise
+        diverged.forget_dump()
+        tried.append(diverged.reason)
+    if search.best is None:
+        raise SimulationDiverged(
+            f"no solution in {seconds:g} s; tried: {'; '.join(tried)} (allowed: more seconds)"
         )
-        tried.append(f"fineness {fineness:.3g}: {with_unit(wanted.kind, error)}")
-        if best is None or error < best[0]:
-            best = error, result
-        if error <= wanted.value:
-            return _with_plan(result, wanted, tried, began)
-        finer = (error / wanted.value) ** 0.5 * 1.05
-        if limited or fine.record["mesh"]["elements"] * finer**3 > HOPELESS * most:
-            break
-        fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
-    allowed = "none" if best is None else f"{with_unit(wanted.kind, 1.001 * best[0])} or more"
-    raise SceneError(f"tolerance: {tolerance!r}; tried: {'; '.join(tried)}; allowed: {allowed}")
+    value, result, settings = search.best
+    notes = [] if value <= wanted.value else [search.cost_of(value, wanted)]
+    return _with_plan(result, wanted, tried, began, *notes, settings=settings, value=value)
+
+
+class _Search:
+    """Meshes of one scene that become finer until the error is small or the time is over."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        wanted: Tolerance,
+        device: str,
+        progress: Progress | None,
+        seconds: float | None,
+        tried: list[str],
+    ) -> None:
+        self._scene, self._wanted = scene, wanted
+        self._device, self._progress, self._tried = device, progress, tried
+        self.until = math.inf if seconds is None else time.monotonic() + seconds
+        """Time of `time.monotonic` at which the search ends."""
+        self.best: tuple[float, Result, list[Fem]] | None = None
+        """Least error so far, in the unit of the tolerance; its result and settings."""
+        self._steps: TimeSteps | None = None
+        self._cost = 0.0
+        """Time of the largest mesh so far over its fineness to the power of `TIME_POWER` [s]."""
+
+    def run(self) -> None:
+        """Solve until the tolerance is reached, or finer meshes are of no use.
+
+        Raises:
+            OutOfTime: The time is over.
+            SimulationDiverged: There is no solution on a mesh.
+        """
+        from sim.fem.mesh import meshes_of
+
+        states = first_mesh(self._scene, self._wanted, self._device)
+        self._steps = self._in_time(states)
+        if self._steps is not None:
+            states = replace(states, step_factor=self._steps.factor)
+        fineness, solved = states.fineness, 0.0
+        if self.until < math.inf:
+            quick = [replace(states, fineness=QUICK)]
+            (first,) = self._solved(quick)
+            self._offer(first, quick)
+            solved = QUICK
+        for _round in range(ROUNDS):
+            fineness = min(fineness, self._affordable())
+            if fineness < FINER_LEAST * solved:
+                return self._tried.append("no time for a finer mesh")
+            (mesh,) = meshes_of([self._scene], replace(states, fineness=fineness))
+            limited = mesh.fineness < WHOLLY * fineness
+            fineness = min(fineness, float(mesh.fineness))
+            pair = [replace(states, fineness=one) for one in (fineness / COMPANION, fineness)]
+            coarse, fine = self._solved(pair)
+            solved = fineness
+            if least_ratio(coarse, fine) < RATIO_LEAST:
+                self._tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
+                self._offer(fine, pair[1:])
+                if limited:
+                    return None
+                fineness *= COMPANION
+                continue
+            floor = max(FLOOR, UNBALANCED * states.tolerance)
+            result, error = extrapolated(coarse, fine, self._wanted, floor)
+            self._offer(result, pair, error)
+            if error <= self._wanted.value:
+                return None
+            finer = (error / self._wanted.value) ** 0.5 * 1.05
+            elements = fine.record["mesh"]["elements"] * finer**3
+            if limited or elements > HOPELESS * states.elements_max:
+                return None
+            fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
+        return None
+
+    def _in_time(self, states: Fem) -> TimeSteps | None:
+        """Return the time steps of viscosity or inertia, and their error; None without either."""
+        from sim.fem.in_time import TimeSteps, time_steps
+        from sim.fem.stepping import OutOfTime, limited
+
+        wanted = self._wanted
+        sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
+        now = time.monotonic()
+        try:
+            with limited(now + CHOOSING * (self.until - now)):
+                return time_steps(self._scene, states, self._device, sought)
+        except OutOfTime:
+            return TimeSteps(1, np.full(len(self._scene.motion), UNCHOSEN))
+
+    def _offer(self, result: Result, settings: list[Fem], error: float | None = None) -> None:
+        """Make a result the best one if its error is the least; append it to the attempts."""
+        value = estimate_of(result, self._wanted) if error is None else error
+        way = "estimated" if error is None else "measured"
+        finest = settings[-1].fineness
+        words = with_unit(self._wanted.kind, value) if value < math.inf else "error not known"
+        self._tried.append(f"fineness {finest:.3g}: {words}, {way}")
+        if self.best is None or value < self.best[0]:
+            self.best = value, result, settings
+
+    def _solved(self, settings: list[Fem]) -> list[Result]:
+        began = time.perf_counter()
+        results = solve_in_turn(
+            self._scene, settings, self._steps, self._device, progress=self._progress
+        )
+        spent = time.perf_counter() - began
+        self._cost = spent / sum(one.fineness**TIME_POWER for one in settings)
+        return results
+
+    def _affordable(self) -> float:
+        """Return the fineness of a mesh that fits, with its companion, into the time left."""
+        if self.until == math.inf or not self._cost:
+            return math.inf
+        both = self._cost * (1 + COMPANION**-TIME_POWER)
+        left = max(SPENT * (self.until - time.monotonic()), 0.0)
+        return float((left / both) ** (1 / TIME_POWER))
+
+    def cost_of(self, error: float, wanted: Tolerance) -> str:
+        """Return what the tolerance would cost, in words."""
+        if self.best is None or error == math.inf:
+            return f"{wanted} was not reached"
+        finer = self.best[2][-1].fineness * (error / wanted.value) ** (1 / ORDER)
+        seconds = self._cost * (1 + COMPANION**-TIME_POWER) * finer**TIME_POWER
+        return (
+            f"{wanted} was not reached: {with_unit(wanted.kind, error)}; it needs a fineness of "
+            f"about {finer:.2g}, which takes about {seconds:.2g} s here, if a mesh may be so fine"
+        )
+
+
+def solve_in_turn(
+    scene: Scene,
+    settings: Sequence[Fem],
+    steps: TimeSteps | None,
+    device: str,
+    *,
+    progress: Progress | None = None,
+) -> list[Result]:
+    """Solve a scene on meshes of different fineness, each with the sizes that those before need.
+
+    The results have the error by `steps` in time.
+
+    Raises:
+        SimulationDiverged: There is no solution on one of them.
+    """
+    from sim.fem.in_time import with_time
+    from sim.fem.solver import Required, precision_for_finer, simulate_fem
+
+    required: Required = {}
+    results: list[Result] = []
+    for part, numerics in enumerate(settings):
+        if results:
+            precision = precision_for_finer(results[-1], numerics)
+            numerics = replace(numerics, precision=precision)
+        (outcome,) = simulate_fem(
+            [scene],
+            numerics,
+            device=device,
+            progress=None if progress is None else part_of(progress, part, len(settings)),
+            required=required,
+        )
+        outcome = estimated(with_time(outcome, steps))
+        if isinstance(outcome, SimulationDiverged):
+            raise outcome
+        results.append(outcome)
+    return results
+
+
+def replay(result: Result, *, device: str = "cpu") -> Result:
+    """Compute a result of `plan(...).run()` again, by the settings in its `record["plan"]`.
+
+    On the same device its numbers are bit for bit the same, however busy the machine is.
+
+    Args:
+        result: Result with a plan.
+        device: Device on which meshes are solved.
+
+    Raises:
+        SceneError: The result has no plan.
+    """
+    if "settings" not in result.record.get("plan", {}):
+        raise SceneError("result: without a plan; allowed: a result of `plan(...).run()`")
+    entry = result.record["plan"]
+    settings = [from_json(Fem, one, "settings") for one in entry["settings"]]
+    if not settings:
+        again = simulate(result.scene, Layer())
+    else:
+        from sim.fem.in_time import TimeSteps
+
+        steps = TimeSteps(**result.record["time"]) if "time" in result.record else None
+        *coarse, again = solve_in_turn(result.scene, settings, steps, device)
+        if coarse:
+            floor = max(FLOOR, UNBALANCED * settings[0].tolerance)
+            wanted = tolerance_of(entry["tolerance"])
+            again, _error = extrapolated(coarse[0], again, wanted, floor)
+    return replace(again, record={**again.record, "plan": entry})
+
+
+def estimate_of(result: Result, wanted: Tolerance) -> float:
+    """Return the estimated error of a result in the unit of a tolerance; inf if it has none."""
+    error = result.record["error"]
+    if error["status"] == "none" or wanted.kind == "marker":
+        return math.inf
+    if wanted.kind == "fraction":
+        return float(error["percent"]) / 100
+    return float((np.array(error["force"]) * force_scale(result.force)).max(initial=0.0))
 
 
 def first_mesh(scene: Scene, wanted: Tolerance, device: str) -> Fem:
@@ -186,75 +379,12 @@ def first_mesh(scene: Scene, wanted: Tolerance, device: str) -> Fem:
 
 def _states(scene: Scene, fraction: float) -> Fem:
     """Return numerics with the tolerance of states for an allowed relative error of the force."""
-    from sim.fem import Fem
-
     plain = Fem()
     tolerance = float(np.clip(STATES * fraction, plain.tolerance, STATES_MOST))
     effects = scene.effects
     if effects.viscosity is not None or effects.inertia is not None:
         return replace(plain, tolerance=tolerance)
     return replace(plain, tolerance=tolerance, path_tolerance=10 * tolerance)
-
-
-class _Meshes:
-    """Solutions of one scene on meshes of different fineness, each built from those before it."""
-
-    def __init__(
-        self, scene: Scene, states: Fem, device: str, progress: Progress | None, sought: float
-    ) -> None:
-        self._scene, self._states, self._sought = scene, states, sought
-        self._device, self._progress = device, progress
-        self._solved: list[Result] = []
-        self._finest = np.inf
-        self._required: Required = {}
-
-    @property
-    def limited(self) -> bool:
-        """True if a mesh reached the limit on elements."""
-        return self._finest < np.inf
-
-    @cached_property
-    def _time(self) -> TimeSteps | None:
-        from sim.fem.in_time import time_steps
-
-        return time_steps(self._scene, self._states, self._device, self._sought)
-
-    def solved(self, fineness: float, part: int) -> Result:
-        """Return the solution on a mesh of about that fineness, from the cache or solved now.
-
-        `part` is 0 or 1 of 2, for the progress. The mesh is coarser if it would have too many
-        elements.
-        """
-        from sim.fem.in_time import with_time
-        from sim.fem.solver import precision_for_finer, simulate_fem
-
-        fineness = min(fineness, self._finest)
-        for result in self._solved:
-            if abs(_fineness(result) / fineness - 1) < 0.15:
-                return result
-        factor = None if self._time is None else self._time.factor
-        numerics = replace(self._states, fineness=fineness, step_factor=factor)
-        if self._solved:
-            finest = max(self._solved, key=_fineness)
-            numerics = replace(numerics, precision=precision_for_finer(finest, numerics))
-        (outcome,) = simulate_fem(
-            [self._scene],
-            numerics,
-            device=self._device,
-            progress=None if self._progress is None else part_of(self._progress, part, 2),
-            required=self._required,
-        )
-        outcome = estimated(with_time(outcome, self._time))
-        if isinstance(outcome, SimulationDiverged):
-            raise outcome
-        self._solved.append(outcome)
-        if _fineness(outcome) < WHOLLY * fineness:
-            self._finest = _fineness(outcome)
-        return self._solved[-1]
-
-
-def _fineness(result: Result) -> float:
-    return float(result.record["mesh"]["fineness"])
 
 
 # `layer` in place of meshes, where its estimate was checked.
@@ -323,16 +453,15 @@ def _of_layer(
             raise
         tried.append(f"layer: {diverged}")
         return None
-    error, value = result.record["error"], np.inf
+    error, value = result.record["error"], estimate_of(result, wanted)
     width = float(result.quality.contact_width.max()) / scene.body.thickness
     if error["status"] != "estimated":
         message = f"layer: error not known, {error['why']}"
     elif wanted.kind == "marker":
         message = "layer: error of markers not known, only that of the force"
     else:
-        newton = float((np.array(error["force"]) * force_scale(result.force)).max(initial=0.0))
+        newton = estimate_of(result, Tolerance("force", 1.0))
         result = replace(result, record={**result.record, "error": {**error, "newton": newton}})
-        value = error["percent"] / 100 if wanted.kind == "fraction" else newton
         message = f"layer: {with_unit(wanted.kind, value)}, estimated"
     if tier == "layer" and value > wanted.value:
         allowed = "tier 'fem'"
@@ -372,7 +501,9 @@ def extrapolated(
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
     unsure = LEFT * _most_of_difference(coarse, least_ratio(coarse, fine)) * apart
-    newton = np.maximum(unsure, vanishing_share(result) * scale) + time_share(fine) * scale
+    newton = np.maximum(unsure, vanishing_share(result) * scale)
+    further = further_errors(result)
+    newton = newton + further * size + time_share(fine) * scale
     fraction = np.maximum(newton / scale, floor * (size > 0))
     moved = marker_errors(outcome_of(fine), outcome_of(coarse), fine.scene.body)
     pixels = MARKERS * left * float(np.sqrt(np.mean(moved**2, axis=1)).max(initial=0.0))
@@ -420,14 +551,22 @@ def _ratios(coarse: Result, fine: Result) -> Array:
 
 
 def _with_plan(
-    result: Result, wanted: Tolerance, tried: list[str], began: float, *notes: str
+    result: Result,
+    wanted: Tolerance,
+    tried: list[str],
+    began: float,
+    *notes: str,
+    settings: Sequence[Fem],
+    value: float = 0.0,
 ) -> Result:
     plan = {
         "tolerance": str(wanted),
+        "reached": value <= wanted.value,
         "chosen": result.tier,
         "why": tried[-1],
         "tried": tried[:-1],
         "notes": list(notes),
         "seconds": round(time.perf_counter() - began, 4),
+        "settings": [to_json(one) for one in settings],
     }
     return with_rounding(replace(result, record={**result.record, "plan": plan}))

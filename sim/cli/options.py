@@ -310,6 +310,8 @@ def tier_of(options: argparse.Namespace) -> Layer | Fem:
     tier: Layer | Fem = options.tier or Fem()
     if options.tolerance is not None and tier not in (Layer(), Fem()):
         raise SceneError("--tier: fem with a fineness and --tolerance; allowed: either")
+    if options.seconds is not None and options.tolerance is None:
+        raise SceneError(f"--seconds: {options.seconds:g} without --tolerance; allowed: with it")
     return tier
 
 
@@ -456,6 +458,13 @@ def _add_solver_options(parser: argparse.ArgumentParser) -> None:
         metavar="ERROR",
         help='accepted error, "2 %%", "0.05 N" or "0.5 px": measured by a second mesh, which is '
         "refined; without --tier, uses layer if its estimated error is within it, else fem",
+    )
+    group.add_argument(
+        "--seconds",
+        type=float,
+        metavar="S",
+        help="time [s] after which the best answer so far is given, with its error, if --tolerance "
+        "is not reached (none)",
     )
     add_device(group, "device of layer and fem")
 

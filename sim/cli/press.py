@@ -113,7 +113,13 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
             return simulate(scene, tier, device=options.device, progress=progress)
         from sim.planning import plan
 
-        within = plan(scene, options.tolerance, only=only, device=options.device)
+        within = plan(
+            scene,
+            options.tolerance,
+            seconds=options.seconds,
+            only=only,
+            device=options.device,
+        )
         return within.run(progress=progress)
 
 

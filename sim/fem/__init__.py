@@ -51,6 +51,9 @@ SPACING_SHARE = 6
 # More elements than this need more than 10 GB for one press.
 CELLS_MAX = 4_000_000
 
+# Least fineness of a mesh that follows the contact: about one element from side to side.
+FINENESS_LEAST = 0.1
+
 # `auto` begins in float32 and falls back to float64 where that has too few digits.
 Precision = Literal["auto", "float32", "float64"]
 
@@ -91,6 +94,10 @@ class Fem:
     path_tolerance: float | None = None
     """Tolerance between waypoints, never below `tolerance`. None: 0.001 with viscosity or inertia,
     else 0.01, which changes the forces of shear with friction by at most 0.1 %."""
+    stiffening: float = 0.0
+    """Stiffening of skin that is strained far, over its shear modulus, per isochoric invariant
+    beyond 4 (`sim.fem.element`); 0: none, a neo-Hookean skin. Where there is no solution without,
+    two such solutions are computed, and their difference is in the error."""
     penalty: float = 200.0
     """Contact stiffness in modulus per thickness. A soft contact is fast; `augmentations` remove
     the error that it causes."""
@@ -135,12 +142,13 @@ class Fem:
             value = getattr(self, name)
             if value is not None:
                 check_range("fem", name, value, 0.0, 1.0, unit="m", open_low=True)
-        check_range("fem", "fineness", self.fineness, 0.1, 10.0)
+        check_range("fem", "fineness", self.fineness, FINENESS_LEAST, 10.0)
         check_range("fem", "elements_max", self.elements_max, 1000, CELLS_MAX)
         check_range("fem", "tolerance", self.tolerance, 1e-15, 0.1)
         if self.path_tolerance is not None:
             check_range("fem", "path_tolerance", self.path_tolerance, 1e-15, 0.1)
         check_range("fem", "augmentations", self.augmentations, 0, 20)
+        check_range("fem", "stiffening", self.stiffening, 0.0, 100.0)
         check_range("fem", "penalty", self.penalty, 1.0, 1e6)
         check_range("fem", "newton_max", self.newton_max, 1, 10_000)
         check_range("fem", "cg_max", self.cg_max, 1, 1_000_000)

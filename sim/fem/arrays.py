@@ -104,6 +104,7 @@ def material_struct(real):
         bulk_factor: wp.array(dtype=real)
         history: wp.array3d(dtype=mat33)  # stress that does not change within a step (B, E, 8)
         bulk_history: wp.array2d(dtype=real)  # pressure that does not follow the volume (B, E)
+        stiffening: wp.array(dtype=real)  # coefficient `Fem.stiffening` (B,)
 
     return wp.struct(Material)
 

@@ -139,7 +139,9 @@ class SolverState:
         self._multiplier_old = zeros(points, real)
         self._limit_relaxed = zeros(rubbing, real)
 
-        self._branches = Branches(real, scenes, elements, device) if "viscosity" in on else None
+        self._branches = None
+        if "viscosity" in on:
+            self._branches = Branches(real, scenes, elements, device, stiffening=assembly.stiffens)
         self.volume = None
         """Split pressure of nearly incompressible bodies, if any."""
         prony = self._branches.arrays if self._branches else None
@@ -154,6 +156,7 @@ class SolverState:
         """Material on the device."""
         material.shear = self._array([body.shear_modulus / body.modulus for body in bodies], real)
         material.bulk = self._array([body.bulk_modulus / body.modulus for body in bodies], real)
+        material.stiffening = self._array(assembly.stiffening, real)
         material.factor = wp.ones(count, dtype=real, device=device)
         fraction = self.volume.fraction if self.volume else np.ones(count)
         material.bulk_factor = self._array(fraction, real)
@@ -467,6 +470,7 @@ class Assembly:
         numerics: Fem,
         precision: str,
         device: str,
+        stiffening: Sequence[float] | None = None,
     ) -> None:
         variants = list({id(mesh): mesh for mesh in meshes}.values())
         variant_of = {id(mesh): index for index, mesh in enumerate(variants)}
@@ -488,7 +492,11 @@ class Assembly:
         self.points = len(rule[1])
         on_gpu = wp.get_device(device).is_cuda
         kernel = element_kernels if on_gpu else forces_kernel
-        self._element = kernel(real, "viscosity" in self.effects, self.split)
+        self.stiffening = [numerics.stiffening] * len(scenes) if stiffening is None else stiffening
+        """`Fem.stiffening` of each environment (B,)."""
+        self.stiffens = any(self.stiffening)
+        kind = "viscosity" in self.effects, self.split, self.stiffens
+        self._element = kernel(real, *kind)
         self._element_threads = -(-len(mesh.elements) // (1 if on_gpu else AT_ONCE))
         self._lanes = LANES if on_gpu else 1
         self._graphs = Graphs(device, record=len(scenes) <= FEW)
@@ -548,8 +556,9 @@ class Assembly:
             real,
             environments,
             device,
-            viscous="viscosity" in self.effects,
-            split=self.split,
+            viscous=kind[0],
+            split=kind[1],
+            stiffening=kind[2],
             # Short steps make inertia stiff without a bound, and the range of float16 is bounded.
             half=None if most <= HALF_POISSON and "inertia" not in self.effects else False,
             damped="inertia" in self.effects,

@@ -18,7 +18,7 @@ import warp as wp
 
 from sim.device import kernel
 from sim.fem.arrays import material_struct, mesh_struct
-from sim.fem.element import SMALL
+from sim.fem.element import SMALL, STIFF_FROM
 from sim.scalars import matrix_of, vector_of
 
 # Elements that a thread computes at once.
@@ -156,6 +156,35 @@ _POINT = """
         cofactor(f, c);
         const wide j = 1 + less[q], root = inverse_root(__builtin_elementwise_max(j, tiny));
         wide g = material.shear.data[env] * root * root;
+$stiffer"""
+
+# Stiffening of skin that is strained far, of `sim.fem.element`: I beyond its beginning.
+_STIFFER = """
+        const wide beyond = __builtin_elementwise_max(root * root * square - number($from), tiny);
+        g *= 1 + material.stiffening.data[env] * beyond;
+"""
+
+# Energy of the stiffening, and its part of the tangent by the derivatives of I.
+_STIFFER_ENERGY = """
+        energy += w[q] * half * half * material.shear.data[env]
+                * material.stiffening.data[env] * beyond * beyond;
+"""
+_STIFFER_BLOCK = """
+                for (int i = 0; i < 3; ++i)
+                    for (int k = 0; k < 3; ++k)
+                        block[i][k] += dr[r][i] * dr[s][k] * bend;
+"""
+_STIFFER_SLOPES = """
+        wide dr[3][3], bend = w[q] * half * material.shear.data[env];
+        bend *= material.stiffening.data[env];
+        bend *= $growth __builtin_elementwise_min(beyond * number(1e20), number(1) + 0 * g);
+        for (int r = 0; r < 3; ++r)
+            for (int i = 0; i < 3; ++i) {
+                wide fr = 0;
+                for (int k = 0; k < 3; ++k)
+                    fr += f[i][k] * inv[r][k];
+                dr[r][i] = 2 * root * root * (fr - cr[r][i] * square * third / j);
+            }
 """
 
 # Pressure with a history, of viscous and of split bodies.
@@ -207,7 +236,7 @@ $point
                 stress[i][k] = (d[i][k] + d[k][i] - minor[i][k] - c[i][k] * excess) * g;
         for (int i = 0; i < 3; ++i)
             stress[i][i] -= trace * g;
-$stress
+$energy$stress
         for (int i = 0; i < 3; ++i) {
             for (int k = 0; k < 3; ++k)
                 stress[i][k] = (stress[i][k] + c[i][k] * pressure) * w[q];
@@ -300,7 +329,7 @@ $factor
                 turn[r][i] = tr * (w[q] * turning);
                 moments[q][6][r][i] = cr[r][i] * w[q];
             }
-        for (int r = 0; r < 3; ++r)
+$slopes        for (int r = 0; r < 3; ++r)
             for (int s = r; s < 3; ++s) {
                 auto& block = moments[q][order[r][s]];
                 wide metric = inv[r][0] * inv[s][0] + inv[r][1] * inv[s][1] + inv[r][2] * inv[s][2];
@@ -309,7 +338,7 @@ $metric
                 for (int i = 0; i < 3; ++i)
                     for (int k = 0; k < 3; ++k)
                         block[i][k] = er[r][i] * cr[s][k] + cr[r][i] * er[s][k];
-                for (int i = 0; i < 3; ++i)
+$block                for (int i = 0; i < 3; ++i)
                     block[i][i] += metric;
                 if (r == s)
                     continue;
@@ -410,18 +439,26 @@ def native_of(real):
     return "float" if real == wp.float32 else "double"
 
 
+def _point(stiffening: bool) -> str:
+    stiffer = Template(_STIFFER).safe_substitute({"from": STIFF_FROM}) if stiffening else ""
+    return Template(_POINT).safe_substitute(stiffer=stiffer)
+
+
 @functools.cache
-def forces_kernel(real, viscous: bool, split: bool = False):
+def forces_kernel(real, viscous: bool, split: bool = False, stiffening: bool = False):
     """Return the kernel of the forces: `element.element_kernels`, for `AT_ONCE` elements a thread.
 
     The dimensions of a launch are the environments and the groups of elements.
     """
     vec3 = vector_of(real)
-    parts = {"point": _POINT, "pressure": "", "stress": "", "small": SMALL[real]}
+    parts = {"pressure": "", "stress": "", "energy": "", "small": SMALL[real]}
+    parts["point"] = _point(stiffening)
     if wp.static(viscous or split):
         parts["pressure"] = _PRESSURE
     if wp.static(viscous):
         parts["stress"] = _PAST + _VISCOUS_STRESS
+    if stiffening:
+        parts["energy"] = _STIFFER_ENERGY
 
     @wp.func_native(
         Template(_DEFORMED + _FORCES).substitute(parts, number=native_of(real), **_ROOT[real])
@@ -455,7 +492,7 @@ def forces_kernel(real, viscous: bool, split: bool = False):
 
 
 @functools.cache
-def blocks_kernel(real, viscous: bool, split: bool = False):
+def blocks_kernel(real, viscous: bool, split: bool = False, stiffening: bool = False):
     """Return the kernel that adds the tangents of `AT_ONCE` elements a thread to the stencils.
 
     Threads must run one after the other, as on a CPU: elements share nodes. The 27 blocks of a row
@@ -463,12 +500,17 @@ def blocks_kernel(real, viscous: bool, split: bool = False):
     """
     vec3 = vector_of(real)
     mat33 = matrix_of(real)
-    parts = {"point": _POINT, "pressure": "", "factor": "", "metric": ""}
+    parts = dict.fromkeys(("pressure", "factor", "metric", "slopes", "block"), "")
+    parts["point"] = _point(stiffening)
     if wp.static(viscous or split):
         parts["pressure"] = _PRESSURE
     if wp.static(viscous):
         parts["factor"] = _PAST + "        g *= material.factor.data[env];\n"
         parts["metric"] = _VISCOUS_METRIC
+    if stiffening:
+        growth = "material.factor.data[env] *" if viscous else ""
+        parts["slopes"] = Template(_STIFFER_SLOPES).safe_substitute(growth=growth)
+        parts["block"] = _STIFFER_BLOCK
 
     @wp.func_native(
         Template(_DEFORMED + _TANGENT).substitute(parts, number=native_of(real), **_ROOT[real])

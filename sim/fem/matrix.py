@@ -346,6 +346,7 @@ class BlockMatrix:
         *,
         viscous: bool = False,
         split: bool = False,
+        stiffening: bool = False,
         parallel: bool | None = None,
         half: bool | None = None,
         damped: bool = False,
@@ -359,6 +360,7 @@ class BlockMatrix:
             device: Device of the matrix.
             viscous: True if stresses have a history.
             split: True if pressures have one (`sim.fem.element.VolumePressure`).
+            stiffening: True if skin stiffens where it is strained far (`Fem.stiffening`).
             parallel: Assemble by colour with one row of an element per thread, and store the matrix
                 with node numbers running fastest; by default only on a GPU.
             half: Let products read a copy of the matrix in float16, 486 bytes more; unsuitable
@@ -370,7 +372,7 @@ class BlockMatrix:
         self._device = device
         self._parallel = wp.get_device(device).is_cuda if parallel is None else parallel
         kernel = element_rows_kernel if self._parallel else blocks_kernel
-        self._elements_kernel = kernel(real, viscous, split)
+        self._elements_kernel = kernel(real, viscous, split, stiffening)
         self._environments, self._nodes = environments, count
         self._on_gpu = wp.get_device(device).is_cuda
         if half is None:

@@ -12,7 +12,7 @@ import warp as wp
 from recorder.progress import span_of
 from sim.device import check_device
 from sim.errors import SimulationDiverged
-from sim.fem import Fem, Precision
+from sim.fem import FINENESS_LEAST, Fem, Precision
 from sim.fem.assembly import damping_time
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
@@ -22,7 +22,7 @@ from sim.fem.sizing import (
     stages_of,
 )
 from sim.fem.stepping import Batch, Crossed, batch_key, path_of
-from sim.result import Outcome, Result, with_beginning
+from sim.result import Outcome, Result, force_scale, with_beginning
 from sim.scene import Scene, beginning_of
 
 Progress = Callable[[float], None]
@@ -75,6 +75,7 @@ def simulate_fem(
     earlier = required or {}
     sizes = [earlier.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)]
     outcomes, lasting = _following(some, sizes, numerics, device, progress)
+    _on_coarser(outcomes, some, sizes, numerics, device)
     if required is not None:
         for key, size, outcome in zip(keys, lasting, outcomes, strict=True):
             required[key] = _sizes_for_finer(size, outcome)
@@ -133,9 +134,9 @@ def _following(
     for attempt in range(1, REMESHED + 1):
         again: dict[Precision, list[int]] = {}
         for i, outcome in enumerate(outcomes):
-            if isinstance(outcome, Result):
+            if isinstance(outcome, Result) and "stiffening" not in outcome.record:
                 more = more_wanted(outcome)
-            elif isinstance(outcome, Crossed) and attempt == 1:
+            elif isinstance(outcome, Crossed) and attempt == 1 and outcome.leaps:
                 more = outcome.wanted
             else:
                 continue
@@ -162,6 +163,42 @@ def _following(
         if not again:
             break
     return outcomes, lasting
+
+
+# Fineness, over the requested one, of the meshes on which presses without a solution are solved
+# with a skin that stiffens from the start.
+COARSER = 0.6, 0.3, 0.15
+
+
+def _on_coarser(
+    outcomes: list[Outcome],
+    scenes: Sequence[Scene],
+    sizes: Sequence[Sizes],
+    numerics: Fem,
+    device: str,
+) -> None:
+    """Replace outcomes without a solution by solutions on coarser meshes, where there are any."""
+    for coarser in COARSER:
+        verdicts = list(map(checked, outcomes))
+        left = [i for i, one in enumerate(verdicts) if isinstance(one, SimulationDiverged)]
+        if not left or numerics.stiffening:
+            return
+        some = solve_on_meshes(
+            [scenes[i] for i in left],
+            replace(numerics, fineness=max(FINENESS_LEAST, coarser * numerics.fineness)),
+            [sizes[i] for i in left],
+            device,
+            None,
+            failed=[verdicts[i] for i in left],
+        )
+        for i, outcome in zip(left, some, strict=True):
+            before = verdicts[i]
+            if not isinstance(outcome, Result) or isinstance(before, Result):
+                continue
+            before.forget_dump()
+            reached = before.reached
+            useful = reached is not None and isinstance(checked(reached), Result)
+            outcomes[i] = with_beginning(outcome, reached) if useful else outcome
 
 
 def refines(
@@ -234,8 +271,13 @@ def solve_on_meshes(
     sizes: Sequence[Sizes] | None,
     device: str,
     progress: Progress | None,
+    *,
+    failed: Sequence[Outcome] | None = None,
 ) -> list[Outcome]:
-    """Solve presses on meshes of the given element sizes, or on those of the numerics."""
+    """Solve presses on meshes of the given element sizes, or on those of the numerics.
+
+    Those that have `failed` before are solved with skins that stiffen from the start.
+    """
     began = time.perf_counter()
     meshes = meshes_of(scenes, numerics, sizes)
     meshed = (time.perf_counter() - began) / max(len(scenes), 1)
@@ -247,14 +289,12 @@ def solve_on_meshes(
         stiffer = replace(
             numerics, penalty=_penalty(scenes[chosen[0]], meshes[chosen[0]], numerics)
         )
-        some = _solve(
-            [scenes[i] for i in chosen],
-            [meshes[i] for i in chosen],
-            stiffer,
-            device,
-            meshed * len(chosen),
-            fraction,
-        )
+        alike = [scenes[i] for i in chosen], [meshes[i] for i in chosen]
+        if failed is None:
+            some = _solve(*alike, stiffer, device, meshed * len(chosen), fraction)
+        else:
+            before = [failed[i] for i in chosen]
+            some = _stiffened(*alike, stiffer, device, before)
         outcomes.update(zip(chosen, some, strict=True))
     return [outcomes[i] for i in range(len(scenes))]
 
@@ -301,8 +341,7 @@ def _solve(
 ) -> list[Outcome]:
     """Solve one batch, in the requested precision or the one that it needs."""
     if numerics.precision != "auto":
-        batch = Batch(scenes, meshes, numerics, numerics.precision, device, meshed, progress)
-        return batch.run()
+        return Batch(scenes, meshes, numerics, numerics.precision, device, meshed, progress).run()
     trial = replace(numerics, halvings=min(numerics.halvings, HALVINGS_FLOAT32))
     batch = Batch(scenes, meshes, trial, "float32", device, meshed, progress)
     outcomes = batch.run()
@@ -321,3 +360,68 @@ def _solve(
                 outcome = replace(outcome, record={**outcome.record, "precision_reason": reason})
             outcomes[i] = outcome
     return outcomes
+
+
+# Presses whose neo-Hookean skin has no state: they are solved with a skin that stiffens.
+
+# Values of `Fem.stiffening`: the first two with a solution are compared. The last two are tried
+# where one of the others has none.
+STIFFENINGS = 4.0, 12.0, 40.0, 100.0
+
+
+def _stiffened(
+    scenes: Sequence[Scene],
+    meshes: Sequence[Mesh],
+    numerics: Fem,
+    device: str,
+    failed: Sequence[Outcome],
+) -> list[Outcome]:
+    """Solve presses with two skins that stiffen; return `failed` of those without two solutions."""
+    solved: list[list[Result]] = [[] for _scene in scenes]
+    for stiffening in (STIFFENINGS[:2], STIFFENINGS[2:]):
+        some = [
+            (row, one) for row, each in enumerate(solved) if len(each) < 2 for one in stiffening
+        ]
+        if not some:
+            break
+        batch = Batch(
+            [scenes[row] for row, _one in some],
+            [meshes[row] for row, _one in some],
+            numerics,
+            "float64",
+            device,
+            stiffening=[one for _row, one in some],
+        )
+        for (row, one), outcome in zip(some, batch.run(), strict=True):
+            if isinstance(outcome, Result):
+                record = {**outcome.record, "stiffening": {"coefficients": [one]}}
+                solved[row].append(replace(outcome, record=record))
+            else:
+                outcome.forget_dump()
+    return [
+        _spread(each, before) if len(each) >= 2 else before
+        for each, before in zip(solved, failed, strict=True)
+    ]
+
+
+def _spread(results: list[Result], before: Outcome) -> Result:
+    """Return the first of two results with stiffer skins, with the spread of their forces."""
+    assert isinstance(before, SimulationDiverged)
+    one, other, *_stiffest = results
+    reached = before.reached
+    first = 0 if reached is None else len(reached.force)
+    apart = np.linalg.norm(one.force - other.force, axis=1) / force_scale(one.force)
+    two = [each.record["stiffening"]["coefficients"][0] for each in results]
+    entry = {
+        "waypoint": first,
+        "coefficients": two,
+        "spread": [float(f"{value:.4g}") for value in apart],
+        "reason": before.reason,
+    }
+    warning = (
+        f"from waypoint {first} on the skin stiffens where it is strained far, as a neo-Hookean "
+        f"one has no state there ({before.reason}); forces with coefficients {two[0]:g} and "
+        f"{two[1]:g} differ by up to {100 * apart.max():.2g} %"
+    )
+    warnings = [*one.record["warnings"], warning]
+    return replace(one, record={**one.record, "stiffening": entry, "warnings": warnings})

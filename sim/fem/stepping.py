@@ -5,11 +5,14 @@
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path as File
 from typing import Any
@@ -61,11 +64,31 @@ class Crossed(SimulationDiverged):
     """
 
     wanted: Sizes
+    leaps: bool
+    """True if the indenter is in the skin, False if the skin is in itself."""
     surface_x: np.ndarray
     """Positions of the nodes of the mesh (X,) [m]."""
     surface_y: np.ndarray
     """The same along y (Y,) [m]."""
     record: dict
+
+
+# Time of `time.monotonic` at which solutions end.
+_UNTIL: ContextVar[float] = ContextVar("until", default=math.inf)
+
+
+class OutOfTime(Exception):
+    """The time of `limited` is over."""
+
+
+@contextmanager
+def limited(until: float) -> Iterator[None]:
+    """Let batches that run inside end with `OutOfTime` after a time of `time.monotonic`."""
+    token = _UNTIL.set(until)
+    try:
+        yield
+    finally:
+        _UNTIL.reset(token)
 
 
 def on_host(device: str, function: Callable[..., Any], *items: Iterable[Any]) -> list[Any]:
@@ -90,6 +113,10 @@ PATIENT_AFTER = (2, 5)
 # Determinant of the last accepted state, over the least accepted one, below which its elements are
 # all but crushed; and the number of shorter and shorter steps that may then fail by crushing them.
 NEARLY_CRUSHED, CRUSHED_MOST = 2.0, 2
+# Failed steps from one place after which a brief path ends.
+BRIEF = 4
+# Residual of a failed step above which float64 does not help a brief path.
+FAR = 0.02
 # Steps of a path that may end with the skin inside itself, or leap through the indenter, and be
 # halved. A shorter one may lead to a state without a fold; one that grows with the depth does so in
 # any steps.
@@ -141,6 +168,8 @@ class Path:
     halvings: int = 0
     failed: int = 0
     """Failed attempts since the last accepted step."""
+    brief: bool = False
+    """True if it ends early, as its press goes on with a skin that stiffens."""
     hard: bool = False
     """True if another batch, in float32, has failed on this path."""
     patient_left: int = PATIENT_IN_ALL
@@ -158,7 +187,8 @@ class Path:
     @property
     def patient(self) -> bool:
         """True if the next step may take long, as shorter ones would not help."""
-        return self.failed in PATIENT_AFTER or (self.hard and self.failed == 0)
+        waits = self.failed in PATIENT_AFTER or (self.hard and self.failed == 0)
+        return waits and not self.brief
 
     def patience(self, newton_max: int) -> float:
         """Return how many times as many iterations as usual a patient step may take."""
@@ -261,6 +291,8 @@ class Path:
         self.crossed += bool(crossed)
         if crossed and (self.crossed == CROSSED_MOST or not self.length):
             self.ended = crossed
+        elif self.brief and (self.crushed >= CRUSHED_MOST or self.failed >= BRIEF):
+            self.ended = f"{self.failed} steps of falling length have no state"
         elif self.nearly_crushed and self.crushed >= CRUSHED_MOST:
             self.ended = "elements are crushed: the skin folds there, or is pressed flat"
         elif self.patient_left <= 0 and self.failed >= PATIENT_AFTER[0]:
@@ -358,13 +390,22 @@ class Batch:
     """
 
     def __init__(
-        self, scenes, meshes, numerics, precision, device, meshed, progress, reached=None
+        self,
+        scenes,
+        meshes,
+        numerics,
+        precision,
+        device,
+        meshed=0.0,
+        progress=None,
+        reached=None,
+        stiffening=None,
     ) -> None:
         self._scenes, self._meshes, self._numerics = scenes, meshes, numerics
         self._progress = progress
         began = time.perf_counter()
         with loaded_together(device):
-            self._assembly = Assembly(meshes, scenes, numerics, precision, device)
+            self._assembly = Assembly(meshes, scenes, numerics, precision, device, stiffening)
             self._newton = Newton(self._assembly)
         self._collectors = list(map(FrameCollector, scenes, meshes))
         self._unmeasured: deque[FrameCollector] = deque()
@@ -374,6 +415,8 @@ class Batch:
             path_of(scene, numerics, mesh.finest if np.isfinite(mesh.fineness) else np.inf)
             for scene, mesh in zip(scenes, meshes, strict=True)
         ]
+        for path in self._paths:
+            path.brief = numerics.follows and not self._assembly.stiffens
         self._seconds = {"mesh": meshed, "build": time.perf_counter() - began}
         self._failed: dict[int, SimulationDiverged] = {}
         count = len(scenes)
@@ -406,14 +449,21 @@ class Batch:
         )
 
     def may_go_on(self, env: int) -> bool:
-        """True if an environment has failed where float64 may succeed."""
-        return env in self._failed and not self._paths[env].ended
+        """True if an environment has failed where float64 may succeed.
+
+        States far from balance are no matter of digits; where they end, a brief path does.
+        """
+        path, residual = self._paths[env], self._newton.residual[env]
+        far = path.brief and not residual < FAR
+        return env in self._failed and not path.ended and not far
 
     def run(self) -> list[Outcome]:
         """Advance all presses to their last waypoint, or until they fail; return the outcomes."""
         began = time.perf_counter()
         newton = self._newton
         while True:
+            if time.monotonic() > _UNTIL.get():
+                raise OutOfTime
             paths = enumerate(self._paths)
             open_ = np.array([not p.finished and i not in self._failed for i, p in paths])
             if not open_.any():
@@ -544,7 +594,7 @@ class Batch:
         overlaps = [
             (i, deep, self._meshes[i].nodes[node], FOLD)
             for i, (deep, node) in folds.items()
-            if deep > PASSED * assembly.finest[i]
+            if deep > PASSED * assembly.finest[i] and not assembly.stiffens
         ]
         overlaps += [(i, float(way[i, 0]), point, LEAP) for i, point in leapt.items()]
         for i, deep, point, kind in overlaps:
@@ -710,6 +760,7 @@ class Batch:
         if isinstance(diverged, Crossed):
             mesh, unit = self._meshes[env], scene.body.thickness
             diverged.wanted, diverged.record = through.wanted, self._record()
+            diverged.leaps = through.brief == LEAP.brief
             diverged.surface_x, diverged.surface_y = mesh.x * unit, mesh.y * unit
         return diverged
 

@@ -29,12 +29,13 @@ REALS = [
         ("elastic", wp.float64, 1e-12),
         ("elastic", wp.float32, 2e-5),
         ("viscous", wp.float64, 1e-12),
+        ("viscous and stiffening", wp.float64, 1e-10),
     ],
 )
 def test_the_matrix_is_the_derivative_of_the_forces(
     variant: str, real: Any, error: float, parallel: bool
 ) -> None:
-    tangents = Tangents(variant)
+    tangents = Tangents(variant, strain=0.06 if "stiffening" in variant else 0.02)
     matrix = tangents.block_matrix(real, parallel=parallel).matrix.numpy()
     assert matrix.shape == (3, COUNT, SLOTS, 3, 3)
     for env in np.flatnonzero(tangents.active):

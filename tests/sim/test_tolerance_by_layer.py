@@ -26,7 +26,7 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
     def rejected(*_arguments: Any, **_options: Any) -> Result:
         raise AssertionError("fem was solved")
 
-    monkeypatch.setattr(module._Meshes, "solved", rejected)
+    monkeypatch.setattr(module, "solve_in_turn", rejected)
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def meshes_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     def mesh(*_arguments: Any, **_options: Any) -> Any:
         raise SimulationDiverged("a mesh was tried")
 
-    monkeypatch.setattr(module._Meshes, "solved", mesh)
+    monkeypatch.setattr(module, "solve_in_turn", mesh)
 
 
 @pytest.mark.usefixtures("no_meshes")

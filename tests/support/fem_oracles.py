@@ -76,6 +76,7 @@ class Material:
     bulk_factor: float = 1.0
     history: Array | None = None
     bulk_history: Array | None = None
+    stiffening: float = 0.0
 
 
 def deformation(mesh: Mesh, u: Array) -> tuple[Array, Array, Array]:
@@ -91,12 +92,18 @@ def element_energy(mesh: Mesh, u: Array, material: Material) -> Array:
     f, _slopes, weight = deformation(mesh, u)
     j = np.linalg.det(f)
     square = np.einsum("eqij,eqij->eq", f, f)
-    isochoric = material.shear / 2 * (j ** (-2 / 3) * square - 3)
+    invariant = j ** (-2 / 3) * square
+    isochoric = material.shear / 2 * (invariant - 3)
+    isochoric = isochoric + material.shear / 4 * material.stiffening * _beyond(invariant) ** 2
     volume = weight.sum(1)
     theta = (weight * j).sum(1) / volume
     return (weight * isochoric).sum(1) + volume * material.bulk / 2 * (
         (theta**2 - 1) / 2 - np.log(theta)
     )
+
+
+def _beyond(invariant: Array) -> Array:
+    return np.where(invariant.real > 4.0, invariant - 4.0, 0.0)
 
 
 def element_force(mesh: Mesh, u: Array, material: Material) -> Array:
@@ -106,6 +113,8 @@ def element_force(mesh: Mesh, u: Array, material: Material) -> Array:
     inverse = np.swapaxes(np.linalg.inv(f), 2, 3)
     square = np.einsum("eqij,eqij->eq", f, f)
     isochoric = material.shear * (j ** (-2 / 3))[..., None, None]
+    stiffer = 1 + material.stiffening * _beyond(j ** (-2 / 3) * square)
+    isochoric = isochoric * stiffer[..., None, None]
     stress = isochoric * (f - (square / 3)[..., None, None] * inverse) * material.factor
     if material.history is not None:
         stress = stress + f @ material.history
@@ -230,7 +239,7 @@ def on_device(meshes: Sequence[Mesh], variant: Any, real: Any, points: int = 2) 
 def material_of(materials: list[Material], real: Any) -> Any:
     """Return the struct of the materials (B,)."""
     struct = material_struct(real)()
-    for name in ("shear", "bulk", "factor", "bulk_factor"):
+    for name in ("shear", "bulk", "factor", "bulk_factor", "stiffening"):
         setattr(struct, name, scalars([getattr(one, name) for one in materials], real))
     viscous = materials[0].history is not None
     history = [one.history for one in materials] if viscous else np.zeros((0, 0, 0, 3, 3))

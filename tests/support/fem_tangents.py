@@ -43,8 +43,9 @@ class Tangents:
         ]
 
     def _material(self, random: np.random.Generator, shear: float, bulk: float) -> Material:
-        if self.variant != "viscous":
-            return Material(shear, bulk)
+        stiffening = 5.0 * ("stiffening" in self.variant)
+        if "viscous" not in self.variant:
+            return Material(shear, bulk, stiffening=stiffening)
         history = random.normal(0, 0.1, (len(GRID.elements), 8, 3, 3))
         return Material(
             shear,
@@ -53,14 +54,14 @@ class Tangents:
             bulk_factor=1.2 + shear,
             history=history + np.swapaxes(history, 2, 3),
             bulk_history=random.normal(0, 0.1, len(GRID.elements)),
+            stiffening=stiffening,
         )
 
     def block_matrix(self, real: Any, *, parallel: bool = False, half: bool = False) -> BlockMatrix:
         """Return the tangent assembled by the kernels over a matrix full of `FILLED`."""
-        viscous = self.variant == "viscous"
-        block_matrix = BlockMatrix(
-            GRID, real, 3, "cpu", viscous=viscous, parallel=parallel, half=half, damped=viscous
-        )
+        kinds = {name: name in self.variant for name in ("viscous", "stiffening")}
+        kinds["damped"] = kinds["viscous"]
+        block_matrix = BlockMatrix(GRID, real, 3, "cpu", **kinds, parallel=parallel, half=half)
         block_matrix.matrix.fill_(FILLED)
         self.assemble(block_matrix, real)
         return block_matrix
