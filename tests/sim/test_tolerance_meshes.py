@@ -12,6 +12,7 @@ from sim import Body, Effects, Layer, Scene, SceneError, plan, press, replay
 from sim.error_estimate import with_estimate
 from sim.errors import SimulationDiverged
 from sim.fem import Fem, solver
+from sim.fem.in_time import time_steps
 from sim.fem.sizing import Sizes, Span
 from sim.fem.solver import Required, simulate_fem
 from sim.indenters import sphere
@@ -87,6 +88,7 @@ def test_the_best_answer_stands_where_finer_meshes_have_none(
     dump = tmp_path / "diverged" / "state.npz"
     solved: list[float] = []
     fails_above = 0.7
+    assert time_steps(BALL, Fem(), "cpu") is None
 
     def simulate(scenes: list[Scene], numerics: Fem, **how: Any) -> list[Outcome]:
         solved.append(round(numerics.fineness, 3))
