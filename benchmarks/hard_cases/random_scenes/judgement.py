@@ -72,6 +72,7 @@ def answer(one: Drawn, device: str, seconds: float) -> Row:
         "stated": record["error"].get("percent"),
         "tier": result.tier,
         "fineness": record.get("mesh", {}).get("fineness", 0.0),
+        "factor": record.get("time", {}).get("factor", 1),
         "why": record.get("plan", {}).get("why", ""),
     }
 
@@ -92,7 +93,7 @@ def judged(of: tuple[Drawn, Row], device: str) -> Row:
     began = time.perf_counter()
     try:
         with time_limit(REFERENCE):
-            reference = reference_of(one.scene, row["fineness"], device)
+            reference = reference_of(one.scene, row["fineness"], row["factor"], device)
     except (NoReference, OutOfTime) as error:
         return {"no_reference": str(error).partition("\n")[0]}
     except Exception as error:  # the others are still to be judged
