@@ -257,24 +257,14 @@ def test_the_axisymmetric_outline_is_the_indenters() -> None:
         assert gap[near] == pytest.approx(own[near], abs=2e-8), indenter.name
 
 
-def test_moves_and_rests_are_divided_and_their_frames_are_the_waypoints() -> None:
-    motion = press([0.4 * MM], hold=1.0)
-    finer = reference._in_steps(motion, [2, 4])
-    assert len(finer) == 7
-    frames = reference._frames(replace(TIP, motion=motion), [2, 4])
-    assert frames == [0, 2, 6]
-    assert [finer.tip[frame] for frame in frames] == list(motion.tip)
-    assert np.diff(finer.time) == pytest.approx([0.02] * 2 + [0.25] * 4)
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_both_referees_agree_within_their_uncertainty() -> None:
     """The one without shared code, and the one that refines; at rest, with friction."""
     for effects in (Effects(), Effects(Friction(0.5))):
         scene = replace(TIP, effects=effects)
-        one = reference.reference_of(scene, 0.45, "cpu")
-        other = reference._by_refining(scene, 0.45, "cpu")
+        one = reference.reference_of(scene, 0.45, 1, "cpu")
+        other = reference._by_refining(scene, 0.45, 1, "cpu")
         assert one.by.startswith("axisymmetric")
         assert other.by.startswith("fineness 0.63")
         apart = np.abs(one.force - other.force).max(axis=1)
@@ -286,10 +276,10 @@ def test_a_finest_solution_that_breaks_a_law_is_no_reference(
     good: Result, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     torn = replace(good, wrench=-good.wrench)
-    monkeypatch.setattr(reference, "simulate", lambda *_scene, **_device: torn)
+    monkeypatch.setattr(reference, "simulate_fem", lambda *_scene, **_device: [torn])
     monkeypatch.setattr(reference, "elements_ratio", lambda *_both: 1.4)
     with pytest.raises(NoReference, match="breaks laws of mechanics: no-pull"):
-        reference.reference_of(BALL, 0.5, "cpu")
+        reference.reference_of(BALL, 0.5, 1, "cpu")
 
 
 # Verdicts and the command.
