@@ -593,19 +593,14 @@ class Assembly:
         self._graphs.repeat(self._launch_step, active, start, whole, direction)
         return self._sum()
 
-    def evaluate_contact(self, active, u, direction) -> np.ndarray:
-        """Evaluate again after only the friction limit has changed."""
-        self._graphs.repeat(self._launch_contact, active, u, direction)
+    def evaluate_contact(self, active, u, direction, *, settle: bool = False) -> np.ndarray:
+        """Evaluate again after only the friction limit has changed; `settle`: to the pressure."""
+        self._graphs.repeat(self._launch_contact, active, u, direction, settle)
         return self._sum()
 
     def relax_limit(self, active, fraction: float) -> None:
         """Move the limit of friction by `fraction` of the way from its last relaxed value."""
         self._graphs.repeat(self.state.relax_limit, active, fraction)
-
-    def settle_contact(self, active, u, direction) -> np.ndarray:
-        """Set the limit of friction to the pressure of the last evaluated state; evaluate again."""
-        self._graphs.repeat(self._launch_limit, active, u, direction)
-        return self._sum()
 
     def _sum(self) -> np.ndarray:
         self.sums = self._totals.numpy().copy().view(TOTALS)[:, 0]
@@ -619,10 +614,6 @@ class Assembly:
         axpy(active, whole, start, direction, self.state.u)
         self._launch_elements(active, self.state.u, direction)
 
-    def _launch_limit(self, active, u, direction) -> None:
-        self.state.settle_limit(active)
-        self._launch_contact(active, u, direction)
-
     def _launch_elements(self, active, u, direction) -> None:
         self._launch(
             self._element,
@@ -632,8 +623,10 @@ class Assembly:
         )
         self._launch_contact(active, u, direction)
 
-    def _launch_contact(self, active, u, direction) -> None:
+    def _launch_contact(self, active, u, direction, settle: bool = False) -> None:
         state = self.state
+        if settle:
+            state.settle_limit(active)
         by_face = self.environments, len(self.mesh.faces)
         self._launch(self._contact[0], by_face, [self._mesh, self._table, state.contact, active, u])
         self._launch(

@@ -237,7 +237,8 @@ class Newton:
             return
         assembly, state = self._assembly, self._assembly.state
         if self._friction:
-            assembly.settle_contact(self._mask(chosen), state.u, self._cg.solution)
+            active = self._mask(chosen)
+            assembly.evaluate_contact(active, state.u, self._cg.solution, settle=True)
         is_valid, balanced = self._balance(chosen)
         if assembly.split and balanced.any():
             assembly.settle_volume(self._mask(balanced), self._cg.solution)
