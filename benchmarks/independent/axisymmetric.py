@@ -172,14 +172,25 @@ class AxisymmetricPress:
             count = max(1, round(steps * (time - before) / times[-1]))
             step, top = (time - before) / count, state.tip
             for number in range(1, count + 1):
-                self.inertia, self.free_motion = self.mass / step**2, state.u + step * speed
-                after = self._balanced(state, top + (-depth - top) * number / count)
-                if after is None:
-                    raise NotSolved(f"at a depth of {-state.tip * 1e3:.4g} mm")
-                speed, state = (after.u - state.u) / step, after
+                tip = top + (-depth - top) * number / count
+                state, speed = self._swung(state, speed, tip, step)
             forces.append(self._tractions(state, state.u, state.tip).force)
             before = time
         return forces
+
+    def _swung(
+        self, state: RingState, speed: Array, tip: float, step: float, halvings: int = 8
+    ) -> tuple[RingState, Array]:
+        """Return the state and its speed after a time `step` [s], halved where needed."""
+        self.inertia, self.free_motion = self.mass / step**2, state.u + step * speed
+        after = self._balanced(state, tip)
+        if after is not None:
+            return after, (after.u - state.u) / step
+        if not halvings:
+            raise NotSolved(f"at a depth of {-state.tip * 1e3:.4g} mm")
+        middle = (state.tip + tip) / 2
+        state, speed = self._swung(state, speed, middle, step / 2, halvings - 1)
+        return self._swung(state, speed, tip, step / 2, halvings - 1)
 
     def _moved(self, state: RingState, target: float) -> RingState:
         """Apply Newton's method to a tip at z = `target`, in smaller steps where needed."""

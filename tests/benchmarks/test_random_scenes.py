@@ -426,7 +426,7 @@ SLIDE = Scene(
         ("force-scaled", LOOP, "sums-up"),
         ("frames-skipped", LOOP, "touches"),
         ("loose-tolerance", LOOP, "closed-loop"),
-        ("soft-contact", LOOP, "no-overlap"),
+        ("soft-contact", LOOP, "closed-loop"),
         ("pushes-outwards", SLIDE, "closed-loop"),
         ("friction-doubled", SLIDE, "coulomb"),
         ("", LOOP, ""),

@@ -33,7 +33,7 @@ STEPS = (1, 2, 4)
 # Least uncertainty of a force, over the force: finer meshes differ by as much.
 LEAST = 2e-3
 # Steps of a motion in time, of both meshes and again, of the coarser one.
-IN_TIME, AGAIN = 40, 80
+IN_TIME, AGAIN = 100, 200
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ counts as one whose stated error does not hold.
 
 from __future__ import annotations
 
-import inspect
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -50,9 +49,8 @@ Row = dict[str, Any]
 
 def answered(scene: Scene, tolerance: str, seconds: float, device: str) -> Result:
     """Return the best answer within a time; raise `OutOfTime` if there is none."""
-    in_time = {"seconds": seconds} if "seconds" in inspect.signature(plan).parameters else {}
     with time_limit(LATE * seconds):
-        return plan(scene, tolerance, device=device, **in_time).run()  # type: ignore[arg-type]
+        return plan(scene, tolerance, seconds=seconds, device=device).run()
 
 
 def answer(one: Drawn, device: str, seconds: float) -> Row:

@@ -92,6 +92,8 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     ratio = elements_ratio(coarse, fine)
     if ratio < RATIO_LEAST:
         raise NoReference("a finer mesh has too many elements")
+    if fine.record.get("wall"):
+        raise NoReference("it touches the side wall of a round body, which no mesh resolves")
     if broken := silent_laws(fine):
         raise NoReference(f"its finest solution breaks laws of mechanics: {', '.join(broken)}")
     meshes = (fine.force - coarse.force) * left_of_difference(ratio)
@@ -101,7 +103,10 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
         change = small.force - coarse.force
         force, unsure = force + change, unsure + np.abs(change).max(axis=1) / (times - 1)
     overlap = np.nan_to_num(fine.quality.contact)
-    unsure = unsure + PER_OVERLAP * overlap * force_scale(force)
+    more = PER_OVERLAP * overlap
+    if (stiffening := fine.record.get("stiffening")) is not None:
+        more = more + np.array(stiffening["spread"])
+    unsure = unsure + more * force_scale(force)
     by = f"fineness {fine.record['mesh']['fineness']:.2g}, steps x {times}"
     return Reference(force, unsure, f"{by}, overlap {100 * overlap.max():.2g} %")
 
