@@ -1,8 +1,9 @@
 """Changes of force, markers and time by each effect of a scene, measured on a coarse mesh.
 
-The scene is solved on one coarse `fem` mesh with all of its effects, and again with each of them
-at no strength. All are one batch of the same kernels, steps and mesh, whose own error mostly
-cancels in the differences.
+The scene is solved on one coarse `fem` mesh with all of its effects, again with each of them at no
+strength, and with all of them a thousandth weaker. All are one batch of the same kernels, steps and
+mesh, whose own error mostly cancels in the differences. The last one shows how far solutions of
+this scene differ without a reason, as they do where contact at edges depends on the path.
 """
 
 from __future__ import annotations
@@ -16,20 +17,29 @@ import numpy as np
 
 from sim.device import check_device
 from sim.errors import SimulationDiverged, check_kind
-from sim.fem import Fem
+from sim.fem import Fem, Grading
+from sim.fem.mesh import contact_window, meshes_of
 from sim.fem.stepping import path_of
 from sim.metrics import force_errors, marker_errors, outcome_of
 from sim.result import Outcome, Result
-from sim.scene import Effects, Scene
+from sim.scene import Effects, Motion, Scene
 from sim.tiers import simulate_many
 
-# Elements through the thickness. States are solved to a thousandth of the force, and a press that
-# is too hard for the limits is given up: it would take longer than the scene is worth.
-LAYERS = 4
-COARSE = Fem(tolerance=1e-3, path_tolerance=1e-2, newton_max=30, cg_max=1500, halvings=3)
-# Uncertainty of a change: this fraction of it, and at least as much as two states that are solved
-# to a thousandth may differ; of the force and of the markers [px].
-UNSURE, LEAST_FORCE, LEAST_MARKER = 0.5, 1e-3, 0.02
+# Elements through the thickness, and side by side across all that the indenter covers; fewer if the
+# product of elements, steps and solutions would be above `WORK`, which takes a second.
+LAYERS, ACROSS, WORK = 3, (6, 5, 4, 3, 2, 1), 10_000
+# Longest step of the tip, in thicknesses, and about the most frames along straight lines.
+TRAVEL, FRAMES = 1 / 8, 6
+# A press that is too hard for these limits is given up: it would take longer than the table may.
+LIMITS = Fem(
+    tolerance=2e-3, path_tolerance=0.1, augmentations=1, newton_max=30, cg_max=1500, halvings=3
+)
+# Strength of the effects that should change nothing, and the multiple of that change, and fraction
+# of its own one, of which a change is unsure; at least as much as tolerances of states allow.
+HARDLY, SPREAD, UNSURE = 0.999, 3.0, 0.4
+LEAST_FORCE, LEAST_MARKER = 2e-3, 0.02
+# Elements across a contact by default, which limit steps; see `Fem.fineness`.
+ELEMENTS = 9
 # Iterations of the linear solver that take as long as the rest of one Newton iteration.
 NEWTON = 50
 
@@ -43,13 +53,14 @@ class EffectSize:
     force: float | None = None
     """Largest change of the force along x, y or z in a frame, over `sim.result.force_scale`."""
     force_unsure: float | None = None
-    """Uncertainty of `force`."""
+    """Uncertainty of `force`, an estimate: most changes are within it, not all."""
     marker: float | None = None
     """Root mean square of the distances between 14 x 14 markers' images, largest frame [px]."""
     marker_unsure: float | None = None
-    """Uncertainty of `marker` [px]."""
+    """Uncertainty of `marker` [px], as that of `force`."""
     time: float | None = None
-    """Estimated fraction of the scene's time that the effect takes; negative if it saves time."""
+    """Fraction of the scene's time that the effect takes, roughly, by steps and iterations;
+    negative if it saves time."""
     why: str = ""
     """Reason why changes are unknown, or why there is none."""
 
@@ -69,34 +80,34 @@ class EffectsTable:
         return {"effects": each, "seconds": round(self.seconds, 4)}
 
     def __str__(self) -> str:
-        """Return a row for each effect of `sim`, those that are off too, and how it is known."""
+        """Return a row for each effect, those that are off too, and how it is known."""
         by_name = {one.name: one for one in self.sizes}
         rows = [("effect", "force", "markers", "time", "")]
         for name in Effects.__slots__:
             one = by_name.get(name)
             if one is None:
-                rows.append((name, "-", "-", "0 %", "off"))
+                rows.append((name, "0 %", "0 px", "0 %", "off"))
                 continue
             force = _with_error(one.force, one.force_unsure, 100, "%")
             marker = _with_error(one.marker, one.marker_unsure, 1, "px")
-            time_ = "?" if one.time is None else f"{100 * one.time:.0f} %"
-            rows.append((name, force, marker, time_, one.why))
+            share = "?" if one.time is None else f"{100 * one.time:z.0f} %"
+            rows.append((name, force, marker, share, one.why))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
             for row in rows
         ]
-        return "\n".join(
-            [*lines, f"changes by leaving one out; a coarse mesh, {self.seconds:.1f} s"]
-        )
+        known = f"changes without each, by a coarse mesh; times estimated; {self.seconds:.1f} s"
+        return "\n".join([*lines, known])
 
 
 def _with_error(value: float | None, error: float | None, factor: float, unit: str) -> str:
     if value is None or error is None:
         return "?"
-    if value <= error:
-        return f"< {factor * (value + error):.1g} {unit}"
-    return f"{factor * value:.2g} +- {factor * error:.1g} {unit}"
+    if 0 < value <= error:
+        return f"< {float(f'{factor * (value + error):.1g}'):g} {unit}"
+    plain, unsure = float(f"{factor * value:.2g}"), float(f"{factor * error:.1g}")
+    return f"{plain:g} +- {unsure:g} {unit}" if value else f"0 {unit}"
 
 
 def effects_table(
@@ -115,46 +126,90 @@ def effects_table(
     check_kind("scene", scene, Scene, "a Scene")
     check_device(device)
     began = time.perf_counter()
-    active = [
-        name
-        for name in scene.effects.key
-        if getattr(scene.effects, name) != getattr(scene.effects, name).weakened(0.0)
-    ]
-    numerics = replace(COARSE, spacing=scene.body.thickness / LAYERS)
-    without = [
-        replace(scene, effects=replace(scene.effects, **{name: weak}))
-        for name in active
-        for weak in [getattr(scene.effects, name).weakened(0.0)]
-    ]
-    outcomes: list[Outcome] = []
-    if active:
-        outcomes = simulate_many([scene, *without], numerics, device=device, progress=progress)
-    by_name = dict(zip(active, outcomes[1:], strict=True))
+    brief = replace(scene, motion=_brief(scene.motion))
+    scenes = variants(brief)
+    outcomes: dict[str, Outcome] = {}
+    if len(scenes) > 2:
+        some = simulate_many(
+            [*scenes.values()], _coarse(brief, len(scenes)), device=device, progress=progress
+        )
+        outcomes = dict(zip(scenes, some, strict=True))
     sizes = [
-        _size(scene, name, outcomes[0], by_name[name], numerics)
-        if name in by_name
-        else EffectSize(name, 0.0, 0.0, 0.0, 0.0, None, "of no strength")
+        _size(scene, name, outcomes)
+        if name in outcomes
+        else EffectSize(name, 0.0, 0.0, 0.0, 0.0, why="of no strength")
         for name in scene.effects.key
     ]
     return EffectsTable(tuple(sizes), time.perf_counter() - began)
 
 
-def _size(scene: Scene, name: str, full: Outcome, less: Outcome, numerics: Fem) -> EffectSize:
-    """Return the difference between the scene and the one without the effect."""
-    if isinstance(full, SimulationDiverged) or isinstance(less, SimulationDiverged):
-        return EffectSize(name, why="no solution on the coarse mesh")
-    force, marker = changes(full, less)
+def variants(scene: Scene) -> dict[str, Scene]:
+    """Return `all` of a scene, `hardly` the same, and the scene with each effect at no strength.
+
+    Effects that have none are left out.
+    """
+    effects = {name: getattr(scene.effects, name) for name in scene.effects.key}
+    weak = {name: one.weakened(0.0) for name, one in effects.items()}
+    changed = {"all": {}, "hardly": {name: one.weakened(HARDLY) for name, one in effects.items()}}
+    changed |= {name: {name: weak[name]} for name in effects if effects[name] != weak[name]}
+    return {
+        name: replace(scene, effects=replace(scene.effects, **some))
+        for name, some in changed.items()
+    }
+
+
+def _brief(motion: Motion) -> Motion:
+    """Return the motion with all of its corners, and about `FRAMES` waypoints between them."""
+    tip, times = np.array(motion.tip), np.array(motion.time)
+    velocity = np.diff(tip, axis=0) / np.diff(times)[:, None]
+    turns = np.linalg.norm(np.diff(velocity, axis=0), axis=1) > 1e-6 * np.abs(velocity).max(
+        initial=0.0
+    )
+    some = range(0, len(tip), -(-len(tip) // FRAMES))
+    kept = sorted({*some, *(1 + np.flatnonzero(turns)).tolist(), len(tip) - 1})
+    return Motion(tuple(motion.tip[k] for k in kept), tuple(motion.time[k] for k in kept))
+
+
+def _coarse(scene: Scene, solutions: int) -> Fem:
+    """Return settings with the finest mesh that is within `WORK`, or the coarsest."""
+    thickness = scene.body.thickness
+    spacing = thickness / LAYERS
+    settings = replace(LIMITS, spacing=spacing, step_travel=TRAVEL * thickness)
+    steps = path_of(scene, settings).steps
+    narrow = _narrow(scene)
+    for across in ACROSS:
+        finer = min(max(narrow / across / spacing, 0.1), 1.0)
+        settings = replace(settings, grading=Grading(finer, growth=1.0, coarsest=2.0))
+        (mesh,) = meshes_of([scene], settings)
+        if len(mesh.elements) * steps * solutions <= WORK:
+            break
+    return settings
+
+
+def _narrow(scene: Scene) -> float:
+    """Return the narrower side of all that the indenter covers [m]."""
+    return min(most - least for least, most in contact_window(scene, 0.0))
+
+
+def _size(scene: Scene, name: str, outcomes: dict[str, Outcome]) -> EffectSize:
+    """Return the change by leaving an effect out of the scene, and the time that it takes."""
+    full, hardly, less = (outcomes[one] for one in ("all", "hardly", name))
+    for one in (full, hardly, less):
+        if isinstance(one, SimulationDiverged):
+            return EffectSize(name, why=f"no solution on the coarse mesh: {one.reason}")
+    (force, marker), (noise, noise_marker) = changes(full, less), changes(full, hardly)
+    finest = _narrow(scene) / ELEMENTS / scene.body.thickness
     off = replace(scene, effects=replace(scene.effects, **{name: None}))
-    steps = path_of(off, numerics).steps / path_of(scene, numerics).steps
+    steps = path_of(off, Fem(), finest).steps / path_of(scene, Fem(), finest).steps
     size = EffectSize(
         name,
         marker=marker,
-        marker_unsure=max(UNSURE * marker, LEAST_MARKER),
+        marker_unsure=max(UNSURE * marker, SPREAD * noise_marker, LEAST_MARKER),
         time=1.0 - steps * _work(less) / _work(full),
     )
     if not full.force.any():
         return replace(size, why="no contact on the coarse mesh")
-    return replace(size, force=force, force_unsure=max(UNSURE * force, LEAST_FORCE))
+    return replace(size, force=force, force_unsure=max(UNSURE * force, SPREAD * noise, LEAST_FORCE))
 
 
 def changes(full: Result, less: Result) -> tuple[float, float]:

@@ -191,8 +191,8 @@ def test_a_cpu_is_forecast_by_its_processes_and_a_gpu_from_as_many_presses_as_fi
 
 def test_tables_of_effects_are_compared_with_full_solves_number_by_number() -> None:
     numbers = {
-        **{"force": 0.10, "force_true": 0.13, "force_unsure": 0.02},
-        **{"marker": 0.5, "marker_true": 0.4, "marker_unsure": 0.2},
+        **{"force": 0.10, "force_true": 0.13, "force_unsure": 0.02, "force_noise": 0.005},
+        **{"marker": 0.5, "marker_true": 0.4, "marker_unsure": 0.08, "marker_noise": 0.03},
         **{"time": 0.2, "time_true": 0.5},
     }
     exact = numbers | {"force_true": 0.1, "marker_true": 0.5, "time_true": 0.2}
@@ -204,6 +204,7 @@ def test_tables_of_effects_are_compared_with_full_solves_number_by_number() -> N
     text = effects.tables(some)
     assert "of 2 random scenes, of which 1 have full solutions" in text
     assert "forces differ by 1.5 % in the median and 3 % at most, 1 of 2 within" in text
+    assert "what both state, 1 unknown; markers" in text
     assert "markers differ by 0.05 px in the median and 0.1 px at most, 2 of 2 within" in text
     assert "times by 15 % of the whole in the median" in text
     assert "took 1.25 s in the median, 2.00 s at most" in text
