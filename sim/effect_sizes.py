@@ -17,29 +17,35 @@ import numpy as np
 
 from sim.device import check_device
 from sim.errors import SimulationDiverged, check_kind
-from sim.fem import Fem, Grading
+from sim.fem import Fem
 from sim.fem.mesh import contact_window, meshes_of
+from sim.fem.outcome import checked
+from sim.fem.sizing import ACROSS, OVER_DEPTH, Sizes, Span
+from sim.fem.solver import solve_on_meshes
 from sim.fem.stepping import path_of
 from sim.metrics import force_errors, marker_errors, outcome_of
 from sim.result import Outcome, Result
 from sim.scene import Effects, Motion, Scene
-from sim.tiers import simulate_many
 
-# Elements through the thickness, and side by side across all that the indenter covers; fewer if the
-# product of elements, steps and solutions would be above `WORK`, which takes a second.
-LAYERS, ACROSS, WORK = 3, (6, 5, 4, 3, 2, 1), 10_000
+# Fineness of the mesh, as in `Fem`: the first with which the product of elements, steps and
+# solutions is within `WORK`, which takes a second; and least width of a contact, in thicknesses.
+FINENESS, WORK, LEAST_WIDTH = (0.4, 0.33, 0.27, 0.22, 0.18, 0.14, 0.1), 10_000, 0.02
 # Longest step of the tip, in thicknesses, and about the most frames along straight lines.
 TRAVEL, FRAMES = 1 / 8, 6
 # A press that is too hard for these limits is given up: it would take longer than the table may.
 LIMITS = Fem(
-    tolerance=2e-3, path_tolerance=0.1, augmentations=1, newton_max=30, cg_max=1500, halvings=3
+    precision="float32",
+    tolerance=2e-3,
+    path_tolerance=0.1,
+    augmentations=1,
+    newton_max=20,
+    cg_max=1500,
+    halvings=2,
 )
 # Strength of the effects that should change nothing, and the multiple of that change, and fraction
 # of its own one, of which a change is unsure; at least as much as tolerances of states allow.
 HARDLY, SPREAD, UNSURE = 0.999, 3.0, 0.4
 LEAST_FORCE, LEAST_MARKER = 2e-3, 0.02
-# Elements across a contact by default, which limit steps; see `Fem.fineness`.
-ELEMENTS = 9
 # Iterations of the linear solver that take as long as the rest of one Newton iteration.
 NEWTON = 50
 
@@ -90,8 +96,8 @@ class EffectsTable:
                 continue
             force = _with_error(one.force, one.force_unsure, 100, "%")
             marker = _with_error(one.marker, one.marker_unsure, 1, "px")
-            share = "?" if one.time is None else f"{100 * one.time:z.0f} %"
-            rows.append((name, force, marker, share, one.why))
+            part = "?" if one.time is None else f"{100 * one.time:z.0f} %"
+            rows.append((name, force, marker, part, one.why))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = [
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
@@ -130,17 +136,20 @@ def effects_table(
     scenes = variants(brief)
     outcomes: dict[str, Outcome] = {}
     if len(scenes) > 2:
-        some = simulate_many(
-            [*scenes.values()], _coarse(brief, len(scenes)), device=device, progress=progress
-        )
-        outcomes = dict(zip(scenes, some, strict=True))
-    sizes = [
+        settings, sizes = _coarse(brief, len(scenes))
+        meshed = [sizes] * len(scenes)
+        some = solve_on_meshes([*scenes.values()], settings, meshed, device, progress)
+        outcomes = dict(zip(scenes, map(checked, some), strict=True))
+        for one in outcomes.values():
+            if isinstance(one, SimulationDiverged):
+                one.forget_dump()
+    each = [
         _size(scene, name, outcomes)
         if name in outcomes
         else EffectSize(name, 0.0, 0.0, 0.0, 0.0, why="of no strength")
         for name in scene.effects.key
     ]
-    return EffectsTable(tuple(sizes), time.perf_counter() - began)
+    return EffectsTable(tuple(each), time.perf_counter() - began)
 
 
 def variants(scene: Scene) -> dict[str, Scene]:
@@ -170,25 +179,27 @@ def _brief(motion: Motion) -> Motion:
     return Motion(tuple(motion.tip[k] for k in kept), tuple(motion.time[k] for k in kept))
 
 
-def _coarse(scene: Scene, solutions: int) -> Fem:
-    """Return settings with the finest mesh that is within `WORK`, or the coarsest."""
-    thickness = scene.body.thickness
-    spacing = thickness / LAYERS
-    settings = replace(LIMITS, spacing=spacing, step_travel=TRAVEL * thickness)
-    steps = path_of(scene, settings).steps
-    narrow = _narrow(scene)
-    for across in ACROSS:
-        finer = min(max(narrow / across / spacing, 0.1), 1.0)
-        settings = replace(settings, grading=Grading(finer, growth=1.0, coarsest=2.0))
-        (mesh,) = meshes_of([scene], settings)
+def _coarse(scene: Scene, solutions: int) -> tuple[Fem, Sizes]:
+    """Return the settings of the finest mesh that is within `WORK`, or the coarsest, and its sizes.
+
+    All that the indenter covers is meshed as a contact, without a look at the contact itself.
+    """
+    x, y = contact_window(scene, 0.0)
+    size = _narrow(scene) / ACROSS
+    sizes = Sizes((Span(*x, size),), (Span(*y, size),), OVER_DEPTH * size, _narrow(scene))
+    for fineness in FINENESS:
+        settings = replace(LIMITS, fineness=fineness, step_travel=TRAVEL * scene.body.thickness)
+        (mesh,) = meshes_of([scene], settings, [sizes])
+        steps = path_of(scene, settings, mesh.finest).steps
         if len(mesh.elements) * steps * solutions <= WORK:
             break
-    return settings
+    return settings, sizes
 
 
 def _narrow(scene: Scene) -> float:
     """Return the narrower side of all that the indenter covers [m]."""
-    return min(most - least for least, most in contact_window(scene, 0.0))
+    sides = [most - least for least, most in contact_window(scene, 0.0)]
+    return max(min(sides), LEAST_WIDTH * scene.body.thickness)
 
 
 def _size(scene: Scene, name: str, outcomes: dict[str, Outcome]) -> EffectSize:
@@ -196,9 +207,9 @@ def _size(scene: Scene, name: str, outcomes: dict[str, Outcome]) -> EffectSize:
     full, hardly, less = (outcomes[one] for one in ("all", "hardly", name))
     for one in (full, hardly, less):
         if isinstance(one, SimulationDiverged):
-            return EffectSize(name, why=f"no solution on the coarse mesh: {one.reason}")
+            return EffectSize(name, why=f"no coarse solution: {one.reason.partition(':')[0]}")
     (force, marker), (noise, noise_marker) = changes(full, less), changes(full, hardly)
-    finest = _narrow(scene) / ELEMENTS / scene.body.thickness
+    finest = _narrow(scene) / ACROSS / Fem().fineness / scene.body.thickness
     off = replace(scene, effects=replace(scene.effects, **{name: None}))
     steps = path_of(off, Fem(), finest).steps / path_of(scene, Fem(), finest).steps
     size = EffectSize(
@@ -208,7 +219,7 @@ def _size(scene: Scene, name: str, outcomes: dict[str, Outcome]) -> EffectSize:
         time=1.0 - steps * _work(less) / _work(full),
     )
     if not full.force.any():
-        return replace(size, why="no contact on the coarse mesh")
+        return replace(size, why="no contact")
     return replace(size, force=force, force_unsure=max(UNSURE * force, SPREAD * noise, LEAST_FORCE))
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, RectBivariateSpline
 
 from sim.errors import SceneError
 from sim.result import Result, force_scale
@@ -103,9 +103,22 @@ def marker_pixels(outcome: Outcome, body: Body) -> Array:
 
 def displacement_at(outcome: Outcome, frame: int, x: Array, y: Array) -> Array:
     """Return displacements (X, Y, 3) of the material points at x (X,), y (Y,) [m]."""
-    # Without overshoot: where a mesh is fine, a wide element may be next to narrow ones.
-    along_x = PchipInterpolator(outcome.surface_x, outcome.surface[frame].astype(np.float64))(x)
-    return np.asarray(PchipInterpolator(outcome.surface_y, along_x, axis=1)(y))
+    # Splines over the points' numbers: over their positions they overshoot, by many times all
+    # displacements, in a wide element beside narrow ones.
+    axes = [np.arange(len(nodes)) for nodes in (outcome.surface_x, outcome.surface_y)]
+    at_x, at_y = (
+        PchipInterpolator(nodes, numbers)(places)
+        for nodes, numbers, places in zip(
+            (outcome.surface_x, outcome.surface_y), axes, (x, y), strict=True
+        )
+    )
+    degree_x, degree_y = (min(3, len(axis) - 1) for axis in axes)
+    components = []
+    for component in range(3):
+        values = outcome.surface[frame, :, :, component].astype(np.float64)
+        spline = RectBivariateSpline(*axes, values, kx=degree_x, ky=degree_y)
+        components.append(spline(at_x, at_y))
+    return np.stack(components, axis=-1)
 
 
 # Error that a user accepts: "2 %", "0.05 N" or "0.5 px".

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.accuracy.cases import compare
 from sim.markers.camera import DISTANCE, FOCAL
-from sim.metrics import Outcome, marker_pixels, marker_places
+from sim.metrics import Outcome, displacement_at, marker_pixels, marker_places
 from sim.result import WEAK
 from sim.scene import Body
 
@@ -94,3 +94,16 @@ def test_a_weak_frame_is_measured_by_a_tenth_of_the_strongest():
     assert errors.force_share[1] == pytest.approx([0.001, 0, 0.01])
     assert errors.worst()["force_share"] == pytest.approx(0.1)
     assert errors.worst()["force_last"] == pytest.approx(0.01)
+
+
+def test_markers_do_not_overshoot_in_a_wide_element_beside_narrow_ones():
+    near = np.linspace(-0.5e-3, 0.5e-3, 41)
+    x = np.concatenate([[-10e-3, -4e-3], near, [4e-3, 10e-3]])
+    field = np.zeros((1, len(x), len(x), 3), np.float32)
+    field[0, 2:-2, 2:-2, 2] = -1e-4 * np.hypot(near[:, None] + 0.6e-3, near) / 1e-3
+    one = replace(outcome(x, x, force=((0, 0, -1),)), surface=field)
+    for places in (even(301), near):
+        most = np.abs(displacement_at(one, 0, places, places)).max()
+        assert most < 1.1 * np.abs(field).max()
+    at_nodes = displacement_at(one, 0, x, x)
+    assert at_nodes == pytest.approx(field[0], abs=1e-10)
