@@ -204,10 +204,12 @@ def _narrow(scene: Scene) -> float:
 
 def _size(scene: Scene, name: str, outcomes: dict[str, Outcome]) -> EffectSize:
     """Return the change by leaving an effect out of the scene, and the time that it takes."""
-    full, hardly, less = (outcomes[one] for one in ("all", "hardly", name))
-    for one in (full, hardly, less):
+    solved: list[Result] = []
+    for one in (outcomes["all"], outcomes["hardly"], outcomes[name]):
         if isinstance(one, SimulationDiverged):
             return EffectSize(name, why=f"no coarse solution: {one.reason.partition(':')[0]}")
+        solved.append(one)
+    full, hardly, less = solved
     (force, marker), (noise, noise_marker) = changes(full, less), changes(full, hardly)
     finest = _narrow(scene) / ACROSS / Fem().fineness / scene.body.thickness
     off = replace(scene, effects=replace(scene.effects, **{name: None}))
