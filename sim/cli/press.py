@@ -85,9 +85,10 @@ def _show(
 
 def _show_effects(scene: Scene, options: argparse.Namespace) -> int:
     """Print what each effect changes and return the exit code."""
-    for name in ("out", "save"):
-        if (path := getattr(options, name)) is not None:
-            raise SceneError(f"--{name}: {path} with --effects; allowed: without, it only prints")
+    for name in ("out", "save", "tolerance", "seconds", "tier"):
+        if (value := getattr(options, name)) is not None:
+            allowed = "without, it only prints a table by a coarse mesh"
+            raise SceneError(f"--{name}: {value} with --effects; allowed: {allowed}")
     from sim.device import ready_device
     from sim.effect_sizes import effects_table
 

@@ -187,6 +187,7 @@ def test_a_shape_has_the_measures_it_was_given(
         ("press --device cuda:7 --tier fem", r"--device: 'cuda:7'; allowed here: cpu"),
         ("press --tolerance 2% --tier fem:2", r"--tier: fem with a fineness and --tolerance"),
         ("press --effects --out x.png", "--out: x.png with --effects; allowed: without"),
+        ("press --effects --tolerance 2%", "--tolerance: 2% with --effects; allowed: without"),
         ("press --gravity", r"effects\.gravity: .*'fem'"),
         ("press --out x.jpg", r"--out: x\.jpg; allowed: a name that ends in \.png"),
         ("press --shear 0", "--shear: found '0'; allowed: a number above 0"),
