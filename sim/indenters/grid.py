@@ -9,13 +9,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+# Step between the nodes that are evaluated far from the surface.
+SKIP = 4
+
 
 @dataclass(frozen=True, slots=True)
 class NodeGrid:
     """Nodes at integer multiples of a spacing, so that some have x = 0 or y = 0."""
 
     first: tuple[int, int, int]
-    """Multiple of the spacing at the first node, along x, y and z."""
+    """Multiple of the spacing at the first node, along x, y and z; with multiples of `SKIP`, nodes
+    that are skipped are the same on both sides of 0."""
     shape: tuple[int, int, int]
     spacing: float
     """Distance between neighbouring nodes [m]."""

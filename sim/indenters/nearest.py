@@ -11,7 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
-from sim.indenters.grid import NodeGrid
+from sim.indenters.grid import SKIP, NodeGrid
 
 Array = NDArray[np.float64]
 
@@ -26,8 +26,6 @@ ACCURACY = 2.0
 TOUCHING = 1e-5
 # Points per launch.
 QUERIES_AT_ONCE = 1 << 20
-# Step between the grid nodes that are evaluated far from the surface.
-SKIP = 4
 
 
 class Nearest:

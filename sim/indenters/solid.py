@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sim.errors import SceneError, check_range
 from sim.indenters.curved import curved
-from sim.indenters.grid import NodeGrid
+from sim.indenters.grid import SKIP, NodeGrid
 from sim.indenters.outline import Bounds
 from sim.indenters.rounding import RADII, Surface
 
@@ -642,7 +642,8 @@ def _distances(solid: Solid, radius: float) -> Field:
             return radius - length, -away
 
         vertices, faces = level_surface(gap + radius, grid, within)
-        outside = gap > -radius - 2 * solid.spacing
+        # Half a step, so that no node is on the limit by rounding errors alone.
+        outside = gap > -radius - EXACT - solid.spacing / 2
         core = Nearest(vertices, faces, closed=False).distance_at_nodes(
             grid, EXACT + radius, outside
         )
@@ -675,7 +676,8 @@ def _grid(triangles: Triangles, radius: float, solid: Solid) -> NodeGrid:
     # The spline depends on a few nodes around a place; rounding, on all within the radius.
     top = min(high[2] + MARGIN, solid.reach + max(MARGIN, radius + 6 * solid.spacing))
     ends = np.array([*(low - MARGIN), high[0] + MARGIN, high[1] + MARGIN, top]) / solid.spacing
-    first, last = np.floor(ends[:3]).astype(int) - 2, np.ceil(ends[3:]).astype(int) + 2
+    first = SKIP * ((np.floor(ends[:3]).astype(int) - 2) // SKIP)
+    last = np.ceil(ends[3:]).astype(int) + 2
     shape = last - first + 1
     count = int(np.prod(shape))
     if count > NODES_MAX:
