@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -89,10 +90,11 @@ def _without_driver_warning(*, gpu_requested: bool) -> Iterator[None]:
 
 
 # Most threads that compile kernels. Each translates Warp's headers for itself, once: a third of the
-# work for all kernels of a press, which is 10 s of a core.
+# work for all kernels of a press, which is 10 s of a core. Processes that share the cores have
+# `OMP_NUM_THREADS`, which is not exceeded.
 COMPILERS = 4
 # Modules made inside `loaded_together`, with their threads per block.
-_loading: dict[tuple[Any, int], None] | None = None
+_loading = ContextVar[dict[tuple[Any, int], None]]("_loading")
 
 
 def kernel(*, group: str = "unique", block: int = 256) -> Callable[[Callable[..., None]], Any]:
@@ -105,8 +107,7 @@ def kernel(*, group: str = "unique", block: int = 256) -> Callable[[Callable[...
 
     def made(function: Callable[..., None]) -> Any:
         one = wp.kernel(enable_backward=False, module=group)(function)
-        if _loading is not None:
-            _loading[one.module, block] = None
+        _loading.get({})[one.module, block] = None
         return one
 
     return made
@@ -120,13 +121,13 @@ def loaded_together(device: str) -> Iterator[None]:
     """
     import warp as wp
 
-    global _loading
-    _loading = {}
+    modules: dict[tuple[Any, int], None] = {}
+    token = _loading.set(modules)
     try:
         yield
     finally:
-        new, _loading = _loading, None
-    load = _compilers().map(lambda one: wp.load_module(one[0], device, block_dim=one[1]), new)
+        _loading.reset(token)
+    load = _compilers().map(lambda one: wp.load_module(one[0], device, block_dim=one[1]), modules)
     list(load)
 
 
@@ -134,4 +135,6 @@ def loaded_together(device: str) -> Iterator[None]:
 def _compilers() -> ThreadPoolExecutor:
     from recorder.processes import cores
 
-    return ThreadPoolExecutor(min(COMPILERS, cores()), "kernels")
+    threads = os.environ.get("OMP_NUM_THREADS", "")
+    most = max(1, int(threads)) if threads.isdecimal() else COMPILERS
+    return ThreadPoolExecutor(min(most, COMPILERS, cores()), "kernels")
