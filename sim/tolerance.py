@@ -90,7 +90,7 @@ HOPELESS = 8.0
 ROUNDS = 4
 # Fineness of a mesh over the requested one, below which the limit on elements was reached.
 WHOLLY = 0.97
-# Fraction of the tolerance for the error by time steps, of viscosity or inertia.
+# Fraction of the tolerance for the error by time steps, of inertia.
 IN_TIME = 1 / 3
 # Fraction of a limited time in which those steps are chosen, and their error if there is none.
 CHOOSING, UNCHOSEN = 0.5, 0.3
@@ -239,7 +239,7 @@ class _Search:
         return None
 
     def _in_time(self, states: Fem) -> TimeSteps | None:
-        """Return the time steps of viscosity or inertia, and their error; None without either."""
+        """Return the time steps of inertia, and their error; None without it."""
         from sim.fem.in_time import TimeSteps, time_steps
         from sim.fem.stepping import OutOfTime, limited
 
@@ -322,7 +322,7 @@ def solve_in_turn(
             progress=None if progress is None else part_of(progress, part, len(settings)),
             required=required,
         )
-        outcome = estimated(with_time(outcome, steps))
+        outcome = estimated(with_time(outcome, steps, numerics))
         if isinstance(outcome, SimulationDiverged):
             raise outcome
         results.append(outcome)

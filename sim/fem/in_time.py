@@ -1,7 +1,7 @@
 """Error by the time steps of scenes with viscosity or inertia, and the number of steps it needs.
 
-With inertia the scene is solved on a coarse mesh in as many steps as on its own, and in four times
-as many. Viscosity alone has no companion: its steps are those of a force that follows the depth by
+With inertia the scene is solved on a coarse mesh in as many steps as on its own, and in twice as
+many. Viscosity alone has no companion: its steps are those of a force that follows the depth by
 a power, for which the response is known.
 """
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 SOUGHT, FACTOR_MOST = 0.02, 4
 # Ratio of both numbers of steps, and the error of the smaller one over the difference of forces,
 # if it falls as the step does.
-FINER, OF_DIFFERENCE = 4, 4 / 3
+FINER, OF_DIFFERENCE = 2, 2.0
 # Fineness of the coarse mesh.
 FINENESS = 0.3
 # Error of frames that the coarse mesh has no solution for, over the largest of those that it has,
@@ -69,17 +69,25 @@ def simulate_in_time(
         settings = numerics if factor == 1 else replace(numerics, step_factor=factor)
         some = simulate_fem([scenes[i] for i in chosen], settings, device=device, progress=progress)
         outcomes.update(zip(chosen, some, strict=True))
-    return [with_time(outcomes[i], one) for i, one in enumerate(steps)]
+    return [with_time(outcomes[i], one, numerics) for i, one in enumerate(steps)]
 
 
-def with_time(outcome: Outcome, steps: TimeSteps | None) -> Outcome:
-    """Return an outcome whose result, or the part it has reached, has the error by time steps."""
-    if steps is None:
-        return outcome
+def with_time(outcome: Outcome, steps: TimeSteps | None, numerics: Fem) -> Outcome:
+    """Return an outcome whose result, or the part it has reached, has the error by time steps.
+
+    These `steps` are those of `time_steps`.
+    """
     if isinstance(outcome, SimulationDiverged):
         if outcome.reached is not None:
-            outcome.reached = with_time(outcome.reached, steps)
+            outcome.reached = with_time(outcome.reached, steps, numerics)
         return outcome
+    if steps is None:
+        scene, finest = outcome.scene, outcome.record["mesh"]["finest"]
+        if scene.effects.viscosity is None:
+            return outcome
+        followed = finest / scene.body.thickness if numerics.follows else np.inf
+        path = path_of(scene, numerics, followed)
+        steps = TimeSteps(path.factor, _of_viscosity(scene, path))
     force = [float(f"{one:.4g}") for one in steps.force[: len(outcome.force)]]
     time = {"factor": steps.factor, "force": force}
     return replace(outcome, record={**outcome.record, "time": time})
@@ -88,46 +96,49 @@ def with_time(outcome: Outcome, steps: TimeSteps | None) -> Outcome:
 def time_steps(
     scene: Scene, numerics: Fem, device: str, sought: float = SOUGHT
 ) -> TimeSteps | None:
-    """Return the steps in time of a scene and their error; None if nothing depends on time.
+    """Return the steps in time of a scene and their error; None without inertia.
 
     With `numerics.step_factor` that many; else as many as an error of `sought` needs.
     """
-    effects = scene.effects
-    if effects.inertia is None and effects.viscosity is None:
+    if scene.effects.inertia is None:
         return None
     (mesh,) = meshes_of([scene], numerics)
     path = path_of(scene, numerics, mesh.finest if numerics.follows else np.inf)
-    if effects.inertia is None:
-        return TimeSteps(path.factor, _of_viscosity(scene, path))
     travel = min(path.longest * scene.body.thickness, 1.0)  # infinite for a plane
     coarse = Fem(fineness=FINENESS, step_travel=travel, tolerance=numerics.tolerance)
+    solved: dict[int, Array] = {}
+
+    def with_error(factor: int) -> TimeSteps:
+        for times in {factor, FINER * factor} - set(solved):
+            settings = replace(coarse, step_factor=times)
+            solved[times] = _forces(*simulate_fem([scene], settings, device=device))
+        return TimeSteps(factor, _of_inertia(solved[factor], solved[FINER * factor], scene))
+
     if numerics.step_factor is not None:
-        return _of_inertia(scene, coarse, device, path.factor)
-    first = _of_inertia(scene, coarse, device, 1)
+        return with_error(path.factor)
+    first = with_error(1)
     worst = float(first.force.max(initial=0.0))
     if worst <= sought:
         return first
     # Of second order, if the first steps resolve the waves.
-    factor = int(np.clip(np.ceil((worst / sought) ** 0.5), 2, FACTOR_MOST))
-    more = _of_inertia(scene, coarse, device, factor)
+    more = with_error(int(np.clip(np.ceil((worst / sought) ** 0.5), 2, FACTOR_MOST)))
     return more if more.force.max() < worst / 2 else first
 
 
-def _of_inertia(scene: Scene, coarse: Fem, device: str, factor: int) -> TimeSteps:
-    """Return the error of a number of steps, from solutions on the `coarse` mesh."""
-    few, many = (
-        _forces(*simulate_fem([scene], replace(coarse, step_factor=times), device=device))
-        for times in (factor, FINER * factor)
-    )
+def _of_inertia(few: Array, many: Array, scene: Scene) -> Array:
+    """Return the error of forces (F, 3) in few steps, by others in `FINER` times as many (F,).
+
+    Those of a path without a solution have fewer frames.
+    """
     count = min(len(few), len(many))
     if not count:
-        return TimeSteps(factor, np.full(len(scene.motion), UNMEASURED))
+        return np.full(len(scene.motion), UNMEASURED)
     apart = np.abs(few[:count] - many[:count]).max(axis=1) / force_scale(many[:count])
     # Of two swings that are not in step, a frame may see the moment at which they are equal.
     near = np.pad(apart, 1)
     apart = np.maximum(near[1:-1], np.maximum(near[:-2], near[2:]) / 2)
     beyond = np.full(len(scene.motion) - count, BEYOND * apart.max())
-    return TimeSteps(factor, OF_DIFFERENCE * np.concatenate([apart, beyond]))
+    return np.asarray(OF_DIFFERENCE * np.concatenate([apart, beyond]))
 
 
 def _forces(outcome: Outcome) -> Array:
