@@ -146,6 +146,17 @@ def test_the_force_of_an_impact_is_that_of_a_wave_and_does_not_ring() -> None:
     assert (np.abs(np.diff(force[:8])) < 0.12 * impact).all(), "short frames do not ring"
 
 
+def test_a_gel_a_hundred_times_as_stiff_at_once_presses_like_an_elastic_one() -> None:
+    """Contact is stiffer too: else the indenter stands in the skin."""
+    scene = Scene(sphere(4e-3), press([0.4e-3], speed=0.1), SMALL)
+    stiff = replace(SMALL, modulus=101 * SMALL.modulus)
+    viscous = replace(scene, effects=Effects(viscosity=Viscosity((100.0,), (1e3,))))
+    one, other = (
+        simulate(each, COARSE).force[-1, 2] for each in (viscous, replace(scene, body=stiff))
+    )
+    assert one == pytest.approx(other, rel=0.01)
+
+
 def test_a_body_that_is_touched_at_once_is_at_rest_however_heavy_it_is() -> None:
     inside = Motion(((0.0, 0.0, -0.4e-3),), (0.0,))
     still, heavy = (
