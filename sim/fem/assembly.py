@@ -77,6 +77,8 @@ FEW = 16
 # Change of the tip's velocity, over the velocity, from which motion is not smooth; and ratio of a
 # step to the last one beyond which the second backward difference is not stable (1 + sqrt 2).
 KINK, LONGER = 1e-3, 2.0
+# Steps over the time of damping beyond which stresses are damped less: they resolve no such waves.
+UNDAMPED = 4.0
 # Least time over which stresses are damped, over that in which a shear wave crosses an element.
 DAMPED = 0.15
 # Masks of environments that are kept on the device.
@@ -302,7 +304,8 @@ class SolverState:
         onward, now = ratio**2 / (1 + 2 * ratio), duration * (1 + ratio) / (1 + 2 * ratio)
         self.rates = np.divide(self._mass, now**2, where=moves, out=np.zeros(len(now)))
         self._put(self.inertia_rate, self.rates)
-        self._put(self.stiffer, np.divide(self._damped, duration, where=moves, out=0 * now))
+        short = np.divide(self._damped, duration, where=moves, out=np.zeros(len(now)))
+        self._put(self.stiffer, short * np.minimum(1.0, UNDAMPED * short))
         last_share, before_share = now * (1 + onward) / span, -now * onward / before
         self._now = np.where(moves, now, np.inf)
 

@@ -40,7 +40,7 @@ ALL: dict[str, Any] = {
     "gravity": Gravity((300.0, 0.0, -500.0)),
 }
 # Fraction of `ALL` at which each effect is weak enough for a linear response.
-WEAK = {"friction": 1e-3, "viscosity": 1e-4, "inertia": 1e-4, "gravity": 2e-3}
+WEAK = {"friction": 1e-3, "viscosity": 1e-4, "inertia": 1e-3, "gravity": 2e-3}
 
 
 def _scene(effects: Effects) -> Scene:

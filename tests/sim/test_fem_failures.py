@@ -212,7 +212,7 @@ def test_float64_goes_on_from_the_last_state_that_float32_has_accepted(
     motion = press([0.3e-3], shear=0.2e-3, steps=2)
     scene = Scene(sphere(3e-3), motion, BODY, effects)
     numerics = Fem(spacing=SPACING, tolerance=1e-4)
-    wanted = simulate(scene, replace(numerics, precision="float64"))
+    (wanted,) = simulate_fem([scene], replace(numerics, precision="float64"))
     began: list[float] = []
     begin = Newton.begin
 
@@ -226,7 +226,9 @@ def test_float64_goes_on_from_the_last_state_that_float32_has_accepted(
             began.append(assembly.state.tip_before[0, 2])
 
     monkeypatch.setattr(Newton, "begin", failing)
-    found = simulate(scene, numerics)
+    (found,) = simulate_fem([scene], numerics)
+    assert isinstance(found, Result)
+    assert isinstance(wanted, Result)
     assert found.record["precision"] == "float64"
     assert began[0] < -0.12e-3 / BODY.thickness
     largest = np.abs(wanted.wrench).max()
