@@ -232,17 +232,18 @@ def further_errors(result: Result) -> Array:
     They are those of skin that stiffens or folds (the spread of two solutions, and overlaps), of an
     indenter that stands in the skin, and of contacts at the side of a round body.
     """
-    from sim.fem.outcome import overlap_shares
+    from sim.fem.outcome import OVERLAP_GOOD, overlap_shares
 
     record, frames = result.record, np.arange(len(result.force))
-    through = PER_OVERLAP * overlap_shares(result, result.quality.overlap)
+    through = overlap_shares(result, result.quality.overlap)
     fraction = PER_PENETRATION * np.maximum(result.quality.contact - PENETRATION_GOOD, 0.0)
     if record["mesh"].get("finer_failed"):
-        fraction = fraction + through
+        fraction = fraction + PER_OVERLAP * through
     stiffening = record.get("stiffening")
     if stiffening is not None:
         folded = overlap_shares(result, np.array(record["self_overlap"]["metres"]))
-        changed = np.array(stiffening["spread"]) + folded + through
+        both = np.maximum(through - OVERLAP_GOOD, 0) + np.maximum(folded - OVERLAP_GOOD, 0)
+        changed = np.array(stiffening["spread"]) + PER_OVERLAP * both
         fraction = fraction + np.where(frames < stiffening["waypoint"], 0.0, changed)
     for side, error in (("rim", AT_RIM), ("wall", 1.0)):
         fraction[record.get(side, [])] += error
