@@ -153,5 +153,5 @@ def test_worker_processes_judge_and_the_page_has_each_part(tmp_path: Path) -> No
     assert main(["hard-cases", "--quick", "--seconds", "300", "--out", str(page)]) == 0
     text = page.read_text()
     assert f"**{len(QUICK)} cases, {len(QUICK)} passed.**" in text
-    assert all(title in text for title in ("## Cases", "## Deliberate", "## Random", "## Finer"))
+    assert all(title in text for title in ("## Cases", "## Deliberate", "## Random", "## Hard"))
     assert (tmp_path / "images" / "page-laws.png").exists()
