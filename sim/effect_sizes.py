@@ -135,8 +135,8 @@ def effects_table(
     brief = replace(scene, motion=_brief(scene.motion))
     scenes = variants(brief)
     outcomes: dict[str, Outcome] = {}
+    settings, sizes = _coarse(brief, len(scenes))
     if len(scenes) > 2:
-        settings, sizes = _coarse(brief, len(scenes))
         meshed = [sizes] * len(scenes)
         some = solve_on_meshes([*scenes.values()], settings, meshed, device, progress)
         outcomes = dict(zip(scenes, map(checked, some), strict=True))
@@ -144,7 +144,7 @@ def effects_table(
             if isinstance(one, SimulationDiverged):
                 one.forget_dump()
     each = [
-        _size(scene, name, outcomes)
+        _size(scene, name, outcomes, sizes)
         if name in outcomes
         else EffectSize(name, 0.0, 0.0, 0.0, 0.0, why="of no strength")
         for name in scene.effects.key
@@ -171,9 +171,8 @@ def _brief(motion: Motion) -> Motion:
     """Return the motion with all of its corners, and about `FRAMES` waypoints between them."""
     tip, times = np.array(motion.tip), np.array(motion.time)
     velocity = np.diff(tip, axis=0) / np.diff(times)[:, None]
-    turns = np.linalg.norm(np.diff(velocity, axis=0), axis=1) > 1e-6 * np.abs(velocity).max(
-        initial=0.0
-    )
+    turned = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    turns = turned > 1e-6 * np.abs(velocity).max(initial=0.0)
     some = range(0, len(tip), -(-len(tip) // FRAMES))
     kept = sorted({*some, *(1 + np.flatnonzero(turns)).tolist(), len(tip) - 1})
     return Motion(tuple(motion.tip[k] for k in kept), tuple(motion.time[k] for k in kept))
@@ -185,8 +184,9 @@ def _coarse(scene: Scene, solutions: int) -> tuple[Fem, Sizes]:
     All that the indenter covers is meshed as a contact, without a look at the contact itself.
     """
     x, y = contact_window(scene, 0.0)
-    size = _narrow(scene) / ACROSS
-    sizes = Sizes((Span(*x, size),), (Span(*y, size),), OVER_DEPTH * size, _narrow(scene))
+    narrow = max(min(x[1] - x[0], y[1] - y[0]), LEAST_WIDTH * scene.body.thickness)
+    size = narrow / ACROSS
+    sizes = Sizes((Span(*x, size),), (Span(*y, size),), OVER_DEPTH * size, narrow)
     for fineness in FINENESS:
         settings = replace(LIMITS, fineness=fineness, step_travel=TRAVEL * scene.body.thickness)
         (mesh,) = meshes_of([scene], settings, [sizes])
@@ -196,13 +196,7 @@ def _coarse(scene: Scene, solutions: int) -> tuple[Fem, Sizes]:
     return settings, sizes
 
 
-def _narrow(scene: Scene) -> float:
-    """Return the narrower side of all that the indenter covers [m]."""
-    sides = [most - least for least, most in contact_window(scene, 0.0)]
-    return max(min(sides), LEAST_WIDTH * scene.body.thickness)
-
-
-def _size(scene: Scene, name: str, outcomes: dict[str, Outcome]) -> EffectSize:
+def _size(scene: Scene, name: str, outcomes: dict[str, Outcome], sizes: Sizes) -> EffectSize:
     """Return the change by leaving an effect out of the scene, and the time that it takes."""
     solved: list[Result] = []
     for one in (outcomes["all"], outcomes["hardly"], outcomes[name]):
@@ -211,7 +205,7 @@ def _size(scene: Scene, name: str, outcomes: dict[str, Outcome]) -> EffectSize:
         solved.append(one)
     full, hardly, less = solved
     (force, marker), (noise, noise_marker) = changes(full, less), changes(full, hardly)
-    finest = _narrow(scene) / ACROSS / Fem().fineness / scene.body.thickness
+    finest = sizes.x[0].size / Fem().fineness / scene.body.thickness
     off = replace(scene, effects=replace(scene.effects, **{name: None}))
     steps = path_of(off, Fem(), finest).steps / path_of(scene, Fem(), finest).steps
     size = EffectSize(
