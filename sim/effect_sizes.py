@@ -29,7 +29,7 @@ from sim.scene import Effects, Motion, Scene
 
 # Fineness of the mesh, as in `Fem`: the first with which the product of elements, steps and
 # solutions is within `WORK`, which takes a second; and least width of a contact, in thicknesses.
-FINENESS, WORK, LEAST_WIDTH = (0.4, 0.33, 0.27, 0.22, 0.18, 0.14, 0.1), 10_000, 0.02
+FINENESS, WORK, LEAST_WIDTH = (0.4, 0.33, 0.27, 0.22, 0.18, 0.14, 0.1), 25_000, 0.02
 # Longest step of the tip, in thicknesses, and about the most frames along straight lines.
 TRAVEL, FRAMES = 1 / 8, 6
 # A press that is too hard for these limits is given up: it would take longer than the table may.
@@ -43,9 +43,10 @@ LIMITS = Fem(
     halvings=2,
 )
 # Strength of the effects that should change nothing, and the multiple of that change, and fraction
-# of its own one, of which a change is unsure; at least as much as tolerances of states allow.
-HARDLY, SPREAD, UNSURE = 0.999, 3.0, 0.4
-LEAST_FORCE, LEAST_MARKER = 2e-3, 0.02
+# of its own one, of which a change is unsure; at least as much as tolerances of states allow. The
+# fraction grows with the elements where the mesh is coarser than this fineness.
+HARDLY, SPREAD, UNSURE, RESOLVED = 0.999, 3.0, 0.4, 0.3
+LEAST_FORCE, LEAST_MARKER = 5e-3, 0.02
 # Iterations of the linear solver that take as long as the rest of one Newton iteration.
 NEWTON = 50
 
@@ -144,7 +145,7 @@ def effects_table(
             if isinstance(one, SimulationDiverged):
                 one.forget_dump()
     each = [
-        _size(scene, name, outcomes, sizes)
+        _size(scene, name, outcomes, settings.fineness, sizes.x[0].size)
         if name in outcomes
         else EffectSize(name, 0.0, 0.0, 0.0, 0.0, why="of no strength")
         for name in scene.effects.key
@@ -196,8 +197,13 @@ def _coarse(scene: Scene, solutions: int) -> tuple[Fem, Sizes]:
     return settings, sizes
 
 
-def _size(scene: Scene, name: str, outcomes: dict[str, Outcome], sizes: Sizes) -> EffectSize:
-    """Return the change by leaving an effect out of the scene, and the time that it takes."""
+def _size(
+    scene: Scene, name: str, outcomes: dict[str, Outcome], fineness: float, side: float
+) -> EffectSize:
+    """Return the change by leaving an effect out of the scene, and the time that it takes.
+
+    `side` is that of elements at fineness 1 [m].
+    """
     solved: list[Result] = []
     for one in (outcomes["all"], outcomes["hardly"], outcomes[name]):
         if isinstance(one, SimulationDiverged):
@@ -205,18 +211,19 @@ def _size(scene: Scene, name: str, outcomes: dict[str, Outcome], sizes: Sizes) -
         solved.append(one)
     full, hardly, less = solved
     (force, marker), (noise, noise_marker) = changes(full, less), changes(full, hardly)
-    finest = sizes.x[0].size / Fem().fineness / scene.body.thickness
+    unsure = UNSURE * max(1.0, RESOLVED / fineness)
+    finest = side / Fem().fineness / scene.body.thickness
     off = replace(scene, effects=replace(scene.effects, **{name: None}))
     steps = path_of(off, Fem(), finest).steps / path_of(scene, Fem(), finest).steps
     size = EffectSize(
         name,
         marker=marker,
-        marker_unsure=max(UNSURE * marker, SPREAD * noise_marker, LEAST_MARKER),
+        marker_unsure=max(unsure * marker, SPREAD * noise_marker, LEAST_MARKER),
         time=1.0 - steps * _work(less) / _work(full),
     )
     if not full.force.any():
         return replace(size, why="no contact")
-    return replace(size, force=force, force_unsure=max(UNSURE * force, SPREAD * noise, LEAST_FORCE))
+    return replace(size, force=force, force_unsure=max(unsure * force, SPREAD * noise, LEAST_FORCE))
 
 
 def changes(full: Result, less: Result) -> tuple[float, float]:
