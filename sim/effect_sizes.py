@@ -44,7 +44,7 @@ LIMITS = Fem(
 )
 # Strength of the effects that should change nothing, and the multiple of that change, and fraction
 # of its own one, of which a change is unsure; at least as much as tolerances of states allow. The
-# fraction grows with the elements where the mesh is coarser than this fineness.
+# fraction grows with the square of the elements where the mesh is coarser than this fineness.
 HARDLY, SPREAD, UNSURE, RESOLVED = 0.999, 3.0, 0.4, 0.3
 LEAST_FORCE, LEAST_MARKER = 5e-3, 0.02
 # Iterations of the linear solver that take as long as the rest of one Newton iteration.
@@ -211,7 +211,7 @@ def _size(
         solved.append(one)
     full, hardly, less = solved
     (force, marker), (noise, noise_marker) = changes(full, less), changes(full, hardly)
-    unsure = UNSURE * max(1.0, RESOLVED / fineness)
+    unsure = UNSURE * max(1.0, RESOLVED / fineness) ** 2
     finest = side / Fem().fineness / scene.body.thickness
     off = replace(scene, effects=replace(scene.effects, **{name: None}))
     steps = path_of(off, Fem(), finest).steps / path_of(scene, Fem(), finest).steps
