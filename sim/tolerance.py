@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -94,11 +94,12 @@ WHOLLY = 0.97
 IN_TIME = 1 / 3
 # Fraction of a limited time in which those steps are chosen, and their error if there is none.
 CHOOSING, UNCHOSEN = 0.5, 0.3
-# Fineness of the first mesh if the time is limited: seconds on one core.
-QUICK = 0.3
-# Power of the fineness by which the time of a mesh grows, and fraction of the time left that a
-# pair of meshes may take by it.
-TIME_POWER, SPENT = 4.0, 0.7
+# Fineness of the first mesh if the time is limited: a second or two on one core.
+QUICK = 0.15
+# Power of the fineness by which the time of a mesh grows: on a core about with the elements and
+# steps, on a GPU with launches. Fraction of the time left that a pair of meshes may take by it; and
+# the least fineness that fits, over the last one, with which a finer mesh is tried all the same.
+TIME_POWER, SPENT, HOPE = {"cpu": 4.0, "cuda": 2.0}, 0.7, 0.7
 # Range of the ratio of fineness from one mesh to the next.
 FINER_LEAST, FINER_MOST = 1.25, 2.0
 # Elements beyond which a tolerance is rejected: a quarter of an hour on a CPU.
@@ -188,7 +189,8 @@ class _Search:
         """Least error so far, in the unit of the tolerance; its result and settings."""
         self._steps: TimeSteps | None = None
         self._cost = 0.0
-        """Time of the largest mesh so far over its fineness to the power of `TIME_POWER` [s]."""
+        self._power = TIME_POWER["cpu" if device == "cpu" else "cuda"]
+        """Time of the last meshes over the sum of their fineness to this power [s]."""
 
     def run(self) -> None:
         """Solve until the tolerance is reached, or finer meshes are of no use.
@@ -205,14 +207,13 @@ class _Search:
             states = replace(states, step_factor=self._steps.factor)
         fineness, solved = states.fineness, 0.0
         if self.until < math.inf:
-            quick = [replace(states, fineness=QUICK)]
-            (first,) = self._solved(quick)
-            self._offer(first, quick)
+            self._solved([replace(states, fineness=QUICK)])
             solved = QUICK
         for _round in range(ROUNDS):
-            fineness = min(fineness, self._affordable())
-            if fineness < FINER_LEAST * solved:
+            affordable = self._affordable()
+            if affordable < HOPE * solved:
                 return self._tried.append("no time for a finer mesh")
+            fineness = min(fineness, max(affordable, FINER_LEAST * solved))
             (mesh,) = meshes_of([self._scene], replace(states, fineness=fineness))
             limited = mesh.fineness < WHOLLY * fineness
             fineness = min(fineness, float(mesh.fineness))
@@ -221,7 +222,6 @@ class _Search:
             solved = fineness
             if least_ratio(coarse, fine) < RATIO_LEAST:
                 self._tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
-                self._offer(fine, pair[1:])
                 if limited:
                     return None
                 fineness *= COMPANION
@@ -263,28 +263,34 @@ class _Search:
             self.best = value, result, settings
 
     def _solved(self, settings: list[Fem]) -> list[Result]:
+        """Return the results on meshes, the first of which is an answer by itself."""
         began = time.perf_counter()
-        results = solve_in_turn(
+        results: list[Result] = []
+        in_turn = solve_in_turn(
             self._scene, settings, self._steps, self._device, progress=self._progress
         )
+        for result in in_turn:
+            if not results and self.until < math.inf:
+                self._offer(result, settings[:1])
+            results.append(result)
         spent = time.perf_counter() - began
-        self._cost = spent / sum(one.fineness**TIME_POWER for one in settings)
+        self._cost = spent / sum(one.fineness**self._power for one in settings)
         return results
 
     def _affordable(self) -> float:
         """Return the fineness of a mesh that fits, with its companion, into the time left."""
         if self.until == math.inf or not self._cost:
             return math.inf
-        both = self._cost * (1 + COMPANION**-TIME_POWER)
+        both = self._cost * (1 + COMPANION**-self._power)
         left = max(SPENT * (self.until - time.monotonic()), 0.0)
-        return float((left / both) ** (1 / TIME_POWER))
+        return float((left / both) ** (1 / self._power))
 
     def cost_of(self, error: float, wanted: Tolerance) -> str:
         """Return what the tolerance would cost, in words."""
         if self.best is None or error == math.inf:
             return f"{wanted} was not reached"
         finer = self.best[2][-1].fineness * (error / wanted.value) ** (1 / ORDER)
-        seconds = self._cost * (1 + COMPANION**-TIME_POWER) * finer**TIME_POWER
+        seconds = self._cost * (1 + COMPANION**-self._power) * finer**self._power
         return (
             f"{wanted} was not reached: {with_unit(wanted.kind, error)}; it needs a fineness of "
             f"about {finer:.2g}, which takes about {seconds:.2g} s here, if a mesh may be so fine"
@@ -298,10 +304,10 @@ def solve_in_turn(
     device: str,
     *,
     progress: Progress | None = None,
-) -> list[Result]:
+) -> Iterator[Result]:
     """Solve a scene on meshes of different fineness, each with the sizes that those before need.
 
-    The results have the error by `steps` in time.
+    Yields the results, which have the error by `steps` in time.
 
     Raises:
         SimulationDiverged: There is no solution on one of them.
@@ -310,11 +316,10 @@ def solve_in_turn(
     from sim.fem.solver import Required, precision_for_finer, simulate_fem
 
     required: Required = {}
-    results: list[Result] = []
+    before: Result | None = None
     for part, numerics in enumerate(settings):
-        if results:
-            precision = precision_for_finer(results[-1], numerics)
-            numerics = replace(numerics, precision=precision)
+        if before is not None:
+            numerics = replace(numerics, precision=precision_for_finer(before, numerics))
         (outcome,) = simulate_fem(
             [scene],
             numerics,
@@ -325,8 +330,8 @@ def solve_in_turn(
         outcome = estimated(with_time(outcome, steps, numerics))
         if isinstance(outcome, SimulationDiverged):
             raise outcome
-        results.append(outcome)
-    return results
+        before = outcome
+        yield outcome
 
 
 def replay(result: Result, *, device: str = "cpu") -> Result:

@@ -119,10 +119,11 @@ def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
 ) -> None:
     """Whatever the machine: what can be afforded is set here."""
     afforded = [0.48, 0.1]
+    entries = ["fineness 0.15", "fineness 0.3", "fineness 0.48"]
     monkeypatch.setattr(module._Search, "_affordable", lambda _search: afforded.pop(0))
     result = plan(BALL, "0.5 %", seconds=1e3, only="fem").run()
     entry = result.record["plan"]
-    assert [one.split(":")[0] for one in entry["tried"]] == ["fineness 0.3", "fineness 0.48"]
+    assert [one.split(":")[0] for one in entry["tried"]] == entries
     assert entry["why"] == "no time for a finer mesh"
     assert not entry["reached"]
     assert "it needs a fineness of about" in entry["notes"][0]
@@ -141,7 +142,7 @@ def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
 def test_a_press_without_a_solution_goes_on_with_a_skin_that_stiffens(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    scene = replace(BALL, motion=press([0.3e-3, 1.5e-3]))
+    scene = replace(BALL, motion=press([0.3e-3, 2.2e-3]))
     real = solver._solve
 
     def folds(*arguments: Any) -> list[Outcome]:
@@ -158,7 +159,7 @@ def test_a_press_without_a_solution_goes_on_with_a_skin_that_stiffens(
     assert entry["coefficients"] == [4.0, 12.0]
     assert entry["waypoint"] == 2
     assert result.record["stages"][-1]["waypoints"] == 2
-    assert 0 < entry["spread"][2] < 0.05
+    assert 0.01 < entry["spread"][2] < 0.3
     assert any("from waypoint 2 on the skin stiffens" in one for one in result.record["warnings"])
     stated = with_estimate(result).record["error"]["force"]
     without = {name: value for name, value in result.record.items() if name != "stiffening"}
@@ -167,4 +168,5 @@ def test_a_press_without_a_solution_goes_on_with_a_skin_that_stiffens(
     assert stated[2] - plainly[2] >= 0.99 * PER_SPREAD * entry["spread"][2]
     monkeypatch.setattr(solver, "_solve", real)
     soft = simulate(scene, Fem(spacing=1e-3))
-    np.testing.assert_allclose(result.force[2], soft.force[2], rtol=0.15, atol=0.05)
+    off = abs(result.force[2, 2] / soft.force[2, 2] - 1)
+    assert 0.01 < off < stated[2] + soft.record["error"]["force"][2]
