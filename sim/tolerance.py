@@ -19,14 +19,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.progress import part_of
 from sim.error_estimate import (
     LAYER_LEAST,
     LAYER_PER_DEPTH,
@@ -51,6 +50,7 @@ from sim.tiers import simulate
 
 if TYPE_CHECKING:
     from sim.fem.in_time import TimeSteps
+    from sim.fem.solver import Required
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -86,8 +86,10 @@ UNBALANCED = 10.0
 MARKERS = 1.5
 # Required elements over allowed ones above which a tolerance is not tried further.
 HOPELESS = 8.0
-# Most pairs of meshes that are tried.
-ROUNDS = 4
+# Most meshes whose error is measured, and that if the time is limited.
+ROUNDS, QUICK_ROUNDS = 4, 12
+# Largest ratio of fineness by which the next mesh's error is measured.
+APART_MOST = 2.2
 # Fineness of a mesh over the requested one, below which the limit on elements was reached.
 WHOLLY = 0.97
 # Fraction of the tolerance for the error by time steps, of inertia.
@@ -97,7 +99,7 @@ CHOOSING, UNCHOSEN = 0.5, 0.3
 # Fineness of the first mesh if the time is limited: a second or two on one core.
 QUICK = 0.15
 # Power of the fineness by which the time of a mesh grows: on a core about with the elements and
-# steps, on a GPU with launches. Fraction of the time left that a pair of meshes may take by it; and
+# steps, on a GPU with launches. Fraction of the time left that a mesh may take by it; and
 # the least fineness that fits, over the last one, with which a finer mesh is tried all the same.
 TIME_POWER, SPENT, HOPE = {"cpu": 4.0, "cuda": 2.0}, 0.7, 0.7
 # Range of the ratio of fineness from one mesh to the next.
@@ -121,7 +123,8 @@ def simulate_within(
     were computed. `record["error"]` has the error and its kind: `estimated` for `layer` and for a
     single mesh, `measured` for two. `record["plan"]` has the choice (`chosen`, `why`, `notes`),
     whether the tolerance was reached (`reached`), the earlier attempts (`tried`), the total time
-    (`seconds`), and the settings by which `sim.replay` computes the same result again (`settings`).
+    (`seconds`), and that by which `sim.replay` computes the same result again: the `settings` of
+    its meshes, and the index of the one by which its error was measured (`companion`).
 
     Args:
         scene: Scene to simulate.
@@ -164,9 +167,76 @@ def simulate_within(
         raise SimulationDiverged(
             f"no solution in {seconds:g} s; tried: {'; '.join(tried)} (allowed: more seconds)"
         )
-    value, result, settings = search.best
+    value, result, settings, companion = search.best
     notes = [] if value <= wanted.value else [search.cost_of(value, wanted)]
-    return _with_plan(result, wanted, tried, began, *notes, settings=settings, value=value)
+    return _with_plan(
+        result,
+        wanted,
+        tried,
+        began,
+        *notes,
+        settings=settings,
+        companion=companion,
+        reached=value <= wanted.value,
+    )
+
+
+class _Chain:
+    """Meshes of one scene, solved one after the other: each has the sizes that those before need.
+
+    The results have the error by `steps` in time.
+    """
+
+    def __init__(self, scene: Scene, steps: TimeSteps | None, device: str) -> None:
+        self._scene, self._steps, self._device = scene, steps, device
+        self._required: Required = {}
+        self.settings: list[Fem] = []
+        self.results: list[Result] = []
+
+    def solve(self, numerics: Fem, progress: Progress | None = None) -> Result:
+        """Solve on the next mesh.
+
+        Raises:
+            SimulationDiverged: There is no solution on it.
+        """
+        from sim.fem.in_time import with_time
+        from sim.fem.solver import precision_for_finer, simulate_fem
+
+        if self.results:
+            precision = precision_for_finer(self.results[-1], numerics)
+            numerics = replace(numerics, precision=precision)
+        (outcome,) = simulate_fem(
+            [self._scene],
+            numerics,
+            device=self._device,
+            progress=progress,
+            required=self._required,
+        )
+        outcome = estimated(with_time(outcome, self._steps, numerics))
+        if isinstance(outcome, SimulationDiverged):
+            raise outcome
+        self.settings.append(numerics)
+        self.results.append(outcome)
+        return outcome
+
+    def companion(self) -> int | None:
+        """Return the index of the finest mesh that the error of the last one can be measured by."""
+        *coarser, fine = self.results
+        for index in range(len(coarser) - 1, -1, -1):
+            if least_ratio(coarser[index], fine) >= RATIO_LEAST:
+                return index
+        return None
+
+    def measured(self, companion: int | None, wanted: Tolerance) -> tuple[Result, float]:
+        """Return the last result and its error in the unit of `wanted`, estimated or by two meshes.
+
+        `companion` is the index of the other mesh; None: the error is estimated.
+        """
+        fine = self.results[-1]
+        if companion is None:
+            return fine, estimate_of(fine, wanted)
+        floor = max(FLOOR, UNBALANCED * self.settings[-1].tolerance)
+        return extrapolated(self.results[companion], fine, wanted, floor)
 
 
 class _Search:
@@ -185,12 +255,12 @@ class _Search:
         self._device, self._progress, self._tried = device, progress, tried
         self.until = math.inf if seconds is None else time.monotonic() + seconds
         """Time of `time.monotonic` at which the search ends."""
-        self.best: tuple[float, Result, list[Fem]] | None = None
-        """Least error so far, in the unit of the tolerance; its result and settings."""
-        self._steps: TimeSteps | None = None
+        self.best: tuple[float, Result, list[Fem], int | None] | None = None
+        """Least error so far, in the unit of the tolerance; its result, the settings of the meshes
+        up to its own, and the index of the mesh by which the error was measured."""
         self._cost = 0.0
+        """Time of the last mesh over its fineness to the next power [s]."""
         self._power = TIME_POWER["cpu" if device == "cpu" else "cuda"]
-        """Time of the last meshes over the sum of their fineness to this power [s]."""
 
     def run(self) -> None:
         """Solve until the tolerance is reached, or finer meshes are of no use.
@@ -202,41 +272,49 @@ class _Search:
         from sim.fem.mesh import meshes_of
 
         states = first_mesh(self._scene, self._wanted, self._device)
-        self._steps = self._in_time(states)
-        if self._steps is not None:
-            states = replace(states, step_factor=self._steps.factor)
-        fineness, solved = states.fineness, 0.0
+        steps = self._in_time(states)
+        if steps is not None:
+            states = replace(states, step_factor=steps.factor)
+        chain = _Chain(self._scene, steps, self._device)
+        fineness, solved, limited = states.fineness, 0.0, False
         if self.until < math.inf:
-            self._solved([replace(states, fineness=QUICK)])
-            solved = QUICK
-        for _round in range(ROUNDS):
+            solved = self._solve(chain, replace(states, fineness=QUICK))
+        for _round in range(ROUNDS if self.until == math.inf else QUICK_ROUNDS):
             affordable = self._affordable()
             if affordable < HOPE * solved:
                 return self._tried.append("no time for a finer mesh")
             fineness = min(fineness, max(affordable, FINER_LEAST * solved))
             (mesh,) = meshes_of([self._scene], replace(states, fineness=fineness))
-            limited = mesh.fineness < WHOLLY * fineness
+            limited = limited or mesh.fineness < WHOLLY * fineness
             fineness = min(fineness, float(mesh.fineness))
-            pair = [replace(states, fineness=one) for one in (fineness / COMPANION, fineness)]
-            coarse, fine = self._solved(pair)
-            solved = fineness
-            if least_ratio(coarse, fine) < RATIO_LEAST:
+            if solved < fineness / APART_MOST:
+                self._solve(chain, replace(states, fineness=fineness / COMPANION))
+            solved = self._solve(chain, replace(states, fineness=fineness))
+            companion = chain.companion()
+            if companion is None:
                 self._tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
                 if limited:
                     return None
                 fineness *= COMPANION
                 continue
-            floor = max(FLOOR, UNBALANCED * states.tolerance)
-            result, error = extrapolated(coarse, fine, self._wanted, floor)
-            self._offer(result, pair, error)
+            error = self._offer(chain, companion)
             if error <= self._wanted.value:
                 return None
             finer = (error / self._wanted.value) ** 0.5 * 1.05
-            elements = fine.record["mesh"]["elements"] * finer**3
+            elements = chain.results[-1].record["mesh"]["elements"] * finer**3
             if limited or elements > HOPELESS * states.elements_max:
                 return None
             fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
         return None
+
+    def _solve(self, chain: _Chain, numerics: Fem) -> float:
+        """Solve on the next mesh, an answer if the time is limited; return its fineness."""
+        began = time.perf_counter()
+        chain.solve(numerics, self._progress)
+        self._cost = (time.perf_counter() - began) / numerics.fineness**self._power
+        if self.until < math.inf:
+            self._offer(chain, None)
+        return numerics.fineness
 
     def _in_time(self, states: Fem) -> TimeSteps | None:
         """Return the time steps of inertia, and their error; None without it."""
@@ -252,86 +330,33 @@ class _Search:
         except OutOfTime:
             return TimeSteps(1, np.full(len(self._scene.motion), UNCHOSEN))
 
-    def _offer(self, result: Result, settings: list[Fem], error: float | None = None) -> None:
-        """Make a result the best one if its error is the least; append it to the attempts."""
-        value = estimate_of(result, self._wanted) if error is None else error
-        way = "estimated" if error is None else "measured"
-        finest = settings[-1].fineness
-        words = with_unit(self._wanted.kind, value) if value < math.inf else "error not known"
-        self._tried.append(f"fineness {finest:.3g}: {words}, {way}")
-        if self.best is None or value < self.best[0]:
-            self.best = value, result, settings
-
-    def _solved(self, settings: list[Fem]) -> list[Result]:
-        """Return the results on meshes, the first of which is an answer by itself."""
-        began = time.perf_counter()
-        results: list[Result] = []
-        in_turn = solve_in_turn(
-            self._scene, settings, self._steps, self._device, progress=self._progress
-        )
-        for result in in_turn:
-            if not results and self.until < math.inf:
-                self._offer(result, settings[:1])
-            results.append(result)
-        spent = time.perf_counter() - began
-        self._cost = spent / sum(one.fineness**self._power for one in settings)
-        return results
+    def _offer(self, chain: _Chain, companion: int | None) -> float:
+        """Make the last result the best one if its error is the least; return that error."""
+        result, error = chain.measured(companion, self._wanted)
+        way = "estimated" if companion is None else "measured"
+        words = with_unit(self._wanted.kind, error) if error < math.inf else "error not known"
+        self._tried.append(f"fineness {chain.settings[-1].fineness:.3g}: {words}, {way}")
+        if self.best is None or error < self.best[0]:
+            self.best = error, result, list(chain.settings), companion
+        return error
 
     def _affordable(self) -> float:
-        """Return the fineness of a mesh that fits, with its companion, into the time left."""
+        """Return the fineness of a mesh that fits into the time left."""
         if self.until == math.inf or not self._cost:
             return math.inf
-        both = self._cost * (1 + COMPANION**-self._power)
         left = max(SPENT * (self.until - time.monotonic()), 0.0)
-        return float((left / both) ** (1 / self._power))
+        return float((left / self._cost) ** (1 / self._power))
 
     def cost_of(self, error: float, wanted: Tolerance) -> str:
         """Return what the tolerance would cost, in words."""
         if self.best is None or error == math.inf:
             return f"{wanted} was not reached"
         finer = self.best[2][-1].fineness * (error / wanted.value) ** (1 / ORDER)
-        seconds = self._cost * (1 + COMPANION**-self._power) * finer**self._power
+        seconds = self._cost * finer**self._power
         return (
             f"{wanted} was not reached: {with_unit(wanted.kind, error)}; it needs a fineness of "
             f"about {finer:.2g}, which takes about {seconds:.2g} s here, if a mesh may be so fine"
         )
-
-
-def solve_in_turn(
-    scene: Scene,
-    settings: Sequence[Fem],
-    steps: TimeSteps | None,
-    device: str,
-    *,
-    progress: Progress | None = None,
-) -> Iterator[Result]:
-    """Solve a scene on meshes of different fineness, each with the sizes that those before need.
-
-    Yields the results, which have the error by `steps` in time.
-
-    Raises:
-        SimulationDiverged: There is no solution on one of them.
-    """
-    from sim.fem.in_time import with_time
-    from sim.fem.solver import Required, precision_for_finer, simulate_fem
-
-    required: Required = {}
-    before: Result | None = None
-    for part, numerics in enumerate(settings):
-        if before is not None:
-            numerics = replace(numerics, precision=precision_for_finer(before, numerics))
-        (outcome,) = simulate_fem(
-            [scene],
-            numerics,
-            device=device,
-            progress=None if progress is None else part_of(progress, part, len(settings)),
-            required=required,
-        )
-        outcome = estimated(with_time(outcome, steps, numerics))
-        if isinstance(outcome, SimulationDiverged):
-            raise outcome
-        before = outcome
-        yield outcome
 
 
 def replay(result: Result, *, device: str = "cpu") -> Result:
@@ -356,11 +381,10 @@ def replay(result: Result, *, device: str = "cpu") -> Result:
         from sim.fem.in_time import TimeSteps
 
         steps = TimeSteps(**result.record["time"]) if "time" in result.record else None
-        *coarse, again = solve_in_turn(result.scene, settings, steps, device)
-        if coarse:
-            floor = max(FLOOR, UNBALANCED * settings[0].tolerance)
-            wanted = tolerance_of(entry["tolerance"])
-            again, _error = extrapolated(coarse[0], again, wanted, floor)
+        chain = _Chain(result.scene, steps, device)
+        for numerics in settings:
+            chain.solve(numerics)
+        again, _error = chain.measured(entry["companion"], tolerance_of(entry["tolerance"]))
     return replace(again, record={**again.record, "plan": entry})
 
 
@@ -562,16 +586,18 @@ def _with_plan(
     began: float,
     *notes: str,
     settings: Sequence[Fem],
-    value: float = 0.0,
+    companion: int | None = None,
+    reached: bool = True,
 ) -> Result:
     plan = {
         "tolerance": str(wanted),
-        "reached": value <= wanted.value,
+        "reached": reached,
         "chosen": result.tier,
         "why": tried[-1],
         "tried": tried[:-1],
         "notes": list(notes),
         "seconds": round(time.perf_counter() - began, 4),
         "settings": [to_json(one) for one in settings],
+        "companion": companion,
     }
     return with_rounding(replace(result, record={**result.record, "plan": plan}))

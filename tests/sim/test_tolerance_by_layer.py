@@ -26,7 +26,7 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
     def rejected(*_arguments: Any, **_options: Any) -> Result:
         raise AssertionError("fem was solved")
 
-    monkeypatch.setattr(module, "solve_in_turn", rejected)
+    monkeypatch.setattr(module._Chain, "solve", rejected)
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def meshes_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     def mesh(*_arguments: Any, **_options: Any) -> Any:
         raise SimulationDiverged("a mesh was tried")
 
-    monkeypatch.setattr(module, "solve_in_turn", mesh)
+    monkeypatch.setattr(module._Chain, "solve", mesh)
 
 
 @pytest.mark.usefixtures("no_meshes")

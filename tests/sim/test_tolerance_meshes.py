@@ -103,7 +103,7 @@ def test_the_best_answer_stands_where_finer_meshes_have_none(
     monkeypatch.setattr(module, "FIRST_LEAST", 0.3)
     result = simulate_within(BALL, "0.5 %", tier="fem")
     plan = result.record["plan"]
-    assert solved == pytest.approx([0.1875, 0.3, 0.375, 0.6, 0.75], abs=0.01)
+    assert solved == pytest.approx([0.1875, 0.3, 0.6, 1.2], abs=0.01)
     assert not plan["reached"]
     assert plan["why"] == "lost"
     assert plan["notes"][0].startswith("0.5 % was not reached: ")
@@ -118,8 +118,8 @@ def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Whatever the machine: what can be afforded is set here."""
-    afforded = [0.48, 0.1]
-    entries = ["fineness 0.15", "fineness 0.3", "fineness 0.48"]
+    afforded = [0.48, 0.3]
+    entries = ["fineness 0.15", "fineness 0.3", "fineness 0.48", "fineness 0.48"]
     monkeypatch.setattr(module._Search, "_affordable", lambda _search: afforded.pop(0))
     result = plan(BALL, "0.5 %", seconds=1e3, only="fem").run()
     entry = result.record["plan"]
