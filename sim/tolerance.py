@@ -272,6 +272,10 @@ class _Search:
         from sim.fem.mesh import meshes_of
 
         states = first_mesh(self._scene, self._wanted, self._device)
+        if self.until < math.inf and self._scene.effects.inertia is not None:
+            # An answer before its steps in time are chosen, which takes longer.
+            guess = _Chain(self._scene, self._unchosen, self._device)
+            self._solve(guess, replace(states, fineness=QUICK, step_factor=1))
         steps = self._in_time(states)
         if steps is not None:
             states = replace(states, step_factor=steps.factor)
@@ -293,6 +297,8 @@ class _Search:
             companion = chain.companion()
             if companion is None:
                 self._tried.append(f"fineness {fineness:.3g}: no coarser mesh to measure by")
+                if self.until == math.inf:
+                    self._offer(chain, None)
                 if limited:
                     return None
                 fineness *= COMPANION
@@ -318,7 +324,7 @@ class _Search:
 
     def _in_time(self, states: Fem) -> TimeSteps | None:
         """Return the time steps of inertia, and their error; None without it."""
-        from sim.fem.in_time import TimeSteps, time_steps
+        from sim.fem.in_time import time_steps
         from sim.fem.stepping import OutOfTime, limited
 
         wanted = self._wanted
@@ -328,7 +334,14 @@ class _Search:
             with limited(now + CHOOSING * (self.until - now)):
                 return time_steps(self._scene, states, self._device, sought)
         except OutOfTime:
-            return TimeSteps(1, np.full(len(self._scene.motion), UNCHOSEN))
+            return self._unchosen
+
+    @property
+    def _unchosen(self) -> TimeSteps:
+        """As many steps in time as usual, and an error for them without a measurement."""
+        from sim.fem.in_time import TimeSteps
+
+        return TimeSteps(1, np.full(len(self._scene.motion), UNCHOSEN))
 
     def _offer(self, chain: _Chain, companion: int | None) -> float:
         """Make the last result the best one if its error is the least; return that error."""
