@@ -120,7 +120,7 @@ def _with_error(value: float | None, error: float | None, factor: float, unit: s
 def effects_table(
     scene: Scene, *, device: str = "cpu", progress: Callable[[float], None] | None = None
 ) -> EffectsTable:
-    """Return what each effect changes: force, markers and time.
+    """Return the changes by each effect: of force, markers and time.
 
     Args:
         scene: Scene with the effects in question.

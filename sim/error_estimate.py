@@ -41,7 +41,7 @@ PER_OVERLAP = 2.0
 # neo-Hookean one: under the paper's cone 1.2 mm deep they differ by 6 %, and the softer one is 31 %
 # above axisymmetric neo-Hookean elements, with 10 % of error by its mesh.
 PER_SPREAD = 4.0
-# Error of the force over the penetration's share of the depth, beyond what is ignored: in thin and
+# Error of the force over the penetration's share of the depth, beyond an ignored one: in thin and
 # nearly incompressible layers 27 to 32 % of penetration made forces 17 to 20 % too small.
 PER_PENETRATION, PENETRATION_GOOD = 0.7, 0.01
 # Error of the force of a contact that reaches the rim of a round body, which cuts through elements:

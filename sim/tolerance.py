@@ -361,7 +361,7 @@ class _Search:
         return float((left / self._cost) ** (1 / self._power))
 
     def cost_of(self, error: float, wanted: Tolerance) -> str:
-        """Return what the tolerance would cost, in words."""
+        """Return the cost of the tolerance, in words."""
         if self.best is None or error == math.inf:
             return f"{wanted} was not reached"
         finer = self.best[2][-1].fineness * (error / wanted.value) ** (1 / ORDER)

@@ -234,7 +234,7 @@ def scenes(count: int, folder: Path) -> list[Drawn]:
 
 
 def table_errors(one: Drawn) -> Row:
-    """Return the table of a scene, and what leaving each effect out changes in full solves."""
+    """Return the table of a scene, and the changes in full solves that leave each effect out."""
     stated, spent = spent_by(partial(effects_table, one.scene), "cpu")
     row: Row = {"scene": one.name, "seconds": rounded(spent.cpu), "effects": []}
     scenes = variants(one.scene)

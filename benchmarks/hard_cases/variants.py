@@ -64,7 +64,7 @@ def _leaning(angle: float) -> Scene:
     return _pressed(flat_punch(3 * MM, 0.5 * MM).tilted(0.0, math.radians(angle)), GEL, 0.8)
 
 
-# What is varied of each scene, its values, and the scene of a value.
+# The property of each scene that is varied, its values, and the scene of a value.
 HARD: dict[str, tuple[str, tuple[Any, ...], Callable[[Any], Scene]]] = {
     "wide sphere, thin gel": (
         "nu, mm", ((0.49, 0.1), (0.499, 0.1), (0.499, 0.2), (0.4999, 0.1), (0.4999, 0.2)), _thin

@@ -439,7 +439,7 @@ def _add_effect_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--effects",
         action="store_true",
-        help="only print a table of what each effect changes: force [%%], markers [px] and time "
+        help="only print a table of the changes by each effect: force [%%], markers [px] and time "
         "[%%], by a coarse mesh",
     )
 

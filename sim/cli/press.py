@@ -84,7 +84,7 @@ def _show(
 
 
 def _show_effects(scene: Scene, options: argparse.Namespace) -> int:
-    """Print what each effect changes and return the exit code."""
+    """Print the changes by each effect and return the exit code."""
     for name in ("out", "save", "tolerance", "seconds", "tier"):
         if (value := getattr(options, name)) is not None:
             allowed = "without, it only prints a table by a coarse mesh"

@@ -298,7 +298,7 @@ class SolverState:
         if "inertia" not in self._effects:
             return
         last, span, before = self._times
-        moves = duration > 0  # what happens in no time ends at rest
+        moves = duration > 0  # a motion in no time ends at rest
         ratio = np.where(moves & self._smooth(duration), duration / last, 0.0)
         ratio[ratio > LONGER] = 0.0
         onward, now = ratio**2 / (1 + 2 * ratio), duration * (1 + ratio) / (1 + 2 * ratio)
@@ -396,7 +396,7 @@ class SolverState:
     def accept(self, chosen: np.ndarray, duration: np.ndarray, mesh) -> None:
         """Make the current state of the chosen environments (B,) the start of their next step.
 
-        All but what `store` does.
+        All but the work of `store`.
         """
         if self._branches is not None:
             self._branches.keep(mesh, self.material, self.mask(chosen), self.u)

@@ -55,7 +55,7 @@ def simulate_in_time(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
-    """Return the outcomes of `simulate_fem`, with `record["time"]` of what depends on time.
+    """Return the outcomes of `simulate_fem`, with `record["time"]` of inertia or viscosity.
 
     It has `factor` and `force`, see `TimeSteps`.
     """

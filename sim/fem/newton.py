@@ -351,7 +351,7 @@ class Newton:
 # Preconditioned conjugate gradients on all environments at once, each stopping independently.
 #
 # A row holds the index of an environment, or -1. On a CPU, and for a single environment, a solve is
-# one graph with a loop, and what is read back is one array of `SCALARS` at the end. For more of
+# one graph with a loop, and one array of `SCALARS` is read back at the end. For more of
 # them on a GPU, the beginning and the iterations, of five kernels each, are graphs, recorded once
 # per number of launched rows, and the indices of running environments are read after every `LOOK`
 # iterations: when half of the environments have finished, the others move together and half as many
@@ -595,7 +595,7 @@ class ConjugateGradient:
                 key = len(self._which), grids
 
     def status(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what the last solve of each environment came to, once it has ended (B,).
+        """Return the ends of the last solve of each environment, once it is over (B,).
 
         Its iterations, -(right-hand side) . solution, and True if it has met a direction along
         which the tangent is not convex.

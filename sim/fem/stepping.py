@@ -152,7 +152,7 @@ class Path:
     longest: float
     """Length of the longest step."""
     by_time: Array
-    """Number of steps of each segment by what depends on time (F,)."""
+    """Number of steps of each segment by inertia or viscosity (F,)."""
     halvings_max: int
     factor: int = 1
     """Factor on the number of steps."""

@@ -15,7 +15,7 @@ Whole = NDArray[np.int64]
 # Angles between facets of one curved surface [rad]: below the first they are one plane; beyond the
 # second, as drawings programs never export them, they meet at an edge.
 PLANE, BENT = math.radians(0.05), math.radians(30.5)
-# Largest distance of a curved surface from its facets [m]; what would bulge more is meant as flat.
+# Largest distance of a curved surface from its facets [m]; beyond, they are meant flat.
 BULGE_MOST = 0.12e-3
 # Distance from the curved surface of the facets that are returned [m], and most per edge.
 CLOSE, PARTS_MOST = 1e-6, 16

@@ -29,7 +29,7 @@ POINTS, POINTS_MOST, FEW = 40_000, 1_000_000, 1_000
 THROUGH = 4e-6
 # Share of the surface that is no edge.
 SPECKS = 1e-3
-# Length over radius beyond which what is removed is more than an edge: 1 / tan(half of 44 degrees).
+# Length over radius beyond which more than an edge is removed: 1 / tan(half of 44 degrees).
 EDGE = 2.5
 # Radius of the ball that fits into an edge, over the edge's.
 NEARLY = 0.95
@@ -76,7 +76,7 @@ class Surface:
     def fits(self, radius: float, count: int = POINTS_MOST) -> NDArray[np.bool_]:
         """Return at which points (N,) a ball of that radius [m] within the body touches it.
 
-        What no ball touches is what rounding to that radius removes.
+        Parts that no ball touches are those that rounding to that radius removes.
         """
         points, normals = self.points[:count], self.normals[:count]
         length, _ = self.near.distance(points - radius * normals)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from sim import plan, simulate, tolerance
-from sim.errors import SceneError
 from sim.fem import Fem
 from sim.indenters import sphere
 from sim.metrics import tolerance_of
@@ -48,14 +47,14 @@ def test_a_tolerance_is_kept(truth: Result) -> None:
 
 
 @pytest.mark.slow
-def test_one_that_the_meshes_allowed_do_not_reach_is_refused_with_what_they_do(
+def test_one_that_the_meshes_allowed_do_not_reach_has_its_own_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(tolerance.ELEMENTS_MAX, "cpu", 26_000)
-    with pytest.raises(
-        SceneError, match=r"tolerance: '0\.11 %'; tried: .*; allowed: [\d.]+ % or m"
-    ):
-        plan(BALL, "0.11 %").run()
+    record = plan(BALL, "0.11 %").run().record
+    assert not record["plan"]["reached"]
+    assert 0.11 < record["error"]["percent"] < 2
+    assert record["plan"]["notes"][0].startswith("0.11 % was not reached: ")
 
 
 @pytest.mark.slow
@@ -66,8 +65,7 @@ def test_the_limit_on_elements_leaves_a_coarser_mesh_to_measure_by(
     scene = Scene(sphere(4e-3), press([0.3e-3]))
     error = plan(scene, "8 %", only="fem").run().record["error"]
     assert error["second_mesh"]["elements"] < 0.6 * 1000
-    with pytest.raises(SceneError, match=r"fineness 0\.6: 5\.\d+ %; allowed: 5\.\d+ % or more"):
-        plan(scene, "3 %", only="fem").run()
+    assert not plan(scene, "3 %", only="fem").run().record["plan"]["reached"]
 
 
 def test_meshes_too_much_alike_tell_no_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,7 +117,7 @@ def test_the_best_answer_stands_where_finer_meshes_have_none(
 def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Whatever the machine: what can be afforded is set here."""
+    """Whatever the machine: the affordable fineness is set here."""
     afforded = [0.48, 0.3]
     entries = ["fineness 0.15", "fineness 0.3", "fineness 0.48", "fineness 0.48"]
     monkeypatch.setattr(module._Search, "_affordable", lambda _search: afforded.pop(0))

@@ -165,7 +165,7 @@ def _random(run: Run, indices: Sequence[int], device: str) -> list[Row]:
 
 
 def all_judged(run: Run, scenes: Sequence[Drawn], device: str) -> list[Row]:
-    """Return the rows of scenes: first all answers, then what the referee says of them."""
+    """Return the rows of scenes: first all answers, then the referee's verdicts."""
     kinds = {one.scene.effects.key: one.scene for one in scenes}
     kernels = {f"kernels: {', '.join(key)}": scene for key, scene in kinds.items()}
     rows_of(run, partial(_compiled, device), kernels, span_of(run.progress, 0.0, 0.05))

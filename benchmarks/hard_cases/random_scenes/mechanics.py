@@ -65,7 +65,7 @@ COVERS: tuple[tuple[str, str], ...] = (
     (r"overlaps the side wall", f"{AMOUNTS}|touches"),
     (r"below the base plane", r"above-base"),
     (r"may buckle", AMOUNTS),
-    # Elements that a round rim cuts through may bear what is just beside the rim.
+    # Elements that a round rim cuts through may bear an indenter just beside the rim.
     (r"reaches the rim of the round body", f"{AMOUNTS}|touches|lets-go"),
     (r"its own image in the plane", r"symmetric"),
 )

@@ -1,6 +1,6 @@
 """Random sensible scenes: scene i of a seed is reproducible, independently of the others.
 
-The number decides what a scene has, so that every run has the same shares: a third inertia or
+The number decides the traits of a scene, so that every run has the same shares: a third inertia or
 viscosity, a third a dome or a contact at the rim, a fifth an indenter of the paper with friction
 and shear, and three in twenty an axis of symmetry, for a solver that shares no code.
 """
@@ -62,7 +62,7 @@ class Drawn:
 def drawn(seed: int, index: int, folder: Path = FOLDER) -> Drawn:
     """Return scene `index` of `seed`, writing required STL files to `folder`.
 
-    What is no scene, such as a shape that is larger than its limits, is drawn again.
+    Anything that is no scene, such as a shape beyond its limits, is drawn again.
     """
     groups = tuple(name for name, has in GROUPS.items() if has(index))
     for attempt in count():
