@@ -179,27 +179,34 @@ def _on_coarser(
     device: str,
 ) -> None:
     """Replace outcomes without a solution by solutions on coarser meshes, where there are any."""
+    if numerics.stiffening:
+        return
+    left: dict[int, SimulationDiverged] = {}
+    for i, outcome in enumerate(outcomes):
+        if isinstance(verdict := checked(outcome), SimulationDiverged):
+            left[i] = verdict
     for coarser in COARSER["cuda" if wp.get_device(device).is_cuda else "cpu"]:
-        verdicts = list(map(checked, outcomes))
-        left = [i for i, one in enumerate(verdicts) if isinstance(one, SimulationDiverged)]
-        if not left or numerics.stiffening:
+        if not left:
             return
+        chosen = list(left)
         some = solve_on_meshes(
-            [scenes[i] for i in left],
+            [scenes[i] for i in chosen],
             replace(numerics, fineness=max(FINENESS_LEAST, coarser * numerics.fineness)),
-            [sizes[i] for i in left],
+            [sizes[i] for i in chosen],
             device,
             None,
-            failed=[verdicts[i] for i in left],
+            failed=list(left.values()),
         )
-        for i, outcome in zip(left, some, strict=True):
-            before = verdicts[i]
-            if not isinstance(outcome, Result) or isinstance(before, Result):
+        for i, outcome in zip(chosen, some, strict=True):
+            if isinstance(outcome, SimulationDiverged):
                 continue
+            before = left.pop(i)
             before.forget_dump()
             reached = before.reached
             useful = reached is not None and isinstance(checked(reached), Result)
             outcomes[i] = with_beginning(outcome, reached) if useful else outcome
+            if isinstance(verdict := checked(outcomes[i]), SimulationDiverged):
+                left[i] = verdict
 
 
 def refines(
@@ -273,7 +280,7 @@ def solve_on_meshes(
     device: str,
     progress: Progress | None,
     *,
-    failed: Sequence[Outcome] | None = None,
+    failed: Sequence[SimulationDiverged] | None = None,
 ) -> list[Outcome]:
     """Solve presses on meshes of the given element sizes, or on those of the numerics.
 
@@ -375,7 +382,7 @@ def _stiffened(
     meshes: Sequence[Mesh],
     numerics: Fem,
     device: str,
-    failed: Sequence[Outcome],
+    failed: Sequence[SimulationDiverged],
 ) -> list[Outcome]:
     """Solve presses with two skins that stiffen; return `failed` of those without two solutions."""
     solved: list[list[Result]] = [[] for _scene in scenes]
@@ -405,9 +412,8 @@ def _stiffened(
     ]
 
 
-def _spread(results: list[Result], before: Outcome) -> Result:
+def _spread(results: list[Result], before: SimulationDiverged) -> Result:
     """Return the first of two results with stiffer skins, with the spread of their forces."""
-    assert isinstance(before, SimulationDiverged)
     one, other, *_stiffest = results
     reached = before.reached
     first = 0 if reached is None else len(reached.force)
