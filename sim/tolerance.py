@@ -66,9 +66,10 @@ COMPANION = 1.6
 EXPECTED = 0.009
 # Range of the fineness with which the search begins.
 FIRST_LEAST, FIRST_MOST = 0.6, 1.5
-# Error of an extrapolated force over the correction. At an order of 1.3 instead of 2 the remaining
-# error is 0.86 of it, at 3 half of it; the rest is for random errors.
-LEFT = 1.0
+# Elements along the radius of an edge from which errors fall as the square of the elements' size:
+# of flat punches and boxes with 2 elements there, extrapolated forces were off by 1.4 to 1.7 times
+# the correction.
+ALONG_EDGE = 4.0
 # Least ratio of the two meshes' element counts along each axis. Below it their difference is no
 # measure of the error, which for wide contacts lies in the layers and for narrow ones across the
 # contact.
@@ -542,7 +543,7 @@ def extrapolated(
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
-    unsure = LEFT * _most_of_difference(coarse, least_ratio(coarse, fine)) * apart
+    unsure = _most_of_difference(coarse, fine) * apart
     newton = np.maximum(unsure, vanishing_share(result) * scale)
     further = further_errors(result)
     newton = newton + further * size + time_share(fine) * scale
@@ -568,12 +569,16 @@ def left_of_difference(ratio: float) -> float:
     return 1.0 / (float(ratio**ORDER) - 1.0)
 
 
-def _most_of_difference(coarse: Result, ratio: float) -> Array:
-    """Return the largest error of the finer mesh over the difference of both, per frame (F,).
+def _most_of_difference(coarse: Result, fine: Result) -> Array:
+    """Return the largest error of an extrapolated force over the difference of both (F,).
 
-    It is `left_of_difference`, or more if the `coarse` mesh barely resolves the contact.
+    It is `left_of_difference`, as the rest of a correction that is the whole of it covers orders
+    of 1.3 to 3; more if the coarse mesh barely resolves the contact, or the fine one an edge.
     """
-    more = np.clip(SQUARE_FROM / fineness_of(coarse), 1.0, ratio + 1.0)
+    ratio = least_ratio(coarse, fine)
+    edge, finest = fine.scene.indenter.sharpest, fine.record["mesh"].get("finest", 0.0)
+    at_edge = np.clip(ALONG_EDGE * finest / max(edge, 1e-9), 1.0, ratio)
+    more = np.clip(SQUARE_FROM / fineness_of(coarse), at_edge, ratio + 1.0)
     return np.asarray(left_of_difference(ratio) * more)
 
 
