@@ -5,8 +5,6 @@ mappings are merged key by key, other values are replaced. Where a field can be 
 dataclasses, `kind` selects one by its `KIND`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Contact sheets: rows of captioned pictures, each row under a title, as one PNG."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

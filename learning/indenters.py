@@ -1,7 +1,5 @@
 """Names of indenters, in one order for all archives so that codes and locations agree."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 # The paper's indenters; simulated archives have the same ones in the same order.

@@ -5,8 +5,6 @@ each axis and of the force magnitude, and the coefficient of determination over 
 test, across presses.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ A package that offers one says so in its `pyproject.toml`:
 folder whose `config.yaml` has `kind: mine`.
 """
 
-from __future__ import annotations
-
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any

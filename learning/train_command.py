@@ -1,7 +1,5 @@
 """Common part of all trainings in a folder: data, run folder, Ctrl-C, progress, final report."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Iterable, Mapping

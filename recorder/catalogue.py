@@ -7,8 +7,6 @@ sessions that changed are read again. Deleting that file loses nothing but those
 Imports only the standard library, so that a list of thousands of sessions appears at once.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping

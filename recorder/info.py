@@ -8,8 +8,6 @@ its bytes (int64, little-endian) and the bytes; an image stored as pixels its pi
 The `device_t` and `seq` of a camera are excluded: the host's driver gives them, or nobody does.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Natural sort order of names: numbers in them count as numbers."""
 
-from __future__ import annotations
-
 import re
 
 

@@ -1,7 +1,5 @@
 """Pages from templates: a Markdown or HTML file beside the module that fills it."""
 
-from __future__ import annotations
-
 import math
 import os
 import platform

@@ -1,7 +1,5 @@
 """Worker processes on one machine: start, stop, and detection of lost workers."""
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

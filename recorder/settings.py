@@ -11,8 +11,6 @@ field may be one of several dataclasses, the key `kind` names one by its `KIND`;
 family stands for its members. Every error states file, key, the value found, and the allowed ones.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import math

@@ -1,7 +1,5 @@
 """Start of Warp without its banner, the check of the requested device, and loading of kernels."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import os

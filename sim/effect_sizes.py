@@ -6,8 +6,6 @@ mesh, whose own error mostly cancels in the differences. The last one shows how 
 this scene differ without a reason, as they do where contact at edges depends on the path.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

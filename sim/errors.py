@@ -1,7 +1,5 @@
 """Errors of the simulator: an invalid scene, and a solution that was not found."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 from numbers import Real

@@ -1,7 +1,5 @@
 """Presses simulated in the paper: five depths at nine places, with friction."""
 
-from __future__ import annotations
-
 # Coulomb coefficient of the paper's presses.
 FRICTION = 0.8
 DEPTHS_MM = (0.3, 0.6, 0.9, 1.2, 1.5)

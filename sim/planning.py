@@ -1,7 +1,5 @@
 """Plan of a scene within a tolerance: its tiers and meshes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Result of a simulation: force, deformation, and measures of their accuracy."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ a group `quality`, and in its attributes the tier, the scene (`sim.result`) and 
 run.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ No package is imported here: `tactile --help` needs only this table. `docs/refer
 generated from it (`make reference`).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -4,8 +4,6 @@ A folder becomes a marker archive: it holds masks, not a camera's images at thei
 become the folder of a trained model.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import sys

@@ -1,7 +1,5 @@
 """`tactile import`: make sessions, or a marker archive, of recordings made elsewhere."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -1,7 +1,5 @@
 """`tactile init`: create the folder structure of a lab."""
 
-from __future__ import annotations
-
 import argparse
 import shlex
 from importlib import resources

@@ -3,8 +3,6 @@
 The module of a command has `add_arguments(parser)` and `run(options)`, which returns the exit code.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import sys

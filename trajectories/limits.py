@@ -1,7 +1,5 @@
 """Dry run of a plan without hardware: workspace box, depth, force and duration of its moves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ measured from the surface at the point. The sideways move keeps its height. The 
 straight down and up again: for curves, surfaces, latency, and a sensor's first press.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import random

@@ -1,7 +1,5 @@
 """`tactile calibrate-force`: the scale of a transferred model, by weights laid on the sensor."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile experiment`: translate, train, compensate and evaluate pairs of sensors."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile markers-fit`: fit marker detection to pictures without contact."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile transfer`: forces on a sensor without a gauge, from one command."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile compensate`: fit material priors, and choose the scaling of labels."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Compensation of all pairs of an archive: priors, choices, and the JSON file that stores them."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Material priors: polynomials of a sensor's compression over depth, loading and unloading."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -12,8 +12,6 @@ of lambda times the difference has a mean error of ((1 - lambda)^2 (difference^2
 noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

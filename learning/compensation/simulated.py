@@ -8,8 +8,6 @@ with the forces T and S of the twins of target and source in the same press, and
 Fz for Fz, of the shear's size for the shear. Fz is thus f times T / S.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

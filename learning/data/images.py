@@ -5,8 +5,6 @@ position of marker edges. Enlarging follows the authors' inference: Lanczos to 6
 threshold of 128. Tensors may be on a GPU; packed masks are shrunk as arrays.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -6,8 +6,6 @@ that were typed in have no frame: without one, a force is that at the end of the
 press is held.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ One model serves all pairs of a group, so a frame is the source and target of ma
 therefore stored as two indices.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations

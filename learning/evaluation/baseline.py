@@ -1,7 +1,5 @@
 """Ridge regression on 11 features of the change of colours: what a network must at least reach."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

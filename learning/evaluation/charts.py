@@ -1,7 +1,5 @@
 """Charts of the report, one function each, as PNG bytes."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Mapping, Sequence

@@ -7,8 +7,6 @@ versions of Inception v3, averages exclude the border and the last block takes a
 al., 2017; the port's documentation). Layers are named as in that file.
 """
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 from collections.abc import Callable

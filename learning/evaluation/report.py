@@ -1,7 +1,5 @@
 """The report of an evaluation: one HTML page with embedded images, and CSV tables."""
 
-from __future__ import annotations
-
 import base64
 import html
 import math

@@ -1,7 +1,5 @@
 """Result files: an .npz with a JSON header and arrays, of one kind, written atomically."""
 
-from __future__ import annotations
-
 import json
 import os
 import zipfile

@@ -355,7 +355,7 @@ def _json_row(row: PairedScore | DistanceScore) -> dict[str, Any]:
 
 
 def _numbers(row: Mapping[str, Any], kind: type[PairedScore | DistanceScore]) -> dict[str, Any]:
-    floats = {field.name for field in fields(kind) if field.type == "float"}
+    floats = {field.name for field in fields(kind) if field.type is float}
     return {
         key: float("nan") if value is None and key in floats else value
         for key, value in row.items()

@@ -1,7 +1,5 @@
 """Leave one indenter out: a model for each that was trained on the others, and a baseline."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Frames of an experiment: presses of sensors, and presses translated in memory, many at once."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Existing results are reused: an interrupted experiment continues where it stopped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence, Set
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import replace

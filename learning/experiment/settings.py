@@ -1,7 +1,5 @@
 """Settings of an experiment: the keys of its presets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

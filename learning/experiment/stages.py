@@ -3,8 +3,6 @@
 Each result is a file; existing ones are read, not made again.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace

@@ -5,8 +5,6 @@ residual blocks (`tail_block: raft`), with biases and batch norms; its three gat
 convolutions, two of which are one here. The file contains only tensors, so no code in it is run.
 """
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Mapping
 from pathlib import Path

@@ -7,8 +7,6 @@ once for all models (`torch.vmap` over weights and frames). Each model equals th
 which can be restarted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

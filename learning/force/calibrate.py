@@ -1,7 +1,5 @@
 """Intervals of a force model, from frames of indenters that it did not learn from."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Export one step of a force model to ONNX, and verify it against torch."""
 
-from __future__ import annotations
-
 import copy
 import logging
 import os

@@ -1,7 +1,5 @@
 """Folder of a force model: a path, a web address, or the name of an installed one."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import urllib.error

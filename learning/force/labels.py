@@ -1,7 +1,5 @@
 """Labels that a force model learns from: an archive's, typed readings, a twin's, compensated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

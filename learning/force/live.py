@@ -10,8 +10,6 @@ The first frames must show the sensor without contact. Training sequences are sh
 without contact, so the state is reset while nothing touches the sensor (`ContactDetector`).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass

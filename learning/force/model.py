@@ -3,8 +3,6 @@
 `load_force_model` opens a trained one, `ForceModel.predict` returns the forces of presses.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ contact, and returns the force in newtons and the next state. It takes stored fr
 preprocessing is needed outside of it.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 repeatedly for a table of many sensor pairs. The command is in `command`, the network in `model`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace

@@ -11,8 +11,6 @@ A box is two points, labelled 2 (upper left) and 3 (lower right). Each of the Q 
 masks. The one with the best predicted IoU is used, where its logits are 0 or more.
 """
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ growing sizes of the element. Of these candidates the most regular one with the 
 is chosen: markers are alike and evenly spaced, shading and dust are not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A picture is cropped to its region and resized to 640 x 480. The detectors' resu
 cleaned by morphology, and patches of the wrong size are dropped.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contact sheet of an archive made from sessions: outlines of the markers over the pictures."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -9,8 +9,6 @@ that matches most markers holds; where others match as many and differ, a marker
 could be either. A sequence can have any length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

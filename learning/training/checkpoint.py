@@ -6,8 +6,6 @@
 A finished run is such a folder, and so is each of its checkpoints.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import subprocess

@@ -3,8 +3,6 @@
 A learning rate in settings is one of these classes, selected by `kind` in YAML.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

@@ -7,8 +7,6 @@ So an interval contains the errors of the translation and of the model on a new 
 error of that scaling: that one is the interval's `Scale`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

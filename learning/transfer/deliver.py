@@ -1,7 +1,5 @@
 """Last stage: the folder of the model, with ONNX, intervals and card; and the report."""
 
-from __future__ import annotations
-
 import base64
 import io
 import shutil

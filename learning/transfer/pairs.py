@@ -1,7 +1,5 @@
 """First stage: presses of source and target in one archive, without the target's labels, split."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile transfer`, stage by stage: from two recordings to a model with error bars."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace

@@ -1,7 +1,5 @@
 """Scale of a model: by weights that were laid on the sensor, or a few labelled presses."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

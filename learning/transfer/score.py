@@ -1,7 +1,5 @@
 """Errors and coverage of a delivered model, on indenters that no stage learned from."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

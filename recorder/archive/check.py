@@ -1,7 +1,5 @@
 """Check an archive for every known problem: reads all of it and changes nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path

@@ -3,8 +3,6 @@
 A plan is fixed before any data is written; the same plan resumes the archive.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

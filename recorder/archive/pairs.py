@@ -6,8 +6,6 @@ preset `authors_code`. Frames without a phase, as in presses without shear, are 
 their last one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

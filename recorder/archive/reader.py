@@ -1,7 +1,5 @@
 """Read-only access to an archive. Changes nothing and never fills in values."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

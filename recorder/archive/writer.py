@@ -6,8 +6,6 @@ are finished, the table is assembled from the ledger, the status becomes `comple
 is removed. Each of these steps gives the same bytes when repeated.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

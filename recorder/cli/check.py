@@ -1,7 +1,5 @@
 """`tactile session check`: check a session or a marker archive for problems."""
 
-from __future__ import annotations
-
 import argparse
 
 from recorder.checks.check import check

@@ -1,7 +1,5 @@
 """`tactile session export`: write a session or marker archive for other programs."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

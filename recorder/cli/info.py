@@ -1,7 +1,5 @@
 """`tactile session info`: show the contents of a session or a marker archive."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

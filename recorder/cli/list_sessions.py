@@ -1,7 +1,5 @@
 """`tactile session list`: list the sessions below a folder, and search them."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The session that every command of `tactile session` works on."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`tactile session recover`: close a session whose recording was killed, or seal it again."""
 
-from __future__ import annotations
-
 import argparse
 
 from recorder.checks.recover import recover

@@ -1,7 +1,5 @@
 """Exit codes, the base of errors that end a command with one line, and the end of a command."""
 
-from __future__ import annotations
-
 import os
 import sys
 

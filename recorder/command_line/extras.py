@@ -1,7 +1,5 @@
 """Extras that install the libraries which packages import only where they need them."""
 
-from __future__ import annotations
-
 # Extras that install a library, by the name it is imported by; without those of the base.
 LIBRARIES = {
     "accelerate": ("learning",),

@@ -1,7 +1,5 @@
 """Parser of a command, types of values, and options of commands of several packages."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math

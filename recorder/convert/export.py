@@ -1,7 +1,5 @@
 """Write a session, or a marker archive, in a format of other programs: a row a format."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

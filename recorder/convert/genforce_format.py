@@ -14,8 +14,6 @@ A marker archive takes that of their training:
     force/..., depth/...                                ft.csv; inc_z.csv, dec_z.csv [mm]
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from collections import Counter

@@ -5,8 +5,6 @@ or objects are stored as JSON text. JPEG images are variable-length rows with th
 bytes.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping

@@ -4,8 +4,6 @@ Messages are known by their fields, whatever their encoding: CDR and ROS 1 by `r
 and JSON by `mcap`. A message's own stamp is its time where it has one, else the time of the log.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Find out what files and folders hold, and which of them are one recording."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

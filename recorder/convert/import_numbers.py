@@ -6,8 +6,6 @@ thousand times finer than the resolution of such gauges. Counts of taxels are ro
 integers that the device transmits. The largest change is reported.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import re

@@ -1,7 +1,5 @@
 """One page that shows what an import will write, to be looked at before it is written."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Sequence

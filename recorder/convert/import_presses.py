@@ -4,8 +4,6 @@ A contact shows in the force if it was recorded, else in the images or taxels: a
 span without contact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Write recordings made elsewhere as sessions, atomically: one for each object that touched."""
 
-from __future__ import annotations
-
 import datetime
 import hashlib
 import math

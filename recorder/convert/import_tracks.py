@@ -1,7 +1,5 @@
 """Tracks of recordings made elsewhere, and answers to what their files do not tell."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace

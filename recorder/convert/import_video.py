@@ -1,7 +1,5 @@
 """Images from a video file or a folder, as the camera's original JPEG bytes where possible."""
 
-from __future__ import annotations
-
 import functools
 import io
 import mmap

@@ -5,8 +5,6 @@ LeRobot's default, video, shifts markers by up to half a pixel. LeRobot's `times
 frame_index / fps by definition; the true times of a row are `t_ns`, `capture_ns` and `utc_ns`.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -5,8 +5,6 @@
 schemas; data without a Foxglove message is JSON with its own schema.
 """
 
-from __future__ import annotations
-
 import heapq
 import json
 from collections.abc import Iterator, Mapping

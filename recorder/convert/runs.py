@@ -3,8 +3,6 @@
 A press is a sequence of consecutive rows of one target in one run.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any

@@ -1,7 +1,5 @@
 """A session copied as it is, or with its images as lossless pixels that every Zarr reader knows."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace

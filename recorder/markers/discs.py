@@ -5,8 +5,6 @@ at the lower left, and a positive y count moves its disc towards smaller rows. S
 scatter plot, in square typographic points at 100 dots per inch (1 point = 1/72 inch).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lattice of pixels of the contact-free image at which a displacement field is stored."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -20,8 +20,6 @@ A frame is flagged if more markers are missing than may have left or be hidden, 
 may have come in or be split. Equal counts are never flagged, regardless of the displacements.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

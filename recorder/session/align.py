@@ -6,8 +6,6 @@ distance to the samples used (`age` [s]) and a flag `valid`: near enough. Nothin
 outside the samples a value is NaN and invalid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

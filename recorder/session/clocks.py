@@ -8,8 +8,6 @@ that warms up. The least delay of the transport itself cannot be observed in thi
 in the offset unless the caller supplies it. Pure functions, numpy only.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass

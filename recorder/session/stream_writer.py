@@ -1,7 +1,5 @@
 """Append rows to one stream. This is the hot path of every recording process."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import struct

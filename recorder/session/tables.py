@@ -1,7 +1,5 @@
 """Frames of a session as a table of pandas or a data set of xarray."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -11,8 +11,6 @@ four parts, whose squares add up:
 - queue: how much longer than the promptest around it a sample waited, for each sample alone
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ come from anybody: a value of another type, NaN, a huge number or a huge list is
 not found later as a wrong time or a failed allocation.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -5,8 +5,6 @@ of an object. `SealedFiles` verifies what is read by the newest manifest of a se
 always write to a disk, by changes that are atomic and durable, also after a power failure.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import secrets

@@ -1,7 +1,5 @@
 """Conversion between one image and the bytes of its chunk."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import struct

@@ -5,8 +5,6 @@ is full would be lost in a crash. Each row is therefore first appended here, wit
 of the stream in one record, and a full block later becomes one chunk per column.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 from dataclasses import dataclass

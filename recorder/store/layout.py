@@ -5,8 +5,6 @@ of a shard share a file, `c/<shard>/0/...`. The columns of streams and tables an
 marker archive are such arrays. All codecs are core Zarr v3, except that of JPEG images.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

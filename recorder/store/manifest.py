@@ -6,8 +6,6 @@ shard is identified by its end, which lists the checksums of its chunks, and any
 content. `SealedFiles` verifies what is read of a session by its newest manifest.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

@@ -5,8 +5,6 @@ plain Zarr reader returns fill values. `GrowingReader` reads an array while it i
 `LiveStream` all of a stream, `Table` the columns of a group.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import threading

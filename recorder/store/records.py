@@ -15,8 +15,6 @@ short or whose checksum does not match was being written when the writer died; i
 after it are ignored.
 """
 
-from __future__ import annotations
-
 import struct
 
 import google_crc32c

@@ -6,8 +6,6 @@ record headers, makes the file durable and renames it to its key: from then on i
 shard. The end of a shard thus identifies all of its chunks, so a digest of it covers the file.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 

@@ -5,8 +5,6 @@ set-up continues. Once every step is done, its `acceptance` is what sessions car
 `<sensor>.acceptance.html` is the report to print and sign.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

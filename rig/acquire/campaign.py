@@ -1,7 +1,5 @@
 """Campaigns: files that list the sessions to record, and their progress."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

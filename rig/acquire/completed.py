@@ -1,7 +1,5 @@
 """Targets that a session has completed, from which `--resume` continues."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -8,8 +8,6 @@ stage is a session of its own, and the surface it found moves the contact frame 
 `rig.bench.guards` has the rules.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

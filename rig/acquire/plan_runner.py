@@ -5,8 +5,6 @@ The progress line is rewritten in place on a terminal, else logged periodically.
 about 0.4 ms (500 redraws, 5 runs).
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import sys

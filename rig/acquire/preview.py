@@ -1,7 +1,5 @@
 """Draws a plan before anything moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

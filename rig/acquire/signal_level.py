@@ -4,8 +4,6 @@ The level has two parts. The change since the last zero, in standard deviations 
 the first touch. The largest motion of a marker or deviation of a taxel grows with the press.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """`tactile calibrate-latency`: measure the signal's latency by light taps."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`tactile campaign`: a day of sensors and indenters, resumable after any interruption."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """`tactile collect`: record one session, or resume one."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`tactile doctor`: test a bench's devices, its plan, and the computer; nothing moves."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 import tempfile

@@ -1,7 +1,5 @@
 """`tactile force-depth`: press straight down and up again; print a table and a curve."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

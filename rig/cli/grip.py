@@ -1,7 +1,5 @@
 """`tactile grip`: activate the gripper, open it, close it on the indenter."""
 
-from __future__ import annotations
-
 import argparse
 
 from rig.bench.bench import BenchFile

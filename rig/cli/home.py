@@ -1,7 +1,5 @@
 """`tactile home`: find the surface by touch and store its position."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

@@ -6,8 +6,6 @@ the cap's direction changes or the cap is released or falls silent. If this proc
 stops at the end of the current move, at most a second later.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import logging

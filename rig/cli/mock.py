@@ -1,7 +1,5 @@
 """`tactile mock`: run only the emulators of a bench, for use with other tools."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import tempfile

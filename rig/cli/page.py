@@ -1,7 +1,5 @@
 """`tactile page`: serve the page of a lab; nothing moves."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

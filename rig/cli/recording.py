@@ -3,8 +3,6 @@
 `collect` records the plan of a bench, `record` any plan, and `stage` one of several.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import dataclasses

@@ -1,7 +1,5 @@
 """`tactile replay`: play a recorded session through mock hardware and record it again."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bench files: strict YAML into frozen dataclasses, as `recorder.settings` reads them."""
 
-from __future__ import annotations
-
 from recorder.settings import Reader, from_si, to_si
 from rig.core.errors import ConfigError
 

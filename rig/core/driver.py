@@ -4,8 +4,6 @@ A dedicated thread receives each device's stream, so that every sample is timest
 and a slow consumer never gets old data with a new timestamp.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections import deque

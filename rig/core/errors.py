@@ -1,7 +1,5 @@
 """Errors, grouped by the action they require at the bench."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_SAFETY_STOP, CommandError

@@ -14,8 +14,6 @@ Faults by name, with their values (without `seconds`, they last until `clear`):
 Without a fault, the cost is a check of one flag.
 """
 
-from __future__ import annotations
-
 import random
 import threading
 from collections.abc import Callable

@@ -4,8 +4,6 @@ A pose is six numbers: position [m] and rotation vector [rad] (axis times angle,
 A pose `a_to_b` maps points of frame a to frame b. All functions accept leading batch axes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -4,8 +4,6 @@ The UR's own limits cannot protect the sensor: their tolerance is 25 N, a Nano17
 17 N. The process that moves the arm therefore asks its guards a few hundred times a second.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Names by which the processes of a mock bench reach one another."""
 
-from __future__ import annotations
-
 # Records in a run folder: the arm's motion, the World's states, and those of a simulated World.
 ARM_FILE, WORLD_FILE = "arm.state", "world.state"
 PRESS_FILE, SURFACE_FILE = "press.state", "surface.state"

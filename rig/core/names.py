@@ -1,7 +1,5 @@
 """Errors for names that nothing has: the likely name, and all names that are allowed."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """A line that is rewritten in place on a terminal, and written at longer intervals elsewhere."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from typing import TextIO

@@ -4,8 +4,6 @@ A lab's own file has precedence. If a path does not exist, the packaged file of 
 `benches/NAME`, `campaigns/NAME`, or the name alone.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 _HOME = Path(__file__).parents[1] / "bench"

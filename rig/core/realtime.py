@@ -1,7 +1,5 @@
 """Request real-time scheduling and report the settings granted; a laboratory PC may refuse."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import os

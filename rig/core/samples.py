@@ -4,8 +4,6 @@ The guard reads force and pose here, the live display reads all of them. Samples
 pass through here: each stream's process appends its own.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 # Wrench minus the tare [N, N m] in the F/T frame, with arrival time at the host [ns].

@@ -5,8 +5,6 @@ wrench is wrong by up to a third and by a few newtons. Each has its own limit, f
 rating of the sensor.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, ClassVar

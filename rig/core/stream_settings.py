@@ -1,7 +1,5 @@
 """Settings that the devices of all streams have in a bench file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Results of a replay: equality of the bytes, and deviation from the recorded times."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The drivers are the real ones, so a row can be replayed only if its device could
 counts, increasing sequence numbers, JPEG files as a camera delivers them.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`tactile sim labels`: forces of a sensor's twin in the presses of an archive."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

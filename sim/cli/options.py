@@ -1,7 +1,5 @@
 """Options of `tactile sim press` that describe its scene and its solver."""
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import math

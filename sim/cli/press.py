@@ -1,7 +1,5 @@
 """`tactile sim press`: press to a sequence of depths, hold or shear there, and show the result."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

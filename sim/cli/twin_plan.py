@@ -1,7 +1,5 @@
 """`tactile twin plan`: presses that identify a twin best in the time given."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """Make one unit of an archive: solve its presses, render every sensor's images, write both."""
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Plan of an archive of simulated sensors: one frozen value, stored in the archive."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Create or resume an archive, make its missing units and close it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed

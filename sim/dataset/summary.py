@@ -1,7 +1,5 @@
 """Summary of an archive: its size, its presses without a solution, its marker check."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -5,8 +5,6 @@ many. Viscosity alone has no companion: its steps are those of a force that foll
 a power, for which the response is known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -6,8 +6,6 @@ Lengths are in units of the body's thickness. Nodes are numbered with z running 
 then x; the 8 corners of an element likewise, from (0, 0, 0) to (1, 1, 1).
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

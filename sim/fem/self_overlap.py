@@ -9,8 +9,6 @@ Lengths in thicknesses. It runs on the host in a few milliseconds, if a face has
 a GPU only if `sim.fem.crossing.Crossing` has found a node to look at.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

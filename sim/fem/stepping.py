@@ -2,8 +2,6 @@
 # Drives and reads Warp arrays, typed at run time; mypy cannot follow them.
 """Steps of a batch: presses advance together, each along its own path."""
 
-from __future__ import annotations
-
 import json
 import math
 import tempfile

@@ -1,7 +1,5 @@
 """Rigid indenters as signed distance functions: values on the host, tables on the device."""
 
-from __future__ import annotations
-
 from sim.indenters.drawn import DRAWN_MOST, drawn_name, indenter_of, is_indenter, number_of
 from sim.indenters.indenter import Indenter
 from sim.indenters.outline import Part

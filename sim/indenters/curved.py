@@ -1,7 +1,5 @@
 """Curved surfaces of a body from the flat facets that its file has for them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@
 those of the 18: 2 to 14 mm across, on a body without contact beyond 8 mm from the axis.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Regular grid on which the distance to a solid indenter is stored."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

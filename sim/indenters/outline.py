@@ -5,8 +5,6 @@ tan(angle / 4) of the arc from one corner to the next (the convention of DXF pol
 straight line, above 0 turns left (convex), below 0 turns right (concave).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

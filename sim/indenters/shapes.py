@@ -1,7 +1,5 @@
 """Indenters by their measures: spheres, punches, cones, boxes, tubes, and an infinite plane."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

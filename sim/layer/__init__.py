@@ -4,8 +4,6 @@ Here are the settings, numerical choices and not physical properties; the solver
 `sim.layer.solver`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from sim.errors import check_kind, check_range, make_plain

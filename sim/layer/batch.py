@@ -1,7 +1,5 @@
 """Batch of presses of the `layer` tier, solved together on a GPU, each as by `sim.layer.solver`."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import time

@@ -1,7 +1,5 @@
 """Contact of a layer: pressure is never tensile, shear never exceeds Coulomb's limit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Solver of the `layer` tier: linear elastic, a few milliseconds per step."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 import time

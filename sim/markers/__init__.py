@@ -1,7 +1,5 @@
 """Rendering of marker images from deformed surfaces."""
 
-from __future__ import annotations
-
 from sim.markers.camera import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
 from sim.markers.pattern import (
     HOMOGENEOUS,

@@ -2,8 +2,6 @@
 # Holds Warp arrays, typed at run time; mypy cannot follow them.
 """Render a deformed surface as a camera sees it, with any marker pattern."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -2,8 +2,6 @@
 # Holds Warp arrays, typed at run time; mypy cannot follow them.
 """Signed distance of patterns, sampled over the gel: their representation for rendering."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

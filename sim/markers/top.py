@@ -1,7 +1,5 @@
 """Fine, even grid of material points of a gel's top, from which images are rendered."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

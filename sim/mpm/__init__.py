@@ -4,8 +4,6 @@ Here are the settings, ours and the published ones to compare with; the solver, 
 in `sim.mpm.solver`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

@@ -1,7 +1,5 @@
 """Initial positions of the particles, their grid, and the schedule of time steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 # Drives and reads Warp arrays, typed at run time; mypy cannot follow them.
 """Solver of the `mpm` tier: presses stepped through time, all of them in one batch."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 

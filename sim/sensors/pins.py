@@ -1,7 +1,5 @@
 """Pins under a skin, as in TacTip and TacPalm: the camera sees their tips, not the skin."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

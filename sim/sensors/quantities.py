@@ -1,7 +1,5 @@
 """Quantities of a sensor by name: read, replaced, and drawn from its uncertainty."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

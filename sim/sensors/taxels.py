@@ -1,7 +1,5 @@
 """Simulate uSkin: 4 x 4 magnets in silicone above Hall elements, with counts along three axes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import ClassVar

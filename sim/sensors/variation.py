@@ -4,8 +4,6 @@ Random draws depend on the seed and on names only, so that a sensor has the same
 order, process or subset of simulations.
 """
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass, field, replace
 

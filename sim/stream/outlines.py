@@ -4,8 +4,6 @@ Filling the polygons gives an image. `sim.markers` traces every pixel instead, w
 any pattern and for skins that fold over, but takes ten times as long.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

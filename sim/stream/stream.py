@@ -1,7 +1,5 @@
 """Live sensor: a press, its readings, and their extrapolation between solutions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

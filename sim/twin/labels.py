@@ -1,7 +1,5 @@
 """Forces of a twin in the presses of an archive."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Markers of a sensor at rest under presses, from the binary images of marker archives."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

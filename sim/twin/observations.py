@@ -1,7 +1,5 @@
 """Observations of a twin: the tip's path through a session, and the force at points of it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Plan of presses that identify a twin: which indenters, depths, shears and holds tell most."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

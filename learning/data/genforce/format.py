@@ -1,7 +1,5 @@
 """Presses of published folders, and readers of their files."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Callable, Iterator, Sequence

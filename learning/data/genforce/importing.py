@@ -25,8 +25,6 @@ A raw run as it was collected, pictures or taxels, forces and poses, phase by ph
 Its phases are normal_inc, shear_inc, shear_dec, normal_dec; down and up in force-depth runs.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -5,8 +5,6 @@ turned into the image, is the motion of the markers but for its size. A mirrored
 turned into place.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ autoencoder and reference encoder; `checkpoint.pth` of the marker VAE holds one 
 files contain only tensors, numbers and lists, so no code in a file is ever run.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

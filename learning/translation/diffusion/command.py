@@ -1,7 +1,5 @@
 """`tactile train diffusion`: train the paper's translator on a marker archive."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

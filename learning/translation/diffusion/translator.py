@@ -1,7 +1,5 @@
 """A trained diffusion network with the interface of translators."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

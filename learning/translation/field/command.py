@@ -1,7 +1,5 @@
 """`tactile train field`: train the field translator on a marker archive."""
 
-from __future__ import annotations
-
 import argparse
 
 from learning.command import add_inputs, add_sensors, add_settings

@@ -1,7 +1,5 @@
 """Networks of the field translator: U-Nets for frames and for deformations."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -13,8 +13,6 @@ by the map's output, must match the target's frame. Between random patterns it m
 so that unknown sensors are assumed to differ only in their patterns.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

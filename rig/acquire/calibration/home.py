@@ -1,7 +1,5 @@
 """Finds the surface from slow approaches: fits the onset of force in each and combines them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Latency of a camera or taxel pad: its motion during light taps, against force and indentation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ Above the surface the force is constant, below it grows as k d^p (1 + c d): p is
 layer's stiffening and for relaxation. A threshold would be crossed deeper on a softer gel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

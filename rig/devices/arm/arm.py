@@ -7,8 +7,6 @@ An end that leaves the arm usable is returned as a `MoveResult`. Otherwise Devic
 arm, or data the guard needs, is gone) or SafetyStop (a hard limit, or a controller safety stop).
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import logging

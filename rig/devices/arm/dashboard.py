@@ -3,8 +3,6 @@
 The client only asks; it never unlocks a protective stop, which a person does at the pendant.
 """
 
-from __future__ import annotations
-
 import socket
 
 from rig.core.errors import DeviceLost

@@ -4,8 +4,6 @@ One `next()` of a movement is one controller cycle (2 ms). Movements run on the 
 angles, the costliest part, are solved for on request only.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -4,8 +4,6 @@ Each command has a number, and its reply has the same number. A reply to a comma
 for any more is dropped. `Started` may precede the reply; `Alarm` (number 0) is sent unprompted.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

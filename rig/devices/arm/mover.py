@@ -6,8 +6,6 @@ arm halts and retracts, and this process ends. After a protective or emergency s
 sent.
 """
 
-from __future__ import annotations
-
 import functools
 import logging
 import multiprocessing

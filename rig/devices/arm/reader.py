@@ -5,8 +5,6 @@ repeats the last one forever when the controller falls silent. This client keeps
 counts the missing ones by the controller's own clock and reports the end of the stream.
 """
 
-from __future__ import annotations
-
 import math
 import select
 import socket

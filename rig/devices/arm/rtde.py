@@ -5,8 +5,6 @@ sends V (version), v (which controller), O (outputs to read), I (inputs to write
 receives data packages U: `uint8 recipe | values in recipe order`. All functions are pure.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from enum import IntEnum

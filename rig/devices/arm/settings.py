@@ -1,7 +1,5 @@
 """Bench file settings of the arm. Imports no vendor library: a bench is checked without one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import ClassVar
 

@@ -7,8 +7,6 @@ Every movement and stop is asynchronous. A synchronous stopL executes stopj unti
 asynchronous stop was made, and nothing can kick the watchdog during a synchronous move.
 """
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Callable
 from typing import TypeVar

@@ -5,8 +5,6 @@ them SOS followed by the coded picture, and EOI (FFD9). Some UVC cameras omit th
 (DHT), as Motion JPEG allows; decoders of still images then fail.
 """
 
-from __future__ import annotations
-
 import functools
 import random
 import re

@@ -14,8 +14,6 @@ it records. Of a recorded session both get the first picture; then the recorded 
 unchanged, none of them skipped.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import logging

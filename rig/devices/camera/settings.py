@@ -1,7 +1,5 @@
 """Bench file settings of the camera. Imports no vendor library."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal

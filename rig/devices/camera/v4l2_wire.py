@@ -3,8 +3,6 @@
 Structures and numbers are those of linux/videodev2.h. Only 64-bit Linux is supported.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

@@ -1,7 +1,5 @@
 """Noise of the emulated F/T sensors."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -7,8 +7,6 @@ receives nothing more. The box's own bias is volatile and global, so it is not u
 host.
 """
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import io

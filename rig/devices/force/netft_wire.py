@@ -12,8 +12,6 @@ Counts are converted by `cfgcpf` and `cfgcpt` (counts per unit) and `scfgfu` and
 (names of the units) of `http://host/netftapi2.xml`.
 """
 
-from __future__ import annotations
-
 import struct
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ which may be another computer or the emulator. Every call to a server has a dead
 itself would wait forever.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from collections import deque

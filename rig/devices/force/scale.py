@@ -8,8 +8,6 @@ A reading lags behind the force by the filter of the scale. Only settled reading
 they move, the value is NaN, and the reading is kept in a column of its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import termios

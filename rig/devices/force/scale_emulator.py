@@ -6,8 +6,6 @@ Its reading follows the force through a filter of `lag`, as that of a scale does
 missing while it moves. Faults are injected through rig.core.fault_injection.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import select

@@ -1,7 +1,5 @@
 """Bench file settings of the F/T sensor. Imports no vendor library."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal

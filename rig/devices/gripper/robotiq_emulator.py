@@ -11,8 +11,6 @@ rate works. Faults are injected through rig.core.fault_injection, with these in 
     fail      code       a fault code until the gripper is reset
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

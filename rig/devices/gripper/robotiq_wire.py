@@ -8,8 +8,6 @@ Positions are counts: 0 open, 255 closed, about 0.4 mm each on a 2F-85. Source: 
 2F-140 instruction manual, chapter Control.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

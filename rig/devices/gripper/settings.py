@@ -1,7 +1,5 @@
 """Bench file settings of the gripper. Imports no vendor library."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import ClassVar
 

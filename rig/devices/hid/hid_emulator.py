@@ -12,8 +12,6 @@ are injected through rig.core.fault_injection, as are the actions of a hand or a
     button  number                       down and up again
 """
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import socket

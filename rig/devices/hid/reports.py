@@ -9,8 +9,6 @@ The SpaceMouse's full scale of 350, and its axes (x right, y towards the user, z
 pyspacemouse's table of devices.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Bench file settings of pedal and SpaceMouse. Imports no vendor library."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal

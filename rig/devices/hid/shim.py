@@ -6,8 +6,6 @@ It emulates the kernel's hidraw and udev for hidapi, and so does not test them; 
 our code run as in the lab. Needs a C compiler and Linux.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

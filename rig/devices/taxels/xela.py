@@ -4,8 +4,6 @@ The messages are described in rig/devices/taxels/xela_wire.py. Scans that are du
 that have values no touch could cause, are counted and rejected.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from typing import Any

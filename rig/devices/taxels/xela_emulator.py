@@ -11,8 +11,6 @@ The driver needs one scan to open. Of a recorded session it gets the first row's
 number before; the recorded rows follow under their recorded numbers and device times.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -15,8 +15,6 @@ device_t is the sensor's own `time` (of the scan) where the layout has one, else
 `time`, or NaN if neither is a number. `sendtime` (when the server sent) is never used.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any, NamedTuple
