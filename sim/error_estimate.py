@@ -37,16 +37,12 @@ EDGE_MOST = 0.2
 # Error of the force over an overlap's share of the depth or width, where a finer mesh, which would
 # have less of it, has no solution: forces grow with up to the square of the depth.
 PER_OVERLAP = 2.0
-# Error of the force over the difference of two skins that stiffen, as both are stiffer than a
-# neo-Hookean one: under the paper's cone 1.2 mm deep they differ by 6 %, and the softer one is 31 %
-# above axisymmetric neo-Hookean elements, with 10 % of error by its mesh.
-PER_SPREAD = 4.0
 # Error of the force over the penetration's share of the depth, beyond an ignored one: in thin and
 # nearly incompressible layers 27 to 32 % of penetration made forces 17 to 20 % too small.
 PER_PENETRATION, PENETRATION_GOOD = 0.7, 0.01
-# Error of the force of a contact that reaches the rim of a round body, which cuts through elements:
-# 0.2 to 2.5 % in presses solved by independent elements.
-AT_RIM = 0.05
+# Error of the force at fineness 1 of a contact that reaches the rim of a round body, which cuts
+# through elements: in presses solved by independent elements 0.2 to 2.5 % at 0.75.
+AT_RIM = 0.025
 # Error of `layer` over depth over thickness: it is limited to small strains.
 LAYER_PER_DEPTH = 0.7
 # Error of `layer` over the pixel's side over the contact's width. With both numbers the error
@@ -185,11 +181,12 @@ def _of_elements(result: Result) -> dict[str, Any]:
     for stage in result.record.get("stages", []):
         layers[: stage["waypoints"]] = stage["mesh"]["cells"][2]
     # Quadratic where the contact is resolved, linear where it is barely resolved.
-    fraction = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
-    fraction = fraction + squeeze(result.scene, result.quality.contact_width) / layers**2
-    fraction = fraction + further_errors(result)
+    resolved = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
+    squeezed = squeeze(result.scene, result.quality.contact_width) / layers**2
     edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
-    fraction = fraction + min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2)
+    by_edge = np.full(len(fineness), min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2))
+    # Each is the most of an error that does not depend on the others.
+    fraction = np.sqrt(resolved**2 + squeezed**2 + by_edge**2 + further_errors(result) ** 2)
     fraction = _weighed(result, fraction) + time_share(result)
     pressed = np.array([point[2] < 0 for point in result.scene.motion.tip])
     by = "how finely the contact is meshed" + (", and steps in time" * ("time" in result.record))
@@ -233,24 +230,25 @@ def time_share(result: Result) -> Array:
 def further_errors(result: Result) -> Array:
     """Return the errors of a `fem` result (F,), over the force, that a finer mesh may not reduce.
 
-    They are those of skin that stiffens or folds (the spread of two solutions, and overlaps), of an
-    indenter that stands in the skin, and of contacts at the side of a round body.
+    They are those of skin that stiffens or folds (the correction to a skin that does not, and
+    overlaps), of an indenter that stands in the skin, and of contacts at the side of a round body.
     """
     from sim.fem.outcome import OVERLAP_GOOD, overlap_shares
 
     record, frames = result.record, np.arange(len(result.force))
     through = overlap_shares(result, result.quality.overlap)
-    fraction = PER_PENETRATION * np.maximum(result.quality.contact - PENETRATION_GOOD, 0.0)
+    stands_in = np.clip(result.quality.contact - PENETRATION_GOOD, 0.0, 1.0)
+    fraction = PER_PENETRATION * stands_in
     if record["mesh"].get("finer_failed"):
         fraction = fraction + PER_OVERLAP * through
     stiffening = record.get("stiffening")
     if stiffening is not None:
         folded = overlap_shares(result, np.array(record["self_overlap"]["metres"]))
         both = np.maximum(through - OVERLAP_GOOD, 0) + np.maximum(folded - OVERLAP_GOOD, 0)
-        changed = PER_SPREAD * np.array(stiffening["spread"]) + PER_OVERLAP * both
+        changed = np.array(stiffening["correction"]) + PER_OVERLAP * both
         fraction = fraction + np.where(frames < stiffening["waypoint"], 0.0, changed)
-    for side, error in (("rim", AT_RIM), ("wall", 1.0)):
-        fraction[record.get(side, [])] += error
+    for side, error in (("rim", AT_RIM / fineness_of(result)), ("wall", np.ones(len(frames)))):
+        fraction[record.get(side, [])] += error[record.get(side, [])]
     return fraction
 
 

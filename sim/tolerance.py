@@ -50,7 +50,6 @@ from sim.tiers import simulate
 
 if TYPE_CHECKING:
     from sim.fem.in_time import TimeSteps
-    from sim.fem.solver import Required
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -190,7 +189,9 @@ class _Chain:
 
     def __init__(self, scene: Scene, steps: TimeSteps | None, device: str) -> None:
         self._scene, self._steps, self._device = scene, steps, device
-        self._required: Required = {}
+        from sim.fem.solver import Required
+
+        self._required = Required()
         self.settings: list[Fem] = []
         self.results: list[Result] = []
 
@@ -261,7 +262,8 @@ class _Search:
         up to its own, and the index of the mesh by which the error was measured."""
         self._cost = 0.0
         """Time of the last mesh over its fineness to the next power [s]."""
-        self._power = TIME_POWER["cpu" if device == "cpu" else "cuda"]
+        self._kind = "cpu" if device == "cpu" else "cuda"
+        self._power = TIME_POWER[self._kind]
 
     def run(self) -> None:
         """Solve until the tolerance is reached, or finer meshes are of no use.
@@ -309,7 +311,7 @@ class _Search:
                 return None
             finer = (error / self._wanted.value) ** 0.5 * 1.05
             elements = chain.results[-1].record["mesh"]["elements"] * finer**3
-            if limited or elements > HOPELESS * states.elements_max:
+            if limited or elements > HOPELESS * ELEMENTS_MAX[self._kind]:
                 return None
             fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
         return None
@@ -325,15 +327,16 @@ class _Search:
 
     def _in_time(self, states: Fem) -> TimeSteps | None:
         """Return the time steps of inertia, and their error; None without it."""
-        from sim.fem.in_time import time_steps
+        from sim.fem.in_time import FINENESS, time_steps
         from sim.fem.stepping import OutOfTime, limited
 
         wanted = self._wanted
         sought = IN_TIME * (wanted.value if wanted.kind == "fraction" else 0.01)
         now = time.monotonic()
+        fineness = FINENESS if self.until == math.inf else QUICK
         try:
             with limited(now + CHOOSING * (self.until - now)):
-                return time_steps(self._scene, states, self._device, sought)
+                return time_steps(self._scene, states, self._device, sought, fineness)
         except OutOfTime:
             return self._unchosen
 

@@ -92,18 +92,19 @@ def with_time(outcome: Outcome, steps: TimeSteps | None, numerics: Fem) -> Outco
 
 
 def time_steps(
-    scene: Scene, numerics: Fem, device: str, sought: float = SOUGHT
+    scene: Scene, numerics: Fem, device: str, sought: float = SOUGHT, fineness: float = FINENESS
 ) -> TimeSteps | None:
     """Return the steps in time of a scene and their error; None without inertia.
 
-    With `numerics.step_factor` that many; else as many as an error of `sought` needs.
+    With `numerics.step_factor` that many; else as many as an error of `sought` needs, on a mesh of
+    this `fineness`.
     """
     if scene.effects.inertia is None:
         return None
     (mesh,) = meshes_of([scene], numerics)
     path = path_of(scene, numerics, mesh.finest if numerics.follows else np.inf)
     travel = min(path.longest * scene.body.thickness, 1.0)  # infinite for a plane
-    coarse = Fem(fineness=FINENESS, step_travel=travel, tolerance=numerics.tolerance)
+    coarse = Fem(fineness=fineness, step_travel=travel, tolerance=numerics.tolerance)
     solved: dict[int, Array] = {}
 
     def with_error(factor: int) -> TimeSteps:

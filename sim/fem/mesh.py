@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.fem import CELLS_MAX, Fem, Grading
+from sim.fem import CELLS_MAX, ELEMENTS_MAX, Fem, Grading
 from sim.fem.sizing import (
     DEEPEST,
     GROWTH,
@@ -466,7 +466,7 @@ def meshes_of(
         sizes = [stages_of(scene)[0].sizes for scene in scenes]
     if sizes is not None:
         settings = [
-            (scene, size, numerics.fineness, numerics.elements_max)
+            (scene, size, numerics.fineness, numerics.elements_max or ELEMENTS_MAX["cpu"])
             for scene, size in zip(scenes, sizes, strict=True)
         ]
         meshes = [following_mesh(*each) for each in settings]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import warp as wp
@@ -12,7 +12,7 @@ import warp as wp
 from recorder.progress import span_of
 from sim.device import check_device
 from sim.errors import SimulationDiverged
-from sim.fem import FINENESS_LEAST, Fem, Precision
+from sim.fem import ELEMENTS_MAX, FINENESS_LEAST, Fem, Precision
 from sim.fem.assembly import damping_time
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
@@ -26,8 +26,29 @@ from sim.result import Outcome, Result, force_scale, with_beginning
 from sim.scene import Scene, beginning_of
 
 Progress = Callable[[float], None]
-# Required element sizes, by index of the scene and the number of its waypoints they apply to.
-Required = dict[tuple[int, int], Sizes]
+
+
+@dataclass(slots=True)
+class Required:
+    """What solutions on coarser meshes required, by index of the scene and number of waypoints."""
+
+    sizes: dict[tuple[int, int], Sizes] = field(default_factory=dict)
+    stiffer: dict[tuple[int, int], str] = field(default_factory=dict)
+    """Why a skin that does not stiffen has no solution."""
+
+    def add(self, key: tuple[int, int], outcome: Outcome, sizes: Sizes) -> None:
+        """Add what an outcome on a mesh of these sizes requires of a finer one."""
+        if isinstance(outcome, Result):
+            mesh, needed = outcome.record["mesh"], required_by(outcome)
+            ratio = coarser_than_required(
+                needed, outcome.surface_x, outcome.surface_y, mesh["fineness"]
+            )
+            if "made_anew" in mesh or ratio > COARSE:
+                sizes = sizes.joined(needed)
+            if "stiffening" in outcome.record:
+                self.stiffer[key] = outcome.record["stiffening"]["reason"]
+        self.sizes[key] = sizes
+
 
 # Most times that a mesh is rebuilt because the solution shows that it was too coarse.
 REMESHED = 2
@@ -61,10 +82,14 @@ def simulate_fem(
         numerics: Mesh, precision and tolerances.
         device: `cpu`, or `cuda:0` and the like.
         progress: Called with the fraction done, 0 to 1.
-        required: Element sizes that solutions of the same scenes on coarser meshes required; those
-            required by these solutions are added. They save building a mesh that proves too coarse.
+        required: What solutions of the same scenes on coarser meshes required; to it is added what
+            these require. It saves building a mesh that proves too coarse, and attempts with a skin
+            that has no state.
     """
     check_device(device)
+    if numerics.elements_max is None:
+        most = ELEMENTS_MAX["cuda" if wp.get_device(device).is_cuda else "cpu"]
+        numerics = replace(numerics, elements_max=most)
     if not numerics.follows:
         outcomes = solve_on_meshes(scenes, numerics, None, device, progress)
         return [_judged(outcome) for outcome in outcomes]
@@ -72,13 +97,25 @@ def simulate_fem(
     parts = [(i, stage) for i, each in enumerate(stages) for stage in each]
     some = [beginning_of(scenes[i], stage.waypoints) for i, stage in parts]
     keys = [(i, stage.waypoints) for i, stage in parts]
-    earlier = required or {}
-    sizes = [earlier.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)]
-    outcomes, lasting = _following(some, sizes, numerics, device, progress)
-    _on_coarser(outcomes, some, sizes, numerics, device)
-    if required is not None:
-        for key, size, outcome in zip(keys, lasting, outcomes, strict=True):
-            required[key] = _sizes_for_finer(size, outcome)
+    earlier = required or Required()
+    sizes = [
+        earlier.sizes.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)
+    ]
+    solved: dict[int, tuple[Outcome, Sizes]] = {}
+    for stiffer in (False, True):
+        rows = [row for row, key in enumerate(keys) if (key in earlier.stiffer) == stiffer]
+        alike = [some[row] for row in rows], [sizes[row] for row in rows]
+        if stiffer:
+            failed = [SimulationDiverged(earlier.stiffer[keys[row]]) for row in rows]
+            outcomes = solve_on_meshes(alike[0], numerics, alike[1], device, None, failed=failed)
+            solved.update(zip(rows, zip(outcomes, alike[1], strict=True), strict=True))
+        else:
+            outcomes, lasting = _following(*alike, numerics, device, progress)
+            _on_coarser(outcomes, *alike, numerics, device)
+            solved.update(zip(rows, zip(outcomes, lasting, strict=True), strict=True))
+    outcomes = [solved[row][0] for row in range(len(parts))]
+    for row, key in enumerate(keys):
+        earlier.add(key, *solved[row])
     of_scene: list[list[Outcome]] = [[] for _scene in scenes]
     for (i, _stage), outcome in zip(parts, outcomes, strict=True):
         of_scene[i].append(_judged(outcome))
@@ -166,9 +203,10 @@ def _following(
 
 
 # Fineness, over the requested one, of the meshes on which presses without a solution are solved
-# with a skin that stiffens from the start. A GPU takes about as long for all of them; a core takes
-# minutes for the finest.
-COARSER = {"cpu": (0.6, 0.3, 0.15), "cuda": (1.0, 0.6, 0.3, 0.15)}
+# with a skin that stiffens from the start. A core takes minutes for the finest; a GPU takes about
+# as long for all of them, if there is a solution, as there mostly is if only a later waypoint is
+# without one.
+COARSER = 1.0, 0.6, 0.3, 0.15
 
 
 def _on_coarser(
@@ -184,18 +222,23 @@ def _on_coarser(
     left: dict[int, SimulationDiverged] = {}
     for i, outcome in enumerate(outcomes):
         if isinstance(verdict := checked(outcome), SimulationDiverged):
+            if verdict.reached is not None and isinstance(
+                checked(verdict.reached), SimulationDiverged
+            ):
+                verdict.reached = None
             left[i] = verdict
-    for coarser in COARSER["cuda" if wp.get_device(device).is_cuda else "cpu"]:
-        if not left:
-            return
-        chosen = list(left)
+    fast = wp.get_device(device).is_cuda
+    for coarser in COARSER:
+        chosen = [i for i in left if coarser < 1 or (fast and _touched(left[i]))]
+        if not chosen:
+            continue
         some = solve_on_meshes(
             [scenes[i] for i in chosen],
             replace(numerics, fineness=max(FINENESS_LEAST, coarser * numerics.fineness)),
             [sizes[i] for i in chosen],
             device,
             None,
-            failed=list(left.values()),
+            failed=[left[i] for i in chosen],
         )
         for i, outcome in zip(chosen, some, strict=True):
             if isinstance(outcome, SimulationDiverged):
@@ -203,10 +246,14 @@ def _on_coarser(
             before = left.pop(i)
             before.forget_dump()
             reached = before.reached
-            useful = reached is not None and isinstance(checked(reached), Result)
-            outcomes[i] = with_beginning(outcome, reached) if useful else outcome
+            outcomes[i] = outcome if reached is None else with_beginning(outcome, reached)
             if isinstance(verdict := checked(outcomes[i]), SimulationDiverged):
                 left[i] = verdict
+
+
+def _touched(failed: SimulationDiverged) -> bool:
+    """True if a waypoint with contact was reached."""
+    return failed.reached is not None and bool(failed.reached.force.any())
 
 
 def refines(
@@ -226,15 +273,6 @@ def precision_for_finer(result: Result | Crossed, numerics: Fem) -> Precision:
     """Return the precision for a finer mesh: float64 if `auto` already had to fall back to it."""
     double = numerics.precision == "auto" and result.record["precision"] == "float64"
     return "float64" if double else numerics.precision
-
-
-def _sizes_for_finer(sizes: Sizes, outcome: Outcome) -> Sizes:
-    """Return the sizes for a finer mesh, with those of the solution's contacts where finer."""
-    if isinstance(outcome, SimulationDiverged):
-        return sizes
-    mesh, needed = outcome.record["mesh"], required_by(outcome)
-    ratio = coarser_than_required(needed, outcome.surface_x, outcome.surface_y, mesh["fineness"])
-    return sizes.joined(needed) if "made_anew" in mesh or ratio > COARSE else sizes
 
 
 def _remeshed(outcome: Outcome, times: int, before: Outcome) -> Outcome:
@@ -374,7 +412,13 @@ def _solve(
 
 # Values of `Fem.stiffening`: the first two with a solution are compared. The last two are tried
 # where one of the others has none.
-STIFFENINGS = 4.0, 12.0, 40.0, 100.0
+STIFFENINGS = 3.0, 12.0, 40.0, 100.0
+# A coefficient c adds c**STIFFER / (c**STIFFER + HALF) of the most that stiffening adds to a force:
+# from 0.1 to 40 within 0.06 of it under a line, prism, cone and hexagon (benches of the paper's gel
+# with friction, pressed by 30 % of the thickness), where a neo-Hookean skin has a state. Where skin
+# stiffens far around, as under a ball half the thickness deep, it adds about half as much to the
+# softer one, so that no force is changed by more than this fraction of it.
+STIFFER, HALF, CORRECTED_MOST = 0.7, 1.8, 0.25
 
 
 def _stiffened(
@@ -413,22 +457,28 @@ def _stiffened(
 
 
 def _spread(results: list[Result], before: SimulationDiverged) -> Result:
-    """Return the first of two results with stiffer skins, with the spread of their forces."""
+    """Return the softest of results with stiffer skins, with forces as of one that never stiffens.
+
+    Forces are extrapolated from two coefficients, and all of that correction is their error.
+    """
     one, other, *_stiffest = results
-    reached = before.reached
-    first = 0 if reached is None else len(reached.force)
-    apart = np.linalg.norm(one.force - other.force, axis=1) / force_scale(one.force)
+    first = 0 if before.reached is None else len(before.reached.force)
     two = [each.record["stiffening"]["coefficients"][0] for each in results]
+    added = [value**STIFFER / (value**STIFFER + HALF) for value in two]
+    correction = (other.wrench - one.wrench) * added[0] / (added[1] - added[0])
+    share = np.linalg.norm(correction[:, :3], axis=1) / force_scale(one.force)
+    within = np.minimum(1.0, CORRECTED_MOST / np.maximum(share, 1e-9))
+    whole = replace(one, wrench=one.wrench - within[:, None] * correction)
     entry = {
         "waypoint": first,
         "coefficients": two,
-        "spread": [float(f"{value:.4g}") for value in apart],
+        "correction": [float(f"{value:.4g}") for value in share],
         "reason": before.reason,
     }
     warning = (
         f"from waypoint {first} on the skin stiffens where it is strained far, as a neo-Hookean "
-        f"one has no state there ({before.reason}); forces with coefficients {two[0]:g} and "
-        f"{two[1]:g} differ by up to {100 * apart.max():.2g} %"
+        f"one has no state there ({before.reason}); forces are extrapolated from coefficients "
+        f"{two[0]:g} and {two[1]:g} by up to {100 * (within * share).max():.2g} %"
     )
     warnings = [*one.record["warnings"], warning]
-    return replace(one, record={**one.record, "stiffening": entry, "warnings": warnings})
+    return replace(whole, record={**one.record, "stiffening": entry, "warnings": warnings})

@@ -105,7 +105,7 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     overlap = np.nan_to_num(fine.quality.contact)
     more = PER_OVERLAP * overlap
     if (stiffening := fine.record.get("stiffening")) is not None:
-        more = more + np.array(stiffening["spread"])
+        more = more + np.array(stiffening["correction"])
     unsure = unsure + more * force_scale(force)
     by = f"fineness {fine.record['mesh']['fineness']:.2g}, steps x {times}"
     return Reference(force, unsure, f"{by}, overlap {100 * overlap.max():.2g} %")
