@@ -459,16 +459,20 @@ def _stiffened(
 def _spread(results: list[Result], before: SimulationDiverged) -> Result:
     """Return the softest of results with stiffer skins, with forces as of one that never stiffens.
 
-    Forces are extrapolated from two coefficients, and all of that correction is their error.
+    Sizes of forces are extrapolated from two coefficients. All of that correction is their error,
+    and the difference of both directions.
     """
     one, other, *_stiffest = results
     first = 0 if before.reached is None else len(before.reached.force)
     two = [each.record["stiffening"]["coefficients"][0] for each in results]
     added = [value**STIFFER / (value**STIFFER + HALF) for value in two]
-    correction = (other.wrench - one.wrench) * added[0] / (added[1] - added[0])
-    share = np.linalg.norm(correction[:, :3], axis=1) / force_scale(one.force)
-    within = np.minimum(1.0, CORRECTED_MOST / np.maximum(share, 1e-9))
-    whole = replace(one, wrench=one.wrench - within[:, None] * correction)
+    size = np.maximum(np.linalg.norm(one.force, axis=1), 1e-12)
+    apart = np.linalg.norm(other.force, axis=1) / size - 1.0
+    correction = apart * added[0] / (added[1] - added[0])
+    within = np.clip(correction, -CORRECTED_MOST, CORRECTED_MOST)
+    whole = replace(one, wrench=one.wrench * (1.0 - within[:, None]))
+    aside = np.linalg.norm(other.force - one.force * (1.0 + apart[:, None]), axis=1)
+    share = (np.abs(correction) * size + aside) / force_scale(one.force)
     entry = {
         "waypoint": first,
         "coefficients": two,
@@ -478,7 +482,7 @@ def _spread(results: list[Result], before: SimulationDiverged) -> Result:
     warning = (
         f"from waypoint {first} on the skin stiffens where it is strained far, as a neo-Hookean "
         f"one has no state there ({before.reason}); forces are extrapolated from coefficients "
-        f"{two[0]:g} and {two[1]:g} by up to {100 * (within * share).max():.2g} %"
+        f"{two[0]:g} and {two[1]:g} by up to {100 * np.abs(within).max():.2g} %"
     )
     warnings = [*one.record["warnings"], warning]
     return replace(whole, record={**one.record, "stiffening": entry, "warnings": warnings})
