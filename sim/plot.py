@@ -73,8 +73,7 @@ def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y
     """
     coarse = np.asarray(values, np.float64)
     along_x = PchipInterpolator(x, coarse, axis=0)(fine_x)
-    refined: Array = PchipInterpolator(y, along_x, axis=1)(fine_y)
-    return refined
+    return np.asarray(PchipInterpolator(y, along_x, axis=1)(fine_y))
 
 
 # One page per result: height and pressure of the frame with the largest force, section, and force.

@@ -184,8 +184,7 @@ class Elastic:
     def _projected(self, values: Array) -> Array:
         """Return the linear function nearest to `values` (E, P) in each element."""
         moments = (values * self.volume) @ self.linear
-        projected: Array = np.einsum("eab,eb->ea", self.inverse, moments) @ self.linear.T
-        return projected
+        return np.asarray(np.einsum("eab,eb->ea", self.inverse, moments) @ self.linear.T)
 
 
 def assembled(local: Array, unknowns: Index, count: int) -> csc_matrix:
@@ -196,8 +195,7 @@ def assembled(local: Array, unknowns: Index, count: int) -> csc_matrix:
 
 def outer(one: Array, other: Array) -> Array:
     """Return the products (..., M, N) of the entries of two vectors, (..., M) and (..., N)."""
-    products: Array = one[..., :, None] * other[..., None, :]
-    return products
+    return one[..., :, None] * other[..., None, :]
 
 
 def _cofactor(f: Array) -> Array:

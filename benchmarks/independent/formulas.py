@@ -82,5 +82,4 @@ def layer_sag(
     shear, _ = shear_and_bulk(modulus, poisson)
     stiffness = np.array([shear, shear, oedometric_modulus(modulus, poisson)])
     profile = (thickness**2 - np.square(np.asarray(z, float))) / 2
-    sag: Array = profile[..., None] * density * np.asarray(acceleration, float) / stiffness
-    return sag
+    return np.asarray(profile[..., None] * density * np.asarray(acceleration, float) / stiffness)

@@ -58,8 +58,7 @@ def layer_deficit(alpha: ArrayLike, poisson: float) -> Array:
     kappa = 3 - 4 * poisson
     numerator = 2 * kappa * twice + (1 + kappa**2 + 4 * alpha + 4 * alpha**2) * once
     denominator = kappa * (1 + once**2) + (1 + kappa**2 + 4 * alpha**2) * once
-    deficit: Array = np.divide(numerator, denominator, out=np.ones_like(alpha), where=alpha > 0)
-    return deficit
+    return np.asarray(np.divide(numerator, denominator, out=np.ones_like(alpha), where=alpha > 0))
 
 
 @dataclass(frozen=True, slots=True)

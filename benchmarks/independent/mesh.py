@@ -46,8 +46,7 @@ def graded(
         size = np.minimum(size, place.size + growth * away)
     count = np.concatenate([[0.0], np.cumsum(np.diff(x) / size)])
     whole = max(2, int(np.ceil(count[-1])))
-    lines: Array = np.interp(np.linspace(0, count[-1], whole + 1), count, x)
-    return lines
+    return np.asarray(np.interp(np.linspace(0, count[-1], whole + 1), count, x))
 
 
 def layer_grid(

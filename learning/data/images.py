@@ -128,8 +128,7 @@ def _lanczos(side: int) -> NDArray[np.float64]:
     inside = (pixels >= first[:, None]) & (pixels < end[:, None]) & (np.abs(distance) < _LOBES)
     weights = np.where(inside, weights, 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
-    rounded: NDArray[np.float64] = np.round(weights * 2**_BITS) / 2**_BITS
-    return rounded
+    return np.asarray(np.round(weights * 2**_BITS) / 2**_BITS)
 
 
 # Displacement fields on the lattice of archives, and images warped by them.

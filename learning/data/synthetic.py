@@ -99,8 +99,7 @@ class Patterns:
         """Return the superellipse norm of offsets [px]."""
         power = self.exponent[:, None, None]
         sum_ = (east.abs() + 1e-6) ** power + (south.abs() + 1e-6) ** power
-        root: Tensor = sum_ ** (1 / power)
-        return root
+        return sum_ ** (1 / power)
 
 
 def sample_patterns(count: int, generator: np.random.Generator, device: torch.device) -> Patterns:
@@ -154,8 +153,7 @@ def _within(pitches: NDArray[np.float64], half: NDArray[np.float64]) -> NDArray[
     rows, columns = np.meshgrid(steps, steps, indexing="ij")
     cells = np.stack([columns.ravel(), rows.ravel()], axis=1)
     away = cells[None] * (pitches / half)[:, None]
-    inside: NDArray[np.bool_] = (away**2).sum(axis=2) <= 1
-    return inside
+    return np.asarray((away**2).sum(axis=2) <= 1)
 
 
 def _table(generator: np.random.Generator, count: int) -> NDArray[np.float64]:

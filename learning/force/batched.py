@@ -169,8 +169,7 @@ def _forward(
         normalised: Tensor = functional_call(model, (own, fixed), (seen,), {"lengths": lengths})[0]
         return normalised
 
-    normalised: Tensor = torch.vmap(one, randomness="different")(weights, buffers, frames)
-    return normalised
+    return torch.vmap(one, randomness="different")(weights, buffers, frames)
 
 
 def _clip(weights: Any, most: float) -> None:

@@ -380,8 +380,7 @@ class ForceModel(nn.Module):
             LearningError: The presses have another form than the model takes.
         """
         normalised = self.predict_normalised(presses, progress=progress)
-        forces: NDArray[np.float64] = self.denormalise(normalised).double().cpu().numpy()
-        return forces
+        return self.denormalise(normalised).double().cpu().numpy()
 
     @torch.no_grad()
     def predict_normalised(

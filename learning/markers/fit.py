@@ -326,5 +326,4 @@ def read_picture(path: Path) -> Picture:
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
         raise LearningError(f"{path}: not a picture; allowed: {', '.join(ENDINGS)}")
-    colours: Picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    return colours
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)

@@ -308,8 +308,7 @@ def view_of(picture: Picture, region: Region) -> Picture:
     view = picture[ends[0], ends[1]]
     if view.shape[:2] == (HEIGHT, WIDTH):
         return view
-    resized: Picture = cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
-    return resized
+    return cv2.resize(view, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
 
 
 class Segmenter:
@@ -372,15 +371,13 @@ def outlined(view: Picture, mask: Mask, colour: tuple[int, int, int], width_px: 
 
 def grey(picture: Picture) -> Picture:
     """Return the luma (h, w) of a picture (h, w, 3), RGB (ITU-R BT.601)."""
-    luma: Picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    return luma
+    return cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
 
 
 def _equalised(view: Picture) -> Picture:
     luma, first, second = cv2.split(cv2.cvtColor(view, cv2.COLOR_RGB2YUV))
     merged = cv2.merge([cv2.equalizeHist(luma), first, second])
-    equalised: Picture = cv2.cvtColor(merged, cv2.COLOR_YUV2RGB)
-    return equalised
+    return cv2.cvtColor(merged, cv2.COLOR_YUV2RGB)
 
 
 def _detected(view: Picture, detector: Detector) -> Binary:
@@ -398,8 +395,7 @@ def _detected(view: Picture, detector: Detector) -> Binary:
     if isinstance(detector, Dark):
         return _below(_channel(view, "brightest"), detector.below)
     limits = _limits(detector)
-    within: Binary = cv2.inRange(view, (0, 0, 0), limits)
-    return within
+    return cv2.inRange(view, (0, 0, 0), limits)
 
 
 def _limits(detector: ColourBelow) -> tuple[int, int, int]:
@@ -417,8 +413,7 @@ def _contrast(values: Picture, detector: Contrast) -> Binary:
     middle = cv2.resize(middle, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
     enough = cv2.resize(enough, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
     beyond = cv2.compare(values, middle, cv2.CMP_GT if detector.bright else cv2.CMP_LT)
-    pixels: Binary = cv2.bitwise_and(beyond, enough)
-    return pixels
+    return cv2.bitwise_and(beyond, enough)
 
 
 def hat_contrast(
@@ -449,14 +444,12 @@ def half_of_own(contrast: NDArray[np.float32], most: NDArray[np.float32], least:
 
     Where the largest contrast nearby is below `least`, nothing is found.
     """
-    pixels: Binary = ((contrast > OUTLINE * most) & (most >= least)).astype(np.uint8) * 255
-    return pixels
+    return ((contrast > OUTLINE * most) & (most >= least)).astype(np.uint8) * 255
 
 
 def _disc(size_px: int) -> Picture:
     side = size_px | 1
-    element: Picture = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    return element
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
 
 def _channel(view: Picture, channel: Channel) -> Picture:
@@ -464,8 +457,7 @@ def _channel(view: Picture, channel: Channel) -> Picture:
         return grey(view)
     red, green, blue = cv2.split(view)
     pick = cv2.max if channel == "brightest" else cv2.min
-    picked: Picture = pick(pick(red, green), blue)
-    return picked
+    return pick(pick(red, green), blue)
 
 
 def _below(values: Picture, limit: int, *, at_least: bool = False) -> Binary:

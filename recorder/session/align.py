@@ -439,8 +439,7 @@ class Window:
         ]
         if not distances:
             return np.full(len(self.t_ns), np.nan)
-        worst: Floats = np.fmax.reduce(distances)
-        return worst
+        return np.asarray(np.fmax.reduce(distances))
 
 
 def align_window(

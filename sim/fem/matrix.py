@@ -46,8 +46,7 @@ def slot_offsets(cells: tuple[int, int, int]) -> NDArray[np.int64]:
     """Return the node number of each slot's neighbour relative to the node (27,)."""
     plane, row = (cells[1] + 1) * (cells[2] + 1), cells[2] + 1
     steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    offsets: NDArray[np.int64] = steps @ np.array([plane, row, 1])
-    return offsets
+    return steps @ np.array([plane, row, 1])
 
 
 def neighbours(cells: tuple[int, int, int]) -> NDArray[np.int64]:
@@ -64,8 +63,7 @@ def face_slots(mesh: Mesh) -> NDArray[np.int64]:
     """Return the slot of corner b of a face relative to its corner a (S, 4, 4)."""
     difference = mesh.faces[:, None, :] - mesh.faces[:, :, None]
     offsets = slot_offsets(mesh.cells)
-    slots: NDArray[np.int64] = np.argmax(difference[..., None] == offsets, axis=-1)
-    return slots
+    return np.argmax(difference[..., None] == offsets, axis=-1)
 
 
 def colour_order(cells: tuple[int, int, int]) -> tuple[NDArray[np.int64], list[int]]:

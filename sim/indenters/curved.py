@@ -135,8 +135,7 @@ def _beyond(this: Whole, other: Whole, angle: Array, count: int) -> Array:
     rest = np.setdiff1d(order, first)
     np.maximum.at(second, owner[rest], step[rest])
     is_first = np.isin(np.arange(len(pair)), first)
-    beyond: Array = np.where(is_first, second[owner], most[owner])[of]
-    return beyond
+    return np.asarray(np.where(is_first, second[owner], most[owner])[of])
 
 
 def _joined(pairs: Whole, count: int) -> Whole:

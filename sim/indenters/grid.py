@@ -29,8 +29,7 @@ class NodeGrid:
 
     def positions(self, nodes: NDArray[np.int64]) -> Array:
         """Return the positions (..., 3) [m] of nodes (..., 3), counted from 0."""
-        positions: Array = (nodes + np.array(self.first)) * self.spacing
-        return positions
+        return np.asarray((nodes + np.array(self.first)) * self.spacing)
 
     def points(self) -> Array:
         """Return the positions of all nodes (count, 3) [m], z fastest."""

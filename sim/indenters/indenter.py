@@ -166,8 +166,7 @@ def _seeds(upright: Indenter, turn: Array, box: tuple[Array, Array], half: float
     points = np.column_stack([columns, lower_surface(distance, len(columns), reach) - near])
     drop = (points @ turn[2]).reshape(SEEDS, SEEDS)
     low = (drop == minimum_filter(drop, 3)) & np.isfinite(drop)
-    seeds: Array = points[low.ravel()]
-    return seeds
+    return np.asarray(points[low.ravel()])
 
 
 def _on_surface(upright: Indenter, points: Array) -> tuple[Array, Array]:

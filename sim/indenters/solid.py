@@ -105,8 +105,7 @@ def coefficients(values: Array) -> Array:
     """Return the coefficients of the spline with these values at the nodes."""
     from scipy.ndimage import spline_filter
 
-    spline: Array = spline_filter(values, order=3, output=np.float64, mode="mirror")
-    return spline
+    return np.asarray(spline_filter(values, order=3, output=np.float64, mode="mirror"))
 
 
 def _weights(fraction: Array) -> tuple[list[Array], list[Array]]:
@@ -283,8 +282,7 @@ def _turned(vertices: Array, up: Up, axis: Axis) -> Array:
         vertices = vertices * [1.0, -1.0, -1.0]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle = (low + high) / 2 if axis == "middle" else np.zeros(3)
-    turned: Array = vertices - [middle[0], middle[1], low[2]]
-    return turned
+    return np.asarray(vertices - [middle[0], middle[1], low[2]])
 
 
 def _tip_up(vertices: Array, faces: NDArray[np.int64], name: str, up: Up) -> list[str]:
@@ -412,8 +410,7 @@ def _where_planes_meet(
     """
 
     def summed(values: Array) -> Array:
-        total: Array = np.bincount(vertex, values, count).astype(np.float64)
-        return total
+        return np.bincount(vertex, values, count).astype(np.float64)
 
     planes = summed(np.ones(len(vertex)))
     mean = np.stack([summed(crossing[:, i]) / planes for i in range(3)], axis=1)
@@ -426,8 +423,7 @@ def _where_planes_meet(
     size, along = np.linalg.eigh(squares)
     firm = size > SHARP * size[:, 2:]
     step = np.einsum("nij,ni->nj", along, pull) * firm / np.where(firm, size, 1.0)
-    met: Array = mean + np.einsum("nij,nj->ni", along, step)
-    return met
+    return np.asarray(mean + np.einsum("nij,nj->ni", along, step))
 
 
 # Default spacing of the grid, and its height above the tip [m].

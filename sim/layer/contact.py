@@ -186,8 +186,7 @@ def _pushing(pressure: Array) -> Array:
 
 def _within(shear: Array, bound: Array) -> Array:
     length = np.sqrt(shear[0] ** 2 + shear[1] ** 2)
-    inside: Array = shear * (bound / np.maximum(np.maximum(length, bound), TINY))
-    return inside
+    return np.asarray(shear * (bound / np.maximum(np.maximum(length, bound), TINY)))
 
 
 # Gap between the undeformed body and the indenter, for any position of its tip.

@@ -189,8 +189,7 @@ class LayerPress:
     @property
     def force(self) -> Array:
         """Force of the indenter on the body (3,) [N]."""
-        total: Array = self.traction.sum(axis=(1, 2)) * self.grid.area
-        return total
+        return np.asarray(self.traction.sum(axis=(1, 2)) * self.grid.area)
 
     @property
     def gap(self) -> Array:
@@ -330,8 +329,7 @@ class LayerPress:
         """Return how much partly covered pixels yield more by a traction (3, nx, ny) [m]."""
         local = self._convolutions.within((1, 1))
         factors = np.array([local.local_shear, local.local_shear, local.local_normal])
-        extra: Array = factors[:, None, None] * self._extra * elastic
-        return extra
+        return factors[:, None, None] * self._extra * elastic
 
     def _moved_by(self, elastic: Array) -> Array:
         return self._convolutions.whole.full(elastic.astype(np.float32))

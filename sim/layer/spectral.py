@@ -256,13 +256,11 @@ class Convolution:
     def _forward(self, field: Array) -> Spectrum:
         # One axis at a time, so that rows of padding only are not transformed.
         half = scipy.fft.rfft(field, n=self._padded[1], axis=-1)
-        spectrum: Spectrum = scipy.fft.fft(half, n=self._padded[0], axis=-2, overwrite_x=True)
-        return spectrum
+        return np.asarray(scipy.fft.fft(half, n=self._padded[0], axis=-2, overwrite_x=True))
 
     def _back(self, spectrum: Spectrum) -> Array:
         half = scipy.fft.ifft(spectrum, axis=-2, overwrite_x=True)[..., : self._shape[0], :]
-        field: Array = scipy.fft.irfft(half, n=self._padded[1], axis=-1)[..., : self._shape[1]]
-        return field
+        return np.asarray(scipy.fft.irfft(half, n=self._padded[1], axis=-1)[..., : self._shape[1]])
 
 
 @dataclass(frozen=True, slots=True)

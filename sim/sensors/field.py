@@ -76,8 +76,7 @@ class SurfaceField:
         # (n, X) @ (F, X, Y * 3): a line along y for every point, then one value of each line.
         flat = self.displacement.reshape(frames, rows, columns * 3).astype(float)
         lines = (across_x @ flat).reshape(frames, len(places), columns, 3)
-        moved: Array = np.einsum("fnyc,ny->fnc", lines, across_y)
-        return moved
+        return np.asarray(np.einsum("fnyc,ny->fnc", lines, across_y))
 
     def resampled(self, x: Array, y: Array) -> SurfaceField:
         """Return the field on another grid: cubic interpolation, edge values beyond the old one."""
@@ -145,8 +144,7 @@ def cubic_weights(knots: Array, places: Array) -> Array:
     unit = np.eye(len(knots))
     slopes = np.gradient(unit, knots, axis=0, edge_order=2 if len(knots) > 2 else 1)
     curve = CubicHermiteSpline(knots, unit, slopes, axis=0)
-    weights: Array = curve(np.clip(places, knots[0], knots[-1]))
-    return weights
+    return np.asarray(curve(np.clip(places, knots[0], knots[-1])))
 
 
 def outward_normals(field: SurfaceField) -> Array:
@@ -160,5 +158,4 @@ def outward_normals(field: SurfaceField) -> Array:
     normal = np.cross(tangent_x, tangent_y)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     # A surface folded flat has no normal; it keeps that of the undeformed surface.
-    unit: Array = np.where(length > 0, normal / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
-    return unit
+    return np.where(length > 0, normal / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])

@@ -44,8 +44,7 @@ def rotations(gradient: Array) -> Array:
     left, _, right = np.linalg.svd(np.eye(3) + gradient)
     # For an inverted deformation the nearest orthogonal matrix would be a reflection.
     left[..., -1] *= np.sign(np.linalg.det(left @ right))[..., None]
-    turn: Array = left @ right
-    return turn
+    return np.asarray(left @ right)
 
 
 # Displacement inside a bonded layer, from that of its top.
@@ -128,21 +127,18 @@ class Interior:
             for axis, samples, fade in zip((top.x, top.y), self._samples, self._fade, strict=True)
         )
         planes = np.moveaxis(top.displacement, 3, 1).astype(float)
-        waves: Waves = scipy.fft.rfft2(across_x @ planes @ across_y.T)
-        return waves
+        return np.asarray(scipy.fft.rfft2(across_x @ planes @ across_y.T))
 
     def _summed(self, waves: Waves, at_x: Waves, at_y: Waves) -> Array:
         """Return values (F, n, 3) of waves (F, 3, kx, ky) at the places."""
         lines = np.einsum("nk,fckl->fncl", at_x, waves, optimize=True)
-        values: Array = np.einsum("fncl,nl->fnc", lines, at_y).real
-        return values
+        return np.asarray(np.einsum("fncl,nl->fnc", lines, at_y).real)
 
 
 def _fade(samples: Array, half: float, width: float) -> Array:
     """Return factors (K,): 1 on the body, fading smoothly to 0 within `width` beside it."""
     beside = np.clip((np.abs(samples) - half) / width, 0.0, 1.0)
-    fade: Array = 0.5 + 0.5 * np.cos(np.pi * beside)
-    return fade
+    return 0.5 + 0.5 * np.cos(np.pi * beside)
 
 
 def _reach(
@@ -286,8 +282,7 @@ class TaxelSignal:
         """Positions of the taxels (16, 2) [m]."""
         number = np.arange(SIDE * SIDE)
         steps = np.stack([number % SIDE, number // SIDE], axis=1).astype(float)
-        positions: Array = (steps - (SIDE - 1) / 2) * self.pitch
-        return positions
+        return (steps - (SIDE - 1) / 2) * self.pitch
 
 
 class TaxelPad:
@@ -343,8 +338,7 @@ class TaxelPad:
     def change(self, top: SurfaceField) -> Array:
         """Return the change of the flux density (F, 16, 3) [T] from that of the unloaded pad."""
         moved, gradient = self._interior.at(top)
-        change: Array = self.flux(moved, gradient) - self._undeformed
-        return change
+        return np.asarray(self.flux(moved, gradient) - self._undeformed)
 
     def raw(self, top: SurfaceField, normal: Array | None = None) -> Counts:
         """Return raw counts (F, 16, 3) as the device sends them: integers, saturated, 0 to 65535.

@@ -153,8 +153,7 @@ class SegmentationErrors:
         flips = 1 - 2 * random.integers(0, 2, 2)
         row = (top + flips[0] * (pixels // width)) % BANK[0]
         column = (left + flips[1] * (pixels % width)) % BANK[1]
-        noise: Floats = self._bank[row, column]
-        return noise
+        return np.asarray(self._bank[row, column])
 
     def _without_missed(self, mask: Masks, random: np.random.Generator) -> Masks:
         """Return the mask without the missed markers."""
@@ -295,8 +294,7 @@ class Drift:
         """
         steps = generator(seed, "drift", *session).normal(0.0, self.step, (points, 2))
         steps[:1] = 0.0
-        offsets: Array = np.cumsum(steps, axis=0)
-        return offsets
+        return np.cumsum(steps, axis=0)
 
 
 @dataclass(frozen=True, slots=True)

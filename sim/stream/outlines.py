@@ -69,8 +69,7 @@ class LiveMarkers:
         # Without the camera's rotation, which leaves a disc unchanged.
         size = self._camera.focal / (self._camera.distance + tips[:, 2])
         rims = self._rings * size[:, None, None] * np.array([1.0, -1.0])
-        pixels: Array = self._camera.project(tips)[:, None] + rims
-        return pixels
+        return np.asarray(self._camera.project(tips)[:, None] + rims)
 
 
 def _ring(pattern: Pattern) -> Array:
@@ -94,8 +93,7 @@ def _ring(pattern: Pattern) -> Array:
         ]
     )
     cosine, sine = math.cos(angle), math.sin(angle)
-    ring: Array = square @ np.array([[cosine, sine], [-sine, cosine]])
-    return ring
+    return np.asarray(square @ np.array([[cosine, sine], [-sine, cosine]]))
 
 
 def _taps(x: Array, y: Array, places: Array) -> tuple[NDArray[np.int64], Array]:

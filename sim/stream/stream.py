@@ -107,8 +107,7 @@ class LivePress(LayerPress):
     @property
     def relaxed_force(self) -> Array:
         """Force that would remain if the body relaxed at its present displacement (3,) [N]."""
-        relaxed: Array = self.history.elastic.sum(axis=(1, 2)) * self.grid.area
-        return relaxed
+        return np.asarray(self.history.elastic.sum(axis=(1, 2)) * self.grid.area)
 
     @property
     def shear(self) -> Array:
@@ -116,8 +115,7 @@ class LivePress(LayerPress):
         touched = self.traction[2] != 0
         if not touched.any():
             return np.zeros(2)
-        moved: Array = self.displacement[:2, touched].mean(axis=1)
-        return moved
+        return np.asarray(self.displacement[:2, touched].mean(axis=1))
 
     def relaxing(self, within: float) -> Array:
         """Return the force's mean rate (3,) [N/s] over the next `within` [s] at a fixed tip."""
@@ -311,8 +309,7 @@ def _touched(before: Array, now: Array) -> Array:
     """Return the point at which the tip crossed the undeformed surface (3,) [m]."""
     if before[2] <= 0 or now[2] >= 0:
         return before
-    point: Array = before + (now - before) * (before[2] / (before[2] - now[2]))
-    return point
+    return np.asarray(before + (now - before) * (before[2] / (before[2] - now[2])))
 
 
 # Fast displacement of pin tips: `Pins.tips` computes it on a fine grid, this only at the pins.
@@ -358,14 +355,12 @@ class LiveTips:
         normal = _averaged(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         moved = _averaged(at(self._x, self._y))
-        tips: FloatArray = moved + self._length * (np.array([0.0, 0.0, 1.0]) - normal)
-        return tips
+        return moved + self._length * (np.array([0.0, 0.0, 1.0]) - normal)
 
 
 def _averaged(values: FloatArray) -> FloatArray:
     """Return means (n, 3) over the pins' bases of values at nodes (n, nodes, nodes, 3)."""
-    mean: FloatArray = np.einsum("nabc,a,b->nc", values, SHARES, SHARES)
-    return mean
+    return np.asarray(np.einsum("nabc,a,b->nc", values, SHARES, SHARES))
 
 
 def _weights(knots: FloatArray, centres: FloatArray, base: float) -> tuple[FloatArray, FloatArray]:

@@ -351,8 +351,7 @@ def nearest(scenery: Scenery, begun: Camera, design: Camera, sigma: float = 1.0)
     def residuals(unknowns: Array) -> Array:
         lens = (OF_LENS @ unknowns - math.log(design.focal)) / LENS
         prior = (unknowns - start) / WIDE
-        off: Array = np.r_[scenery.residuals(_camera(unknowns)) / sigma, lens, prior]
-        return off
+        return np.asarray(np.r_[scenery.residuals(_camera(unknowns)) / sigma, lens, prior])
 
     bounds = start - 2.5 * WIDE, start + 2.5 * WIDE
     return least_squares(residuals, start, x_scale=SIZES, bounds=bounds, max_nfev=MOST_TRIED)

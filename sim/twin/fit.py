@@ -690,8 +690,7 @@ def _whitened(values: Array, common: Array) -> Array:
     """Return C^-1/2 `values` (m, p), where C = 1 + `common` `common`^T, (m, k)."""
     basis, spread, _ = np.linalg.svd(common, full_matrices=False)
     lost = 1 - 1 / np.sqrt(1 + spread**2)
-    whitened: Array = values - basis @ (lost[:, None] * (basis.T @ values))
-    return whitened
+    return np.asarray(values - basis @ (lost[:, None] * (basis.T @ values)))
 
 
 def _cost(residual: Array, offset: Array) -> float:

@@ -42,8 +42,7 @@ class Net(nn.Module):
         )
 
     def forward(self, values: torch.Tensor) -> torch.Tensor:
-        out: torch.Tensor = self.layers(values)
-        return out
+        return self.layers(values)
 
 
 def _train(folder: Path, until: int) -> Net:

@@ -72,8 +72,7 @@ SENSORS = ("gelsight", "tacpalm", "uskin")
 
 def wrench_of(name: str) -> np.ndarray:
     """Return the wrench of a scene in each frame (F, 6) [N, N m]."""
-    wrench: np.ndarray = simulate(*SCENES[name]).wrench
-    return wrench
+    return simulate(*SCENES[name]).wrench
 
 
 def masks_of(name: str) -> str:

@@ -130,14 +130,12 @@ def _servers_run_all_the_time(web: str, s3: str) -> None:
     params=["counted", *(pytest.param(n, marks=pytest.mark.slow) for n in ("web", "s3"))]
 )
 def url_of_commands(request: pytest.FixtureRequest) -> str:
-    place: str = request.getfixturevalue(request.param)
-    return place
+    return request.getfixturevalue(request.param)
 
 
 @pytest.fixture(params=["counted", "web", "s3"])
 def url(request: pytest.FixtureRequest) -> str:
-    place: str = request.getfixturevalue(request.param)
-    return place
+    return request.getfixturevalue(request.param)
 
 
 def test_everything_reads_as_it_does_from_the_disk(url: str, recorded: Path) -> None:

@@ -23,8 +23,7 @@ def encoded(width: int = 64, height: int = 48) -> bytes:
 
 
 def decoded(jpeg: bytes) -> np.ndarray | None:
-    image: np.ndarray | None = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    return image
+    return cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
 
 
 @pytest.mark.parametrize("size", [(64, 48), (8, 8), (33, 100)])

@@ -61,8 +61,7 @@ DEVICES = [each for each in map(registry.device, registry.kinds()) if each.examp
 
 @pytest.fixture(name="device", params=DEVICES, ids=lambda each: each.kind)
 def each_device(request: pytest.FixtureRequest) -> Device:
-    device: Device = request.param
-    return device
+    return request.param
 
 
 class Place:
@@ -95,8 +94,7 @@ class Place:
     def served(self) -> Served:
         emulate = import_module(self.device.emulator).emulate
         kind = get_type_hints(emulate)["settings"]
-        served: Served = emulate(READER.build(kind, self.document, self.device.kind), CLOCK)
-        return served
+        return emulate(READER.build(kind, self.document, self.device.kind), CLOCK)
 
     def number(self, sample: dict[str, Any]) -> int:
         """Return the number that the device gave a sample."""

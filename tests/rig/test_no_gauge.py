@@ -346,8 +346,7 @@ def test_a_zero_is_for_the_guard_and_not_for_what_is_averaged(tmp_path: Path) ->
             t_ns = clock.now_ns() + k * SECOND_NS // 10
             loop._take({"value": bias.copy(), "device_t": 0.0, "t_ns": t_ns})
         assert loop._measurement is not None
-        found: np.ndarray = loop._measurement.result()["mean"]
-        return found
+        return loop._measurement.result()["mean"]
 
     for _ in range(3):
         loop._on_zero(measured().tolist())

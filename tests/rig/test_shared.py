@@ -83,8 +83,7 @@ def test_a_reader_gets_every_record_since_its_last_look_or_the_number_of_those_i
         if records is None:
             return None
         assert (records["value"] == records["a"][:, None]).all()
-        numbers: list[int] = records["a"].tolist()
-        return numbers
+        return records["a"].tolist()
 
     assert look() is None
     for k in (-1, 0):

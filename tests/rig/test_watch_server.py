@@ -334,5 +334,4 @@ def closed_with(client: Any) -> int | None:
         while True:
             client.recv(timeout=240)
     except ConnectionClosed as closed:
-        received: int | None = closed.rcvd.code if closed.rcvd else None
-        return received
+        return closed.rcvd.code if closed.rcvd else None

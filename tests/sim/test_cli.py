@@ -36,8 +36,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _said(argv: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
     assert main(["sim", *argv, "--json"]) == 0
-    told: dict[str, object] = json.loads(capsys.readouterr().out)
-    return told
+    return json.loads(capsys.readouterr().out)
 
 
 def test_a_press_tells_the_force_at_the_depths_it_was_asked_for(

@@ -27,8 +27,7 @@ KINDS = ["elastic", "viscous", "stiffening"]
 @pytest.fixture(params=["sim.fem.element", "sim.fem.lanes"])
 def module(request: pytest.FixtureRequest) -> str:
     """Return the module of the kernel: one element a thread, as on a GPU, or eight."""
-    name: str = request.param
-    return name
+    return request.param
 
 
 def _states(count: int) -> Array:

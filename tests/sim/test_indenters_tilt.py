@@ -43,8 +43,7 @@ def _cloud(count: int, seed: int = 0) -> Array:
 
 
 def _turn(tilt: tuple[float, float] = TILT) -> Array:
-    turn: Array = Rotation.from_rotvec([*tilt, 0]).as_matrix()
-    return turn
+    return Rotation.from_rotvec([*tilt, 0]).as_matrix()
 
 
 def test_a_tilted_sphere_is_a_sphere() -> None:

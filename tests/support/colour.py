@@ -104,8 +104,7 @@ class Shading:
         fraction = np.where(seen, coverage, 0.0)[..., None]
         light = (1 - fraction) * self.colours(normal) + fraction * np.array(self.ink)
         light[~seen] = 0.0
-        picture: NDArray[np.uint8] = np.rint(light).astype(np.uint8)
-        return picture
+        return np.rint(light).astype(np.uint8)
 
 
 # Lamps of the GelSight: on the left, below and on the right; assumed.

@@ -33,10 +33,9 @@ def picture(missing: int = 0, light: float = 1.0) -> bytes:
     for x, y in kept:
         pixels[(column - x) ** 2 + (row - y) ** 2 < 100] = 40.0
     noise = np.random.default_rng(0).normal(0, 1.0, pixels.shape)
-    data: bytes = simplejpeg.encode_jpeg(
+    return simplejpeg.encode_jpeg(
         np.clip(light * pixels + noise, 0, 255).astype(np.uint8), quality=90
     )
-    return data
 
 
 class Recording:

@@ -30,8 +30,7 @@ TARGETS = 40
 def jpeg(seed: int) -> bytes:
     """Return a camera image that compresses poorly, so that slow clients are noticed."""
     pixels = np.random.default_rng(seed).integers(0, 256, (480, 640, 3), dtype=np.uint8)
-    data: bytes = simplejpeg.encode_jpeg(pixels, quality=60)
-    return data
+    return simplejpeg.encode_jpeg(pixels, quality=60)
 
 
 @dataclass
@@ -120,8 +119,7 @@ def next_state(client: ClientConnection) -> dict[str, Any]:
     while True:
         message = client.recv(timeout=240)
         if isinstance(message, str) and (content := json.loads(message))["kind"] == "state":
-            state: dict[str, Any] = content
-            return state
+            return content
 
 
 def next_image(client: ClientConnection) -> bytes:

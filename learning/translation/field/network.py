@@ -222,8 +222,7 @@ def coverage(level: Tensor) -> Tensor:
     The edge is assumed straight within a pixel; pixel size follows from the image size.
     """
     size = math.sqrt(HEIGHT * WIDTH / (level.shape[-2] * level.shape[-1]))
-    covered: Tensor = (0.5 + level / size).clamp(0.0, 1.0)
-    return covered
+    return (0.5 + level / size).clamp(0.0, 1.0)
 
 
 def coarse_growth(deformation: Tensor) -> Tensor:
@@ -436,10 +435,7 @@ def signed_distance(masks: Tensor, reach: int = REACH_PX) -> Tensor:
 
 def resampled(distance: Tensor, side: int) -> Tensor:
     """Return distances (n, 1, h, w) at the pixel centres of side x side images of the same view."""
-    small: Tensor = functional.interpolate(
-        distance, size=(side, side), mode="bilinear", align_corners=False
-    )
-    return small
+    return functional.interpolate(distance, size=(side, side), mode="bilinear", align_corners=False)
 
 
 def _distance_by_blur(masks: Tensor) -> Tensor:

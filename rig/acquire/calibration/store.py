@@ -296,8 +296,7 @@ def report_path(folder: Path, sensor: str) -> Path:
 
 def acceptance_of(folder: Path, bench: Bench) -> dict[str, Any] | None:
     """Return the summary of a bench's acceptance report; None if it was not set up to the end."""
-    accepted: dict[str, Any] | None = read_setup(folder, bench).get("acceptance")
-    return accepted
+    return read_setup(folder, bench).get("acceptance")
 
 
 def read_setup(folder: Path, bench: Bench) -> dict[str, Any]:

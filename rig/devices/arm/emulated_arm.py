@@ -140,8 +140,7 @@ class Wrist:
     def reported(self, wrench: Array, t: float) -> Array:
         """Return what the arm reports for a true wrench (6,) [N, N m] at time `t` [s]."""
         noise = self._rng.normal(0.0, self.NOISE, 6) * (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
-        measured: Array = self.gain * wrench + self._bias + self._drift * t + noise
-        return measured
+        return self.gain * wrench + self._bias + self._drift * t + noise
 
 
 class Robot:

@@ -51,13 +51,11 @@ class TransducerCalibration:
 
     def wrench(self, volts: npt.ArrayLike) -> Array:
         """Return the wrench (..., 6) [N, N m] in the transducer's frame at volts (..., 6)."""
-        wrench: Array = np.asarray(volts, np.float64) @ self.matrix.T
-        return wrench
+        return np.asarray(volts, np.float64) @ self.matrix.T
 
     def volts(self, wrench: npt.ArrayLike) -> Array:
         """Return the gauge voltages (..., 6) [V] of a wrench (..., 6) [N, N m], unclipped."""
-        volts: Array = np.asarray(wrench, np.float64) @ np.linalg.inv(self.matrix).T
-        return volts
+        return np.asarray(wrench, np.float64) @ np.linalg.inv(self.matrix).T
 
     def saturated(self, volts: npt.ArrayLike, fraction: float = 0.999) -> npt.NDArray[np.bool_]:
         """Return True where any gauge of volts (..., 6) is saturated, so the wrench is wrong.
@@ -96,8 +94,7 @@ def _turn(rotation: tuple[float, float, float]) -> Array:
     about_x = np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
     about_y = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]])
     about_z = np.array([[cz, sz, 0], [-sz, cz, 0], [0, 0, 1]])
-    turn: Array = about_z @ about_y @ about_x
-    return turn
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 # An ATI calibration file (`.cal`): XML, one `FTSensor` with one `TransducerCalibration` in it.

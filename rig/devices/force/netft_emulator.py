@@ -206,8 +206,7 @@ class NetFtEmulator(Emulator):
             self._peer = None
 
     def _counts(self, state: np.void) -> Counts:
-        counts: Counts = state["wrench"] / self._scale
-        return counts
+        return np.asarray(state["wrench"] / self._scale)
 
     def _take_commands(self, udp: socket.socket, counts: Counts) -> bool:
         """Obey the commands received; return True if one started a stream."""

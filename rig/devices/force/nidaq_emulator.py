@@ -395,8 +395,7 @@ class NidaqEmulator(Emulator):
         step = (high - low) / 2**_BITS
         volts = gauges[[channel.number for channel in channels]]
         codes = np.clip(np.rint((volts - low) / step), 0, 2**_BITS - 1)
-        converted: Array = (low + codes * step)[np.newaxis]
-        return converted
+        return np.asarray((low + codes * step)[np.newaxis])
 
     def run_clock(self, task: _Task) -> None:
         """Run the sample clock of a task: fill its buffer until it is stopped."""
