@@ -174,7 +174,6 @@ class Column:
     """`zstd`, or `jpeg` for an image that arrives and is stored as JPEG."""
 
     def __post_init__(self) -> None:
-        """Reject columns that the format cannot hold."""
         if self.dtype not in _DTYPES:
             dtypes = ", ".join(_DTYPES)
             raise SessionError(f"{self.name}: found dtype {self.dtype}, known: {dtypes}")
@@ -234,7 +233,6 @@ class StreamSpec:
     where they differ from the defaults of the kind."""
 
     def __post_init__(self) -> None:
-        """Reject a stream that the format cannot hold."""
         names = [column.name for column in self.columns]
         if len(set(names)) != len(names):
             raise SessionError(f"{self.name}: repeated column in {names}")

@@ -157,7 +157,6 @@ class PressShear:
     """Radius of the sensor's spherical top, its apex at the origin [m]; None: flat."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         lengths = ("step_x", "step_y", "depth_step", "depth_max", "angle_step", "shear")
         check_positive(self, (*lengths, "clearance"))
         steps = self.depth_max / self.depth_step
@@ -292,7 +291,6 @@ class ForceDepth(StraightPresses):
     """Height of p0 above the undeformed surface [m]."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         check_positive(self, ("depth_max", "clearance"))
         if self.repeats < 1:
             raise ValueError(f"repeats: {self.repeats!r}; allowed: 1 or more")
@@ -325,7 +323,6 @@ class FirstPress(StraightPresses):
     """Height of p0 above the undeformed surface [m]."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         check_positive(self, ("depth_max", "clearance"))
 
     @property
@@ -379,7 +376,6 @@ class Touch(StraightPresses):
     """Radius of the sensor's spherical top, its apex at the origin [m]; None: flat."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         check_positive(self, ("travel", "clearance", "step_x", "step_y"))
         if self.repeats < 1:
             raise ValueError(f"repeats: {self.repeats!r}; allowed: 1 or more")
@@ -430,7 +426,6 @@ class Taps(StraightPresses):
     """Seed of heights and depths."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         check_positive(self, ("depth_max", "height_min", "height_max"))
         if self.height_max <= self.height_min:
             raise ValueError(f"height_max: {self.height_max!r}; allowed: above height_min")

@@ -150,7 +150,6 @@ class Prior:
     """Description of the measurement."""
 
     def __post_init__(self) -> None:
-        """Reject non-positive depths and non-finite coefficients."""
         for name in ("depth_range", "depth_max"):
             value = getattr(self, name)
             if not 0 < value < np.inf:

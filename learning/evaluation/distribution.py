@@ -222,7 +222,6 @@ class Inception(nn.Module):
     """Network from images to 2048 features."""
 
     def __init__(self) -> None:
-        """Build it with untrained weights."""
         super().__init__()
         self.Conv2d_1a_3x3 = NormedConvolution(3, ConvLayer("", 32, _THREE, 2))
         self.Conv2d_2a_3x3 = NormedConvolution(32, ConvLayer("", 32, _THREE), inside=True)

@@ -94,7 +94,6 @@ class Predictions:
     """Upper ends, likewise."""
 
     def __post_init__(self) -> None:
-        """Validate method, shapes and forces."""
         if self.method not in METHODS:
             raise LearningError(f"method: found {self.method!r}; allowed: {', '.join(METHODS)}")
         for field in fields(self):

@@ -63,7 +63,6 @@ class ExperimentSettings:
     """Seed of the split, of the choice of presses, and of each training whose `set` has none."""
 
     def __post_init__(self) -> None:
-        """Validate the settings."""
         if not self.translators or len(set(self.translators)) != len(self.translators):
             raise LearningError(
                 f"translators: found {self.translators}; allowed: flow, field, diffusion, each once"

@@ -54,7 +54,6 @@ class Scale:
     """True if no force on the sensor was ever known."""
 
     def __post_init__(self) -> None:
-        """Reject a factor below 1."""
         if not 1.0 <= self.factor < math.inf:
             raise LearningError(f"scale.factor: found {self.factor}; allowed: 1 or more")
 

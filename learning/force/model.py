@@ -62,7 +62,6 @@ class InputSettings:
     """Divisor of the change of colours [grey levels]."""
 
     def __post_init__(self) -> None:
-        """Reject inputs that no network supports."""
         if self.side_px not in _SIDES:
             allowed = ", ".join(map(str, _SIDES))
             raise LearningError(f"side_px: found {self.side_px}; allowed: {allowed}")
@@ -124,7 +123,6 @@ class ForceNetworkSettings:
     """Fraction of the encoder's channels dropped during training."""
 
     def __post_init__(self) -> None:
-        """Reject a network that cannot be built."""
         widths = (*self.encoder, self.memory, *self.tail)
         if min(widths) < 4 or any(width % 4 for width in widths):
             raise LearningError(f"encoder, memory, tail: found {widths}; allowed: multiples of 4")
@@ -177,7 +175,6 @@ class TailBlock(nn.Module):
     """A residual block as in ResNet-18 that halves the side."""
 
     def __init__(self, before: int, after: int, *, kind: str) -> None:
-        """Build the block."""
         super().__init__()
         bias = kind == "none"
         self.branch = nn.Sequential(

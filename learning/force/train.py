@@ -61,7 +61,6 @@ class ForceStageSettings:
     """True to train on only one sensor, drawn by the seed (the paper's first stage)."""
 
     def __post_init__(self) -> None:
-        """Reject a stage without training, or invalid values."""
         require(self, "epochs", least=1)
         require(self, "learning_rate", above=0)
         require(self, "warm_up_steps", least=0)
@@ -99,7 +98,6 @@ class SequenceSettings:
     forces beyond the training presses can be predicted. Marker fields only."""
 
     def __post_init__(self) -> None:
-        """Reject empty sequences."""
         require(self, "batch", "presses", least=1)
         if not 0.0 <= self.superpose <= 1.0:
             raise LearningError(f"superpose: found {self.superpose}; allowed: 0 to 1")
@@ -132,7 +130,6 @@ class ForceModelSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Reject training without stages, or invalid values."""
         if not self.stages:
             raise LearningError("stages: found none; allowed: one or more")
         require(self, "patience_epochs", least=1)

@@ -38,7 +38,6 @@ class EfficientSam:
     """An encoder and a decoder, ready to refine masks."""
 
     def __init__(self, encoder: Path, decoder: Path) -> None:
-        """Load encoder and decoder."""
         self._encoder = _loaded(encoder, ENCODER_INPUTS)
         self._decoder = _loaded(decoder, DECODER_INPUTS)
         shape = {one.name: one.shape for one in self._decoder.get_inputs()}["batched_point_coords"]

@@ -315,7 +315,6 @@ class Segmenter:
     """Makes masks from the pictures of one camera."""
 
     def __init__(self, preset: CameraPreset) -> None:
-        """Prepare data shared by all pictures."""
         self.preset = preset
         self._inside = _inside(preset.region)
         shapes = {"ellipse": cv2.MORPH_ELLIPSE, "square": cv2.MORPH_RECT}

@@ -392,7 +392,6 @@ class SensorPlan:
     """Content of its frames."""
 
     def __post_init__(self) -> None:
-        """Reject plans that the format cannot hold."""
         if not _NAME.fullmatch(self.name):
             raise SessionError(
                 f"sensor: found name {self.name!r}; allowed: letters, digits, dot, dash and "
@@ -497,7 +496,6 @@ class ArchivePlan:
     """Further JSON-compatible attributes."""
 
     def __post_init__(self) -> None:
-        """Reject plans that the format cannot hold."""
         for what, names in (
             ("sensors", [sensor.name for sensor in self.sensors]),
             ("indenters", list(self.indenters)),

@@ -43,7 +43,6 @@ class DiscMap:
     """Upper limit of a centre's coordinates [pitch]."""
 
     def __post_init__(self) -> None:
-        """Reject a map that draws nothing."""
         for low, high in (("size_min", "size_max"), ("centre_min", "centre_max")):
             if not getattr(self, low) < getattr(self, high):
                 raise ValueError(

@@ -22,7 +22,6 @@ class Lattice:
     """Extent beyond columns 0 and 640 and rows 0 and 480."""
 
     def __post_init__(self) -> None:
-        """Reject a lattice whose margins are not symmetric."""
         sides = WIDTH + 2 * self.margin_px, HEIGHT + 2 * self.margin_px
         if self.step_px < 1 or self.margin_px < 0 or any(side % self.step_px for side in sides):
             raise ValueError(

@@ -287,7 +287,6 @@ class Background:
     """
 
     def __init__(self, flush: Callable[[], None], *, interval: float, name: str) -> None:
-        """Start the thread."""
         self.failure: BaseException | None = None
         self._flush = flush
         self._interval = interval

@@ -44,7 +44,6 @@ class Entry:
     """Number of runs that it had when they were chosen: what later runs finished is done."""
 
     def __post_init__(self) -> None:
-        """Reject names that are not valid file names, and invalid targets."""
         for key in ("sensor", "indenter"):
             value = getattr(self, key)
             if not _NAME.fullmatch(value):
@@ -74,7 +73,6 @@ class CampaignFile:
     operator: str = ""
 
     def __post_init__(self) -> None:
-        """Reject an empty list."""
         if not self.sessions:
             raise ValueError("sessions: found none; allowed: a list of sessions")
 

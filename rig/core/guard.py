@@ -77,7 +77,6 @@ class GuardLimits:
     flat."""
 
     def __post_init__(self) -> None:
-        """Reject limits that would never trip, or always."""
         if len(self.force_rating) != 6 or not all(rating > 0 for rating in self.force_rating):
             raise ValueError(f"force_rating: {self.force_rating}; allowed: 6 numbers above 0")
         if not 0 < self.soft_fraction <= self.hard_fraction:

@@ -60,7 +60,6 @@ class ExampleSettings:
     """Largest fraction of a random pattern's markers missing in a frame."""
 
     def __post_init__(self) -> None:
-        """Reject invalid fractions, ranges and negative numbers."""
         require(self, "procedural", "random_shift", "missing", least=0, most=1)
         require(self, "patterns", "move", "edge_px", least=0)
         if not 0 < self.amplitude[0] <= self.amplitude[1]:

@@ -34,7 +34,6 @@ class NetSettings:
     """Number of passes that compare the frame with the reference as deformed so far."""
 
     def __post_init__(self) -> None:
-        """Reject a network that cannot be built."""
         _require_widths(self.widths, 2)
         require(self, "refinements", least=1)
 
@@ -49,7 +48,6 @@ class MapSettings:
     """Length of the vector that describes a sensor."""
 
     def __post_init__(self) -> None:
-        """Reject a network that cannot be built."""
         _require_widths(self.widths, 1)
         require(self, "numbers", least=1)
 

@@ -73,7 +73,6 @@ class FieldLossWeights:
     """Mean change [px] by the map between two random patterns on the same gel and camera."""
 
     def __post_init__(self) -> None:
-        """Reject invalid weights."""
         require(self, "cross_entropy", "dice", "truth", "rough", "growth", "unknown", least=0)
         if not self.cross_entropy and not self.dice:
             raise LearningError("cross_entropy, dice: found 0 and 0; allowed: one of them above 0")
@@ -92,7 +91,6 @@ class FieldStageSettings:
     warm_up_steps: int = 500
 
     def __post_init__(self) -> None:
-        """Reject invalid stages."""
         require(self, "steps", "warm_up_steps", least=0)
         require(self, "batch", least=1)
         require(self, "learning_rate", above=0)
@@ -126,7 +124,6 @@ class FieldSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Reject a training without steps, and invalid values."""
         if not self.field_stage.steps and not self.map_stage.steps:
             raise LearningError("field_stage.steps, map_stage.steps: found 0 and 0; allowed: one")
         if self.launch.mixed_precision == "fp16":

@@ -49,7 +49,6 @@ class ArmConfig:
     """Time for which the TCP must be at rest before a move counts as done [s]."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         positive = (
             "rate_hz",
             "speed",
@@ -81,7 +80,6 @@ class ListenedConfig(StreamSettings):
     """RTDE rate; the controller divides 500 Hz by an integer."""
 
     def __post_init__(self) -> None:
-        """Reject a rate that no controller has."""
         if not 0 < self.rate_hz <= 500:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0, up to 500 Hz")
 

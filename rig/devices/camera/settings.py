@@ -56,7 +56,6 @@ class CameraConfig(CameraSettings):
     still scene; else they are one frame sent twice: no two pictures of a sensor are equal."""
 
     def __post_init__(self) -> None:
-        """Reject time stamps of a camera that sends none, and an exposure longer than a frame."""
         if self.stamp is not None and self.is_network:
             raise ValueError(
                 f"stamp: {self.stamp!r}; allowed: with a V4L2 camera, since MJPEG over HTTP has no "

@@ -38,7 +38,6 @@ class ForceSettings(StreamSettings):
     """Axes that the sensor measures; values of the others, such as NaN, are stored and ignored."""
 
     def __post_init__(self) -> None:
-        """Reject a list without axes, or with one twice."""
         if not self.axes_measured or len(set(self.axes_measured)) < len(self.axes_measured):
             raise ValueError(
                 f"axes_measured: {list(self.axes_measured)}; allowed: one or more of "
@@ -101,7 +100,6 @@ class NidaqConfig(ForceSettings):
     """host:port of an NI gRPC Device Server that has the card; None: this computer has it."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         ForceSettings.__post_init__(self)
         if not self.rate_hz > 0:
             raise ValueError(f"rate_hz: {self.rate_hz!r}; allowed: above 0 Hz")
@@ -177,7 +175,6 @@ class ScaleConfig(ForceSettings):
     """Label only: a scale is too slow to stop an arm."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values, and a scale that is to guard."""
         if self.axes_measured != ("Fz",):
             raise ValueError(f"axes_measured: {list(self.axes_measured)}; allowed: Fz")
         if "guard" in (self.roles or ()):

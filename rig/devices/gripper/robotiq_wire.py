@@ -56,7 +56,6 @@ class GripperCommand:
     """rFR: 0 weakest to 255."""
 
     def __post_init__(self) -> None:
-        """Reject values that do not fit one byte."""
         for name in ("position", "speed", "force"):
             value = getattr(self, name)
             if not 0 <= value <= 255:

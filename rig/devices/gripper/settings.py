@@ -33,7 +33,6 @@ class RobotiqConfig:
     """Position at which the emulator's fingers meet the indenter, counts; unused in a lab."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         for name in ("answer", "rate_hz", "silence", "baud"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name}: {getattr(self, name)!r}; allowed: above 0")

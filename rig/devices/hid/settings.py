@@ -31,7 +31,6 @@ class PedalConfig:
     """An unplugged pedal counts as released, and after this time as lost [s]."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         _check_device(self.device)
         if not 0 <= self.key <= 255:
             raise ValueError(f"key: {self.key!r}; allowed: 0 to 255")
@@ -55,7 +54,6 @@ class SpaceMouseConfig:
     """Silence after which the cap counts as released [s]."""
 
     def __post_init__(self) -> None:
-        """Reject invalid values."""
         _check_device(self.device)
         if not 0 < self.speed_max <= 0.01:
             raise ValueError(

@@ -42,7 +42,6 @@ class XelaConfig(TaxelSettings):
     """Expected messages per second; the server decides, the rig measures."""
 
     def __post_init__(self) -> None:
-        """Reject a patch that XELA does not make."""
         if self.taxels not in _PATCHES:
             raise ValueError(f"taxels: {self.taxels}; allowed: 16 (4 x 4), 24 (4 x 6)")
 
