@@ -82,8 +82,7 @@ def simulate_many(
         progress: Called with the fraction done, 0 to 1.
 
     Raises:
-        SceneError: As in `simulate`; processes below 1; or meshes have to agree with those of other
-            processes.
+        SceneError: As in `simulate`; or processes below 1.
         WorkerLost: One of several processes was killed, by a lack of memory for example.
     """
     outcomes = _by_tier(scenes, tier, device, processes, progress)
@@ -158,7 +157,11 @@ Calls = dict[Future[list[Outcome]], range]
 
 def submitted(workers: Workers, scenes: Sequence[Scene], tier: Tier, device: str) -> Calls:
     """Begin to solve scenes, as in `simulate_many`, and return the calls."""
-    tier = _alike(scenes, tier, workers.processes, device)
+    if device == "cpu" and isinstance(tier, Fem) and tier.one_topology:
+        raise SceneError(
+            f"fem.one_topology: True with {workers.processes} processes, which solve scenes one by "
+            "one; allowed: False"
+        )
     return {
         workers.submit(_solve, [scenes[one] for one in part], tier, device): part
         for part in _parts(len(scenes), tier, workers.processes, device)
@@ -177,25 +180,6 @@ def gathered(workers: Workers, calls: Calls, progress: Progress | None = None) -
         if progress is not None:
             progress(done / count)
     return [outcomes[one] for one in range(count)]
-
-
-def _alike(scenes: Sequence[Scene], tier: Tier, processes: int, device: str) -> Tier:
-    """Return the tier by which all parts have the topology of the whole, if it asks for one.
-
-    Meshes that follow the contact agree within a part only.
-    """
-    if not (isinstance(tier, Fem) and tier.one_topology):
-        return tier
-    if not tier.follows:
-        from sim.fem.mesh import agreed
-
-        return agreed(scenes, tier)
-    if device == "cpu":
-        raise SceneError(
-            f"fem.one_topology: True with {processes} processes, which solve scenes one by one on "
-            "meshes that follow the contact; allowed: False, or a spacing"
-        )
-    return tier
 
 
 def _parts(count: int, tier: Tier, processes: int, device: str) -> list[range]:

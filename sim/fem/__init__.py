@@ -70,8 +70,7 @@ class Fem:
 
     spacing: float | None = None
     """Edge length of elements under the indenter, and their height [m]. None: the mesh follows the
-    contact (`sim.fem.sizing`), unless `grading` is given or `graded` is False; then a sixth of the
-    thickness."""
+    contact (`sim.fem.sizing`), unless `grading` is given; then a sixth of the thickness."""
     fineness: float = 0.75
     """Resolution of a mesh that follows the contact: 12 elements times this from one side of a
     contact to the other. Twice as fine takes 15 times as long and has a quarter of the error."""
@@ -79,17 +78,12 @@ class Fem:
     """Most elements of a mesh that follows the contact. If it would need more, all elements are
     enlarged by the same factor, and the result has a warning. None: 40,000 on a CPU and 160,000 on
     a GPU, which takes little longer for them."""
-    graded: bool = True
-    """Let elements grow outwards from the contacts; else all are equal."""
     grading: Grading | None = None
     """Growth from a window around all that the indenter covers, instead of following the contact;
     with `spacing`, `Grading()` by default."""
     one_topology: bool = False
-    """Give all graded meshes of one call as many elements as the largest of them: more elements,
-    but all presses in one launch, which suits a GPU. No mesh becomes coarser."""
-    cells_least: tuple[int, int] = (0, 0)
-    """Least number of elements along x and y of a mesh with `spacing` that is graded, so that
-    meshes of several calls can agree (`sim.fem.mesh.agreed`)."""
+    """Give all meshes that a process solves in one call as many elements as the largest of them:
+    more elements, but all presses in one launch, which suits a GPU. No mesh becomes coarser."""
     precision: Precision = "auto"
     """`auto` begins in float32 and falls back to float64 if float32 cannot reach the tolerance."""
     tolerance: float = 1e-4
@@ -128,15 +122,7 @@ class Fem:
             raise SceneError(
                 f"fem.precision: {self.precision!r}; allowed: 'auto', 'float32', 'float64'"
             )
-        for name in ("graded", "one_topology"):
-            check_kind(f"fem.{name}", getattr(self, name), bool, "True or False")
-        least = self.cells_least
-        check_kind("fem.cells_least", least, tuple, "whole numbers of elements along x and y")
-        if len(least) != 2 or any(type(one) is not int or not 0 <= one <= 10**4 for one in least):
-            raise SceneError(
-                f"fem.cells_least: {least!r}; allowed: whole numbers of elements along x and y, 0 "
-                "to 10000"
-            )
+        check_kind("fem.one_topology", self.one_topology, bool, "True or False")
         if self.grading is not None:
             check_kind("fem.grading", self.grading, Grading, "a Grading or None")
         for name in ("augmentations", "newton_max", "cg_max", "halvings"):
@@ -168,7 +154,7 @@ class Fem:
     @property
     def follows(self) -> bool:
         """True if the mesh follows the contact."""
-        return self.spacing is None and self.graded and self.grading is None
+        return self.spacing is None and self.grading is None
 
 
 # Settings for presses that have no solution by the first ones.

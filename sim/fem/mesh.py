@@ -8,7 +8,7 @@ then x; the 8 corners of an element likewise, from (0, 0, 0) to (1, 1, 1).
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -474,42 +474,16 @@ def meshes_of(
             most = max(m.cells[0] for m in meshes), max(m.cells[1] for m in meshes)
             meshes = [following_mesh(*each, most) for each in settings]
         return meshes
-    plans = _plans(scenes, numerics)
-    least = numerics.cells_least
+    plans: list[tuple[Body, float, Window, Grading | None]] = []
+    for scene in scenes:
+        spacing = numerics.height(scene.body)
+        window = contact_window(scene, MARGIN * spacing)
+        plans.append((scene.body, spacing, window, numerics.grading))
+    most = 0, 0
     if numerics.one_topology:
-        least = _most_cells(plans, least)
-    return [build_mesh(*plan, at_least=least) for plan in plans]
-
-
-def agreed(scenes: Sequence[Scene], numerics: Fem) -> Fem:
-    """Return settings by which each scene alone has as many elements as all have with each other.
-
-    `numerics` must not follow the contact: its meshes have a `spacing` or a `grading`.
-    """
-    most = _most_cells(_plans(scenes, numerics), numerics.cells_least)
-    return replace(numerics, cells_least=most)
-
-
-Plan = tuple[Body, float, Window | None, Grading | None]
-
-
-def _plans(scenes: Sequence[Scene], numerics: Fem) -> list[Plan]:
-    """Return body, spacing, window and grading of each mesh."""
-    return [
-        (scene.body, *_spacing_and_window(scene, numerics), numerics.grading) for scene in scenes
-    ]
-
-
-def _most_cells(plans: Sequence[Plan], least: tuple[int, int]) -> tuple[int, int]:
-    """Return the largest numbers of elements along x and y, `least` or more of each mesh."""
-    counts = [[len(nodes) - 1 for nodes in axes(*plan, at_least=least)] for plan in plans]
-    x, y = np.max(counts, axis=0).tolist()
-    return x, y
-
-
-def _spacing_and_window(scene: Scene, numerics: Fem) -> tuple[float, Window | None]:
-    spacing = numerics.height(scene.body)
-    return spacing, contact_window(scene, MARGIN * spacing) if numerics.graded else None
+        counts = [[len(nodes) - 1 for nodes in axes(*plan)] for plan in plans]
+        most = max(x for x, _y in counts), max(y for _x, y in counts)
+    return [build_mesh(*plan, at_least=most) for plan in plans]
 
 
 def contact_window(scene: Scene, margin: float) -> Window:

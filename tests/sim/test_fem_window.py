@@ -117,7 +117,7 @@ def test_a_mesh_is_fine_where_the_indenter_comes_and_coarse_elsewhere() -> None:
             assert inside.any()
             assert np.diff(ends)[inside].max() <= asked * (1 + 1e-3)
             assert np.diff(ends).max() > 1.2 * asked
-        even = meshes_of([scene], Fem(spacing=spacing, graded=False))[0]
+        even = meshes_of([scene], Fem(spacing=asked, grading=Grading(growth=0.0)))[0]
         np.testing.assert_allclose(np.diff(even.x), even.x[1] - even.x[0])
         assert len(mesh.elements) < len(even.elements)
 

@@ -14,7 +14,7 @@ from support import stl_files as files
 
 from sim import Body, Effects, Friction, Layer, Result, Scene, press, simulate, simulate_many
 from sim.error_estimate import notes
-from sim.fem import Fem
+from sim.fem import Fem, Grading
 from sim.indenters import NAMES, Indenter, box, from_stl, named, sphere
 from sim.mpm import Mpm
 from sim.store import load_result, save_results
@@ -208,7 +208,7 @@ def test_fem_presses_a_leaning_sphere_like_one_that_stands_where_it_leans_to() -
     aside = 4e-3 * math.sin(about)
     leaning = Scene(sphere(4e-3).tilted(0.0, about), press([0.8e-3]))
     moved = Scene(sphere(4e-3), press([0.8e-3], at=(aside, 0.0)))
-    numerics = Fem(spacing=1.3e-3, graded=False)
+    numerics = Fem(spacing=1.3e-3, grading=Grading(growth=0.0))
     found, expected = simulate_many([leaning, moved], numerics)
     assert isinstance(found, Result)
     assert isinstance(expected, Result)

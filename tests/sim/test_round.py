@@ -25,7 +25,7 @@ from sim import (
     simulate,
 )
 from sim.error_estimate import AT_RIM, fineness_of, with_estimate
-from sim.fem import Fem, Precision
+from sim.fem import Fem, Grading, Precision
 from sim.fem.mesh import SHARE_LEAST, build_mesh
 from sim.indenters import plane, sphere
 from sim.markers import Camera, Pattern, Renderer, named
@@ -271,7 +271,7 @@ def test_round_square_and_domed_bodies_are_solved_side_by_side_as_alone(
     dome = replace(DISC, dome_radius=12 * MM)
     bodies = (DISC, replace(DISC, footprint="rectangle"), dome, replace(dome, dome_radius=15 * MM))
     scenes = [Scene(BALL, press((0.5 * MM,)), body) for body in bodies]
-    numerics = replace(COARSE, graded=False, precision=precision)
+    numerics = replace(COARSE, grading=Grading(growth=0.0), precision=precision)
     for scene, found in zip(scenes, simulate_many(scenes, numerics), strict=True):
         assert isinstance(found, Result)
         assert found.record["environments"] == 4

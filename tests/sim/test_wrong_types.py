@@ -80,7 +80,7 @@ WRONG: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
     "tier: 'fem'; allowed: a Layer, a Fem or an Mpm": (simulate_many, ([SCENE], "fem"), {}),
     "fem.tolerance: '1'; allowed": (Fem, (), {"tolerance": "1"}),
     "fem.halvings: 2.5; allowed: a whole": (Fem, (), {"halvings": 2.5}),
-    "fem.graded: 'no'; allowed: True or False": (Fem, (), {"graded": "no"}),
+    "fem.one_topology: 'no'; allowed: True or False": (Fem, (), {"one_topology": "no"}),
     "fem.grading: 1; allowed: a Grading": (Fem, (), {"grading": 1}),
 }
 
