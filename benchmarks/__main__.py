@@ -1,7 +1,5 @@
 """Command line of the benchmarks: `python -m benchmarks NAME [options]`, from the repository."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ browser, marks two targets there, and records these again. It trains the smalles
 predicts forces as the mock bench is touched. Only the dependencies come from the network.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

@@ -1,7 +1,5 @@
 """Work of a benchmark on several processes of one machine."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

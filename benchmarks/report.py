@@ -6,8 +6,6 @@ page: a head (command, machine, commit, seeds, spread, time), then a section for
 pictures in `images/`. `--draw` writes the page again from the JSON file.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """Scores of forces from sums over frames, which may be added up by indenter before."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

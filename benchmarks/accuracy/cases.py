@@ -3,8 +3,6 @@
 A reference is by `fem`, with finer meshes and tighter tolerances than those of all competitors.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Cost of accuracy in time: `python -m benchmarks accuracy`, page docs/results/accuracy.md."""
 
-from __future__ import annotations
-
 import argparse
 
 from benchmarks.accuracy import effects, frames, images, solvers, speed

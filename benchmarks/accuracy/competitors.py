@@ -1,7 +1,5 @@
 """Solvers that are compared: tiers, meshes and precisions, and formulas."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

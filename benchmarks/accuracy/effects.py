@@ -4,8 +4,6 @@ Random scenes with effects are solved with all of them and without each on meshe
 follow the contact. `sim.effects_table` must agree within the uncertainty that it states.
 """
 
-from __future__ import annotations
-
 import inspect
 import itertools
 from collections.abc import Callable, Iterator, Sequence

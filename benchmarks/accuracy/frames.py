@@ -1,7 +1,5 @@
 """Frames per second of presses in small steps, one or many at once, and their errors."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

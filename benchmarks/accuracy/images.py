@@ -1,7 +1,5 @@
 """Marker images against rays cast through a fine mesh, and images per second."""
 
-from __future__ import annotations
-
 import time
 import timeit
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Error, time and memory of every solver on six presses, on a GPU and on one CPU core."""
 
-from __future__ import annotations
-
 import math
 import multiprocessing
 from collections.abc import Iterator, Sequence

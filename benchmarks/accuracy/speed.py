@@ -3,8 +3,6 @@
 Errors are relative to the forces of a fine mesh, which are stored.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Cost of a computation: wall time, CPU time, and peak memory."""
 
-from __future__ import annotations
-
 import resource
 import threading
 import time

@@ -1,7 +1,5 @@
 """Numbers in words of the page, rows to show, and the devices of a run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """`python -m benchmarks faults`: faults of devices, kills, wrong benches, and a long collection."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

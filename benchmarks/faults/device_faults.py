@@ -1,7 +1,5 @@
 """Part `faults`: one short collection a row, with its fault, and what it left behind."""
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import tempfile

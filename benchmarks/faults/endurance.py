@@ -1,7 +1,5 @@
 """Part `endurance`: memory, open files and losses of a long mock collection."""
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 from collections.abc import Callable

@@ -4,8 +4,6 @@ The collector is not consulted: rows are counted in the stored session, sequence
 of the devices, and the position of the arm is the one reported by its emulator.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Collections are killed in chains: one session is killed, recovered and resumed s
 random times and in random processes, and then run to completion.
 """
 
-from __future__ import annotations
-
 import random
 import shutil
 import tempfile

@@ -5,8 +5,6 @@ begun, every sample seen here was accepted and must be readable afterwards. The 
 is read from its emulator's fault port, independently of the rig.
 """
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ Every value of a session follows from its row, so that a lost, doubled or change
 Accepted rows are counted in memory that the killed process shares with this one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Table of faults: one named row each, with the expected reaction of the rig."""
 
-from __future__ import annotations
-
 import json
 import signal
 from collections.abc import Callable, Iterator

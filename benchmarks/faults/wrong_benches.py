@@ -1,7 +1,5 @@
 """Part `no-gauge`: does the true force stay below the rating on wrong benches without a gauge?"""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

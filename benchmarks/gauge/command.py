@@ -4,8 +4,6 @@ python -m benchmarks gauge --device cuda:0 --fit fem
 python -m benchmarks gauge --quick
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 

@@ -5,8 +5,6 @@ a skin of another modulus deforms alike when it is pressed as deep, and its forc
 proportion, so the demo's frames and scaled forces are those of the other skin.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

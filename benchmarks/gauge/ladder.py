@@ -4,8 +4,6 @@ A cell has sums of errors by test indenter of one seed, source and target. Only 
 privileged read labels of the target, in training or to choose anything.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

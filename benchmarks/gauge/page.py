@@ -1,7 +1,5 @@
 """The table of all groups, from the weakest way to the strongest, and a section for each group."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

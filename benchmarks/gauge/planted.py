@@ -1,7 +1,5 @@
 """Planted sensors of a group, which differ from their rows, and their twins."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace

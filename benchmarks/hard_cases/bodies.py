@@ -1,7 +1,5 @@
 """Bodies, indenters and motions of most cases; lengths of motions are in millimetres."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from sim.indenters import shapes

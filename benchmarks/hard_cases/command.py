@@ -1,7 +1,5 @@
 """Hard cases for the simulator: `python -m benchmarks hard-cases`."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -4,8 +4,6 @@ Where a law is used, its limit is stated with the reason: the accuracy expected 
 tolerance or float32, and a factor of 2 to 5 above the measured value.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

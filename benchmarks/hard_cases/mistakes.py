@@ -1,7 +1,5 @@
 """Part `mistakes`: solvers built wrong on purpose, each of which a case must notice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Part `cases`: each hard case judged by its laws."""
 
-from __future__ import annotations
-
 import time
 import traceback
 from fnmatch import fnmatch

@@ -1,7 +1,5 @@
 """Parts `paper` and `paper-fine`: the paper's indenters, deep in three gels."""
 
-from __future__ import annotations
-
 import time
 from functools import partial
 from typing import Any

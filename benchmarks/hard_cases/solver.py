@@ -1,7 +1,5 @@
 """The solver under test, as cases and referee call it; a wrong one is built by its arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Part `variants`: twelve hard scenes, each in five variants, answered and judged."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Forces of `sim` beside solutions by other methods: `python -m benchmarks independent`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Presses of this folder as scenes of `sim`, and their forces beside those of the other methods."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -12,8 +12,6 @@ volume: the three-field principle of Simo, Taylor & Pister (Comput. Methods Appl
 F = (F_rr, F_rz, F_zr, F_zz, F_hoop) has five nonzero entries.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

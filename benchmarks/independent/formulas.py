@@ -5,8 +5,6 @@ points out of the material. E is Young's modulus, nu Poisson's ratio; E*, M, G a
 the first functions.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

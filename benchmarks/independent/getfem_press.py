@@ -10,8 +10,6 @@ Lagrangian with a signed distance written in GetFEM's language; every indenter i
 its edge radius.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -23,8 +23,6 @@ number of k: doubling it changes no force by more than 1e-12 for a/h up to 10 an
 to 80, at any nu up to 0.5.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Meshes graded to the contact: fine at the indenter, coarser outwards and downwards."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 Only the standard library is imported, because GetFEM runs in a separate interpreter.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

@@ -5,8 +5,6 @@ strip (punch, flat tube) or an upright cone (cone with a round or flat tip). Dis
 curvature of such a body are exact up to a penetration of `rounding`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

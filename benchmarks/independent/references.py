@@ -1,7 +1,5 @@
 """The presses solved by other methods than those of `sim`, on two meshes each."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

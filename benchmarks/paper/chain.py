@@ -5,8 +5,6 @@ fit. Beside the chain: the field translator without a simulator's true displacem
 frame, a net of marker displacement without a translator, the source's net as it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial

@@ -4,8 +4,6 @@ python -m benchmarks paper --device cuda:0              # the whole page
 python -m benchmarks paper --quick --only patterns      # the chain at toy size
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 from benchmarks.paper import chain, full_size, page

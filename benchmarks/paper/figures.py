@@ -3,8 +3,6 @@
 The paper's forces reach 18 N normal and 4 N shear, ours may not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

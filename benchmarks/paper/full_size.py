@@ -4,8 +4,6 @@ All but the values of the weights is as in a training on published ones: SD-2.1-
 autoencoder (the same as SD-Turbo's), CLIP ViT-B/32 and VGG16.
 """
 
-from __future__ import annotations
-
 import gc
 import time
 from collections.abc import Sequence

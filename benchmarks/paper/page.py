@@ -1,7 +1,5 @@
 """Sections of the page: forces of each part, patterns, and the paper's figures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

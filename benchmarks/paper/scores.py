@@ -1,7 +1,5 @@
 """Scores of the chain: forces with intervals over indenters, and patterns."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import permutations
 from typing import Any

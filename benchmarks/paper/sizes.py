@@ -1,7 +1,5 @@
 """Data and networks of each part, and the time of each of its trainings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

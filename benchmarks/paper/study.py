@@ -1,7 +1,5 @@
 """Shared by `paper` and `gauge`: archives, presses by role, and trainings in memory."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

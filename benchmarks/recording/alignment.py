@@ -1,7 +1,5 @@
 """Part `alignment`: error of each alignment method compared with the truth, and its time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

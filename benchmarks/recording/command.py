@@ -1,7 +1,5 @@
 """`python -m benchmarks recording`: what recording costs and loses, and how fast it is read."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Part `stores`: frames written, read in random windows and left by a kill, by ours and others."""
 
-from __future__ import annotations
-
 import itertools
 import shutil
 import statistics

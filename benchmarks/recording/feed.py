@@ -8,8 +8,6 @@ would have overwritten its buffer. Data from a socket (force, pose, taxels) wait
 a late receiver, so they count as late.
 """
 
-from __future__ import annotations
-
 import shutil
 import threading
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ of the pixels, or into a comment of the JPEG, and survives every lossless store.
 the frames that a killed writer leaves from zeros and from wrong frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import cached_property
 from typing import Any

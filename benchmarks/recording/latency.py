@@ -3,8 +3,6 @@
 Their error against true forces is that of the benchmark `paper`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Part `load`: share of a core of each stream, number of cameras, and all streams at once."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

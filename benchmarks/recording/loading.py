@@ -4,8 +4,6 @@ Sessions of 640 x 480 camera JPEGs at 40 Hz with forces at 1 kHz are made. The p
 JPEG files with arrays, as a researcher would export them by hand: the JPEG bytes are the same.
 """
 
-from __future__ import annotations
-
 import io
 import resource
 import time

@@ -1,7 +1,5 @@
 """Durations, CPU time, memory and sizes, measured alike by all parts."""
 
-from __future__ import annotations
-
 import os
 import resource
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ case for labels that have to match their image. Arrival times are those of real 
 a small, varying delay.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

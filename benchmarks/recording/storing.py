@@ -1,7 +1,5 @@
 """Work that is measured of one store, each in a process of its own; answers are values of JSON."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Twins of simulated sensors: `python -m benchmarks twin`. In simulation; no real sensor."""
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 from typing import Literal

@@ -4,8 +4,6 @@ The skin differs from the row that the fit begins with, in all that is fitted. I
 sphere and a prism, and for comparison by a torus, whose presses the fit does not get.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@ the same places on a bench with errors. Labels of either for the other come from
 `tactile sim labels` and `tactile compensate`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import permutations, product

@@ -5,8 +5,6 @@ sensor's friction, viscosity and speed. `live` receives a pose 60 times a second
 receive the frames that are compared.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import product
 from typing import Any

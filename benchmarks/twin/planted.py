@@ -1,7 +1,5 @@
 """Sensors with random skins, and tracks as a bench would record them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Twins of random skins that are known, on a bench with errors that the fit does not know."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Accuracy benchmark: comparison, choice of times and errors, and failures of a run."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

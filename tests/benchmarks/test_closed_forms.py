@@ -1,7 +1,5 @@
 """Closed forms and integral equations against quadrature, their limits and each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import pairwise

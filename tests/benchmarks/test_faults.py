@@ -1,7 +1,5 @@
 """The benchmark `faults`: its rows and parts end to end, and what its judgement lets pass."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import random

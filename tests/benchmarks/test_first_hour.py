@@ -1,7 +1,5 @@
 """The script of a user's first hour: its commands exist, and it goes on as a command says."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """Planted sensors, scores and the page of the ways without a gauge."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from itertools import takewhile

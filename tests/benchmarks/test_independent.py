@@ -1,7 +1,5 @@
 """The axisymmetric solver against closed forms, an integral equation and known forces."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Scores, figures and the page of the paper's chain."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark of recording counts the right things; speed itself is not tested."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess

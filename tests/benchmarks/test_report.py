@@ -1,7 +1,5 @@
 """Options, pages and measurements that all benchmarks share."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

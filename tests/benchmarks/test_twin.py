@@ -1,7 +1,5 @@
 """Twins in simulation: planted errors, labels and their scores."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 Once a scene of `found/` is fixed, its reason is removed here and the file stays.
 """
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from pathlib import Path

@@ -5,8 +5,6 @@ points out of the material. E is Young's modulus, nu Poisson's ratio, G and K ar
 modulus. `benchmarks.independent.formulas` has those that benchmarks use.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Sessions as `tactile collect` leaves them, its typed answers, and its printed lines."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

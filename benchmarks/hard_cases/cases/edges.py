@@ -1,7 +1,5 @@
 """Edges and rims: edge radii far below an element; presses at and beyond the gel's edge."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Friction: shear, reversal and slip; every contact point obeys Coulomb's law in every frame."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

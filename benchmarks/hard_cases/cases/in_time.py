@@ -1,7 +1,5 @@
 """Time: viscosity, inertia and gravity, each compared with its slow, fast and zero limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Precision: units, float32, symmetry, batches and tiers, with the changes that they may cause."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

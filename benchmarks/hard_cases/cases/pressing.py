@@ -1,7 +1,5 @@
 """Material and depth: nearly incompressible to cork, soft to stiff; large strain, domes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Steps and starts: one huge step, a thousand tiny ones, loops, and unusual starts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

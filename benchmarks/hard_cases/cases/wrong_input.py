@@ -1,7 +1,5 @@
 """Wrong input: rejected by name before a run; impossible numerics are rejected with evidence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace

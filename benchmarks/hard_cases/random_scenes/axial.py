@@ -1,7 +1,5 @@
 """Presses along the axis of a disc, by the axisymmetric solver of `benchmarks.independent`."""
 
-from __future__ import annotations
-
 import math
 from contextlib import suppress
 from dataclasses import dataclass

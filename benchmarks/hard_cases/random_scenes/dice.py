@@ -1,7 +1,5 @@
 """Reproducible random numbers, determined by seed, scene, and the order of drawing."""
 
-from __future__ import annotations
-
 import random
 from bisect import bisect_right
 from collections.abc import Sequence

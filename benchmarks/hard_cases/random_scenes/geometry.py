@@ -5,8 +5,6 @@ top is interpolated in two ways, bilinearly between nodes and by a cubic spline;
 present in both counts.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -5,8 +5,6 @@ is compared with its reference: an answer without one, or with one that is less 
 counts as one whose stated error does not hold.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial

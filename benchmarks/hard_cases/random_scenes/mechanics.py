@@ -6,8 +6,6 @@ A law that does not apply to a scene (for example a closed loop, or a static for
 skipped.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Sequence

@@ -7,8 +7,6 @@ where forces depend on the way or the time, steps. The finest solution must also
 laws of `mechanics`, which do not use the solver.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ viscosity, a third a dome or a contact at the rim, a fifth an indenter of the pa
 and shear, and three in twenty an axis of symmetry, for a solver that shares no code.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

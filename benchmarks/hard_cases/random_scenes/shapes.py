@@ -1,7 +1,5 @@
 """Randomly drawn indenters: all types that can be built of parts, and solids from STL files."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Stores to be compared, one module each; each entry of `STORES` is a row of the page."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from contextlib import AbstractContextManager

@@ -1,7 +1,5 @@
 """HDF5 through h5py, default settings: one chunk per frame, or the JPEG as a byte array."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MCAP, the container of ROS 2 and Foxglove, through its own Python package."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

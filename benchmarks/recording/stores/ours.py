@@ -1,7 +1,5 @@
 """Our own recorder: one camera stream of a session."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

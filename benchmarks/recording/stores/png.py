@@ -1,7 +1,5 @@
 """Folder of PNG files, the most common kind of recorder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """zarr-python alone: one chunk per frame, `append` for each, as in its documentation."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
