@@ -6,12 +6,10 @@ or another order of points, numbers them differently. Place, depth and direction
 frames, at the ends of the phases; frames of matching presses are then paired phase by phase.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +95,7 @@ class PlacedPresses:
         """Return the number of presses."""
         return len(self.location)
 
-    def subset(self, rows: NDArray[Any]) -> PlacedPresses:
+    def subset(self, rows: NDArray[Any]) -> Self:
         """Return some of the presses."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return replace(self, **{name: each[rows] for name, each in values.items() if name != "of"})
@@ -125,7 +123,7 @@ class Differences:
     """Infinite where only one of both has a direction."""
 
     @classmethod
-    def of(cls, one: PlacedPresses, other: PlacedPresses) -> Differences:
+    def of(cls, one: PlacedPresses, other: PlacedPresses) -> Self:
         """Compare each press of `one` with each of `other`."""
         distance = np.linalg.norm(one.place[:, None] - other.place[None], axis=-1)
         angle = _turn(one.angle[:, None], other.angle[None])

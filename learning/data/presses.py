@@ -1,7 +1,5 @@
 """Presses of a sensor, in memory or read from the archive on demand, and their force range."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -314,7 +312,7 @@ class ForceRange:
             )
 
     @classmethod
-    def from_training(cls, wrench: Any, *, margin: float = 0.0) -> ForceRange:
+    def from_training(cls, wrench: Any, *, margin: float = 0.0) -> Self:
         """Return the range of forces (n, 3) or wrenches (n, 6) [N], an array or a tensor.
 
         Args:

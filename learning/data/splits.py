@@ -6,14 +6,12 @@ all presses of other indenters are `new_indenter`. States of one press that have
 stay together. Whole sensors can be held out as well.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +65,7 @@ class Split:
         """SHA-256 of the content, 64 hexadecimal digits."""
         return hashlib.sha256(self._text().encode()).hexdigest()
 
-    def trained_on(self, indenters: Collection[str]) -> Split:
+    def trained_on(self, indenters: Collection[str]) -> Self:
         """Return the split in which the presses of some indenters are trained on as well."""
         presses = (replace(p, role="train") if p.indenter in indenters else p for p in self.presses)
         return replace(self, presses=tuple(presses))

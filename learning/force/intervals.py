@@ -10,15 +10,13 @@ A half-width has two parts, which are added as squares:
 The numbers are a file beside the model, `intervals.json`; reading it needs numpy alone.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,7 +147,7 @@ class Intervals:
         beyond = (np.abs(np.asarray(forces).reshape(-1, 3)) > largest).any(axis=1)
         return np.asarray(beyond | self.learned.is_far(shapes), np.bool_)
 
-    def rescaled(self, value: float | Sequence[float], scale: Scale) -> Intervals:
+    def rescaled(self, value: float | Sequence[float], scale: Scale) -> Self:
         """Return the intervals of a model whose forces are multiplied by a value, or one an axis.
 
         The slope is by newton of all three: on an axis that grows more than Fz it grows as well.

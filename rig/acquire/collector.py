@@ -1,7 +1,5 @@
 """Collection of one session: the operator's request, and its way from device check to summary."""
 
-from __future__ import annotations
-
 import contextlib
 import getpass
 import importlib.metadata
@@ -12,7 +10,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -105,7 +103,7 @@ class CollectRequest:
         resume: bool = False,
         again: tuple[int, ...] = (),
         **others: Any,
-    ) -> CollectRequest:
+    ) -> Self:
         """Check a request against a bench: its plan or `plan`, or that of the resumed session.
 
         `targets` is the number of targets to press, None for all.

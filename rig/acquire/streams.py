@@ -1,13 +1,11 @@
 """All streams of a session: start, check before recording, measure, record, end."""
 
-from __future__ import annotations
-
 import logging
 import math
 import multiprocessing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -205,7 +203,7 @@ class Streams:
         self._expected = {row.name: row.rate_hz for row in bench.rows}
         self._slow_since_ns: dict[str, int] = {}
 
-    def __enter__(self) -> Streams:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -3,12 +3,10 @@
 Nothing else in `rig` uses the `time` module, so tests can substitute a `FakeClock`.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
 SECOND_NS = 1_000_000_000
 
@@ -102,7 +100,7 @@ class ClockAnchor:
     """Changes at every boot: monotonic times of two boots must not be compared."""
 
     @classmethod
-    def take(cls) -> ClockAnchor:
+    def take(cls) -> Self:
         """Read UTC between two monotonic readings and keep the midpoint of the two."""
         before_ns = time.monotonic_ns()
         utc_ns = time.time_ns()

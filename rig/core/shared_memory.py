@@ -5,13 +5,11 @@ record. A plain file in the run's own folder, unlike named shared memory, is rem
 even if processes were killed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import mmap
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -66,7 +64,7 @@ class SharedLatest:
         self._numbers, self._records = slots["number"], slots["record"]
 
     @classmethod
-    def create(cls, path: Path, dtype: np.dtype[Any], slots: int = SLOTS) -> SharedLatest:
+    def create(cls, path: Path, dtype: np.dtype[Any], slots: int = SLOTS) -> Self:
         """Create the empty file (count 0) atomically and open it for writing.
 
         Args:
@@ -85,14 +83,14 @@ class SharedLatest:
         return cls(path, dtype, writable=True)
 
     @classmethod
-    def publish(cls, path: Path, dtype: np.dtype[Any]) -> SharedLatest:
+    def publish(cls, path: Path, dtype: np.dtype[Any]) -> Self:
         """Open or create the file for writing, for a writer that may start after its readers."""
         if path.exists():
             return cls.attach(path, dtype, writable=True)
         return cls.create(path, dtype)
 
     @classmethod
-    def attach(cls, path: Path, dtype: np.dtype[Any], *, writable: bool = False) -> SharedLatest:
+    def attach(cls, path: Path, dtype: np.dtype[Any], *, writable: bool = False) -> Self:
         """Open an existing file, read-only unless `writable`."""
         return cls(path, dtype, writable=writable)
 

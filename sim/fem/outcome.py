@@ -4,12 +4,10 @@ The verdict is an error for an overlap or a lost contact that is too large, warn
 the smaller elements that the result requires.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,7 +205,7 @@ class FrameCollector:
             self._at_side["wall"].append(frame)
         self._below_base = max(self._below_base, -1.0 - float(wall[..., 2].min()))
 
-    def up_to(self, frames: int) -> FrameCollector:
+    def up_to(self, frames: int) -> Self:
         """Return the collector of the first `frames`, which must have been kept."""
         self.measure()
         some = copy(self)

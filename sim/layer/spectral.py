@@ -1,11 +1,9 @@
 """Displacement of a bonded layer's top by tractions on it: convolutions over windows."""
 
-from __future__ import annotations
-
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import scipy.fft
@@ -273,7 +271,7 @@ class Elastic:
     local_shear: float
     """In-plane displacement of a pixel by an in-plane traction on it alone [m/Pa]."""
 
-    def yielding(self, extra: Array) -> Elastic:
+    def yielding(self, extra: Array) -> Self:
         """Return the layer whose pixels yield more by their own traction (X, Y), as a multiple."""
         if not extra.any():
             return self

@@ -1,9 +1,8 @@
 """Pinhole camera on the gel's axis, and its projection of points of the gel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,12 +61,12 @@ class Camera:
             check_range("camera", f"tilt[{index}]", value, -TILT_MOST, TILT_MOST, unit="rad")
 
     @classmethod
-    def paper(cls) -> Camera:
+    def paper(cls) -> Self:
         """Return the camera of the paper's simulated images."""
         return cls()
 
     @classmethod
-    def of_scale(cls, mm_per_px: float) -> Camera:
+    def of_scale(cls, mm_per_px: float) -> Self:
         """Return the paper's lens at the distance with this pixel size on the undeformed top."""
         check_range("camera", "mm_per_px", mm_per_px, 1e-4, 10.0, unit="mm")
         return cls(distance=mm_per_px * 1e-3 * FOCAL)

@@ -1,11 +1,9 @@
 """Marker patterns as data: a shape, a size, and the positions of its copies on the gel."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +69,7 @@ class Pattern:
         half, angle = self._square
         return half * (abs(math.cos(angle)) + abs(math.sin(angle)))
 
-    def moved(self, shift: Place = (0.0, 0.0), angle: float = 0.0, *, name: str = "") -> Pattern:
+    def moved(self, shift: Place = (0.0, 0.0), angle: float = 0.0, *, name: str = "") -> Self:
         """Return the pattern rotated by `angle` [rad] about the gel's middle, then shifted [m]."""
         cosine, sine = math.cos(angle), math.sin(angle)
         centres = tuple(
@@ -110,7 +108,7 @@ class Pattern:
             nearest[rows, columns] = np.minimum(nearest[rows, columns], distance)
         return nearest
 
-    def within(self, body: Body) -> Pattern:
+    def within(self, body: Body) -> Self:
         """Return the markers that lie wholly on a gel.
 
         Raises:

@@ -1,11 +1,10 @@
 """Uncertainty of a sensor identified from its own presses."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +82,7 @@ class Posterior:
         tier: ContactTier = "layer",
         height: float = 0.0,
         law: float = 0.0,
-    ) -> Posterior:
+    ) -> Self:
         """Return the distribution with a covariance (p, p)."""
         spread = np.sqrt(np.diag(covariance))
         matrix = np.clip(covariance / np.outer(spread, spread), -1.0, 1.0)

@@ -1,11 +1,9 @@
 """Simulated sensor as a row of data: a body, its effects and its signal."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -85,7 +83,7 @@ class CameraSignal:
             return (self.layout,)
         return tuple(named(name) for name in self.patterns)
 
-    def mounted(self, camera: Camera) -> CameraSignal:
+    def mounted(self, camera: Camera) -> Self:
         """Return the signal of another camera; markers stay on the body."""
         return replace(
             self,
@@ -96,7 +94,7 @@ class CameraSignal:
             tilt=camera.tilt,
         )
 
-    def by(self, camera: Camera, body: Body) -> CameraSignal:
+    def by(self, camera: Camera, body: Body) -> Self:
         """Return the signal of another camera that sees the same image without contact.
 
         A layout moves on the body, since its markers are known by their places in that image;

@@ -5,13 +5,11 @@ how they move under a press. Scale, distance, shift, rotation and tilt of the ca
 move them as they were seen to move.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import Any, get_args
+from typing import Any, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +152,7 @@ class Scenery:
         observations: Sequence[MarkerObservations],
         grid: int,
         changed: Mapping[str, float] | None = None,
-    ) -> Scenery:
+    ) -> Self:
         """Return the skin of a fit, with some quantities changed."""
         pins, values = _signal(fit.design).pins, {**fit.values, **(changed or {})}
         of_tracks = [list(own) for _, own in groupby(observations, key=lambda each: id(each.track))]
@@ -190,7 +188,7 @@ class Scenery:
         sizes = [markers.size for each in self.observations for markers in each.observed]
         return np.repeat(np.arange(len(sizes)), sizes)
 
-    def mirrored(self) -> Scenery:
+    def mirrored(self) -> Self:
         """Return the same with images mirrored from left to right."""
         flip, width = np.array([-1.0, 1.0]), np.array([WIDTH - 1.0, 0.0])
         flipped = [

@@ -5,11 +5,10 @@ candidate (space mapping; Bandler et al., IEEE Trans. Microw. Theory Tech. 42 (1
 output).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,7 +179,7 @@ class Correction:
     """Difference that ratios leave, over the modulus (n, 3) [N/Pa]."""
 
     @classmethod
-    def of(cls, true: Array, layer: Array, modulus: float) -> Correction:
+    def of(cls, true: Array, layer: Array, modulus: float) -> Self:
         """Return the map between forces (n, 3) [N] of a sensor of some modulus [Pa]."""
         normal = _ratio(np.abs(true[:, 2]), np.abs(layer[:, 2]), np.ones(len(true)))
         shears = np.linalg.norm(true[:, :2], axis=1), np.linalg.norm(layer[:, :2], axis=1)

@@ -4,10 +4,8 @@ Each of three frozen features of ViT-B/32 (after blocks 4 and 8, and the final p
 small head; the paper uses it with the multilevel sigmoid loss.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import nn
@@ -40,7 +38,7 @@ class ClipFeatures(nn.Module):
             "deviation", torch.tensor(PIXEL_DEVIATION).view(1, 3, 1, 1), persistent=False
         )
 
-    def train(self, mode: bool = True) -> ClipFeatures:
+    def train(self, mode: bool = True) -> Self:
         """Stay in evaluation mode, as it is frozen."""
         return super().train(False)
 

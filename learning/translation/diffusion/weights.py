@@ -1,7 +1,5 @@
 """Readers for published weights in the user's files and folders; nothing is downloaded."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import json
@@ -9,7 +7,7 @@ import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import nn
@@ -74,7 +72,7 @@ class PerceptualDistance(nn.Module):
         self.register_buffer("scale", torch.tensor(SCALE).view(1, 3, 1, 1), persistent=False)
         self.requires_grad_(False).eval()
 
-    def train(self, mode: bool = True) -> PerceptualDistance:
+    def train(self, mode: bool = True) -> Self:
         """Stay in evaluation mode, as it is frozen."""
         return super().train(False)
 

@@ -4,11 +4,9 @@ Random numbers are drawn on the CPU and examples are computed on the device, so 
 not depend on the device.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -172,7 +170,7 @@ class PatternBank:
     """Signed distances of the patterns (n, 1, 256, 256) float16 [px of 640 x 480]."""
 
     @classmethod
-    def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> PatternBank:
+    def drawn(cls, count: int, generator: np.random.Generator, device: torch.device) -> Self:
         """Draw `count` patterns."""
         patterns = sample_patterns(count, generator, device)
         points = _pixel_positions(device)

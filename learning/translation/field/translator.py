@@ -1,10 +1,9 @@
 """The learned field translator: deforms the target's reference according to the source frame."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import torch
@@ -47,7 +46,7 @@ class FieldTranslator:
     target: SensorView | None = None
     """View of the target; None: likewise."""
 
-    def between_sensors(self, source: SensorView, target: SensorView) -> FieldTranslator:
+    def between_sensors(self, source: SensorView, target: SensorView) -> Self:
         """Return the translator for two sensors whose pixels differ in size."""
         return replace(self, source=source, target=target)
 

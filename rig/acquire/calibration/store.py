@@ -4,15 +4,13 @@
 applies, prints and stores its calibration; one that belongs to another bench is rejected.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,7 +158,7 @@ class Calibration:
         return lines
 
     @classmethod
-    def from_attrs(cls, attrs: dict[str, Any]) -> Calibration:
+    def from_attrs(cls, attrs: dict[str, Any]) -> Self:
         """Restore from the session attribute written by `attrs`; a resumed session keeps it."""
         parts: dict[str, Any] = {}
         file = ""

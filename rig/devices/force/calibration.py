@@ -7,12 +7,11 @@ The map is linear, so
 and a tare in newton is equivalent to one in volts.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +73,7 @@ class TransducerCalibration:
         beyond = np.abs(np.asarray(wrench, np.float64)) > np.array(self.rated)
         return np.asarray(beyond.any(axis=-1))
 
-    def moved(self, tool: ToolTransform) -> TransducerCalibration:
+    def moved(self, tool: ToolTransform) -> Self:
         """Return the calibration of the same transducer in a tool's frame.
 
         The tool's origin is at d from the transducer's, in the transducer's axes; the axes are then

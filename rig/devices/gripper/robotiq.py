@@ -4,15 +4,13 @@ Frames and registers are defined in rig.devices.gripper.robotiq_wire. One reques
 time; several threads may send requests.
 """
 
-from __future__ import annotations
-
 import errno
 import logging
 import select
 import termios
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 import serial
 
@@ -59,7 +57,7 @@ class RobotiqDriver:
         self._lock = threading.Lock()
         self._serial: serial.Serial | None = None
 
-    def __enter__(self) -> RobotiqDriver:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -11,14 +11,12 @@ released. Many models of SpaceMouse stop sending when the cap is released, some 
 report of zeros. So the last report is valid for `silence` only.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import hidraw
 
@@ -162,7 +160,7 @@ class PedalState:
     out_since_ns: int | None = None
     """Time at which it was found to be unplugged [ns]; None while it is plugged in."""
 
-    def reported(self, down: bool) -> PedalState:
+    def reported(self, down: bool) -> Self:
         """Return the state after a report that shows it down or up."""
         if down == self.down:
             return self
@@ -170,11 +168,11 @@ class PedalState:
             return replace(self, down=True, presses=self.presses + 1)
         return replace(self, down=False, releases=self.releases + 1)
 
-    def unplugged(self, now_ns: int) -> PedalState:
+    def unplugged(self, now_ns: int) -> Self:
         """Return the state after unplugging, which counts as a release."""
         return replace(self, down=False, releases=self.releases + 1, out_since_ns=now_ns)
 
-    def plugged(self) -> PedalState:
+    def plugged(self) -> Self:
         """Return the state after replugging: up, until it reports otherwise."""
         return replace(self, down=False, out_since_ns=None)
 
