@@ -1,21 +1,17 @@
 """Scene of a simulation: all of its inputs, as one frozen value."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SceneError, check_kind, check_range, is_finite, make_plain, plain
 from sim.indenters import Indenter
-
-if TYPE_CHECKING:
-    from trajectories import Plan, Target
+from trajectories import Plan, Target
 
 # Soft body: an elastomer layer bonded to a rigid base, square or round, flat or domed on top.
 
@@ -361,7 +357,7 @@ class Friction:
         make_plain(self)
         check_range("friction", "coefficient", self.coefficient, 0.0, 10.0)
 
-    def weakened(self, fraction: float) -> Friction:
+    def weakened(self, fraction: float) -> Self:
         """Return the effect with its coefficient scaled by `fraction`; at 0 it vanishes."""
         return replace(self, coefficient=fraction * self.coefficient)
 
@@ -400,7 +396,7 @@ class Viscosity:
         if self.relaxes not in ("all", "shear"):
             raise SceneError(f"viscosity.relaxes: {self.relaxes!r}; allowed: 'all', 'shear'")
 
-    def weakened(self, fraction: float) -> Viscosity:
+    def weakened(self, fraction: float) -> Self:
         """Return the effect with its ratios scaled by `fraction`; at 0 it vanishes."""
         return replace(self, ratios=tuple(fraction * ratio for ratio in self.ratios))
 
@@ -420,7 +416,7 @@ class Inertia:
         make_plain(self)
         check_range("inertia", "scale", self.scale, 0.0, 1e6)
 
-    def weakened(self, fraction: float) -> Inertia:
+    def weakened(self, fraction: float) -> Self:
         """Return the effect with its mass scaled by `fraction`; at 0 it vanishes."""
         return replace(self, scale=fraction * self.scale)
 
@@ -443,7 +439,7 @@ class Gravity:
         for index, value in enumerate(self.acceleration):
             check_range("gravity", f"acceleration[{index}]", value, -1e3, 1e3, unit="m/s^2")
 
-    def weakened(self, fraction: float) -> Gravity:
+    def weakened(self, fraction: float) -> Self:
         """Return the effect with its acceleration scaled by `fraction`; at 0 it vanishes."""
         x, y, z = self.acceleration
         return replace(self, acceleration=(fraction * x, fraction * y, fraction * z))

@@ -1,17 +1,17 @@
 """Scores of a translated archive against the target's real frames, with baselines."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from skimage import metrics
 
+from learning.data.images import shrink
+from learning.data.splits import Role, Split
 from learning.errors import LearningError
 from learning.evaluation.distribution import (
     NEIGHBOURS,
@@ -21,13 +21,10 @@ from learning.evaluation.distribution import (
     mixing_score,
 )
 from learning.evaluation.results_file import Results, read_results, write_results
+from learning.translation.translator import SensorView
 from recorder import MarkerArchive
 from recorder.archive import ArchivedSensor, location_pairs
 from recorder.markers import SMALLEST_PX, Blobs, Lattice, find_blobs, moved, unpack
-
-if TYPE_CHECKING:
-    from learning.data.splits import Role, Split
-
 
 # Overlap of masks: Dice, intersection over union, area. Similarity of images.
 
@@ -374,8 +371,6 @@ class RealFrames:
 
     def __init__(self, sensor: ArchivedSensor, rows: Rows) -> None:
         """Load some rows (n,) of the target's table."""
-        from learning.translation.translator import SensorView
-
         view = SensorView.of(sensor)
         self.sensor, self.rows = sensor, rows
         self.packed = sensor.packed(rows)
@@ -389,8 +384,6 @@ class RealFrames:
 
 def paired_score(packed: Packed, real: RealFrames, role: str, method: str) -> PairedScore:
     """Score frames (n, 38400) against the real ones of the same presses and phases."""
-    from learning.data.images import shrink
-
     dice, iou, ssim, area, apart, wrong, missed = [], [], [], [], [], [], []
     sensor = real.sensor
     for first in range(0, len(packed), _AT_ONCE):
@@ -476,8 +469,6 @@ def score_translation(
     At most `frames` location pairs of a role are scored, drawn by the seed; features for distances
     come from the extractor.
     """
-    from learning.data.images import shrink
-
     source, target = (_sensor_of(archive, translated, end) for end in ("source", "target"))
     split.check(archive)
     training = split.rows(target.table, "train")

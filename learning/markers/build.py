@@ -1,20 +1,15 @@
 """Conversion of sessions to a marker archive: `tactile markers`."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from learning.indenters import UNSEEN
+from learning.markers.efficient_sam import EfficientSam
 from learning.markers.frames import FLAG, INVALID, RecordedSensor, one_thread
 from learning.markers.recording import Recording, read_group
 from recorder.archive import MASKS, MarkerArchive, fill_archive
-
-if TYPE_CHECKING:
-    from learning.markers.efficient_sam import EfficientSam
 
 # Maximum number of frames, and of reasons, that are listed individually.
 NAMED = 5

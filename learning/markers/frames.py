@@ -1,11 +1,9 @@
 """Frames of one sensor's sessions, computed from pictures or taxels on demand, and their flags."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from learning.errors import LearningError
 from learning.indenters import UNSEEN
+from learning.markers.efficient_sam import EfficientSam
 from learning.markers.pattern import ReferenceMarkers, spread_of, with_reference
 from learning.markers.recording import Recording
 from learning.markers.segment import (
@@ -29,9 +28,6 @@ from learning.markers.segment import (
 )
 from recorder.archive import CHUNK_ROWS, MASKS, SHADING, UNIT_ROWS, Frames, MarkerCount, SensorPlan
 from recorder.markers import MarkerCheck, count_markers, draw_discs, find_blobs, pack, unpack
-
-if TYPE_CHECKING:
-    from learning.markers.efficient_sam import EfficientSam
 
 # Keys in the provenance of a frame: result of the marker count, and reason for a missing frame.
 FLAG, INVALID = "marker_flag", "invalid"

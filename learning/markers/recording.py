@@ -1,13 +1,11 @@
 """Sessions as rows of an archive: choice of frames, their metadata, and grouping of sessions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +14,7 @@ from learning.errors import LearningError
 from learning.indenters import coded
 from recorder.session import Session, Stream, axes_of, surface_heights
 from recorder.spec import AXES, PHASES
-
-if TYPE_CHECKING:
-    from trajectories import PressShear
+from trajectories import PressShear, plan_from_json
 
 Integers = NDArray[np.int64]
 Kind = Literal["camera", "taxels"]
@@ -110,8 +106,6 @@ class Recording:
 
     def plan(self) -> PressShear | None:
         """Return the press-shear plan stored in the session; None if there is none."""
-        from trajectories import PressShear, plan_from_json  # all kinds of plans
-
         stored = self.session.attrs.get("plan")
         if not isinstance(stored, dict) or stored.get("kind") != PressShear.KIND:
             return None

@@ -5,18 +5,17 @@ A (indenter, location, depth, wrench, forces of its twin). Whole presses are tra
 that markers can be tracked. An interrupted run continues where it stopped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from learning.contact_sheet import Tile, marker_picture, write_sheet
+from learning.data.splits import Role, Split
 from learning.errors import LearningError
 from learning.translation.translator import SensorView, Translator, for_pair
 from recorder.archive import (
@@ -35,10 +34,6 @@ from recorder.archive import (
 )
 from recorder.markers import PACKED, pack, unpack
 from recorder.spec import PHASES
-
-if TYPE_CHECKING:
-    from learning.data.splits import Role, Split
-
 
 Rows = NDArray[np.int64]
 

@@ -116,7 +116,7 @@ def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float, numeric
     [
         # 3 to 5 elements across the contact, finer ones, and a mesh that goes along.
         *((0.8e-3, Fem(spacing=0.8e-3, grading=EVEN), 0.06, depth) for depth in DEPTHS[1:]),
-        *((1.6e-3 / 3, Fem(spacing=1.6e-3 / 3, grading=EVEN), 0.015, depth) for depth in DEPTHS),
+        *((0.4e-3, Fem(spacing=0.4e-3, grading=EVEN), 0.015, depth) for depth in DEPTHS),
         *((0.3e-3, Fem(), 1e-3, depth) for depth in DEPTHS),
     ],
 )
