@@ -116,14 +116,15 @@ def test_a_leaning_punch_is_not_pulled_aside(degrees: int, shift: float, numeric
     [
         # 3 to 5 elements across the contact, finer ones, and a mesh that goes along.
         *((0.8e-3, Fem(spacing=0.8e-3, grading=EVEN), 0.06, depth) for depth in DEPTHS[1:]),
-        *((0.4e-3, Fem(spacing=0.4e-3, grading=EVEN), 0.015, depth) for depth in DEPTHS),
+        *((1.6e-3 / 3, Fem(spacing=1.6e-3 / 3, grading=EVEN), 0.015, depth) for depth in DEPTHS),
         *((0.3e-3, Fem(), 1e-3, depth) for depth in DEPTHS),
     ],
 )
 def test_a_sphere_is_pressed_alike_wherever_it_is_in_an_element(
     element: float, numerics: Fem, most: float, depth: float
 ) -> None:
-    body = Body(size_x=16e-3, size_y=16e-3, thickness=4e-3)
+    side = 8 * element * math.ceil(2e-3 / element)  # so that elements are of that size
+    body = Body(size_x=side, size_y=side, thickness=4e-3)
     results = [
         simulate(
             Scene(sphere(3e-3), press([depth], at=(element * part / SIDES, 0.0)), body), numerics
