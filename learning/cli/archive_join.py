@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from learning.errors import LearningError
-from recorder.command_line.options import names_or_none, positive
+from recorder.command_line.options import add_value, names_or_none, positive
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
@@ -49,27 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_tolerances(parser: argparse.ArgumentParser) -> None:
     """Add the options for how far apart presses that match may be."""
-    parser.add_argument(
-        "--place-mm",
-        type=positive,
-        default=0.1,
-        metavar="MM",
-        help="largest distance between the places of matching presses [mm] (0.1)",
-    )
-    parser.add_argument(
-        "--depth-fraction",
-        type=positive,
-        default=0.04,
-        metavar="FRACTION",
-        help="largest difference of their depths, as fractions of the sensors' deepest (0.04)",
-    )
-    parser.add_argument(
-        "--angle-deg",
-        type=positive,
-        default=3.0,
-        metavar="DEG",
-        help="largest angle between their shear directions [deg] (3)",
-    )
+    about = "largest distance between the places of matching presses [mm]"
+    add_value(parser, "--place-mm", "MM", 0.1, about, positive)
+    about = "largest difference of their depths, as fractions of the sensors' deepest"
+    add_value(parser, "--depth-fraction", "FRACTION", 0.04, about, positive)
+    about = "largest angle between their shear directions [deg]"
+    add_value(parser, "--angle-deg", "DEG", 3.0, about, positive)
 
 
 def tolerances_of(options: argparse.Namespace) -> Tolerances:

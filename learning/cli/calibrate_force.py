@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from learning.errors import LearningError
-from recorder.command_line.options import positive
+from recorder.command_line.options import add_value, positive
 
 _WEIGHT = re.compile(r"(?P<value>[0-9.]+)\s*(?P<unit>g|kg)")
 GRAVITY = 9.80665
@@ -34,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="20g",
         help="mass of what each of them stands on (0g)",
     )
-    parser.add_argument(
-        "--gravity", type=positive, default=GRAVITY, metavar="M/S2", help="(%(default)s)"
-    )
+    add_value(parser, "--gravity", "M/S2", GRAVITY, "where they are laid on [m/s^2]", positive)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--holds", type=Path, metavar="CSV", help="written by live --out")
     source.add_argument("--archive", metavar="ARCHIVE:SENSOR", help="X.markers.zarr")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from learning.cli.archive_join import chosen_sensors
 from learning.command import add_settings
 from learning.errors import LearningError
-from recorder.command_line.options import add_device, names
+from recorder.command_line.options import add_device, add_value, names
 from recorder.progress import ItemProgress
 
 if TYPE_CHECKING:
@@ -44,9 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="folder of .npz results, X.markers.zarr or X.markers.zarr:SENSOR, a force model",
     )
-    parser.add_argument(
-        "--out", type=Path, default=Path("report"), metavar="DIR", help="report folder (report)"
-    )
+    add_value(parser, "--out", "DIR", Path("report"), "report folder", Path)
     parser.add_argument(
         "--split",
         type=Path,

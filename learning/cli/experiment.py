@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from learning.command import add_settings
-from recorder.command_line.options import add_device, names
+from recorder.command_line.options import add_device, add_value, names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,13 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="processes that track markers (all cores)",
     )
-    parser.add_argument(
-        "--jobs",
-        type=int,
-        default=1,
-        metavar="N",
-        help="models trained in parallel, as far as memory allows (1)",
-    )
+    add_value(parser, "--jobs", "N", 1, "models trained in parallel, as far as memory allows", int)
 
 
 def run(options: argparse.Namespace) -> int:

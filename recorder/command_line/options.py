@@ -100,29 +100,32 @@ def names_or_none(text: str) -> tuple[str, ...]:
     return names(text) if text else ()
 
 
+def add_value(
+    parser: argparse._ActionsContainer,
+    flag: str,
+    metavar: str,
+    default: object,
+    about: str,
+    read: Callable[[str], Any] = float,
+) -> None:
+    """Add an option that has a default, which its help states after `about`."""
+    parts = default if isinstance(default, tuple) else (default,)
+    stated = ",".join(f"{part:g}" if isinstance(part, float) else str(part) for part in parts)
+    parser.add_argument(
+        flag, type=read, default=default, metavar=metavar, help=f"{about} ({stated})"
+    )
+
+
 def add_device(parser: argparse._ActionsContainer, purpose: str = "device") -> None:
     """Add `--device`, the CPU unless another is named."""
-    parser.add_argument(
-        "--device",
-        default="cpu",
-        metavar="NAME",
-        help=f"{purpose}: cpu, or cuda:0 and the like (%(default)s)",
-    )
+    add_value(parser, "--device", "NAME", "cpu", f"{purpose}: cpu, or cuda:0 and the like", str)
 
 
 def add_seed(parser: argparse._ActionsContainer, default: int = 0) -> None:
     """Add `--seed`, the seed of all random draws."""
-    parser.add_argument(
-        "--seed", type=int, default=default, metavar="N", help="seed of random draws (%(default)s)"
-    )
+    add_value(parser, "--seed", "N", default, "seed of random draws", int)
 
 
 def add_grid(parser: argparse._ActionsContainer, default: int = 64) -> None:
     """Add `--grid`, the number of pixels of tier `layer`."""
-    parser.add_argument(
-        "--grid",
-        type=whole(16, 256),
-        default=default,
-        metavar="N",
-        help="pixels along the longer side (%(default)s)",
-    )
+    add_value(parser, "--grid", "N", default, "pixels along the longer side", whole(16, 256))

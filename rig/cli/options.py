@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.command_line.options import next_command
+from recorder.command_line.options import add_value, next_command
 from recorder.session import Session
 from rig.acquire.calibration import store
 from rig.acquire.control import Interrupted
@@ -102,13 +102,7 @@ def bench_options(
 
 def benches_option(parser: argparse._ActionsContainer) -> None:
     """Add --benches."""
-    parser.add_argument(
-        "--benches",
-        type=Path,
-        default=BENCHES_FOLDER,
-        metavar="DIR",
-        help="folder of bench files (%(default)s)",
-    )
+    add_value(parser, "--benches", "DIR", BENCHES_FOLDER, "folder of bench files", Path)
 
 
 def recording_options(
@@ -259,13 +253,8 @@ def logged_to(path: Path) -> Iterator[None]:
 
 def calibration_options(parser: argparse._ActionsContainer) -> None:
     """Add --calibrations."""
-    parser.add_argument(
-        "--calibrations",
-        type=Path,
-        default=store.FOLDER,
-        metavar="DIR",
-        help="folder of the results of home and calibrate-latency (%(default)s)",
-    )
+    about = "folder of the results of home and calibrate-latency"
+    add_value(parser, "--calibrations", "DIR", store.FOLDER, about, Path)
 
 
 # The page that a command serves.

@@ -12,7 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.command_line.errors import EXIT_INTERRUPTED, EXIT_WRONG_INPUT
-from recorder.command_line.options import add_device, add_seed, names, next_command, whole
+from recorder.command_line.options import (
+    add_device,
+    add_seed,
+    add_value,
+    names,
+    next_command,
+    whole,
+)
 from sim.cli.options import STEPS_MAX, metres
 from sim.errors import SceneError
 
@@ -49,14 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "sim/sensors and YAML files between commas; or an archive to continue",
     )
     group = parser.add_argument_group("contents")
-    group.add_argument(
-        "--draws",
-        type=whole(0, DRAWS_MOST),
-        default=0,
-        metavar="N",
-        help="number of sensors drawn from the uncertainty of each twin (of tactile twin fit) in "
-        "its place (%(default)s)",
-    )
+    about = "sensors drawn from the uncertainty of each twin (of tactile twin fit) in its place"
+    add_value(group, "--draws", "N", 0, about, whole(0, DRAWS_MOST))
     group.add_argument(
         "--scale",
         metavar="SHARE",
@@ -67,9 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps", type=whole(1, STEPS_MAX), metavar="N", help="frames per phase (10; smoke: 3)"
     )
     group.add_argument("--indenters", type=names, metavar="NAME,...", help="some of the 18 (all)")
-    group.add_argument(
-        "--drawn", type=int, default=0, metavar="N", help="randomly drawn indenters besides (0)"
-    )
+    add_value(group, "--drawn", "N", 0, "randomly drawn indenters besides", int)
     add_seed(group)
     group.add_argument(
         "--out",

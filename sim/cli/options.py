@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast, get_args
 
-from recorder.command_line.options import add_device, numbers, positive, whole
+from recorder.command_line.options import add_device, add_value, numbers, positive, whole
 from sim.device import ready_device
 from sim.errors import SceneError
 from sim.fem import Fem
@@ -115,20 +115,10 @@ def add_indenter_options(parser: argparse.ArgumentParser) -> None:
         f"convex edge (named shapes: their own, else {EDGE_MM} as far as there is room) "
         "(%(default)s)",
     )
-    group.add_argument(
-        "--tilt",
-        type=numbers(2),
-        default=(0.0, 0.0),
-        metavar="X,Y",
-        help="tilt of the indenter, a rotation vector about x and y [deg] (0,0)",
-    )
-    group.add_argument(
-        "--at",
-        type=numbers(2),
-        default=(0.0, 0.0),
-        metavar="X,Y",
-        help="position of the press, from the middle of the body [mm] (0,0)",
-    )
+    about = "tilt of the indenter, a rotation vector about x and y [deg]"
+    add_value(group, "--tilt", "X,Y", (0.0, 0.0), about, numbers(2))
+    about = "position of the press, from the middle of the body [mm]"
+    add_value(group, "--at", "X,Y", (0.0, 0.0), about, numbers(2))
 
 
 def indenter_of(options: argparse.Namespace) -> Indenter:
@@ -315,13 +305,8 @@ def tier_of(options: argparse.Namespace) -> Layer | Fem:
 
 def _add_motion_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("motion")
-    group.add_argument(
-        "--depths",
-        type=numbers(),
-        default=(0.5, 1.0, 1.5),
-        metavar="MM,...",
-        help="depths to go to in turn, from the touched surface [mm] (0.5,1,1.5)",
-    )
+    about = "depths to go to in turn, from the touched surface [mm]"
+    add_value(group, "--depths", "MM,...", (0.5, 1.0, 1.5), about, numbers())
     group.add_argument(
         "--hold", type=positive, metavar="S", help="rest at the last depth for this time [s] (none)"
     )
@@ -331,38 +316,17 @@ def _add_motion_options(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="then move sideways by this length, back, and lift [mm] (none)",
     )
-    group.add_argument(
-        "--angle",
-        type=float,
-        default=0.0,
-        metavar="DEG",
-        help="direction of the shear, from x towards y [deg] (%(default)s)",
-    )
-    group.add_argument(
-        "--steps",
-        type=whole(1, STEPS_MAX),
-        default=1,
-        metavar="N",
-        help="frames of each press, hold, shear, return and lift (%(default)s)",
-    )
-    group.add_argument(
-        "--speed",
-        type=float,
-        default=10.0,
-        metavar="MM/S",
-        help="speed of the tip; matters to viscosity and inertia only [mm/s] (%(default)s)",
-    )
+    add_value(group, "--angle", "DEG", 0.0, "direction of the shear, from x towards y [deg]")
+    about = "frames of each press, hold, shear, return and lift"
+    add_value(group, "--steps", "N", 1, about, whole(1, STEPS_MAX))
+    about = "speed of the tip; matters to viscosity and inertia only [mm/s]"
+    add_value(group, "--speed", "MM/S", 10.0, about)
 
 
 def _add_body_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("body")
-    group.add_argument(
-        "--size",
-        type=numbers(3),
-        default=(20.0, 20.0, 4.0),
-        metavar="X,Y,Z",
-        help="width along x and y, and thickness [mm] (20,20,4)",
-    )
+    about = "width along x and y, and thickness [mm]"
+    add_value(group, "--size", "X,Y,Z", (20.0, 20.0, 4.0), about, numbers(3))
     group.add_argument(
         "--dome", type=float, metavar="MM", help="radius of a spherical top [mm] (flat)"
     )
@@ -373,38 +337,14 @@ def _add_body_options(parser: argparse.ArgumentParser) -> None:
         help="outline in plan: the rectangle X by Y [mm], or the ellipse inscribed in it "
         "(%(default)s)",
     )
-    group.add_argument(
-        "--modulus",
-        type=float,
-        default=0.145,
-        metavar="MPA",
-        help="Young's modulus at rest [MPa] (%(default)s)",
-    )
-    group.add_argument(
-        "--poisson",
-        type=float,
-        default=0.45,
-        metavar="RATIO",
-        help="Poisson's ratio at rest, 0 to 0.49995 (%(default)s)",
-    )
-    group.add_argument(
-        "--density",
-        type=float,
-        default=1070.0,
-        metavar="KG/M3",
-        help="density, for inertia and gravity [kg/m^3] (%(default)s)",
-    )
+    add_value(group, "--modulus", "MPA", 0.145, "Young's modulus at rest [MPa]")
+    add_value(group, "--poisson", "RATIO", 0.45, "Poisson's ratio at rest, 0 to 0.49995")
+    add_value(group, "--density", "KG/M3", 1070.0, "density, for inertia and gravity [kg/m^3]")
 
 
 def _add_effect_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("effects")
-    group.add_argument(
-        "--friction",
-        type=float,
-        default=0.0,
-        metavar="MU",
-        help="coefficient of Coulomb friction; 0 is frictionless (%(default)s)",
-    )
+    add_value(group, "--friction", "MU", 0.0, "coefficient of Coulomb friction; 0 is frictionless")
     group.add_argument(
         "--viscosity",
         type=branches,
