@@ -17,6 +17,12 @@ SMALL = ["--preset", "tiny", "--set", "stages=[{epochs: 1, learning_rate: 0.001}
 ALL: dict[str, Any] = {"validation": 0.0, "new_press": 0.0}
 
 
+@pytest.fixture(autouse=True)
+def unexported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the export, which takes a second: test_force_contract has one by the command."""
+    monkeypatch.setattr("learning.force.export.export_onnx", lambda *_: 0.0)
+
+
 def begin(
     folder: Path, split: dict[str, Any] = ALL, **made: Any
 ) -> tuple[MarkerArchive, list[str]]:
