@@ -65,7 +65,9 @@ def done(
 ) -> tuple[Path, list[str]]:
     """A complete experiment: its folder and its output."""
     out = tmp_path_factory.mktemp("done") / "out"
-    return out, run(archive, out)
+    with pytest.MonkeyPatch.context() as patch:
+        undrawn(patch)
+        return out, run(archive, out)
 
 
 def results(out: Path, name: str) -> Predictions:

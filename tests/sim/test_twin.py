@@ -173,10 +173,10 @@ def command(
     words += ["--markers", *map(str, marked), "--held-out", str(copy)]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as printed:
         patch.setattr("sim.twin.fitted", kept)
-        # Cameras that begin otherwise are those of `test_twin_camera`, and thinner skins those of
+        # Cameras that begin otherwise are those of `test_twin_camera`, and other skins those of
         # `test_a_skin_in_a_long_valley_of_explanations_is_found`.
         patch.setattr("sim.twin.camera.BEGINNINGS", (0.0, math.pi))
-        patch.setattr("sim.twin.fit.THICKNESSES", (1.25,))
+        patch.setattr("sim.twin.fit.THICKNESSES", ())
         assert main([*words, "--grid", str(COARSE), "--processes", "1"]) == 0
     return fits[0], json.loads(printed.getvalue()), out
 
@@ -213,6 +213,7 @@ def test_a_tilt_that_presses_do_not_tell_is_named(fit: Fit) -> None:
     assert line.endswith("not told by these presses, the prior's")
 
 
+@pytest.mark.slow
 def test_processes_solve_what_one_does(fit: Fit) -> None:
     tilted = {**fit.values, "tilt_x": 0.01}
     with Workers(2) as workers:
@@ -296,6 +297,7 @@ def test_images_of_another_sensor_are_refused_in_pixels(
         return replace(fit, tracks=tuple(tracks))
 
     monkeypatch.setattr("sim.twin.fitted", known)
+    monkeypatch.setattr("sim.twin.record.draw", lambda *_, **__: None)
     # The rest in pixels is refused, whatever its uncertainty.
     monkeypatch.setattr("sim.twin.camera.BEGINNINGS", (0.0,))
     monkeypatch.setattr("sim.twin.camera.STEPS", {"thickness": 0.06})
@@ -305,7 +307,6 @@ def test_images_of_another_sensor_are_refused_in_pixels(
     printed = capsys.readouterr().err
     assert re.search(r"refused: markers at rest differ by \d\.\d\d px, \d\d % of the", printed)
     assert not out.exists()
-    assert out.with_suffix(".png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
