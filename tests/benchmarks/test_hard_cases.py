@@ -23,7 +23,7 @@ from sim.errors import SimulationDiverged
 
 # In less than a second or so; the others are slow.
 FAST = (
-    "poisson-0-3", "never-touches", "inertia-of-no-mass", "fast-press-with-mass", "repeats",
+    "poisson-0-3", "never-touches", "inertia-of-no-mass", "repeats",
     "phases-without-time", "metres-and-millimetres", "stays-elastic-when-rested",
     "sags-under-gravity", "diverges-in-a-batch",
 )  # fmt: skip

@@ -60,6 +60,7 @@ def test_a_plane_presses_a_sliding_disc_uniaxially() -> None:
     assert answer.balance < 1e-6
 
 
+@pytest.mark.slow
 def test_a_moving_plane_meets_the_impedance_of_a_column_and_then_its_reflected_wave() -> None:
     """A column without Poisson's effect: c = sqrt(E / rho), pressure rho c v, then 3 rho c v."""
     layer = Layer(3 * MM, 4 * MM, MODULUS, 0.0, sliding=True)

@@ -74,7 +74,7 @@ def test_the_gel_is_as_noisy_as_it_says() -> None:
 # Stores
 
 
-@pytest.mark.parametrize("key", few(list(STORES), 5))
+@pytest.mark.parametrize("key", few(list(STORES), 3))
 def test_a_store_gives_back_what_was_appended_and_counts_its_bytes(
     key: str, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ def results(page: Path, part: str) -> Any:
     return json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))[part]["results"]
 
 
+@pytest.mark.slow
 def test_labels_by_twins_are_nearer_to_the_targets_own_than_the_papers(page: Path) -> None:
     (row,) = results(page, "labels")["rows"]
     assert list(row["sums"]) == ["gelsight, tacpalm", "tacpalm, gelsight"]

@@ -34,6 +34,7 @@ from rig.core.errors import DeviceLost, SafetyStop
 from rig.devices.arm.arm import Arm
 from rig.devices.arm.messages import Move
 from rig.devices.arm.mover import Mover
+from tests.support.few import few
 
 pytest.importorskip("rtde_control", reason="ur-rtde is not installed: pip install -e '.[rig]'")
 
@@ -129,7 +130,8 @@ def test_a_controller_lost_in_mid_move_is_device_lost_in_bounded_time(
 
 
 @pytest.mark.parametrize(
-    ("fault", "words"), [("protective_stop", "unlock"), ("emergency_stop", "release")]
+    ("fault", "words"),
+    few([pytest.param("protective_stop", "unlock"), pytest.param("emergency_stop", "release")], 1),
 )
 def test_a_safety_stop_is_never_reset_from_here(arm, fault, words):
     with pytest.raises(SafetyStop, match=f"{words}.* at the pendant"):

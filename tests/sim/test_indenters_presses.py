@@ -19,6 +19,7 @@ from sim.indenters import NAMES, Indenter, box, from_stl, named, sphere
 from sim.mpm import Mpm
 from sim.store import load_result, save_results
 from tactile.__main__ import main
+from tests.support.few import few
 
 if TYPE_CHECKING:
     from sim.tiers import Tier
@@ -69,7 +70,7 @@ def test_a_body_from_a_file_presses_like_the_exact_one(
     assert np.abs(off[:, 3:]).max() < tolerance * 2e-3
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, 3))
 def test_an_indenter_presses_alike_by_name_and_from_a_file_of_flat_facets(
     name: str, tmp_path: Path
 ) -> None:

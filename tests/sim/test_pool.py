@@ -63,11 +63,24 @@ def command(pid: int) -> bytes:
 def test_two_processes_give_the_same_bits_in_the_same_order_and_print_nothing(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
+    """And refuse a scene that means nothing as itself; the same two solve several calls."""
     told: list[float] = []
-    alone = simulate_many(SCENES, NUMERICS)
+    alone, nothing = simulate_many(SCENES, NUMERICS), replace(NUMERICS, spacing=0.3e-6)
+    with pytest.raises(SceneError) as here:
+        simulate_many(SCENES, nothing)
     capfd.readouterr()
-    shared = simulate_many(SCENES, NUMERICS, processes=2, progress=told.append)
-    assert capfd.readouterr() == ("", "")
+    with Workers(2) as solvers:
+        shared = simulate_many(SCENES, NUMERICS, processes=solvers, progress=told.append)
+        assert capfd.readouterr() == ("", "")
+        pids = workers()
+        assert simulate_many([], NUMERICS, processes=solvers) == []
+        (more,) = simulate_many(SCENES[:1], replace(NUMERICS, tolerance=1e-3), processes=solvers)
+        assert isinstance(more, Result)
+        assert workers() == pids != []
+        with pytest.raises(SceneError) as there:
+            simulate_many(SCENES, nothing, processes=solvers)
+    assert str(there.value) == str(here.value)
+    assert not workers()
     for one, other, scene in zip(alone, shared, SCENES, strict=True):
         assert isinstance(one, Result)
         assert isinstance(other, Result)
@@ -102,31 +115,10 @@ def test_a_press_without_a_solution_comes_back_whole_beside_those_that_have_one(
     )
 
 
-def test_a_scene_that_means_nothing_is_refused_here_as_itself() -> None:
-    numerics = replace(NUMERICS, spacing=0.3e-6)
-    with pytest.raises(SceneError) as here:
-        simulate_many(SCENES, numerics)
-    with pytest.raises(SceneError) as there:
-        simulate_many(SCENES, numerics, processes=2)
-    assert str(there.value) == str(here.value)
-    assert not workers()
-
-
 @pytest.mark.parametrize("processes", [0, -1, True, 2.0, "2"])
 def test_a_number_of_processes_is_whole_and_positive(processes: int) -> None:
     with pytest.raises(SceneError, match=r"processes: .*; allowed: whole numbers from 1 up"):
         simulate_many(SCENES, NUMERICS, processes=processes)
-
-
-def test_running_processes_solve_several_calls() -> None:
-    with Workers(2) as solvers:
-        first = simulate_many(SCENES, NUMERICS, processes=solvers)
-        pids = workers()
-        second = simulate_many(SCENES[:1], replace(NUMERICS, tolerance=1e-3), processes=solvers)
-        assert workers() == pids != []
-        assert simulate_many([], NUMERICS, processes=solvers) == []
-    assert not workers()
-    assert all(isinstance(one, Result) for one in [*first, *second])
 
 
 def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(

@@ -175,7 +175,7 @@ def command(
         patch.setattr("sim.twin.fitted", kept)
         # Cameras that begin otherwise are those of `test_twin_camera`, and other skins those of
         # `test_a_skin_in_a_long_valley_of_explanations_is_found`.
-        patch.setattr("sim.twin.camera.BEGINNINGS", (0.0, math.pi))
+        patch.setattr("sim.twin.camera.BEGINNINGS", (0.0,))
         patch.setattr("sim.twin.fit.THICKNESSES", ())
         assert main([*words, "--grid", str(COARSE), "--processes", "1"]) == 0
     return fits[0], json.loads(printed.getvalue()), out
@@ -678,9 +678,9 @@ def test_a_rest_without_shear_does_not_tell_the_error_of_the_others() -> None:
 
 def test_a_tip_that_falls_between_pixels_is_not_planned() -> None:
     planner = Planner(sensor("gelsight"), grid=24)
-    tip, *others = (planner.candidates((name,))[-1] for name in ("cone", "sphere", "torus"))
-    # Long enough for all of them.
-    assert set(planner.best([tip, *others], seconds=300.0, change=20.0)) == set(others)
-    assert planner.rough([tip, *others]) == [tip]
+    tip, other = (planner.candidates((name,))[-1] for name in ("cone", "sphere"))
+    # Long enough for both.
+    assert planner.best([tip, other], seconds=300.0, change=20.0) == [other]
+    assert planner.rough([tip, other]) == [tip]
     with pytest.raises(SceneError, match="cone: forces jump between 24 pixels"):
         planner.best([tip], seconds=300.0, change=20.0)

@@ -183,16 +183,16 @@ def test_a_mistake_in_a_file_is_refused_with_the_message_of_the_page(kind: str, 
     assert reference.section_of(kind, found) in page, "docs/reference is old: make reference"
 
 
-@pytest.mark.parametrize("command", OPTIONS)
+@pytest.mark.parametrize("first", sorted({command.split()[0] for command in OPTIONS}))
 def test_a_wrong_option_is_refused_in_words_before_a_device_or_an_emulator_starts(
-    command: str, lab: Path, monkeypatch: pytest.MonkeyPatch
+    first: str, lab: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The log of a replay says what was refused, too."""
     monkeypatch.setattr(collector, "Streams", None)
     monkeypatch.setattr(MockBench, "__enter__", None)
     before = {*lab.rglob("*")}
-    code, message = run(lab, command)
-    assert code == 2
-    assert OPTIONS[command] in message
+    for command in (each for each in OPTIONS if each.split()[0] == first):
+        code, message = run(lab, command)
+        assert (code, OPTIONS[command] in message) == (2, True), f"{command}: {message}"
     written = {path for path in {*lab.rglob("*")} - before if path.is_file()}
     assert {path.suffix for path in written} <= {".log"}
