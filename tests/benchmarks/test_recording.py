@@ -361,9 +361,7 @@ def test_ctrl_c_leaves_no_store_on_the_disk_and_no_process(tmp_path: Path) -> No
 
 @pytest.mark.serial
 @pytest.mark.slow
-def test_the_whole_quick_run_writes_every_part(
-    tmp_path: Path,
-) -> None:
+def test_the_whole_quick_run_writes_every_part(tmp_path: Path) -> None:
     assert main(["recording", "--quick", "--out", str(tmp_path / "recording.md")]) == 0
     text = (tmp_path / "recording.md").read_text()
     for heading in ("Stores", "Load", "Alignment", "Windows", "Latency"):

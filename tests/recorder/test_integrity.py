@@ -579,9 +579,7 @@ def test_a_file_added_after_closing_is_named(copy_of: Callable[[str], Path]) -> 
     assert set(Session(path).streams) == {"camera", "force", "pose"}
 
 
-def test_a_run_changes_no_shard_of_the_runs_before_it(
-    copy_of: Callable[[str], Path],
-) -> None:
+def test_a_run_changes_no_shard_of_the_runs_before_it(copy_of: Callable[[str], Path]) -> None:
     path = copy_of("resumed")
     shutil.rmtree(path / "manifest" / "1")
     with pytest.raises(SessionError, match=r"manifest/1/zarr\.json: missing"):

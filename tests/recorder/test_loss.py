@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 from support.sessions import RATES, T0, make_session, record_run
 
-from recorder import (
-    Session,
-    SessionWriter,
-    camera_spec,
-    check,
-    faults,
-    force_spec,
-    pose_spec,
-)
+from recorder import Session, SessionWriter, camera_spec, check, faults, force_spec, pose_spec
 from recorder.info import describe, digests
 from recorder.session.loss import (
     ARRIVAL,
@@ -60,11 +52,7 @@ def sampled(
 
 def witnesses(own: np.ndarray, seq: np.ndarray, kept: np.ndarray) -> dict[str, dict[str, Any]]:
     """Return the arguments of each witness for the samples that were kept."""
-    return {
-        SEQUENCE: {"seq": seq[kept]},
-        DEVICE_CLOCK: {"device_t": own[kept] + 12.5},
-        ARRIVAL: {},
-    }
+    return {SEQUENCE: {"seq": seq[kept]}, DEVICE_CLOCK: {"device_t": own[kept] + 12.5}, ARRIVAL: {}}
 
 
 @pytest.mark.parametrize("rate_hz", [30.0, 60.0, 125.0, 500.0])
@@ -255,9 +243,7 @@ def test_a_stream_without_numbers_or_times_says_that_drops_are_inferred(tmp_path
     assert faults(check(path)) == []
 
 
-def test_numbers_of_a_camera_count_its_losses_and_are_no_part_of_its_digest(
-    tmp_path: Path,
-) -> None:
+def test_numbers_of_a_camera_count_its_losses_and_are_no_part_of_its_digest(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (40, 8, 8, 3), np.uint8)
     row = np.arange(40)
     frame = row + (row >= 20) + 2 * (row >= 30)

@@ -164,8 +164,7 @@ def test_everything_reads_as_it_does_from_the_disk(url: str, recorded: Path) -> 
                     here, there = (getattr(w.streams[name], field) for w in (expected, found))
                     np.testing.assert_array_equal(there, here, err_msg=f"{stream.traits} {field}")
     np.testing.assert_array_equal(
-        np.asarray(far.streams["camera"].images([100])[0]),
-        near.streams["camera"].images([100])[0],
+        np.asarray(far.streams["camera"].images([100])[0]), near.streams["camera"].images([100])[0]
     )
 
 

@@ -375,9 +375,7 @@ def portable(session: Path, copy: Path) -> None:
     export(session, copy, "zarr", options=Options(images="pixels"))
 
 
-def test_a_portable_copy_holds_the_same_pixels_of_all_cameras_for_everybody(
-    tmp_path: Path,
-) -> None:
+def test_a_portable_copy_holds_the_same_pixels_of_all_cameras_for_everybody(tmp_path: Path) -> None:
     done: list[tuple[int, int]] = []
     cameras = ("camera", "camera_2", "depth_1")
     recorded = make_session(tmp_path / "s.zarr", names=(*cameras, "force", "pose"), seconds=1.0)

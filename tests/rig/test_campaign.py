@@ -18,14 +18,7 @@ from recorder import Session
 from recorder import catalogue as catalogue_module
 from recorder.session.press_curve import press_curves
 from rig.acquire import campaign as campaign_module
-from rig.acquire.campaign import (
-    Campaign,
-    Item,
-    Progress,
-    load_campaign,
-    progress_of,
-    table,
-)
+from rig.acquire.campaign import Campaign, Item, Progress, load_campaign, progress_of, table
 from rig.bench.worlds import SimulatedSpec
 from rig.cli import campaign as campaign_command
 from rig.cli import force_depth

@@ -45,10 +45,7 @@ class Guard:
         self.force, self.motion = ForceGuard(limits), MotionGuard(limits, frame)
 
     def check(self, now_ns, forces, poses, mode="guarded"):
-        reasons = (
-            self.force.check(now_ns, forces, mode),
-            self.motion.check(now_ns, poses, mode),
-        )
+        reasons = (self.force.check(now_ns, forces, mode), self.motion.check(now_ns, poses, mode))
         return most_serious(reason for reason in reasons if reason is not None)
 
 

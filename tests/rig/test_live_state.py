@@ -16,13 +16,7 @@ from rig.core.clock import FakeClock
 from rig.core.config import read_yaml
 from rig.core.packaged import BENCHES
 from rig.core.shared_memory import SharedLatest
-from rig.monitor.collection import (
-    MOST_PICTURES,
-    MOST_PLOTS,
-    CollectionJob,
-    CollectionView,
-    Picture,
-)
+from rig.monitor.collection import MOST_PICTURES, MOST_PLOTS, CollectionJob, CollectionView, Picture
 
 GAUGE = {"kind": "netft", "host": "loopback", "rate_hz": 100.0}
 

@@ -66,10 +66,7 @@ def test_a_writer_that_starts_after_its_readers_leaves_their_mapping_alone(tmp_p
 
 @pytest.mark.parametrize(
     ("places", "written", "unread", "missed"),
-    [
-        (64, 20, list(range(1, 21)), 0),
-        (8, 20, list(range(14, 21)), 13),
-    ],
+    [(64, 20, list(range(1, 21)), 0), (8, 20, list(range(14, 21)), 13)],
     ids=["all", "more than there are places for"],
 )
 def test_a_reader_gets_every_record_since_its_last_look_or_the_number_of_those_it_missed(

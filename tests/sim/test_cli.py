@@ -133,9 +133,7 @@ def test_a_hold_comes_before_a_shear(capsys: pytest.CaptureFixture[str]) -> None
     assert np.diff([0, *told["time_s"]]) == pytest.approx([0.02, 0.02, 1, 0.03, 0.03, 0.04])
 
 
-def test_values_that_begin_with_a_minus_are_no_options(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_values_that_begin_with_a_minus_are_no_options(capsys: pytest.CaptureFixture[str]) -> None:
     told = _said(["press", "--at", "-4,-2.5", "--depths", "0.3", *QUICK], capsys)
     assert told["tip_mm"] == [pytest.approx([-4.0, -2.5, -0.3])]
 

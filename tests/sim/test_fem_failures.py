@@ -103,10 +103,7 @@ def test_a_press_with_a_sharp_edge_that_diverges_is_told_of_it(edge: float, advi
 def test_nothing_unconverged_is_returned() -> None:
     """For any tolerance, every frame's residual is below it."""
     slid = Scene(
-        sphere(3e-3),
-        press([0.3e-3], shear=0.2e-3, steps=1),
-        BODY,
-        Effects(friction=Friction(0.4)),
+        sphere(3e-3), press([0.3e-3], shear=0.2e-3, steps=1), BODY, Effects(friction=Friction(0.4))
     )
     largest = []
     for tolerance in (3e-2, 1e-2, 1e-3):

@@ -8,17 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim import (
-    Body,
-    Effects,
-    Friction,
-    Motion,
-    Result,
-    Scene,
-    SimulationDiverged,
-    press,
-    simulate,
-)
+from sim import Body, Effects, Friction, Motion, Result, Scene, SimulationDiverged, press, simulate
 from sim.fem import FOR_EDGES, Fem, stepping
 from sim.fem.assembly import Assembly
 from sim.fem.crossing import Crossing

@@ -17,10 +17,7 @@ MESHES = oracle.domed_meshes()
 VARIANT = [1, 0]
 ELEMENTS = MESHES[0].elements
 EVERYONE = np.ones(2)
-SERIES = [
-    Viscosity((0.5, 1.5), (0.1, 2.0)),
-    Viscosity((0.8,), (0.3,), relaxes="shear"),
-]
+SERIES = [Viscosity((0.5, 1.5), (0.1, 2.0)), Viscosity((0.8,), (0.3,), relaxes="shear")]
 MATERIALS = [Material(0.345, 3.3), Material(0.4, 0.5)]
 STEPS = [np.array([0.05, 0.4]), np.array([1e-4, 0.02]), np.array([3.0, 0.3]), np.array([0.2, 50.0])]
 

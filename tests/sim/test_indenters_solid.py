@@ -220,10 +220,7 @@ def test_a_wall_that_rounding_would_lose_is_refused(make: Make) -> None:
 
 @pytest.mark.parametrize(
     ("thick", "edge_radius", "rounded", "note"),
-    [
-        (0.5, 0.3e-3, 0.3e-3, "removes parts up to 0.5"),
-        (0.2, None, 0.05e-3, None),
-    ],
+    [(0.5, 0.3e-3, 0.3e-3, "removes parts up to 0.5"), (0.2, None, 0.05e-3, None)],
 )
 def test_edges_leave_thin_parts_or_their_size_is_said(
     thick: float, edge_radius: float | None, rounded: float, note: str | None, tmp_path: Path

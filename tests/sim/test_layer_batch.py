@@ -98,9 +98,7 @@ def test_a_dome_and_a_sensor_of_other_size_are_solved_beside_each_other() -> Non
         assert_same(one, simulate_layer(scene, layer), 1e-5)
 
 
-def test_a_result_does_not_depend_on_the_presses_beside_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_result_does_not_depend_on_the_presses_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
     batched = results(simulate_layers(SMOOTH, Layer(grid=GRID), device="cpu"))
     monkeypatch.setattr(batch, "AT_ONCE", 2)
     monkeypatch.setattr(batch, "STAGED", 12 * 1000)  # frames come to the host in many pieces

@@ -20,12 +20,7 @@ def test_a_press_touches_then_goes_to_each_depth_at_its_speed() -> None:
     assert len(motion) == 4
 
 
-@given(
-    st.floats(0.1e-3, 2e-3),
-    st.floats(0.1e-3, 2e-3),
-    st.floats(-4, 4),
-    st.integers(1, 7),
-)
+@given(st.floats(0.1e-3, 2e-3), st.floats(0.1e-3, 2e-3), st.floats(-4, 4), st.integers(1, 7))
 def test_a_loop_has_four_even_phases_and_ends_where_it_began(
     depth: float, shear: float, angle: float, steps: int
 ) -> None:

@@ -17,15 +17,7 @@ import numpy as np
 import pytest
 
 from recorder.processes import WorkerLost, Workers
-from sim import (
-    Body,
-    Result,
-    Scene,
-    SceneError,
-    SimulationDiverged,
-    press,
-    simulate_many,
-)
+from sim import Body, Result, Scene, SceneError, SimulationDiverged, press, simulate_many
 from sim.fem import Fem
 from sim.indenters import sphere
 from sim.tiers import gathered, submitted
@@ -108,11 +100,7 @@ def test_a_press_without_a_solution_comes_back_whole_beside_those_that_have_one(
     assert diverged.dump is not None
     assert diverged.dump.exists()
     again = pickle.loads(pickle.dumps(diverged))
-    assert (str(again), again.tried, again.dump) == (
-        str(diverged),
-        diverged.tried,
-        diverged.dump,
-    )
+    assert (str(again), again.tried, again.dump) == (str(diverged), diverged.tried, diverged.dump)
 
 
 @pytest.mark.parametrize("processes", [0, -1, True, 2.0, "2"])

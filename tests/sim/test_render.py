@@ -14,14 +14,7 @@ from recorder.markers import Lattice, count_markers, pack
 from sim.errors import SceneError
 from sim.fem import Fem
 from sim.indenters import sphere
-from sim.markers import (
-    SIMULATED,
-    Camera,
-    Pattern,
-    Renderer,
-    Textures,
-    named,
-)
+from sim.markers import SIMULATED, Camera, Pattern, Renderer, Textures, named
 from sim.markers.top import cubic_taps
 from sim.scene import Body, Scene, press
 from sim.tiers import simulate

@@ -108,9 +108,7 @@ def test_it_agrees_with_the_inside_that_fem_solves(
 
     monkeypatch.setattr(Assembly, "read", read_all)
     scene = Scene(
-        named(name),
-        press([1e-3], shear=0.5e-3, steps=1),
-        effects=Effects(friction=Friction(0.5)),
+        named(name), press([1e-3], shear=0.5e-3, steps=1), effects=Effects(friction=Friction(0.5))
     )
     result = simulate(scene, Fem(spacing=BODY.thickness / 6))
     for frame in (1, 2):

@@ -45,10 +45,7 @@ def test_a_negative_seed_is_refused() -> None:
             lambda name: astuple(Mount(0.3e-3, math.radians(2), height=30e-6).drawn(0, name)),
             [0.3e-3, 0.3e-3, math.radians(2), 30e-6],
         ),
-        (
-            lambda name: Grip(math.radians(1.5)).drawn(3, "array-i", name),
-            [math.radians(1.5)] * 2,
-        ),
+        (lambda name: Grip(math.radians(1.5)).drawn(3, "array-i", name), [math.radians(1.5)] * 2),
         (lambda name: Framing(4.0, 0.01).drawn(0, name), [4.0, 4.0, 0.01]),
     ],
     ids=["mounts", "grips, of each indenter", "framings"],

@@ -4,19 +4,11 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from rig.devices.force.calibration import (
-    AXES,
-    FORCE_UNITS,
-    TORQUE_UNITS,
-    TransducerCalibration,
-)
+from rig.devices.force.calibration import AXES, FORCE_UNITS, TORQUE_UNITS, TransducerCalibration
 
 
 def emit_calibration(
-    calibration: TransducerCalibration,
-    *,
-    force_unit: str = "N",
-    torque_unit: str = "N-mm",
+    calibration: TransducerCalibration, *, force_unit: str = "N", torque_unit: str = "N-mm"
 ) -> bytes:
     """Return a `.cal` file of `calibration`, as `parse_calibration` reads it.
 

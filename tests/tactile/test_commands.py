@@ -190,11 +190,7 @@ def _imported() -> set[str]:
 def test_every_library_is_of_the_base_or_of_an_extra_that_exists() -> None:
     project = tomllib.loads((reference.ROOT / "pyproject.toml").read_text())["project"]
     # Libraries whose modules are not named as they are.
-    modules = {
-        "google-crc32c": "google_crc32c",
-        "pillow": "PIL",
-        "pyyaml": "yaml",
-    }
+    modules = {"google-crc32c": "google_crc32c", "pillow": "PIL", "pyyaml": "yaml"}
     names = [re.match(r"[\w-]+", each)[0] for each in project["dependencies"]]  # type: ignore[index]
     base = {modules.get(name, name) for name in names}
     assert _imported() - base <= set(LIBRARIES)
