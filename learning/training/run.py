@@ -29,7 +29,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
@@ -158,7 +158,7 @@ class RunFolder:
         _read_training(building / TRAINING)
         replace(self.config, step=step, score=score).write(building)
         for file in building.iterdir():
-            _sync(file)
+            sync_directory(file)
         sync_directory(building)
         if folder.exists():
             folder.rename(folder.with_name(_REPLACED + folder.name))
@@ -319,14 +319,6 @@ def _set_rng_state(state: Mapping[str, Tensor]) -> None:
         torch.cuda.set_rng_state(state["cuda"])
 
 
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 # Devices of a training: one process, or the number that `torchrun` starts.
 #
 # tactile train force ...                              # one GPU, or the CPU
@@ -471,12 +463,7 @@ class Stop:
             self._before = {each: signal.signal(each, self._take) for each in _SIGNALS}
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for each, handler in self._before.items():
             signal.signal(each, handler)
         self._before = {}
