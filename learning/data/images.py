@@ -82,12 +82,9 @@ def enlarge_images(images: Tensor) -> Tensor:
 
 def unpack_masks(packed: Tensor) -> Tensor:
     """Unpack masks (n, 38400) uint8 to (n, 480, 640) bool, on their device."""
-    bits = packed.unsqueeze(-1) & _bits(packed.device)
+    masks = torch.tensor([128, 64, 32, 16, 8, 4, 2, 1], dtype=torch.uint8, device=packed.device)
+    bits = packed.unsqueeze(-1) & masks
     return (bits != 0).view(len(packed), HEIGHT, WIDTH)
-
-
-def _bits(device: torch.device) -> Tensor:
-    return torch.tensor([128, 64, 32, 16, 8, 4, 2, 1], dtype=torch.uint8, device=device)
 
 
 def _summed(masks: Any, stack: Callable[..., Any]) -> Any:

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from learning.indenters import UNSEEN
@@ -91,12 +91,8 @@ def summary(path: Path) -> tuple[str, ...]:
         lines += [f"  row {row}: {sources[row][FLAG]}" for row in flagged[:NAMED]]
         if len(flagged) > NAMED:
             lines.append(f"  and {len(flagged) - NAMED} more: {FLAG} in their sources")
-        lines += [f"  {count} frames are not there: {why}" for why, count in _sorted(invalid)]
+        lines += [f"  {count} frames are not there: {why}" for why, count in invalid.most_common()]
     return tuple(lines)
-
-
-def _sorted(reasons: Mapping[str, int]) -> list[tuple[str, int]]:
-    return sorted(reasons.items(), key=lambda one: -one[1])
 
 
 def _omitted(recording: Recording) -> Iterator[str]:

@@ -393,12 +393,8 @@ def _detected(view: Picture, detector: Detector) -> Binary:
         return _below(cv2.subtract(blurred, luma), detector.least, at_least=True)
     if isinstance(detector, Dark):
         return _below(_channel(view, "brightest"), detector.below)
-    limits = _limits(detector)
+    limits = detector.red - 1, detector.green - 1, detector.blue - 1
     return cv2.inRange(view, (0, 0, 0), limits)
-
-
-def _limits(detector: ColourBelow) -> tuple[int, int, int]:
-    return detector.red - 1, detector.green - 1, detector.blue - 1
 
 
 def _contrast(values: Picture, detector: Contrast) -> Binary:

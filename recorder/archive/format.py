@@ -333,7 +333,9 @@ def _typed(values: Any, column: ColumnKind, rows: int, where: str) -> Array:
     dtype, due = np.dtype(column.dtype), (rows, *column.shape)
     array = np.asarray(values)
     actual = f"{array.dtype} {array.shape}"
-    if array.shape != due or not _same_kind(array.dtype, dtype):
+    # Kinds whose values survive the conversion, up to rounding and range.
+    kinds = {"b": "b", "i": "iu", "f": "iuf"}[dtype.kind]
+    if array.shape != due or array.dtype.kind not in kinds:
         raise SessionError(f"{where}: found {actual}, expected {column.dtype} {due}")
     if dtype.kind == "i" and array.size:
         limits = np.iinfo(dtype)
@@ -343,11 +345,6 @@ def _typed(values: Any, column: ColumnKind, rows: int, where: str) -> Array:
                 f"{column.dtype}"
             )
     return array.astype(dtype.newbyteorder("<"))
-
-
-def _same_kind(actual: np.dtype[Any], due: np.dtype[Any]) -> bool:
-    """Return True if every value survives the conversion, up to rounding and range."""
-    return actual.kind in {"b": "b", "i": "iu", "f": "iuf"}[due.kind]
 
 
 # Plan of an archive.

@@ -28,7 +28,8 @@ def write(session: Session, path: Path, options: Options, progress: ReportItems)
     shutil.copytree(session.path, path, ignore=lambda folder, _: [skip.get(folder, "")])
     total, done = sum(layout.rows() for layout in columns), 0
     for layout in columns:
-        copy = _in_copy(layout, session, path)
+        own = path / layout.path.relative_to(session.path)
+        copy = replace(layout, path=own, files=LOCAL)
         for rows in _decode(layout, copy) if layout in decoded else _verify(copy):
             progress(done + rows, total)
         done += layout.rows()
@@ -41,10 +42,6 @@ def _columns(session: Session) -> list[ColumnLayout]:
     tables = [StreamLayout.load(group, session.files) for group in groups]
     layouts = [*(stream.layout for stream in session.streams.values()), *tables]
     return [column for layout in layouts for column in layout.columns]
-
-
-def _in_copy(layout: ColumnLayout, session: Session, path: Path) -> ColumnLayout:
-    return replace(layout, path=path / layout.path.relative_to(session.path), files=LOCAL)
 
 
 def _verify(copy: ColumnLayout) -> Iterator[int]:

@@ -34,7 +34,8 @@ def to_pandas(session: Session) -> Any:
             columns[name] = values
             continue
         flat = values.reshape(len(values), int(np.prod(values.shape[1:])))
-        labels = components.get(name) or _numbered(values.shape[1:])
+        numbers = ("_".join(map(str, index)) for index in np.ndindex(*values.shape[1:]))
+        labels = components.get(name) or numbers
         columns |= {f"{name}_{label}": flat[:, k] for k, label in enumerate(labels)}
     table = pandas.DataFrame(columns).set_index("t_ns")
     table.attrs["units"] = {name: _about(session, name)["units"] for name in frames}
@@ -85,7 +86,3 @@ def _components(session: Session) -> dict[str, tuple[str, ...]]:
         if value is not None and value.shape == (len(names),):
             components[column] = names
     return components
-
-
-def _numbered(shape: tuple[int, ...]) -> list[str]:
-    return ["_".join(map(str, index)) for index in np.ndindex(*shape)]

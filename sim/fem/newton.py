@@ -294,7 +294,7 @@ class Newton:
             with np.errstate(invalid="ignore", divide="ignore"):
                 finite = np.isfinite(sums["square"]) & np.isfinite(sums["slope"])
                 is_valid = finite & (sums["det"] > DET_TRIAL)
-                good = is_valid & self._eased(sums, slope)
+                good = is_valid & (sums["slope"] <= 0.5 * np.abs(slope))
                 shrink = np.where(is_valid, slope / (slope - sums["slope"]), 0.5)
             good = np.where(predicting, is_valid | (length == 0), good)
             open_ &= ~good
@@ -308,10 +308,6 @@ class Newton:
             copy_active(stuck, self._start, state.u)
             assembly.evaluate(stuck, state.u, direction)
         return running & ~open_, length
-
-    def _eased(self, sums: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """True if a step reduces the slope to at most half of its start value (B,)."""
-        return sums["slope"] <= 0.5 * np.abs(slope)
 
     def _lengths(self, length: np.ndarray):
         """Return lengths (B,) as an array for the kernels; most steps are whole."""

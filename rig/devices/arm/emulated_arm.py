@@ -229,7 +229,8 @@ class Robot:
     def stop(self, deceleration: float) -> Movement:
         """Decelerate along the current direction until at rest [m/s^2]."""
         speed = self.speed
-        full = self._magnitude(speed)
+        turning = float(np.linalg.norm(speed[3:])) * _ARM_LENGTH
+        full = max(float(np.linalg.norm(speed[:3])), turning)
         left = full
         while left > deceleration * CYCLE:
             left -= deceleration * CYCLE
@@ -242,7 +243,3 @@ class Robot:
         if speed[3:].any():
             vector = turn(speed[3:] * CYCLE, vector)
         self.pose = np.concatenate([self.pose[:3] + speed[:3] * CYCLE, vector])
-
-    @staticmethod
-    def _magnitude(speed: Array) -> float:
-        return max(float(np.linalg.norm(speed[:3])), float(np.linalg.norm(speed[3:])) * _ARM_LENGTH)

@@ -158,7 +158,7 @@ class NetFtEmulator(Emulator):
             self.missed += pacer.late
             newest, state = world.state()
             if newest != number or self._scale is not scale:
-                number, scale, counts = newest, self._scale, self._counts(state)
+                number, scale, counts = newest, self._scale, state["wrench"] / self._scale
             self._take_commands(udp, counts)
             for _ in range(1 + min(pacer.late, LATE_MOST)):
                 self._send_record(udp, counts, noise, stride)
@@ -204,9 +204,6 @@ class NetFtEmulator(Emulator):
         self._left -= 1
         if self._left == 0:
             self._peer = None
-
-    def _counts(self, state: np.void) -> Counts:
-        return np.asarray(state["wrench"] / self._scale)
 
     def _take_commands(self, udp: socket.socket, counts: Counts) -> bool:
         """Obey the commands received; return True if one started a stream."""
