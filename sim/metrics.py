@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator, RectBivariateSpline
 
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.result import Result, force_scale
 from sim.scene import Body
@@ -66,9 +67,6 @@ def pixels_of(points: Array) -> Array:
     from sim.markers.camera import Camera
 
     return Camera.paper().on_film(points)
-
-
-Array = NDArray[np.float64]
 
 
 def force_errors(outcome: Outcome, reference: Outcome) -> tuple[Array, Array]:

@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from recorder.charts import BAND, BLUE, chart
+from sim.arrays import Array
 from sim.result import Result
 
 if TYPE_CHECKING:
     from recorder.charts import Axes
-
-Array = NDArray[np.float64]
 
 # Least number of points along each side to which the surface is refined before it is drawn.
 FINE = 200

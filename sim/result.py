@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import RegularGridInterpolator
 
+from sim.arrays import Array
 from sim.errors import SceneError, SimulationDiverged
 from sim.scene import Scene
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 # Tiers of contact whose error is known, by name; `mpm` is for comparison.
 ContactTier = Literal["layer", "fem"]

@@ -9,13 +9,13 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_kind, check_range, is_finite, make_plain, plain
 from sim.indenters import Indenter
 from trajectories import Plan, Target
 
 # Soft body: an elastomer layer bonded to a rigid base, square or round, flat or domed on top.
 
-Array = NDArray[np.float64]
 Places = NDArray[np.floating[Any]]
 
 Footprint = Literal["rectangle", "ellipse"]

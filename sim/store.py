@@ -14,13 +14,10 @@ from typing import Any
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 from zarr.codecs import ZstdCodec
 
 from sim.result import Quality, Result, from_json, to_json
 from sim.scene import Scene
-
-Array = NDArray[np.float64]
 
 FORMAT = "tactile-rig simulation"
 VERSION = 1

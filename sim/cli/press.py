@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.progress import Progress
+from sim.arrays import Array
 from sim.cli.options import add_scene_options, scene_of, split_shape, tier_of
 from sim.error_estimate import notes
 from sim.errors import SceneError, SimulationDiverged
@@ -22,8 +23,6 @@ from sim.layer import Layer
 from sim.result import ContactTier, Quality, Result
 from sim.scene import Scene
 from sim.tiers import simulate
-
-Array = NDArray[np.float64]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from recorder.archive import ArchiveWriter
 from recorder.markers import PACKED, Lattice, pack
 from recorder.processes import Workers, results
 from recorder.progress import part_of, span_of
+from sim.arrays import Array
 from sim.dataset.plan import (
     UNSEEN,
     DatasetPlan,
@@ -40,7 +41,6 @@ from sim.sensors import (
 
 # The readings of each sensor of an archive: masks, displacement fields and references.
 
-Array = NDArray[np.float64]
 Packed = NDArray[np.uint8]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.fem import Fem
 from sim.fem.arrays import (
     Graphs,
@@ -58,8 +59,6 @@ from sim.fem.multigrid import Multigrid
 from sim.indenters.device import IndenterTraits, PartTable, traits_of
 from sim.scalars import PRECISIONS, matrix_of, numpy_of, vector_of
 from sim.scene import Scene
-
-Array = NDArray[np.float64]
 
 # Position at which a tip touches nothing, in thicknesses.
 AWAY = (0.0, 0.0, 1e3)

@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
 from sim.fem.mesh import meshes_of
@@ -19,8 +19,6 @@ from sim.fem.solver import simulate_fem
 from sim.fem.stepping import Path, path_of
 from sim.result import Outcome, Result, force_scale
 from sim.scene import Scene
-
-Array = NDArray[np.float64]
 
 # Error of the force by time steps that is sought, and most times as many steps as usual.
 SOUGHT, FACTOR_MOST = 0.02, 4

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.fem import CELLS_MAX, ELEMENTS_MAX, Fem, Grading
 from sim.fem.sizing import (
@@ -44,7 +45,6 @@ MULTIPLE, MANY = 4, 24
 SHARE_LEAST = 0.1
 # Exponent of the vertical grading: elements are flatter towards the top, where the strain is.
 GRADING = 1.25
-Array = NDArray[np.float64]
 Window = tuple[tuple[float, float], tuple[float, float]]
 
 

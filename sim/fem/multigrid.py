@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.device import kernel, loaded_together
 from sim.fem.arrays import array_of
 from sim.fem.matrix import CENTRE, SLOTS, row_function, slot_offsets, zero_blocks
@@ -292,8 +293,6 @@ COARSEST_SPACING = 1.0
 # Coarser grids are kept until a solve takes this many times the iterations per digit of the first
 # with them, and `SLOWER_BY` more: making them costs as much as several iterations.
 SLOWER, SLOWER_BY = 1.4, 2.0
-
-Array = NDArray[np.float64]
 
 
 def coarsened(x: Array, spacing: float) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
+from sim.arrays import Array
 from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem import Fem
 from sim.fem.assembly import damping_time
@@ -30,8 +31,6 @@ from sim.fem.sizing import (
 )
 from sim.result import SIDES, WEAK, Outcome, Quality, Result, touched_by, width_of
 from sim.scene import Body, Scene, beginning_of
-
-Array = NDArray[np.float64]
 
 # A round body on a grid: values at nodes outside it, and contact at its side wall.
 

@@ -14,10 +14,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.fem.contact import FOLDED
 from sim.fem.mesh import CORNERS, Mesh
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 # Newton iterations to locate a point in an element; near its middle 3 or 4 are enough.

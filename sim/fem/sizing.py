@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sim.arrays import Array
 from sim.indenters import Indenter
 from sim.result import half_widths, pixel_edges
 from sim.scene import Body, Scene
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 

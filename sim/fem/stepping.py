@@ -16,8 +16,8 @@ from pathlib import Path as File
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.device import loaded_together
 from sim.errors import SimulationDiverged
 from sim.fem import Fem
@@ -40,8 +40,6 @@ from sim.fem.outcome import (
 from sim.fem.sizing import Sizes, finer_at
 from sim.result import Outcome, width_of
 from sim.scene import Scene
-
-Array = NDArray[np.float64]
 
 # Samples along a side of a face at which overlap is measured, for frames and for intermediate
 # states; and the number of states per step, its end included.

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-Array = NDArray[np.float64]
+from sim.arrays import Array
+
 Whole = NDArray[np.int64]
 
 # Angles between facets of one curved surface [rad]: below the first they are one plane; beyond the

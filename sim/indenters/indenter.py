@@ -10,13 +10,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range, make_plain
 from sim.indenters.outline import EVERYWHERE, Bounds, Part
 from sim.indenters.solid import Solid
 
 # Heights of a lower surface: the first zero of a signed distance along upright columns.
 
-Array = NDArray[np.float64]
 # Function from columns (by index) and heights to the gap and the z component of its gradient.
 Distance = Callable[[NDArray[np.int64], Array], tuple[Array, Array]]
 

@@ -11,9 +11,8 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from sim.arrays import Array
 from sim.indenters.grid import SKIP, NodeGrid
-
-Array = NDArray[np.float64]
 
 # Unit of the queries: the tree is in float32, for numbers around 1.
 MM = 1e-3

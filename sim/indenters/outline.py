@@ -12,8 +12,8 @@ from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range, is_finite, make_plain
 
 Pair = tuple[float, float]
@@ -226,8 +226,6 @@ def _fillet(before: OutlinePiece, after: OutlinePiece, radius: float) -> Outline
 
 
 # Exact signed distance from a rounded path, by a loop over rows of numbers.
-
-Array = NDArray[np.float64]
 
 # Kinds of rows.
 LINE, ARC, CORNER = 0, 1, 2

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sim.arrays import Array
+
 if TYPE_CHECKING:
     from sim.indenters.nearest import Nearest
-
-Array = NDArray[np.float64]
 
 # Edge radii among which one is chosen [m]; the first is that of most named indenters.
 RADII = (0.3e-3, 0.2e-3, 0.15e-3, 0.1e-3, 0.05e-3)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range
 from sim.indenters.curved import curved
 from sim.indenters.grid import SKIP, NodeGrid
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 
 # Signed distance on a grid, interpolated by tricubic B-splines.
-
-Array = NDArray[np.float64]
 
 # Gradients shorter than this have no direction.
 FLAT = 1e-6

@@ -12,6 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from recorder.processes import cores
+from sim.arrays import Array
 from sim.device import check_device
 from sim.errors import SimulationDiverged
 from sim.layer import Layer
@@ -44,7 +45,6 @@ from sim.result import Outcome, Quality, Result, no_quality
 from sim.scalars import PRECISIONS, vector_of
 from sim.scene import Scene
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 # Most presses that are solved at once, and the fraction of the GPU's free memory they may take.

@@ -5,13 +5,11 @@ from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sim.arrays import Array
 from sim.errors import check_range
 from sim.scene import Body
-
-Array = NDArray[np.float64]
 
 # Size of an image [px], as that of a mask in `recorder.markers`, whose import needs a store.
 WIDTH, HEIGHT = 640, 480

@@ -6,12 +6,11 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range
 from sim.scene import Body
 
-Array = NDArray[np.float64]
 Shape = Literal["disc", "square", "diamond"]
 Place = tuple[float, float]
 

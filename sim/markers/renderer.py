@@ -9,6 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from recorder.markers import Lattice, unpack
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.markers.camera import Camera
 from sim.markers.kernels import (
@@ -65,7 +66,6 @@ class View:
         return coverages(self._material, textures).numpy()
 
 
-Array = NDArray[np.float64]
 Surface = NDArray[np.float32]
 
 # Spacing of the points to which the surface is refined [m].

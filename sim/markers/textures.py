@@ -7,13 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range
 from sim.markers.pattern import Pattern
 from sim.scene import Body
-
-Array = NDArray[np.float64]
 
 # Spacing of samples [m], with which the edge of a disc of 0.25 mm radius is at most 0.2 um off.
 STEP = 20e-6

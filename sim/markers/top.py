@@ -6,10 +6,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range
 from sim.scene import Body
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

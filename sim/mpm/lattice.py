@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.mpm import (
     AUTHORS_DENSITY,
@@ -20,8 +21,6 @@ from sim.mpm import (
     Mpm,
 )
 from sim.scene import Body, Scene
-
-Array = NDArray[np.float64]
 
 # Height of the base plane above the lowest grid node [cells]: the spline reaches 1.5 down.
 BASE_NODE = 2

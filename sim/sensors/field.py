@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import map_coordinates
 
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.result import Result
 from sim.scene import Body
 
-Array = NDArray[np.float64]
 Places = NDArray[np.float32]
 
 # Spacing of the even grid on which slopes are computed [m]: a few times finer than any mesh.

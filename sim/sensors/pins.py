@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from sim.arrays import Array
 from sim.errors import check_range
 from sim.sensors.field import SurfaceField, outward_normals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

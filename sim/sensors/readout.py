@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.markers import HEIGHT, WIDTH, draw_discs, pack
+from sim.arrays import Array
 from sim.markers import Camera, Pattern, Renderer
 from sim.sensors.field import SurfaceField
 from sim.sensors.pins import tip_coverage
@@ -15,7 +16,6 @@ from sim.sensors.sensor import CameraSignal, SimulatedSensor
 from sim.sensors.taxels import Counts, TaxelPad, TaxelSignal
 from sim.sensors.variation import Placement, SegmentationErrors, generator
 
-Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
 # Distance between taxels in the image of discs [columns] (`recorder.markers.draw_discs`).
 TAXEL_PITCH_PX = 128

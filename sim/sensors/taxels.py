@@ -8,13 +8,12 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range
 from sim.scene import Body
 from sim.sensors.field import SurfaceField, cubic_weights
 
 # Magnetic field of dipoles.
-
-Array = NDArray[np.float64]
 
 # Magnetic constant over 4 pi [T m / A], to nine digits.
 MU_0_OVER_4_PI = 1e-7

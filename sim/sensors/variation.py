@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, label
 
+from sim.arrays import Array
 from sim.errors import SceneError, check_range
 from sim.scene import Motion
 from sim.sensors.field import SurfaceField
@@ -187,9 +188,6 @@ def softened(image: Greys) -> NDArray[np.uint16]:
     for _ in range(4):
         soft = soft[:, 1:] + soft[:, :-1]
     return soft
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,14 +9,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.layer.spectral import PixelGrid
 from sim.markers import Pattern
 from sim.markers.top import cubic_taps
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.stream.stream import LiveTips
-
-Array = NDArray[np.float64]
 
 # Points per rim: the chords of a disc lie at most 0.5 % of its radius inside it.
 POINTS = 32

@@ -17,6 +17,7 @@ from scipy.ndimage import center_of_mass, find_objects, label
 from scipy.optimize import least_squares
 
 from recorder.markers import smallest_marker
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.markers import WIDTH, Camera, Pattern
 from sim.markers.camera import TILT_MOST
@@ -29,8 +30,6 @@ from sim.twin.fit import COARSER, UNIDENTIFIED, Fit, Z, moved_by, way_of
 from sim.twin.markers import MarkerObservations, Masks
 from sim.twin.model import STEPS, TrackModel
 from sim.twin.observations import PressTrack
-
-Array = NDArray[np.float64]
 
 # Prior spread of the logarithm of the lens, distance over scale, about the row's.
 LENS = 0.3

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from recorder.processes import several
 from recorder.progress import part_of, span_of
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.result import ContactTier
 from sim.scene import Friction, Viscosity
@@ -20,8 +21,6 @@ from sim.sensors.posterior import Posterior, interval_of, is_log
 from sim.sensors.quantities import POISSON, quantities, with_quantities
 from sim.twin.model import STEPS, Linear, TrackForces, TrackModel
 from sim.twin.observations import SETTLING, PressTrack
-
-Array = NDArray[np.float64]
 
 # Prior spreads: of logarithms, but of Poisson's ratio and of quantities in SI as they are. A skin's
 # thickness is measured, or known from its mould, better than its modulus.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from recorder.archive import ArchivedSensor, press_rows
 from recorder.processes import results, several
 from recorder.progress import span_of
+from sim.arrays import Array
 from sim.errors import SceneError, SimulationDiverged
 from sim.indenters import indenter_of, is_indenter
 from sim.result import Result
@@ -19,8 +20,6 @@ from sim.sensors.quantities import draw_sensor
 from sim.stream import LivePress
 from sim.tiers import simulate_many
 from sim.twin.model import TOLERANCE, Correction, by_fem, fem_of, motion_of
-
-Array = NDArray[np.float64]
 
 # Longest way between two solutions [m], and height from which a tip comes [m].
 WAY, ABOVE = 0.2e-3, 0.2e-3

@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 
 from recorder.archive import ArchivedSensor, MarkerArchive
 from recorder.markers import find_blobs, smallest_marker, unpack
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.twin.observations import PressTrack
 
-Array = NDArray[np.float64]
 Masks = NDArray[np.bool_]
 
 # Longest time from a frame to the point of a track that it is taken for [s].

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.processes import Workers, results
+from sim.arrays import Array
 from sim.errors import PassesThrough, SimulationDiverged
 from sim.fem import FOR_EDGES, Fem, further_settings
 from sim.indenters import Indenter, named
@@ -25,7 +26,6 @@ from sim.stream import LivePress
 from sim.tiers import simulate
 from sim.twin.observations import PressTrack
 
-Array = NDArray[np.float64]
 Key = tuple[tuple[str, float], ...]
 
 # Steps of the derivatives that need another solution: relative, but of these as they are. Forces of

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.session import Session, in_frame
+from sim.arrays import Array
 from sim.errors import SceneError
 from trajectories import dome_height
-
-Array = NDArray[np.float64]
 
 # Tips higher than this above the surface touch nothing [m].
 FREE = 0.1e-3

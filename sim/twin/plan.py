@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim.arrays import Array
 from sim.errors import SceneError
 from sim.layer.spectral import FEWEST
 from sim.sensors import SimulatedSensor
@@ -16,8 +16,6 @@ from sim.twin.fit import BENCH, COARSER, Data, information, prior_spread, with_e
 from sim.twin.model import TrackModel
 from sim.twin.observations import PressTrack, track_of
 from trajectories import PressShear
-
-Array = NDArray[np.float64]
 
 # Speed of the tip, height from which it comes [m], rate of poses and forces [Hz], rest above [s].
 SPEED, ABOVE, RATE, FREE = 5e-3, 0.3e-3, 200.0, 0.5

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from recorder.charts import BAND, BLUE, INK, ORANGE, RED, SOFT, chart
 from recorder.settings import yaml_text
+from sim.arrays import Array
 from sim.markers import HEIGHT, WIDTH, Pattern
 from sim.sensors import CameraSignal, SimulatedSensor
 from sim.sensors.posterior import is_log
@@ -23,8 +23,6 @@ from sim.twin.plan import PlannedPresses, Planner, cost
 
 if TYPE_CHECKING:
     from recorder.charts import Axes
-
-Array = NDArray[np.float64]
 
 # Quantities as people write them: factor from SI, and unit.
 SHOWN = {
