@@ -42,10 +42,7 @@ def preset_path(preset_dir: Path, name_or_path: str | Path) -> Path:
 
 
 def read_settings(
-    kind: type[Settings],
-    preset_dir: Path,
-    name_or_path: str | Path,
-    overrides: Sequence[str] = (),
+    kind: type[Settings], preset_dir: Path, name_or_path: str | Path, overrides: Sequence[str] = ()
 ) -> Settings:
     """Read settings from a preset or a file and apply overrides.
 

@@ -44,14 +44,7 @@ def run_training(
     """
     launched = accelerator(settings.launch)
     writes = launched.is_main_process
-    run = RunFolder.open(
-        out,
-        kind,
-        settings,
-        " ".join(data),
-        metadata=metadata,
-        writes=writes,
-    )
+    run = RunFolder.open(out, kind, settings, " ".join(data), metadata=metadata, writes=writes)
     if run.finished:
         print(f"{out}: is finished")
         return
@@ -60,10 +53,7 @@ def run_training(
         print(f"{run.path / SPLIT}: sha256 {split.fingerprint[:12]}", file=sys.stderr)
     print(described(launched), file=sys.stderr)
     stop = Stop(lambda line: print(line, file=sys.stderr))
-    with (
-        ItemProgress(reading, sys.stderr) as items,
-        ItemProgress("steps", sys.stderr) as steps,
-    ):
+    with ItemProgress(reading, sys.stderr) as items, ItemProgress("steps", sys.stderr) as steps:
         lines = train(TrainingSession(launched, run, stop, steps, items))
     if stop.agreed(launched) and not run.finished:
         print(f"{out}: stopped; the same command continues", file=sys.stderr)

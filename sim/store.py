@@ -95,11 +95,7 @@ LENGTHS = ("overlap", "overlap_bound", "overlap_path", "contact_width")
 def _write(root: zarr.Group, name: str, result: Result) -> None:
     group = root.create_group(
         name,
-        attributes={
-            "tier": result.tier,
-            "scene": to_json(result.scene),
-            "record": result.record,
-        },
+        attributes={"tier": result.tier, "scene": to_json(result.scene), "record": result.record},
     )
     motion = result.scene.motion
     of_motion = {"time": np.array(motion.time, float), "tip": np.array(motion.tip, float)}

@@ -130,11 +130,7 @@ LEARN = (
         "train the paper's translator from SD-Turbo's weights",
         extra="diffusion",
     ),
-    Command(
-        "train force",
-        "learning.force.command",
-        "train a force model on labelled presses",
-    ),
+    Command("train force", "learning.force.command", "train a force model on labelled presses"),
     Command(
         "translate",
         "learning.cli.translate",
@@ -169,13 +165,7 @@ LEARN = (
 )
 LAB = (Command("init", "tactile.init", "create the folder of a lab"),)
 
-GROUPS = {
-    "Record": RECORD,
-    "Sessions": SESSIONS,
-    "Simulate": SIMULATE,
-    "Learn": LEARN,
-    "Lab": LAB,
-}
+GROUPS = {"Record": RECORD, "Sessions": SESSIONS, "Simulate": SIMULATE, "Learn": LEARN, "Lab": LAB}
 COMMANDS = {command.words: command for group in GROUPS.values() for command in group}
 # First words of two-word commands.
 FAMILIES = {

@@ -191,10 +191,7 @@ def _left_out(chosen: SensorSelection, options: argparse.Namespace) -> int:
 
 
 def _report(
-    predictions: Sequence[Predictions],
-    scores: Sequence[TranslationScores],
-    out: Path,
-    title: str,
+    predictions: Sequence[Predictions], scores: Sequence[TranslationScores], out: Path, title: str
 ) -> None:
     from learning.evaluation.report import write_report
 

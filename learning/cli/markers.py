@@ -23,13 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Finds the markers in pictures or taxels of sessions, one session for each "
         "indenter on each sensor. Repeat the command with the same sessions to continue."
     )
-    parser.add_argument(
-        "sessions",
-        nargs="+",
-        type=Path,
-        metavar="SESSION",
-        help="NAME.zarr",
-    )
+    parser.add_argument("sessions", nargs="+", type=Path, metavar="SESSION", help="NAME.zarr")
     parser.add_argument(
         "--out", type=Path, required=True, metavar="PATH", help="archive to write, X.markers.zarr"
     )

@@ -69,10 +69,7 @@ class PairCompensation:
     """Lambda."""
 
     def applied(
-        self,
-        wrench: NDArray[np.floating],
-        depth: NDArray[np.float64],
-        phase: NDArray[np.integer],
+        self, wrench: NDArray[np.floating], depth: NDArray[np.float64], phase: NDArray[np.integer]
     ) -> tuple[NDArray[np.float64], int]:
         """Return compensated labels (n, 3) or (n, 6), and the number that were clamped."""
         return compensate(wrench, depth, phase, self.source, self.target, self.d0, self.weight)

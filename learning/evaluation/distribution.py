@@ -105,10 +105,7 @@ def _forked(pooling: str) -> BlockDesign:
         (
             (ConvLayer("branch1x1", 320),),
             (ConvLayer("branch3x3_1", 384),),
-            (
-                ConvLayer("branch3x3dbl_1", 448),
-                ConvLayer("branch3x3dbl_2", 384, _THREE),
-            ),
+            (ConvLayer("branch3x3dbl_1", 448), ConvLayer("branch3x3dbl_2", 384, _THREE)),
         ),
         192,
         (fork("branch3x3_2"), fork("branch3x3dbl_3")),

@@ -237,8 +237,7 @@ def _joined(parts: list[Predictions]) -> Predictions:
         twice = frames[count > 1][0]
         raise LearningError(f"{name}: found row {twice} twice; allowed: each frame once")
     return _with(
-        first,
-        {name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME},
+        first, {name: np.concatenate([getattr(one, name) for one in parts]) for name in _PER_FRAME}
     )
 
 

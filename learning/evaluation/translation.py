@@ -560,11 +560,7 @@ def _sensor_of(archive: MarkerArchive, translated: ArchivedSensor, end: str) -> 
 
 
 def _distances(
-    features: dict[str, Floats],
-    halves: NDArray[np.bool_],
-    role: str,
-    extractor: str,
-    seed: int,
+    features: dict[str, Floats], halves: NDArray[np.bool_], role: str, extractor: str, seed: int
 ) -> list[DistanceScore]:
     """Return the distances of frames of each method from real ones of other presses."""
     real = features[FLOOR][halves]

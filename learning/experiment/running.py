@@ -119,10 +119,7 @@ def _begin(experiment: Experiment, archive: MarkerArchive) -> None:
         read_split(paths.split).check(archive)
         return
     make_split(
-        archive,
-        validation=settings.validation,
-        new_press=settings.new_press,
-        seed=settings.seed,
+        archive, validation=settings.validation, new_press=settings.new_press, seed=settings.seed
     ).write(paths.split)
 
 

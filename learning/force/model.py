@@ -309,11 +309,7 @@ class ForceModel(nn.Module):
         return next(self.parameters()).new_zeros(batch, *self.state_shape)
 
     def forward(
-        self,
-        frames: Tensor,
-        state: Tensor | None = None,
-        *,
-        lengths: Sequence[int] | None = None,
+        self, frames: Tensor, state: Tensor | None = None, *, lengths: Sequence[int] | None = None
     ) -> tuple[Tensor, Tensor]:
         """Return forces (b, s, 3), 0 to 1, and the state after the last frame of each sequence.
 

@@ -102,10 +102,7 @@ class ForceStream:
 
 
 def open_exported(
-    path: str | os.PathLike[str],
-    *,
-    runtime: str = RUNTIMES[0],
-    threads: int = 0,
+    path: str | os.PathLike[str], *, runtime: str = RUNTIMES[0], threads: int = 0
 ) -> ForceStream:
     """Return a stream that runs an exported model.
 

@@ -346,10 +346,7 @@ def force_range(labels: Sequence[Tensor], settings: ForceModelSettings) -> Force
 
 
 def error(
-    predicted: Tensor,
-    wanted: Tensor,
-    lengths: Sequence[int] | None,
-    weights: Tensor | None = None,
+    predicted: Tensor, wanted: Tensor, lengths: Sequence[int] | None, weights: Tensor | None = None
 ) -> Tensor:
     """Return the mean absolute error of forces (b, s, 3) over labels of valid frames (eq. 5).
 

@@ -23,16 +23,7 @@ from scipy.spatial import cKDTree
 
 from learning.errors import LearningError
 from learning.markers.track import GATE, SPEED
-from recorder.markers import (
-    HEIGHT,
-    SMALLEST_PX,
-    WIDTH,
-    Blobs,
-    Lattice,
-    find_blobs,
-    pack,
-    unpack,
-)
+from recorder.markers import HEIGHT, SMALLEST_PX, WIDTH, Blobs, Lattice, find_blobs, pack, unpack
 from recorder.processes import Workers
 
 if TYPE_CHECKING:

@@ -54,10 +54,7 @@ class EfficientSam:
         self._prompts = prompts if isinstance(prompts, int) else PROMPTS
         self._fixed = isinstance(prompts, int)
         self._where = str(decoder)
-        self.identity = {
-            "encoder_sha256": _digest(encoder),
-            "decoder_sha256": _digest(decoder),
-        }
+        self.identity = {"encoder_sha256": _digest(encoder), "decoder_sha256": _digest(decoder)}
         """SHA-256 of both models."""
 
     def refined(
@@ -107,11 +104,7 @@ class EfficientSam:
         if (
             logits.ndim != 5
             or logits.shape[:2] != (1, len(boxes))
-            or logits.shape[3:]
-            != (
-                HEIGHT,
-                WIDTH,
-            )
+            or logits.shape[3:] != (HEIGHT, WIDTH)
         ):
             raise LearningError(
                 f"{self._where}: answers with shape {logits.shape}; expected (1, {len(boxes)}, "

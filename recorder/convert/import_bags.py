@@ -26,12 +26,7 @@ from recorder.convert.import_tracks import (
     named,
     require_advance,
 )
-from recorder.convert.import_video import (
-    JPEG,
-    film_of_pictures,
-    pixels_of_picture,
-    size_of_picture,
-)
+from recorder.convert.import_video import JPEG, film_of_pictures, pixels_of_picture, size_of_picture
 from recorder.errors import SessionError
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -211,10 +206,7 @@ def _sample(message: Any) -> tuple[As, Any] | None:
         return (
             None
             if position is None
-            else (
-                "pose",
-                np.array([*position, turned.x, turned.y, turned.z, turned.w]),
-            )
+            else ("pose", np.array([*position, turned.x, turned.y, turned.z, turned.w]))
         )
     data = getattr(message, "data", None)
     if data is not None and hasattr(message, "encoding") and hasattr(message, "height"):

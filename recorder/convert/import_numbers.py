@@ -327,11 +327,7 @@ def wrenches_of(
 
 _COUNT_MAX = 0xFFFF
 # Shapes of a row, and the order that they state by themselves.
-_TAXELS: dict[tuple[int, ...], TaxelOrder | None] = {
-    (48,): None,
-    (16, 3): "taxel",
-    (3, 16): "axis",
-}
+_TAXELS: dict[tuple[int, ...], TaxelOrder | None] = {(48,): None, (16, 3): "taxel", (3, 16): "axis"}
 # Spread of the resting counts within an axis in the wrong order, over that in the right order, from
 # which the order counts as known. In three logs of a uSkin it is 9.6 (x and y rest near 33,000
 # counts, z near 20,000 or 45,000); without such a difference between the axes it is about 1.

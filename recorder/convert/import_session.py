@@ -371,11 +371,7 @@ def _file_name(text: str) -> str:
 
 
 def _write(
-    path: Path,
-    drafts: Sequence[Draft],
-    indenter: str,
-    answers: Answers,
-    tick: Callable[[], None],
+    path: Path, drafts: Sequence[Draft], indenter: str, answers: Answers, tick: Callable[[], None]
 ) -> None:
     """Write the session of some recordings; `tick` is called for each of its rows."""
     specs = _specs(drafts)

@@ -68,11 +68,7 @@ class MarkerCheck:
     """Comparison of frames with one reference."""
 
     def __init__(
-        self,
-        reference: Masks,
-        *,
-        smallest_px: int = SMALLEST_PX,
-        tolerance: int = 0,
+        self, reference: Masks, *, smallest_px: int = SMALLEST_PX, tolerance: int = 0
     ) -> None:
         """Find the markers of a reference, a mask without contact (480, 640).
 

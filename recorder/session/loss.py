@@ -207,11 +207,7 @@ def other_rate(t_ns: Times, rate_hz: float, losses: Losses) -> tuple[int, float,
 
 
 def _lost(
-    t_ns: Times,
-    rate_hz: float,
-    seq: NDArray[np.int64] | None,
-    device_t: Floats | None,
-    timed: bool,
+    t_ns: Times, rate_hz: float, seq: NDArray[np.int64] | None, device_t: Floats | None, timed: bool
 ) -> tuple[Floats, str]:
     """Return the samples lost before each row but the first (n - 1,), and the witness."""
     arrived = (t_ns - t_ns[0]) * _NS

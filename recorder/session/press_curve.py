@@ -42,7 +42,7 @@ class PressCurves:
     def lines(self) -> list[str]:
         """Return a table as text, one line per press."""
         lines = [
-            f"{'press':<7}{'depth':>9}{'force':>10}{'loading':>12}{'unloading':>12}{'lost':>8}",
+            f"{'press':<7}{'depth':>9}{'force':>10}{'loading':>12}{'unloading':>12}{'lost':>8}"
         ]
         rows = zip(self.target, self.work(self.loading), self.work(self.unloading), strict=True)
         for row, (target, work_in, work_out) in enumerate(rows):
@@ -101,11 +101,7 @@ def save_curves(curves: PressCurves, path: Path, title: str) -> None:
         lines.append(Curve(names[0], curves.loading[row], _LOADING))
         lines.append(Curve(names[1], curves.unloading[row], _UNLOADING))
     picture = line_plot(
-        _SIZE,
-        1e3 * curves.depth,
-        lines,
-        title=f"{title}: compression [N]",
-        x_label="depth [mm]",
+        _SIZE, 1e3 * curves.depth, lines, title=f"{title}: compression [N]", x_label="depth [mm]"
     )
     picture.save(path)
 

@@ -4,10 +4,4 @@ from recorder.store.files import replace_file, sync_directory
 from recorder.store.images import decode_jpeg
 from recorder.store.reader import ImageTail, open_tail
 
-__all__ = [
-    "ImageTail",
-    "decode_jpeg",
-    "open_tail",
-    "replace_file",
-    "sync_directory",
-]
+__all__ = ["ImageTail", "decode_jpeg", "open_tail", "replace_file", "sync_directory"]

@@ -67,10 +67,7 @@ def search_depth(bench: Bench) -> float:
 def search_plan(bench: Bench) -> Touch:
     """Return the search for the surface at the first point."""
     return Touch(
-        travel=search_depth(bench),
-        clearance=SEARCH_ABOVE,
-        repeats=1,
-        dome_radius=bench.dome_radius,
+        travel=search_depth(bench), clearance=SEARCH_ABOVE, repeats=1, dome_radius=bench.dome_radius
     )
 
 

@@ -425,12 +425,7 @@ class ReplayedRun:
 
     def __enter__(self) -> ReplayedRun:
         self._players = Players(
-            self._source.path,
-            self._names,
-            self._run,
-            self._hosts,
-            self._folder,
-            speed=self._speed,
+            self._source.path, self._names, self._run, self._hosts, self._folder, speed=self._speed
         ).__enter__()
         return self
 

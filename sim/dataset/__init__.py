@@ -7,13 +7,4 @@ process, by several, or by a cluster, in any order and more than once.
 from sim.dataset.plan import DatasetPlan, Solving, Unit, gel
 from sim.dataset.run import OpenArchive, begin, fill, reopened
 
-__all__ = [
-    "DatasetPlan",
-    "OpenArchive",
-    "Solving",
-    "Unit",
-    "begin",
-    "fill",
-    "gel",
-    "reopened",
-]
+__all__ = ["DatasetPlan", "OpenArchive", "Solving", "Unit", "begin", "fill", "gel", "reopened"]

@@ -31,13 +31,7 @@ from sim.dataset.plan import (
     scenes,
     solve,
 )
-from sim.sensors import (
-    CameraReadout,
-    SimulatedSensor,
-    SurfaceField,
-    TaxelReadout,
-    readout,
-)
+from sim.sensors import CameraReadout, SimulatedSensor, SurfaceField, TaxelReadout, readout
 
 # The readings of each sensor of an archive: masks, displacement fields and references.
 

@@ -108,10 +108,7 @@ def clearance_kernels(real, traits):
         return here
 
     @wp.kernel(enable_backward=False, module="unique")
-    def sample(
-        table: table_type,
-        samples: samples_type,
-    ):
+    def sample(table: table_type, samples: samples_type):
         kind, i, j = wp.tid()
         count = samples.layout[kind, 2]
         if i < samples.layout[kind, 1] and j < count:

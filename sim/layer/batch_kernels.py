@@ -300,12 +300,7 @@ def contact_kernel(real, friction: bool, lanes: int):
 
     @wp.func
     def caused(
-        env: int,
-        k: int,
-        many: int,
-        layer: layer_type,
-        extra: numbers,
-        load: wp.array2d(dtype=vec3),
+        env: int, k: int, many: int, layer: layer_type, extra: numbers, load: wp.array2d(dtype=vec3)
     ):
         """Return the displacement of the k-th pixel by a load on all of them."""
         here = layer.listed[env, k]

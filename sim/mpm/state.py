@@ -524,10 +524,7 @@ class ParticleState:
         coefficients = [0.0 if one is None else one.coefficient for one in friction]
         batch.coefficient = self.array(coefficients, real)
         self._node_kernel = node_kernel(
-            real,
-            numerics.published is not None,
-            friction[0] is not None,
-            self._table.traits,
+            real, numerics.published is not None, friction[0] is not None, self._table.traits
         )
 
     def _fill_schedules(self, paces: Sequence[Pace]) -> None:

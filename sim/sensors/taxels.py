@@ -182,10 +182,7 @@ def _reach(
         values[still] = fraction * height / thickness
         slopes[still] = fraction / thickness
     cosine, sine = np.where(still, 1.0, kx / k), np.where(still, 0.0, ky / k)
-    return (
-        _turned(plane, across, cosine, sine),
-        _turned(plane_slope, across_slope, cosine, sine),
-    )
+    return (_turned(plane, across, cosine, sine), _turned(plane_slope, across_slope, cosine, sine))
 
 
 def _plane_waves(q: Array, kappa: float) -> tuple[Array, Array]:
@@ -211,11 +208,7 @@ def _turned(plane: Array, across: Array, cosine: Array, sine: Array) -> Waves:
     mixed = (along - across) * cosine * sine
     return np.array(
         [
-            [
-                along * cosine**2 + across * sine**2 + 0j,
-                mixed + 0j,
-                1j * from_normal * cosine,
-            ],
+            [along * cosine**2 + across * sine**2 + 0j, mixed + 0j, 1j * from_normal * cosine],
             [mixed + 0j, along * sine**2 + across * cosine**2 + 0j, 1j * from_normal * sine],
             [-1j * to_normal * cosine, -1j * to_normal * sine, normal + 0j],
         ]

@@ -11,9 +11,4 @@ current pose and the one before.
 from sim.stream.outlines import LiveMarkers
 from sim.stream.stream import LivePress, LiveSensor, Slope
 
-__all__ = [
-    "LiveMarkers",
-    "LivePress",
-    "LiveSensor",
-    "Slope",
-]
+__all__ = ["LiveMarkers", "LivePress", "LiveSensor", "Slope"]

@@ -521,9 +521,7 @@ def with_effects(design: SimulatedSensor) -> SimulatedSensor:
         design,
         posterior=None,
         effects=replace(
-            effects,
-            friction=effects.friction or FRICTION,
-            viscosity=effects.viscosity or VISCOSITY,
+            effects, friction=effects.friction or FRICTION, viscosity=effects.viscosity or VISCOSITY
         ),
     )
 
@@ -610,10 +608,7 @@ def _episodes(rest: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _stacked(
-    data: Data,
-    readings: Sequence[Array],
-    sigma: Sequence[Array],
-    slopes: Sequence[Array] = (),
+    data: Data, readings: Sequence[Array], sigma: Sequence[Array], slopes: Sequence[Array] = ()
 ) -> tuple[Array, Array]:
     """Return residuals (m,) in standard errors of the resting points, and slopes (m, p).
 

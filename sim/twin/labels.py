@@ -70,10 +70,7 @@ def archived_presses(sensor: ArchivedSensor, indenters: Sequence[str]) -> Iterat
 
 
 def forces(
-    sensors: Sequence[SimulatedSensor],
-    press: ArchivedPress,
-    grid: int,
-    true: Array | None = None,
+    sensors: Sequence[SimulatedSensor], press: ArchivedPress, grid: int, true: Array | None = None
 ) -> Array:
     """Return the force on each sensor at each frame of a press (k, n, 3) [N].
 

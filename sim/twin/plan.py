@@ -73,10 +73,7 @@ def _path(each: PlannedPresses) -> tuple[Array, Array]:
 
 
 def planned_presses(
-    indenter: str,
-    depths: Sequence[float],
-    shear: float,
-    hold: float,
+    indenter: str, depths: Sequence[float], shear: float, hold: float
 ) -> PlannedPresses:
     """Return presses to depths [m], which are multiples of the first, each with a shear [m]."""
     plan = PressShear(
@@ -123,12 +120,7 @@ class Planner:
     """
 
     def __init__(
-        self,
-        design: SimulatedSensor,
-        *,
-        noise: float = 0.01,
-        law: float = MISFIT,
-        grid: int = 64,
+        self, design: SimulatedSensor, *, noise: float = 0.01, law: float = MISFIT, grid: int = 64
     ) -> None:
         self.design = with_effects(design)
         self.names = (*quantities(self.design), *BENCH)

@@ -86,11 +86,7 @@ MM_PER_PX = 0.0249
 TAXELS_MM_PER_PX = 0.03671875
 # Surface heights of the authors' heterogeneous test, where depth is 0 [mm]: these files hold
 # heights, normalised by these values. Elsewhere the files hold depths.
-SURFACES_MM: Mapping[str, float] = {
-    "uskin": 1.08649,
-    "tactip": 4.648126681,
-    "gelsight": 1.12310475,
-}
+SURFACES_MM: Mapping[str, float] = {"uskin": 1.08649, "tactip": 4.648126681, "gelsight": 1.12310475}
 NO_LOCATION = -1
 # Value of `t_ns`: the folders have no times.
 NO_TIME = 0

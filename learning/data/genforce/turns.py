@@ -47,10 +47,7 @@ class Turn:
 
 
 def turn_of(
-    name: str,
-    presses: Sequence[GenForcePress],
-    references: Packed,
-    read: ReadMask,
+    name: str, presses: Sequence[GenForcePress], references: Packed, read: ReadMask
 ) -> Turn | None:
     """Return the turn of a sensor; None if its presses do not determine it.
 

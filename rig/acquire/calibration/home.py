@@ -107,11 +107,7 @@ def _approach(session: Session, index: int) -> Onset | None:
 
 
 def home_calibration(
-    method: str,
-    touched: TouchedSurface,
-    file: BenchFile,
-    *,
-    raised: float = 0.0,
+    method: str, touched: TouchedSurface, file: BenchFile, *, raised: float = 0.0
 ) -> HomeCalibration:
     """Return the calibration of a surface that was touched `raised` [m] above the bench's frame."""
     bench = file.bench

@@ -63,12 +63,7 @@ class Lag:
         return self.interval[1] - self.interval[0]
 
 
-def find_lag(
-    force_t_ns: Times,
-    force: Floats,
-    motion_t_ns: Times,
-    motion: Floats,
-) -> Lag:
+def find_lag(force_t_ns: Times, force: Floats, motion_t_ns: Times, motion: Floats) -> Lag:
     """Find the lag of `motion` behind `force`.
 
     The magnitude of the force (n,) is about zero without contact [N], the motion (m,) is the

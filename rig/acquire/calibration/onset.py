@@ -382,11 +382,7 @@ def touched_by_signal(session: Session, plan: Plan) -> TouchedSurface:
         both, delay = onset
         low, high = both.interval
         above = Onset(
-            both.z - expected,
-            (low - expected, high - expected),
-            both.power,
-            both.force,
-            both.noise,
+            both.z - expected, (low - expected, high - expected), both.power, both.force, both.noise
         )
         approaches.setdefault(target.point, []).append((above, delay))
         positions[target.point] = target.origin[:2]

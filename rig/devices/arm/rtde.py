@@ -85,8 +85,7 @@ OUTPUTS: dict[str, str] = {
     **dict.fromkeys(_VECTOR6, "VECTOR6D"),
     **dict.fromkeys(_SCALARS, "DOUBLE"),
     **dict.fromkeys(
-        ("actual_tool_accelerometer", "elbow_position", "elbow_velocity", "payload_cog"),
-        "VECTOR3D",
+        ("actual_tool_accelerometer", "elbow_position", "elbow_velocity", "payload_cog"), "VECTOR3D"
     ),
     **dict.fromkeys(("actual_digital_input_bits", "actual_digital_output_bits"), "UINT64"),
     **dict.fromkeys(("robot_mode", "safety_mode", "safety_status"), "INT32"),

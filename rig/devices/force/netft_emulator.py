@@ -25,14 +25,7 @@ import numpy.typing as npt
 
 from recorder.errors import SessionError
 from rig.core.clock import Clock, Pacer
-from rig.core.emulation import (
-    LATE_MOST,
-    DeviceHandler,
-    DeviceServer,
-    Emulator,
-    Served,
-    SharedWorld,
-)
+from rig.core.emulation import LATE_MOST, DeviceHandler, DeviceServer, Emulator, Served, SharedWorld
 from rig.core.errors import ConfigError
 from rig.core.fault_injection import FaultInjector, corrupted_bytes
 from rig.core.playback import PlayableConfig, Playback, stated_rate

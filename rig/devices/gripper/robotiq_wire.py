@@ -127,11 +127,7 @@ def emit_status(status: GripperStatus) -> tuple[int, int, int]:
     """Return the registers to read from STATUS_ADDRESS."""
     byte = status.active | status.going << 3 | status.state << 4 | status.object << 6
     current = min(round(status.current / CURRENT_PER_COUNT), 255)
-    return (
-        byte << 8,
-        status.fault << 8 | status.requested,
-        status.position << 8 | current,
-    )
+    return (byte << 8, status.fault << 8 | status.requested, status.position << 8 | current)
 
 
 def parse_status(registers: Sequence[int]) -> GripperStatus:

@@ -184,10 +184,7 @@ class PedalWatch:
     """
 
     def __init__(
-        self,
-        config: PedalConfig,
-        clock: Clock,
-        on_change: Callable[[PedalState, PedalState], None],
+        self, config: PedalConfig, clock: Clock, on_change: Callable[[PedalState, PedalState], None]
     ) -> None:
         self._config = config
         self._clock = clock
