@@ -188,7 +188,7 @@ class _Chain:
     """
 
     def __init__(self, scene: Scene, steps: TimeSteps | None, device: str) -> None:
-        self._scene, self._steps, self._device = scene, steps, device
+        self._scene, self.steps, self._device = scene, steps, device
         from sim.fem.solver import Required
 
         self._required = Required()
@@ -214,7 +214,7 @@ class _Chain:
             progress=progress,
             required=self._required,
         )
-        outcome = estimated(with_time(outcome, self._steps, numerics))
+        outcome = estimated(with_time(outcome, self.steps, numerics))
         if isinstance(outcome, SimulationDiverged):
             raise outcome
         self.settings.append(numerics)
@@ -275,17 +275,20 @@ class _Search:
         from sim.fem.mesh import meshes_of
 
         states = first_mesh(self._scene, self._wanted, self._device)
-        if self.until < math.inf and self._scene.effects.inertia is not None:
-            # An answer before its steps in time are chosen, which takes longer.
-            guess = _Chain(self._scene, self._unchosen, self._device)
-            self._solve(guess, replace(states, fineness=QUICK, step_factor=1))
-        steps = self._in_time(states)
-        if steps is not None:
-            states = replace(states, step_factor=steps.factor)
-        chain = _Chain(self._scene, steps, self._device)
         fineness, solved, limited = states.fineness, 0.0, False
-        if self.until < math.inf:
+        moves = self._scene.effects.inertia is not None
+        chain = _Chain(self._scene, self._unchosen if moves else None, self._device)
+        if moves:
+            states = replace(states, step_factor=1)
+        if self.until < math.inf:  # an answer before steps in time are chosen, which takes longer
             solved = self._solve(chain, replace(states, fineness=QUICK))
+        steps = self._in_time(states)
+        if steps is not None and steps.factor > 1:
+            states = replace(states, step_factor=steps.factor)
+            chain = _Chain(self._scene, steps, self._device)
+            if self.until < math.inf:
+                solved = self._solve(chain, replace(states, fineness=QUICK))
+        chain.steps = steps
         for _round in range(ROUNDS if self.until == math.inf else QUICK_ROUNDS):
             affordable = self._affordable()
             if affordable < HOPE * solved:
@@ -336,7 +339,8 @@ class _Search:
         fineness = FINENESS if self.until == math.inf else QUICK
         try:
             with limited(now + CHOOSING * (self.until - now)):
-                return time_steps(self._scene, states, self._device, sought, fineness)
+                free = replace(states, step_factor=None)
+                return time_steps(self._scene, free, self._device, sought, fineness)
         except OutOfTime:
             return self._unchosen
 
@@ -348,12 +352,17 @@ class _Search:
         return TimeSteps(1, np.full(len(self._scene.motion), UNCHOSEN))
 
     def _offer(self, chain: _Chain, companion: int | None) -> float:
-        """Make the last result the best one if its error is the least; return that error."""
+        """Make the last result the best one if its error is the least; return that error.
+
+        With inertia, for which estimates were not checked, a measured error is better than any.
+        """
         result, error = chain.measured(companion, self._wanted)
         way = "estimated" if companion is None else "measured"
         words = with_unit(self._wanted.kind, error) if error < math.inf else "error not known"
         self._tried.append(f"fineness {chain.settings[-1].fineness:.3g}: {words}, {way}")
-        if self.best is None or error < self.best[0]:
+        moves = self._scene.effects.inertia is not None
+        best = self.best
+        if best is None or error < best[0] or (moves and companion is not None and best[3] is None):
             self.best = error, result, list(chain.settings), companion
         return error
 

@@ -58,6 +58,9 @@ REFINED = 1.2
 # A mesh is rebuilt again if the last time multiplied what was coarse by less than this, or if the
 # solution is of no use as it is.
 LESS_COARSE = 0.9
+# Fineness below which a mesh with a result of use is not rebuilt: it is for a first answer, and for
+# the sizes that finer meshes need.
+ROUGH = 0.2
 # Element size over that required by the solution's own contact above which a finer mesh is built
 # for that contact from the start.
 COARSE = 1.25
@@ -182,7 +185,7 @@ def _following(
             if isinstance(outcome, Result):
                 before, coarse[i] = coarse[i], coarseness(outcome)
                 useful = isinstance(checked(outcome), Result)
-                if useful and coarse[i] >= LESS_COARSE * before:
+                if useful and (numerics.fineness < ROUGH or coarse[i] >= LESS_COARSE * before):
                     continue
                 lasting[i] = lasting[i].joined(wanted_of_overlap(outcome, OVERLAP_LASTS))
             sizes[i] = sizes[i].joined(more)
