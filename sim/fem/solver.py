@@ -30,7 +30,7 @@ Progress = Callable[[float], None]
 
 @dataclass(slots=True)
 class Required:
-    """What solutions on coarser meshes required, by index of the scene and number of waypoints."""
+    """Needs of solutions on coarser meshes, by index of the scene and number of waypoints."""
 
     sizes: dict[tuple[int, int], Sizes] = field(default_factory=dict)
     stiffer: dict[tuple[int, int], str] = field(default_factory=dict)
@@ -475,11 +475,11 @@ def _spread(results: list[Result], before: SimulationDiverged) -> Result:
     within = np.clip(correction, -CORRECTED_MOST, CORRECTED_MOST)
     whole = replace(one, wrench=one.wrench * (1.0 - within[:, None]))
     aside = np.linalg.norm(other.force - one.force * (1.0 + apart[:, None]), axis=1)
-    share = (np.abs(correction) * size + aside) / force_scale(one.force)
+    fraction = (np.abs(correction) * size + aside) / force_scale(one.force)
     entry = {
         "waypoint": first,
         "coefficients": two,
-        "correction": [float(f"{value:.4g}") for value in share],
+        "correction": [float(f"{value:.4g}") for value in fraction],
         "reason": before.reason,
     }
     warning = (
