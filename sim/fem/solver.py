@@ -104,24 +104,24 @@ def simulate_fem(
     sizes = [
         earlier.sizes.get(key, stage.sizes) for key, (_i, stage) in zip(keys, parts, strict=True)
     ]
-    solved: dict[int, tuple[Outcome, Sizes]] = {}
+    stiffens = [key in earlier.stiffer for key in keys]
+    solved: dict[int, Outcome] = {}
     for stiffer in (False, True):
-        rows = [row for row, key in enumerate(keys) if (key in earlier.stiffer) == stiffer]
-        alike = [some[row] for row in rows], [sizes[row] for row in rows]
+        rows = [row for row in range(len(keys)) if stiffens[row] == stiffer]
+        alike, wanted = [some[row] for row in rows], [sizes[row] for row in rows]
         if stiffer:
             failed = [SimulationDiverged(earlier.stiffer[keys[row]]) for row in rows]
-            outcomes = solve_on_meshes(alike[0], numerics, alike[1], device, None, failed=failed)
-            solved.update(zip(rows, zip(outcomes, alike[1], strict=True), strict=True))
+            outcomes = solve_on_meshes(alike, numerics, wanted, device, None, failed=failed)
         else:
-            outcomes, lasting = _following(*alike, numerics, device, progress)
-            _on_coarser(outcomes, *alike, numerics, device)
-            solved.update(zip(rows, zip(outcomes, lasting, strict=True), strict=True))
-    outcomes = [solved[row][0] for row in range(len(parts))]
-    for row, key in enumerate(keys):
-        earlier.add(key, *solved[row])
+            outcomes, lasting = _following(alike, wanted, numerics, device, progress)
+            _on_coarser(outcomes, alike, wanted, numerics, device)
+            wanted = lasting
+        for row, outcome, size in zip(rows, outcomes, wanted, strict=True):
+            solved[row] = outcome
+            earlier.add(keys[row], outcome, size)
     of_scene: list[list[Outcome]] = [[] for _scene in scenes]
-    for (i, _stage), outcome in zip(parts, outcomes, strict=True):
-        of_scene[i].append(_judged(outcome))
+    for row, (i, _stage) in enumerate(parts):
+        of_scene[i].append(_judged(solved[row]))
     return [_in_one(each) for each in of_scene]
 
 
