@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.accuracy.wording import percent
 from benchmarks.hard_cases.random_scenes.scenes import PAPER_GELS
 from benchmarks.processes import OutOfTime, rows_of, time_limit
 from benchmarks.report import Page, Run, table
@@ -89,9 +90,7 @@ def section(values: dict[str, Any], _page: Page) -> str:
         stated = [row["stated"] for row in some.values() if row["stated"] is not None]
         missing += [[key, row["why"][:160]] for key, row in some.items() if row["stated"] is None]
         if some:
-            errors = (
-                (f"{np.median(stated):.2g} %", f"{max(stated):.2g} %") if stated else ("-", "-")
-            )
+            errors = [percent(of(stated) / 100) if stated else "-" for of in (np.median, max)]
             longest = f"{max(row['seconds'] for row in some.values()):.0f} s"
             lines.append([name, f"{len(stated)} of {len(some)}", *errors, longest])
     rows = [row for row in values["rows"].values() if row["stated"] is not None]
