@@ -116,7 +116,6 @@ class Terminal:
         self.process.wait()
 
 
-@pytest.mark.serial
 def test_a_closed_terminal_retracts_the_arm_and_closes_the_session(tmp_path: Path) -> None:
     session, lab = tmp_path / "s.zarr", LabBench(tmp_path)
     words = ("collect", "--bench", str(lab.file), "--out", str(session), "--targets", "4")

@@ -312,7 +312,6 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_session(path, seconds=30.0, names=("force", "pose"))
 
 
-@pytest.mark.serial
 @pytest.mark.parametrize(
     ("victim", "code", "word"),
     [
@@ -346,7 +345,6 @@ def _journalled(session: Path) -> int:
     return sum(path.stat().st_size for path in session.glob("streams/force/t_ns/journal-*"))
 
 
-@pytest.mark.serial
 def test_a_driver_that_cannot_open_ends_the_replay_before_a_session_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
