@@ -128,6 +128,8 @@ def test_only_the_clock_touches_time() -> None:
 @pytest.mark.parametrize("package", ["recorder", "learning.force", "learning.markers"])
 def test_names_imported_on_demand_exist_and_are_no_submodules(package: str) -> None:
     module = import_module(package)
+    with pytest.raises(AttributeError, match="no attribute 'Sitting'"):
+        _ = module.Sitting
     for name in module.__all__:
         assert getattr(module, name) is not None
         # A folder that only keeps bytecode of an older version is found without an origin.

@@ -1,12 +1,10 @@
 """Distributed training: two processes with half a batch each equal one with the full batch."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
+from support.commands import python
 
 from learning.training.checkpoint import read_model_folder
 
@@ -54,16 +52,7 @@ def _run(path: Path, folder: Path, processes: int, stop_at: int) -> str:
     path.write_text(SCRIPT)
     many = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
     arguments = [*(many if processes > 1 else []), str(path), str(folder), "8", str(stop_at)]
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        cwd=Path(__file__).parents[2],
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])},
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return python(*arguments, OMP_NUM_THREADS="1").stdout
 
 
 @pytest.mark.slow

@@ -3,13 +3,12 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.commands import python
 from support.sessions import make_session
 
 from recorder import catalogue
@@ -160,7 +159,5 @@ def test_two_thousand_sessions_are_listed_without_importing_zarr(tmp_path: Path)
         f"code = main(['session', 'list', {str(tmp_path)!r}, '--faults']); "
         "assert not {'numpy', 'zarr'} & set(sys.modules); sys.exit(code)"
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
+    ran = python("-c", program)
     assert ran.stdout.splitlines()[-1] == "0 of 2000 sessions, 0 with faults, 0 not checked"

@@ -1,14 +1,13 @@
 """Charts: one style whatever the user's settings, and the same bytes for the same chart."""
 
 import io
-import subprocess
-import sys
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 from PIL import Image
+from support.commands import python
 
 from recorder.charts import BLUE, chart
 
@@ -77,5 +76,4 @@ with recorder.charts.chart(io.BytesIO(), 1, 1):
     pass
 print("matplotlib" in sys.modules, "matplotlib.pyplot" in sys.modules)
 """
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout.split() == ["False", "True", "False"]
+    assert python("-c", code).stdout.split() == ["False", "True", "False"]

@@ -2,7 +2,6 @@
 
 import builtins
 import json
-import subprocess
 import sys
 import types
 from dataclasses import replace
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.commands import python
 from support.made_up_archives import made_up_archive
 from support.sessions import make_session, set_attrs
 
@@ -172,10 +172,7 @@ def test_the_recorder_alone_imports_no_extra() -> None:
     heavy = {"pyarrow", "h5py", "s3fs", "mcap", "google.protobuf", "pandas", "torch"}
     heavy |= {"matplotlib"}
     code = f"import sys, recorder, tactile.__main__; print(sorted({heavy} & set(sys.modules)))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    assert done.stdout == "[]\n"
+    assert python("-c", code).stdout == "[]\n"
 
 
 def test_building_replaces_what_an_earlier_kill_left(tmp_path: Path) -> None:

@@ -1,12 +1,11 @@
 """Pages from templates: lines of tags, missing values, escaping, and Jinja only when it is used."""
 
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from jinja2 import UndefinedError
+from support.commands import python
 
 from recorder.pages import number, render
 
@@ -43,4 +42,4 @@ def test_a_number_that_is_missing_is_shown_as_told_or_as_it_is() -> None:
 
 def test_jinja_is_imported_when_a_page_is_written() -> None:
     code = "import sys, recorder.pages; assert 'jinja2' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    python("-c", code)

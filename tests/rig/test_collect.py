@@ -1,7 +1,6 @@
 """Whole collections on the mock bench, as a technician runs them."""
 
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.collecting import faults_of, patient_bench
-from support.mock_errors import compare
+from support.mock_errors import within_stated
 
 from benchmarks.faults.collection_run import CollectionRun
 from benchmarks.faults.judge import stored_in
@@ -200,10 +199,6 @@ def test_beside_four_busy_processes_the_stated_uncertainty_covers_95_percent_of_
             break
         assert not session.exists() or Session(session).status == "stopped", run.text
     assert code == 0, run.text
-    lines = compare(session, truth)
-    pattern = r"^(\w+) +time error .* (\d+) % within the stated"
-    found = [match for line in lines if (match := re.search(pattern, line))]
-    within = {match[1]: int(match[2]) for match in found}
-    assert set(within) == {"camera", "force", "pose"}
-    assert min(within.values()) >= 95, lines
+    within = within_stated(session, truth)
+    assert min(within.values()) >= 0.95, within
     assert (Session(session).frames["time_sigma"] > 0).all()

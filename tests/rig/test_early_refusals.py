@@ -2,13 +2,12 @@
 
 import re
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.collecting import ROOT, move_typed
+from support.collecting import move_typed
+from support.commands import python
 
 from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from rig.acquire import collector
@@ -59,13 +58,7 @@ print(codes, sorted(slow))
         f"collect --sensor tacpalm --out {folder}/old.zarr",
         "live --sensor tacpalm --model nope",
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", code, *mistakes],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    ran = python("-c", code, *mistakes)
     assert ran.stdout.splitlines()[-1] == "[2, 2] []"
 
 

@@ -1,8 +1,6 @@
 """The mock bench with physics: its World's wrench, its camera's images, its failures."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.collecting import faults_of, patient_bench
+from support.commands import python
 
 from benchmarks.faults.collection_run import CollectionRun
 from recorder import Session
@@ -340,10 +339,7 @@ def test_a_solver_that_fails_ends_its_process_with_the_reason(tmp_path: Path) ->
     SharedLatest.create(tmp_path / PRESS_FILE, PRESS_STATE).close()
     arm.write((MS, np.full(6, np.nan), np.zeros(6)))
     command = ["-m", "rig.mock.emulate", "solver", json.dumps(settings)]
-    run = subprocess.run(
-        [sys.executable, *command], capture_output=True, text=True, timeout=240, check=False
-    )
-    assert run.returncode == 3
+    run = python(*command, code=3)
     assert "tip: " in run.stderr.splitlines()[-1]
     assert "allowed: 3 finite numbers" in run.stderr.splitlines()[-1]
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.commands import python
 from support.simulated_archives import SKINS, UNITS, digests, make, own_grid, solved_once
 
 from recorder import MarkerArchive, check
@@ -232,14 +233,7 @@ def test_ctrl_c_between_processes_ends_with_130(tmp_path: Path) -> None:
     assert "Traceback" not in reported[1]
     assert "to continue: tactile sim archive" in reported[1]
     assert reopened(path).plan == SKINS_OF_THE_COMMAND
-    resumed = subprocess.run(
-        [sys.executable, "-m", "tactile", "sim", "archive", str(path)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert resumed.returncode == 0, resumed.stderr
+    python("-m", "tactile", "sim", "archive", path)
     assert list(check(path)) == []
 
 

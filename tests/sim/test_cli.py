@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.commands import python
 
 from sim.cli import press as press_command
 from sim.cli.options import indenter_of
@@ -70,14 +71,7 @@ def test_a_round_body_is_said_and_softer_than_the_square_around_it(
 
 def test_the_standard_output_of_json_is_json_alone(tmp_path: Path) -> None:
     words = "-m tactile sim press --depths 0.2 --tier fem:0.3 --size 8,8,4 --json"
-    done = subprocess.run(
-        [sys.executable, *shlex.split(words)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=240,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
+    done = python(*words.split(), folder=tmp_path)
     assert json.loads(done.stdout)["force_n"][0] > 0
     assert "warp" not in done.stderr.lower()
 
@@ -164,23 +158,15 @@ def test_a_shape_has_the_measures_it_was_given(
         ("press --shape bla", r"--shape: 'bla'; allowed: sphere, .*punch"),
         ("press --shape prism:radius=3", r"--shape prism: radius given; allowed: edge_radius"),
         ("press --shape box:width=3", r"--shape box: width given; allowed: width, length"),
-        ("press --shape sphere:radius=-4", r"sphere\.radius: -0\.004 m; allowed: above 0"),
         ("press --shape sphere:radius=x", r"--shape sphere: radius=x; allowed: a number"),
         ("press --shape sphere:radius=1,radius=2", r"NAME:KEY=VALUE,\.\.\. with each key once"),
         ("press --shape torus:ring_radius=3,tube_radius=1,edge_radius=1", r"no edge"),
-        ("press --shape prism:edge_radius=9", r"edge_radius: 0\.009 m; allowed: 0 to"),
         ("press --shape x.stl:unit=ft", r"--shape x\.stl: unit=ft; allowed: unit=um"),
         ("press --shape x.stl:radius=1", r"--shape x\.stl: radius=1; allowed: unit, up, edge_rad"),
         ("press --poisson 0.5", r"body\.poisson: 0\.5; allowed: 0 to 0\.49995"),
-        ("press --size 20,20,0", r"body\.thickness: 0\.0 m; allowed"),
         ("press --size 33,33,5.5 --dome 28.4 --footprint ellipse", r"body\.dome_radius: 0\.028"),
-        ("press --friction -1", r"friction\.coefficient: -1\.0; allowed: 0 to 10"),
-        ("press --friction nan", r"friction\.coefficient: nan"),
-        ("press --depths nan", r"motion\.depths\[0\]"),
         ("press --depths 5", r"5 mm deep into a body 4 mm thick; allowed"),
-        ("press --depths 1,1", r"--depths\[1\]: 1\.0 mm; allowed: another"),
         ("press --speed 0", r"motion\.speed: 0\.0 m/s"),
-        ("press --viscosity 0.5:0", r"viscosity\.times\[0\]: 0\.0 s"),
         ("press --device cuda:7 --tier fem", r"--device: 'cuda:7'; allowed here: cpu"),
         ("press --tolerance 2% --tier fem:2", r"--tier: fem with a fineness and --tolerance"),
         ("press --effects --out x.png", "--out: x.png with --effects; allowed: without"),
@@ -189,7 +175,6 @@ def test_a_shape_has_the_measures_it_was_given(
         ("press --out x.jpg", r"--out: x\.jpg; allowed: a name that ends in \.png"),
         ("press --shear 0", "--shear: found '0'; allowed: a number above 0"),
         ("press --steps 0", "--steps: found '0'; allowed: whole numbers, 1 to 1000"),
-        ("press --hold 0", "--hold: found '0'; allowed: a number above 0"),
         ("press --depths 1,x", "'1,x'; allowed: numbers between commas"),
         ("press --at 1", "'1'; allowed: 2 numbers between commas"),
         ("press --viscosity 0.5", r"'0\.5'; allowed: ratio:seconds between commas"),

@@ -149,11 +149,6 @@ def test_scenes_that_cannot_share_a_launch_are_refused(other: Scene, named: str)
         simulate_mpm([SCENE, other])
 
 
-def test_a_device_that_is_not_there_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"device: 'gpu:7'; allowed here: cpu"):
-        simulate_mpm([SCENE], device="gpu:7")
-
-
 def test_the_authors_preset_is_what_their_code_says() -> None:
     numerics = Mpm.authors()
     lattice = build_lattice([SCENE], numerics)

@@ -160,8 +160,3 @@ def test_what_is_no_pattern_is_refused(change: dict, message: str) -> None:
     fields = {"name": "x", "shape": "disc", "size": 1e-3, "places": ((0.0, 0.0),)} | change
     with pytest.raises(SceneError, match=message):
         Pattern(**fields)
-
-
-def test_an_unknown_name_is_answered_with_those_there_are() -> None:
-    with pytest.raises(SceneError, match=r"'Array5'; allowed: Array1, Array2.*TacPalm"):
-        named("Array5")

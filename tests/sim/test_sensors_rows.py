@@ -96,11 +96,6 @@ def test_a_press_deeper_than_the_sensor_is_meant_for_is_refused() -> None:
         sensor("gelsight").scene(sphere(4e-3), press([1.4e-3]))
 
 
-def test_an_unknown_name_lists_the_known() -> None:
-    with pytest.raises(SceneError, match=r"sensor: 'digit'; allowed: .*gelsight"):
-        sensor("digit")
-
-
 BASE = """
 extends: gelsight.yaml
 description: a test

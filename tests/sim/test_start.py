@@ -1,12 +1,11 @@
 """Start of the simulator: no store of sessions where none is needed, no messages of Warp."""
 
-import subprocess
-import sys
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import warp as wp
+from support.commands import python
 
 from sim.device import check_device, kernel, loaded_together
 
@@ -17,8 +16,7 @@ def test_a_press_that_is_only_printed_imports_no_zarr() -> None:
         "main(['sim', 'press', '--tier', 'layer', '--json']); "
         "print({'zarr', 'rich', 'recorder.session'} & sys.modules.keys())"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
-    assert done.stdout.endswith(b"set()\n")
+    assert python("-c", program).stdout.endswith("set()\n")
 
 
 def test_a_program_that_simulates_gets_no_messages_below_warnings_unless_it_asks(

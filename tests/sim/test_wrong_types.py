@@ -1,6 +1,5 @@
 """Wrong argument types: errors state name, value and allowed values, without a traceback."""
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -22,7 +21,7 @@ from sim import (
 )
 from sim.fem import Fem
 from sim.indenters import named, sphere
-from sim.indenters.shapes import cone, extruded, from_stl, rounded_cone, torus
+from sim.indenters.shapes import cone, extruded, from_stl, torus
 from sim.layer import Layer
 from sim.scene import through
 
@@ -30,28 +29,21 @@ SCENE = Scene(sphere(4e-3), press([0.5e-3]))
 WRONG: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
     "motion.depths[0]: 0 m; allowed: 0 or more, and another than 0.0 m": (press, ([0],), {}),
     "motion.depths[1]: 0.001 m; allowed: 0 or more, and ano": (press, ([1e-3, 1e-3],), {}),
-    "motion.depths[0]: '1' m; allowed": (press, (["1"],), {}),
     "motion.depths[0]: None m; allowed": (press, ([None],), {}),
-    "motion.depths[0]: nan m; allowed": (press, ([math.nan],), {}),
     "motion.depths: 0.001; allowed: a sequence of numbers [m]": (press, (1e-3,), {}),
-    "motion.depths: '12'; allowed: a sequence": (press, ("12",), {}),
     "motion.at: 3; allowed: a sequence of 2 finite": (press, ([1e-3],), {"at": 3}),
     "motion.at: (0, 'a'); allowed: 2 finite": (press, ([1e-3],), {"at": (0, "a")}),
     "motion.speed: '1' m/s; allowed: above 0": (press, ([1e-3],), {"speed": "1"}),
     "motion.shear: '1' m; allowed": (press, ([1e-3],), {"shear": "1"}),
     "motion.angle: 90 rad; allowed: -6.28319 to 6.28319 rad": (press, ([1e-3],), {"angle": 90}),
-    "motion.angle: None rad; allowed": (press, ([1e-3],), {"angle": None}),
     "motion.depths[0]: -0.001 m; allowed: 0 or more": (press, ([-1e-3],), {}),
     "motion.steps: 1.5; allowed: whole numbers": (press, ([1e-3],), {"steps": 1.5}),
-    "motion.at: None; allowed": (press, ([1e-3],), {"at": None}),
     "motion.tip: no positions; allowed": (through, ([],), {"speed": 1}),
     "sphere.radius: 4 m; allowed: above 0 to 1 m": (sphere, (4,), {}),
     "sphere.radius: (0.001, 0.002) m; allowed": (sphere, ([1e-3, 2e-3],), {}),
     "torus.ring_radius: 'a' m; allowed": (torus, ("a", 1e-3), {}),
     "cone.half_angle: 45 rad; allowed: 0 to 1.48353 rad": (cone, (45,), {}),
-    "cone.half_angle: '1' rad; allowed": (rounded_cone, ("1", 1e-3), {}),
     "part.values: 'a'; allowed: finite numbers": (extruded, ("a",), {}),
-    "part.values: (None,); allowed: finite numbers": (extruded, ([None],), {}),
     "indenter: ['cone']; allowed: sphere": (named, (["cone"],), {}),
     "indenter sphere.tilt about x: 90 rad; allowed": (SCENE.indenter.tilted, (90, 0), {}),
     "path: 3; allowed: the path of a file": (from_stl, (3,), {}),
@@ -77,7 +69,6 @@ WRONG: dict[str, tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = {
     "scene: 'x'; allowed: a Scene": (simulate, ("x",), {}),
     "scene: 3; allowed: a Scene": (simulate_many, ([3],), {}),
     "tier: 3; allowed: a Layer, a Fem or an Mpm": (simulate, (SCENE, 3), {}),
-    "tier: 'fem'; allowed: a Layer, a Fem or an Mpm": (simulate_many, ([SCENE], "fem"), {}),
     "fem.tolerance: '1'; allowed": (Fem, (), {"tolerance": "1"}),
     "fem.halvings: 2.5; allowed: a whole": (Fem, (), {"halvings": 2.5}),
     "fem.one_topology: 'no'; allowed: True or False": (Fem, (), {"one_topology": "no"}),

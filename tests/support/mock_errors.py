@@ -1,14 +1,12 @@
-"""Deviation of a mock session from the World's truth: time error per stream, worst force error."""
+"""Time errors of a mock session beside the World's truth and the uncertainty that it states."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from recorder import Session, Stream
 from recorder.session import captured, sigmas_of
-from rig.core.errors import ConfigError
 from rig.devices.camera.jpeg import frame_stamp
 from rig.mock.world.truth import Truth
 
@@ -19,68 +17,27 @@ _WINDOW = 0.25
 _STEP_NS = 1_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class TimeError:
-    """Recorded time minus true time; positive is late [s]."""
+def within_stated(session_path: Path, truth_path: Path) -> dict[str, float]:
+    """Return the fraction of time errors within twice the stated uncertainty, of each stream.
 
-    stream: str
-    median: float
-    worst: float
-    count: int
-    """Number of samples (camera) or windows (others) evaluated."""
-    covered: float
-    """Fraction of them within twice the uncertainty that the session states."""
-
-    def __str__(self) -> str:
-        return (
-            f"{self.stream:<7} time error  median {1e3 * self.median:+6.2f} ms  "
-            f"worst {1e3 * self.worst:+6.2f} ms  ({self.count}), "
-            f"{100 * self.covered:.0f} % within the stated uncertainty"
-        )
-
-
-def compare(session_path: Path, truth_path: Path) -> list[str]:
-    """Return the session's deviations from the truth as lines.
-
-    Raises:
-        ConfigError: There is no such truth, or it does not cover the session.
+    Of `force` and `pose` by windows, of `camera` by images.
     """
-    session = Session(session_path)
-    if not truth_path.is_file():
-        raise ConfigError(f"{truth_path}: no such file; allowed: a file from collect --truth")
-    truth = Truth(truth_path)
-    names = {kind: session.first(kind) for kind in ("force", "pose", "camera")}
-    if names["force"] is None or names["pose"] is None:
-        raise ConfigError(f"{session_path}: has no F/T sensor or no pose to compare")
-    force, pose = session.streams[names["force"]], session.streams[names["pose"]]
-    if len(truth.records) < 2 or truth.records["t_ns"][0] > force.t_ns[0]:
-        raise ConfigError(f"{truth_path}: does not cover {session_path}")
+    session, truth = Session(session_path), Truth(truth_path)
     # The emulators end after the streams, but the last states may not have reached the file.
-    covered = force.t_ns < truth.records["t_ns"][-1] - 2 * _STEP_NS
-    times = force.t_ns[covered]
-    wrench = np.asarray(force.array("value"))[: len(force.t_ns)][covered]
-    wrench = wrench + np.asarray(force.attrs["bias"])
-    true = truth.wrench(times)
-    error = wrench - true
-    contact = truth.depth(times) > 0
-    axis = np.unravel_index(np.abs(error[:, :3]).argmax(), error[:, :3].shape)[1]
-    lines = [
-        f"force   worst error  {np.abs(error[:, :3]).max():.4f} N ({'xyz'[axis]}), rms "
-        f"{np.sqrt((error[:, :3] ** 2).mean()):.4f} N, in contact "
-        f"{np.sqrt((error[contact, :3] ** 2).mean()):.4f} N; largest force "
-        f"{np.abs(true[:, :3]).max():.2f} N"
-    ]
-    sigma = _stated(session, names["force"])[covered]
-    lag = _lag("force", times, wrench[:, :3], lambda t: truth.wrench(t)[:, :3], 0.5, sigma)
-    lines.append(str(lag))
-    covered = pose.t_ns < truth.records["t_ns"][-1] - 2 * _STEP_NS
-    position = np.asarray(pose.array("value"))[: len(pose.t_ns)][covered][:, :3]
-    sigma = _stated(session, names["pose"])[covered]
-    lines.append(str(_lag("pose", pose.t_ns[covered], position, truth.position, 1e-3, sigma)))
-    if names["camera"] is not None:
-        stream = session.streams[names["camera"]]
-        lines += _camera(stream, _stated(session, names["camera"]))
-    return lines
+    end_ns = truth.records["t_ns"][-1] - 2 * _STEP_NS
+    found = {"camera": _camera(session.streams["camera"], _stated(session, "camera"))}
+    for name, truth_at, slow in (
+        ("force", lambda t: truth.wrench(t)[:, :3], 0.5),
+        ("pose", truth.position, 1e-3),
+    ):
+        stream = session.streams[name]
+        covered = stream.t_ns < end_ns
+        values = np.asarray(stream.array("value"))[: len(stream.t_ns)][covered][:, :3]
+        if name == "force":
+            values = values + np.asarray(stream.attrs["bias"])[:3]
+        sigma = _stated(session, name)[covered]
+        found[name] = _of_windows(stream.t_ns[covered], values, truth_at, slow, sigma)
+    return found
 
 
 def _stated(session: Session, name: str) -> np.ndarray:
@@ -90,15 +47,14 @@ def _stated(session: Session, name: str) -> np.ndarray:
     return np.concatenate([np.hypot(part.each, part.exposure) for part in parts])
 
 
-def _lag(
-    name: str,
+def _of_windows(
     times: np.ndarray,
     values: np.ndarray,
     truth_at: Callable[[np.ndarray], np.ndarray],
     slow: float,
     sigma: np.ndarray,
-) -> TimeError:
-    """Return the least-squares time error per window: values(t) = truth(t - lag), to first order.
+) -> float:
+    """Compare the least-squares lag per window: values(t) = truth(t - lag), to first order.
 
     Windows whose slope is below `slow` (per second) cannot determine the time and are left out.
     """
@@ -109,33 +65,15 @@ def _lag(
     down = np.bincount(window, (slope**2).sum(axis=1))
     count = np.bincount(window)
     kept = down > slow**2 * np.maximum(count, 1)
-    if not kept.any():
-        return TimeError(name, float("nan"), float("nan"), 0, float("nan"))
-    lags = -up[kept] / down[kept]
-    worst = lags[np.abs(lags).argmax()]
     stated = np.sqrt(np.bincount(window, sigma**2)[kept] / count[kept])
-    within = float(np.mean(np.abs(lags) <= 2 * stated))
-    return TimeError(name, float(np.median(lags)), float(worst), int(kept.sum()), within)
+    return float(np.mean(np.abs(up[kept] / down[kept]) <= 2 * stated))
 
 
-def _camera(stream: Stream, sigma: np.ndarray) -> list[str]:
-    """Compare arrival times with the state times that the emulator wrote into each JPEG."""
-    late: list[float] = []
-    within: list[bool] = []
-    capture = captured(stream)
-    numbers: list[int] = []
-    for row, t_ns in enumerate(stream.t_ns):
-        jpeg = stream.jpeg(row)
-        stamp = frame_stamp(jpeg) if jpeg is not None else None
+def _camera(stream: Stream, sigma: np.ndarray) -> float:
+    """Compare capture times with the state times that the emulator wrote into each JPEG."""
+    capture, within = captured(stream), []
+    for row in range(len(stream.t_ns)):
+        stamp = frame_stamp(stream.jpeg(row) or b"")
         if stamp is not None:
-            numbers.append(stamp[0])
-            late.append((int(t_ns) - stamp[1]) * 1e-9)
             within.append(abs(int(capture[row]) - stamp[1]) * 1e-9 <= 2 * sigma[row])
-    if not late:
-        return ["camera  no emulator timestamps in its images"]
-    worst = max(late, key=abs)
-    missing = int((np.diff(numbers) - 1).sum())
-    return [
-        str(TimeError("camera", float(np.median(late)), worst, len(late), float(np.mean(within)))),
-        f"camera  {missing} of the emulator's frames missing",
-    ]
+    return float(np.mean(within))

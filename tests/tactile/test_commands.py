@@ -1,14 +1,13 @@
 """The command `tactile`: its table, its help, and unknown commands."""
 
-import os
 import re
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from support import reference
+from support.commands import python
 
 from recorder.command_line.extras import LIBRARIES, extra_of
 from tactile.__main__ import main
@@ -49,12 +48,6 @@ def test_a_command_shows_its_own_name_in_its_usage(
     assert capsys.readouterr().out.startswith(f"usage: tactile {command.words} ")
 
 
-def test_verbs_of_commands_are_named_too(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["sim", "archive", "--help"])
-    assert capsys.readouterr().out.startswith("usage: tactile sim archive ")
-
-
 HELPS = (["--help"], ["-h"], [], ["session", "--help"], ["train"], ["nosuch"], ["sim", "nosuch"])
 
 
@@ -69,8 +62,7 @@ known = {{name.partition(".")[0] for name in sys.modules}}
 others = {{name for name in sys.modules if name.startswith("recorder.") and {TABLE!r} not in name}}
 print("loaded:", sorted(known & {{"numpy", "zarr", "argparse", *{OURS!r}}} | others))
 """
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout.splitlines()[-1] == "loaded: []"
+    assert python("-c", code).stdout.splitlines()[-1] == "loaded: []"
 
 
 def test_a_command_loads_its_own_package_alone() -> None:
@@ -81,8 +73,7 @@ with contextlib.suppress(SystemExit):
     main(["session", "info", "--help"])
 print(sorted({name.partition(".")[0] for name in sys.modules} & {"rig", "sim", "learning"}))
 """
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout.splitlines()[-1] == "[]"
+    assert python("-c", code).stdout.splitlines()[-1] == "[]"
 
 
 def test_the_overview_names_every_command_in_lines_of_a_terminal() -> None:
@@ -207,12 +198,8 @@ def test_a_missing_library_of_pictures_is_named_with_the_command_that_installs_i
         "import sys; sys.modules['matplotlib'] = None\n"
         f"from tactile.__main__ import main; sys.exit(main({words!r}))"
     )
-    ran = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(reference.ROOT)},
-    )  # fmt: skip
+    ran = python("-c", code, folder=tmp_path, code=2)
     assert "Traceback" not in ran.stderr
-    assert ran.returncode == 2
     assert "pip install 'tactile-rig[sim]'" in ran.stderr
 
 

@@ -9,7 +9,6 @@ from rig.acquire.campaign import load_campaign
 from rig.bench.bench import BenchFile, find_bench
 from rig.core.packaged import BENCHES
 from tactile.__main__ import main
-from tactile.commands import COMMANDS
 
 
 @pytest.fixture
@@ -51,12 +50,6 @@ def test_its_benches_are_mocks_until_a_file_is_put_there(lab: Path) -> None:
 def test_its_day_can_be_run(lab: Path) -> None:
     assert len(load_campaign(Path("campaigns/day.yaml"), Path("benches")).items) == 8
     assert main(["campaign", "--file", "campaigns/day.yaml", "--list"]) == 0
-
-
-def test_its_readme_names_commands_that_there_are(lab: Path) -> None:
-    text = (lab / "README.md").read_text()
-    for first, second in re.findall(r"^tactile ([a-z][a-z-]*) ([a-z-]+)?", text, re.MULTILINE):
-        assert first in COMMANDS or f"{first} {second}" in COMMANDS
 
 
 def test_an_empty_folder_is_taken_and_a_full_one_is_left_alone(
