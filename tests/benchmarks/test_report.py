@@ -194,12 +194,6 @@ def test_an_interrupted_part_goes_on_at_its_next_row_unless_code_has_changed(
     assert '  "results": [10,20,30]\n' in text
 
 
-def test_only_parts_that_exist_can_be_measured(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        run(benchmark(), "--only", "colour")
-    assert "invalid choice: 'colour'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -33,11 +33,6 @@ def test_draws_depend_on_seed_and_names_alone() -> None:
     assert draws[0] not in [generator(*other).random() for other in others]
 
 
-def test_a_negative_seed_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"seed: -1"):
-        generator(-1, "a")
-
-
 @pytest.mark.parametrize(
     ("drawn", "most"),
     [

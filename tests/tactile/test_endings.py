@@ -50,7 +50,6 @@ def raised(error: BaseException) -> int:
             2,
             "cannot read or write: x.npy: No such file or directory",
         ),
-        (OSError(errno.ENOSPC, "No space"), 2, "cannot read or write: [Errno 28] No space"),
         (PermissionError("out: not writable"), 2, "cannot read or write: out: not writable"),
         (
             BrokenPipeError(errno.EPIPE, "Broken pipe"),
