@@ -102,7 +102,7 @@ def record_until_killed(path: Path, accepted: mmap.mmap, slot: int, make: Any) -
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=() if seed < 4 else pytest.mark.slow) for seed in range(10)]
+    "seed", [pytest.param(seed, marks=() if seed < 2 else pytest.mark.slow) for seed in range(10)]
 )
 def test_sigkill_loses_at_most_the_row_in_flight(seed: int, tmp_path: Path) -> None:
     dice = random.Random(seed)

@@ -115,16 +115,15 @@ def seen() -> SimulatedSensor:
     return replace(skin, signal=signal)
 
 
-def pictures(path: Path, session: str, solved_at: Any, top: SurfaceField) -> Path:
-    """Write the marker archive of a press, ten frames a second, each that of the last solution."""
+def pictures(solved_at: Any, top: SurfaceField) -> tuple[Any, Any, Any]:
+    """Return times [ns], frames and reference of a press: ten a second, of the last solution."""
     reader = readout(seen())
     assert isinstance(reader, CameraReadout)
     time = np.arange(0.0, solved_at[-1], 0.1)
     last = np.searchsorted(solved_at, time, side="right") - 1
     reference = reader.packed(SurfaceField.undeformed(planted().body))[0, 0]
     frames = reader.packed(replace(top, displacement=top.displacement[last]))[:, 0]
-    write_rows(path, session, T0 + np.round(1e9 * time).astype(np.int64), frames, reference)
-    return path
+    return T0 + np.round(1e9 * time).astype(np.int64), frames, reference
 
 
 def _of(name: str, columns: Columns, time: Any, tip: Any, force: Any) -> Columns:
@@ -159,10 +158,10 @@ def command(
         change=lambda name, columns: _of(name, columns, *press),
     )
     copy = shutil.copytree(session, folder / "copy.zarr")
-    marked = [
-        pictures(folder / f"{each.stem}.markers.zarr", each.name, true[0], true[2])
-        for each in (session, copy)
-    ]
+    shown = pictures(true[0], true[2])
+    marked = [each.with_suffix(".markers.zarr") for each in (session, copy)]
+    for each, path in zip((session, copy), marked, strict=True):
+        write_rows(path, each.name, *shown)
     out, fits = folder / "mine.yaml", []
 
     def kept(*arguments: Any, **options: Any) -> Fit:
@@ -290,7 +289,8 @@ def test_images_of_another_sensor_are_refused_in_pixels(
     fit, _, made = command
     thick = with_quantities(planted(), {"thickness": 8e-3})
     time, _, top = of_press(thick)
-    marked = pictures(tmp_path / "other.markers.zarr", "press.zarr", time, top)
+    marked = tmp_path / "other.markers.zarr"
+    write_rows(marked, "press.zarr", *pictures(time, top))
     out, session = tmp_path / "mine.yaml", made.with_name("press.zarr")
 
     def known(tracks: Sequence[PressTrack], *_: Any, **__: Any) -> Fit:
