@@ -69,6 +69,24 @@ COARSE = 1.25
 OVERLAP_LASTS = 0.1
 
 
+class _Onward:
+    """Progress of attempts one after the other, each of which has all that is left of it."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress = progress
+        self._begin = self._done = 0.0
+
+    def __call__(self, fraction: float) -> None:
+        self._done = max(self._done, self._begin + (1.0 - self._begin) * fraction)
+        if self._progress is not None:
+            self._progress(self._done)
+
+    def again(self) -> Progress:
+        """Return it for the next attempt."""
+        self._begin = self._done
+        return self
+
+
 def simulate_fem(
     scenes: Sequence[Scene],
     numerics: Fem = Fem(),
@@ -96,6 +114,7 @@ def simulate_fem(
     if not numerics.follows:
         outcomes = solve_on_meshes(scenes, numerics, None, device, progress)
         return [_judged(outcome) for outcome in outcomes]
+    onward = _Onward(progress)
     stages = [stages_of(scene) for scene in scenes]
     parts = [(i, stage) for i, each in enumerate(stages) for stage in each]
     some = [beginning_of(scenes[i], stage.waypoints) for i, stage in parts]
@@ -111,10 +130,12 @@ def simulate_fem(
         alike, wanted = [some[row] for row in rows], [sizes[row] for row in rows]
         if stiffer:
             failed = [SimulationDiverged(earlier.stiffer[keys[row]]) for row in rows]
-            outcomes = solve_on_meshes(alike, numerics, wanted, device, None, failed=failed)
+            outcomes = solve_on_meshes(
+                alike, numerics, wanted, device, onward.again(), failed=failed
+            )
         else:
-            outcomes, lasting = _following(alike, wanted, numerics, device, progress)
-            _on_coarser(outcomes, alike, wanted, numerics, device)
+            outcomes, lasting = _following(alike, wanted, numerics, device, onward)
+            _on_coarser(outcomes, alike, wanted, numerics, device, onward)
             wanted = lasting
         for row, outcome, size in zip(rows, outcomes, wanted, strict=True):
             solved[row] = outcome
@@ -160,7 +181,7 @@ def _following(
     sizes: Sequence[Sizes],
     numerics: Fem,
     device: str,
-    progress: Progress | None,
+    progress: _Onward,
 ) -> tuple[list[Outcome], list[Sizes]]:
     """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more.
 
@@ -196,7 +217,7 @@ def _following(
                 replace(numerics, precision=precision),
                 [sizes[i] for i in chosen],
                 device,
-                None,
+                progress.again(),
             )
             for i, outcome in zip(chosen, some, strict=True):
                 outcomes[i] = _remeshed(outcome, attempt, outcomes[i])
@@ -218,6 +239,7 @@ def _on_coarser(
     sizes: Sequence[Sizes],
     numerics: Fem,
     device: str,
+    progress: _Onward,
 ) -> None:
     """Replace outcomes without a solution by solutions on coarser meshes, where there are any."""
     if numerics.stiffening:
@@ -240,7 +262,7 @@ def _on_coarser(
             replace(numerics, fineness=max(FINENESS_LEAST, coarser * numerics.fineness)),
             [sizes[i] for i in chosen],
             device,
-            None,
+            progress.again(),
             failed=[left[i] for i in chosen],
         )
         for i, outcome in zip(chosen, some, strict=True):
@@ -343,7 +365,7 @@ def solve_on_meshes(
             some = _solve(*alike, stiffer, device, meshed * len(chosen), fraction)
         else:
             before = [failed[i] for i in chosen]
-            some = _stiffened(*alike, stiffer, device, before)
+            some = _stiffened(*alike, stiffer, device, before, fraction)
         outcomes.update(zip(chosen, some, strict=True))
     return [outcomes[i] for i in range(len(scenes))]
 
@@ -430,6 +452,7 @@ def _stiffened(
     numerics: Fem,
     device: str,
     failed: Sequence[SimulationDiverged],
+    progress: Progress | None,
 ) -> list[Outcome]:
     """Solve presses with two skins that stiffen; return `failed` of those without two solutions."""
     solved: list[list[Result]] = [[] for _scene in scenes]
@@ -445,6 +468,7 @@ def _stiffened(
             numerics,
             "float64",
             device,
+            progress=progress,
             stiffening=[one for _row, one in some],
         )
         for (row, one), outcome in zip(some, batch.run(), strict=True):
