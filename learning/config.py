@@ -100,20 +100,6 @@ def settings_to_dict(settings: Any) -> dict[str, Any]:
     return plain | {each.name: _plain(getattr(settings, each.name)) for each in fields}
 
 
-def differing_keys(one: Any, other: Any, where: str = "") -> list[str]:
-    """Return the dotted keys under which two plain mappings differ, in alphabetical order."""
-    if not isinstance(one, Mapping) or not isinstance(other, Mapping):
-        return [] if one == other else [where or "all of it"]
-    different = []
-    for key in sorted(one.keys() | other.keys(), key=str):
-        below = f"{where}.{key}" if where else str(key)
-        if key in one and key in other:
-            different += differing_keys(one[key], other[key], below)
-        else:
-            different.append(below)
-    return different
-
-
 def require_same(path: Path, content: Mapping[str, Any]) -> None:
     """Write what the results of a folder are made of to a JSON file, or check that it is the same.
 

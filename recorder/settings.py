@@ -455,6 +455,24 @@ def merged(below: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def differing_keys(one: Any, other: Any, where: str = "") -> list[str]:
+    """Return the innermost keys in which two plain documents differ, such as `sensors[0].seed`."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        names = sorted(one.keys() | other.keys(), key=str)
+        dot = "." if where else ""
+        parts = [
+            (one.get(name, ...), other.get(name, ...), f"{where}{dot}{name}") for name in names
+        ]
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        parts = [
+            (each, its, f"{where}[{i}]")
+            for i, (each, its) in enumerate(zip(one, other, strict=True))
+        ]
+    else:
+        return [] if one == other else [where]
+    return [key for part in parts for key in differing_keys(*part)]
+
+
 def describe(value: Any) -> str:
     """Return a value for error messages, as a file has it: a text in quotes, with its kind."""
     if value is None:

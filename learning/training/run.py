@@ -37,7 +37,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from learning.config import differing_keys, settings_to_dict
+from learning.config import settings_to_dict
 from learning.errors import LearningError
 from learning.training.checkpoint import (
     CONFIG,
@@ -49,6 +49,7 @@ from learning.training.checkpoint import (
     save_weights,
 )
 from recorder.progress import ItemProgress, ReportItems
+from recorder.settings import differing_keys
 from recorder.store import replace_file, sync_directory
 
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from recorder.errors import SessionError
 from recorder.markers import PACKED, SMALLEST_PX, Lattice
+from recorder.settings import differing_keys
 from recorder.spec import ARCHIVE_FORMAT, PHASES
 from recorder.store.documents import merge_attrs, read_attrs, read_document, write_group
 from recorder.store.files import LOCAL, Files, replace_file, sync_directory
@@ -551,7 +552,7 @@ def _require_same(planned: Path, there: Path) -> None:
         if not other.is_file():
             raise SessionError(f"{there}: is not the archive that was planned: has no {name}")
         if file.name == "zarr.json":
-            different = _differing(_without_status(file), _without_status(other))
+            different = differing_keys(_without_status(file), _without_status(other))
         else:
             different = [] if file.read_bytes() == other.read_bytes() else ["the content"]
         if different:
@@ -565,12 +566,6 @@ def _without_status(path: Path) -> dict[str, Any]:
     document = read_document(LOCAL, path)
     attributes = document.pop("attributes", {})
     return {**document, **{key: attributes[key] for key in attributes if key != "status"}}
-
-
-def _differing(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
-    lacking = object()
-    keys = sorted(one.keys() | other.keys())
-    return [key for key in keys if one.get(key, lacking) != other.get(key, lacking)]
 
 
 def _refuse_own(where: str, attrs: Mapping[str, Any], own: tuple[str, ...]) -> None:

@@ -303,23 +303,6 @@ def indenter_names(plan: DatasetPlan) -> tuple[str, ...]:
     return (*NAMES, *map(drawn_name, range(drawn)))
 
 
-def differing(one: dict[str, Any], other: dict[str, Any], where: str = "") -> list[str]:
-    """Return the innermost keys in which two plan documents differ, such as `sensors[0].seed`."""
-    keys: list[str] = []
-    for key in sorted(one.keys() | other.keys()):
-        keys += _differing(one.get(key, ...), other.get(key, ...), f"{where}{key}")
-    return keys
-
-
-def _differing(one: Any, other: Any, where: str) -> list[str]:
-    if isinstance(one, dict) and isinstance(other, dict):
-        return differing(one, other, f"{where}.")
-    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        pairs = enumerate(zip(one, other, strict=True))
-        return [key for i, pair in pairs for key in _differing(*pair, f"{where}[{i}]")]
-    return [] if one == other else [where]
-
-
 def _check_names(what: str, listed: list[str]) -> None:
     if not listed or len(set(listed)) != len(listed):
         raise SceneError(f"plan.{what}: {listed}; allowed: one or more, all different")

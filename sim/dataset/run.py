@@ -14,13 +14,13 @@ from recorder.archive import ArchivePlan, ArchiveWriter, MarkerArchive, MarkerCo
 from recorder.command_line.options import next_command
 from recorder.markers import count_markers, unpack
 from recorder.processes import Workers, environment, several
+from recorder.settings import differing_keys
 from sim.dataset.generate import LATTICE, Packed, SensorReader, make_unit, sensor_reader
 from sim.dataset.plan import (
     DatasetPlan,
     Family,
     Unit,
     described,
-    differing,
     families,
     indenter_names,
     names,
@@ -73,7 +73,7 @@ def begin(path: Path, plan: DatasetPlan, device: str = "cpu") -> OpenArchive:
     """
     if path.exists():
         opened = reopened(path)
-        keys = differing(to_json(opened.plan), to_json(plan))
+        keys = differing_keys(to_json(opened.plan), to_json(plan))
         if keys:
             resume = next_command("sim", "archive", path)
             raise SceneError(

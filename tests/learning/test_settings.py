@@ -7,8 +7,9 @@ from typing import ClassVar, Literal
 
 import pytest
 
-from learning.config import READER, differing_keys, read_settings, require, settings_to_dict
+from learning.config import READER, read_settings, require, settings_to_dict
 from learning.errors import LearningError
+from recorder.settings import differing_keys
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from recorder.settings import differing_keys
 from rig.bench.bench import BenchFile
 from rig.core.packaged import BENCHES
 from sim import SceneError
@@ -18,7 +19,6 @@ from sim.dataset.plan import (
     STATES,
     chosen_targets,
     code,
-    differing,
     families,
     force_scale,
     indenter_names,
@@ -211,14 +211,14 @@ def test_drawn_indenters_follow_the_18_and_change_nothing_of_them() -> None:
 def test_a_plan_survives_json(plan: DatasetPlan) -> None:
     stored = json.loads(json.dumps(to_json(plan)))
     assert from_json(DatasetPlan, stored, "plan") == plan
-    assert differing(stored, to_json(plan)) == []
+    assert differing_keys(stored, to_json(plan)) == []
 
 
 def test_plans_say_in_which_keys_they_differ() -> None:
     one = group(("gelsight", "uskin"))
     harder = replace(one.sensors[1], body=replace(one.sensors[1].body, modulus=1e6))
     other = replace(one, seed=1, sensors=(one.sensors[0], harder))
-    assert differing(to_json(one), to_json(other)) == ["seed", "sensors[1].body.modulus"]
+    assert differing_keys(to_json(one), to_json(other)) == ["seed", "sensors[1].body.modulus"]
     stored = to_json(one)
     stored["steps"] = 2.5
     with pytest.raises(SceneError, match=r"plan.steps: found 2.5; allowed: a whole number"):
