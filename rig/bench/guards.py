@@ -13,8 +13,6 @@ A force gauge stops the arm before the sensor is damaged. Without one, five thin
 `rig.acquire.no_gauge` finds the surface and presses for the first time.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -5,8 +5,6 @@ A lab's own indenter is `indenters/NAME.yaml`, with the keys of `IndenterFile`, 
 recorded as if it existed.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field
 from functools import cache

@@ -28,10 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     recording_options(parser)
     parser.add_argument("--repeats", type=int, default=4, help="approaches per point (%(default)s)")
     parser.add_argument(
-        "--force-n",
-        type=float,
-        default=home.FORCE,
-        help="back off at this force [N] (%(default)s)",
+        "--force-n", type=float, default=home.FORCE, help="back off at this force [N] (%(default)s)"
     )
     parser.add_argument(
         "--travel-mm",

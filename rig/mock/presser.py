@@ -4,8 +4,6 @@ Watching live forces moves no arm, so on a mock bench something else must touch 
 finger follows the bench's trajectory, target after target, once it is started.
 """
 
-from __future__ import annotations
-
 import itertools
 import threading
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ different Host. The token is in the address once and in a cookie from then on, w
 page's own requests send (HttpOnly, SameSite=Strict).
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import hmac

@@ -4,8 +4,6 @@ What the command does never waits for the page. It leaves values that the thread
 per second; if the page's process hangs or dies, only that thread is affected.
 """
 
-from __future__ import annotations
-
 import asyncio
 import multiprocessing
 import os

@@ -7,8 +7,6 @@ a device: what has to be done at the bench is shown as a command to type there.
 asyncio is used here, and only here in the rig, to handle many idle connections in one thread.
 """
 
-from __future__ import annotations
-
 import asyncio
 import http
 import json

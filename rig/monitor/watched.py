@@ -1,7 +1,5 @@
 """Sensors to watch live: that of a lab bench, of a mock bench, or of a recorded session."""
 
-from __future__ import annotations
-
 import contextlib
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -149,10 +147,7 @@ def mock_bench(
     file: BenchFile, folder: Path, clock: Clock, *, rate_hz: float | None
 ) -> Iterator[Watched]:
     """Open the emulated sensor of a mock bench; a finger presses it once `begin` is called."""
-    with (
-        TouchedMock(file, folder, rate_hz=rate_hz) as mock,
-        lab_bench(mock.bench, clock) as opened,
-    ):
+    with TouchedMock(file, folder, rate_hz=rate_hz) as mock, lab_bench(mock.bench, clock) as opened:
         yield Watched(
             opened.sensor,
             opened.stream,

@@ -1,7 +1,5 @@
 """Log of the World's true states, from which the ideal readings at any time follow."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
