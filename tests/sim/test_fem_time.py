@@ -127,8 +127,8 @@ def test_the_force_of_an_impact_is_that_of_a_wave_and_does_not_ring() -> None:
     impact = body.density * wave * speed * body.size_x * body.size_y
     returns = 2 * body.thickness / wave
     ends = [
-        *(returns * (0.01 * i) for i in range(1, 9)),
-        *(returns * (0.1 * i) for i in range(1, 15)),
+        *(returns * (0.01 * i) for i in range(1, 6)),
+        *(returns * (0.1 * i) for i in range(1, 15, 2)),
     ]
     tip = [(0.0, 0.0, -speed * time) for time in (0.0, *ends)]
     motion = Motion(tuple(tip), (0.0, *ends))
@@ -143,7 +143,7 @@ def test_the_force_of_an_impact_is_that_of_a_wave_and_does_not_ring() -> None:
     assert (error <= 2.1 * stated).all(), "while the wave passes the elements at the top"
     assert error[~passing].max() < 0.25
     assert error[~passing & (time > 0.15 * returns)].max() < 0.07
-    assert (np.abs(np.diff(force[:8])) < 0.12 * impact).all(), "short frames do not ring"
+    assert (np.abs(np.diff(force[:5])) < 0.12 * impact).all(), "short frames do not ring"
 
 
 def test_a_gel_a_hundred_times_as_stiff_at_once_presses_like_an_elastic_one() -> None:
