@@ -486,8 +486,8 @@ def _stiffened(
 def _spread(results: list[Result], before: SimulationDiverged) -> Result:
     """Return the softest of results with stiffer skins, with forces as of one that never stiffens.
 
-    Sizes of forces are extrapolated from two coefficients. All of that correction is their error,
-    and the difference of both directions.
+    Sizes of forces are extrapolated from two coefficients, and tractions with them. All of that
+    correction is their error, and the difference of both directions.
     """
     one, other, *_stiffest = results
     first = 0 if before.reached is None else len(before.reached.force)
@@ -497,7 +497,9 @@ def _spread(results: list[Result], before: SimulationDiverged) -> Result:
     apart = np.linalg.norm(other.force, axis=1) / size - 1.0
     correction = apart * added[0] / (added[1] - added[0])
     within = np.clip(correction, -CORRECTED_MOST, CORRECTED_MOST)
-    whole = replace(one, wrench=one.wrench * (1.0 - within[:, None]))
+    left = 1.0 - within
+    traction = one.traction * left[:, None, None, None].astype(one.traction.dtype)
+    whole = replace(one, wrench=one.wrench * left[:, None], traction=traction)
     aside = np.linalg.norm(other.force - one.force * (1.0 + apart[:, None]), axis=1)
     fraction = (np.abs(correction) * size + aside) / force_scale(one.force)
     entry = {
