@@ -28,6 +28,11 @@ def ready_device(name: str) -> Path | None:
     return Path(wp.config.kernel_cache_dir) if wp.config.kernel_cache_dir else None
 
 
+def kind_of(device: str) -> str:
+    """Return the key of a device in tables of settings: `cpu`, or `cuda` for a GPU."""
+    return "cpu" if device == "cpu" else "cuda"
+
+
 def check_device(name: str) -> None:
     """Reject a device that this machine does not have; silence Warp's messages below warnings.
 

@@ -52,7 +52,7 @@ SPACING_SHARE = 6
 CELLS_MAX = 4_000_000
 
 # Most elements of a mesh that follows the contact, if not set.
-ELEMENTS_MAX = {"cpu": 40_000, "cuda": 160_000}
+ELEMENTS_DEFAULT = {"cpu": 40_000, "cuda": 160_000}
 # Least fineness of a mesh that follows the contact: about one element from side to side.
 FINENESS_LEAST = 0.1
 

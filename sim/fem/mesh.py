@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sim.arrays import Array
 from sim.errors import SceneError
-from sim.fem import CELLS_MAX, ELEMENTS_MAX, Fem, Grading
+from sim.fem import CELLS_MAX, ELEMENTS_DEFAULT, Fem, Grading
 from sim.fem.sizing import (
     DEEPEST,
     GROWTH,
@@ -466,7 +466,7 @@ def meshes_of(
         sizes = [stages_of(scene)[0].sizes for scene in scenes]
     if sizes is not None:
         settings = [
-            (scene, size, numerics.fineness, numerics.elements_max or ELEMENTS_MAX["cpu"])
+            (scene, size, numerics.fineness, numerics.elements_max or ELEMENTS_DEFAULT["cpu"])
             for scene, size in zip(scenes, sizes, strict=True)
         ]
         meshes = [following_mesh(*each) for each in settings]

@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import warp as wp
 
 from recorder.progress import span_of
-from sim.device import check_device
+from sim.device import check_device, kind_of
 from sim.errors import SimulationDiverged
-from sim.fem import ELEMENTS_MAX, FINENESS_LEAST, Fem, Precision
+from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, Fem, Precision
 from sim.fem.assembly import damping_time
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
@@ -109,8 +108,7 @@ def simulate_fem(
     """
     check_device(device)
     if numerics.elements_max is None:
-        most = ELEMENTS_MAX["cuda" if wp.get_device(device).is_cuda else "cpu"]
-        numerics = replace(numerics, elements_max=most)
+        numerics = replace(numerics, elements_max=ELEMENTS_DEFAULT[kind_of(device)])
     if not numerics.follows:
         outcomes = solve_on_meshes(scenes, numerics, None, device, progress)
         return [_judged(outcome) for outcome in outcomes]
@@ -127,6 +125,8 @@ def simulate_fem(
     solved: dict[int, Outcome] = {}
     for stiffer in (False, True):
         rows = [row for row in range(len(keys)) if stiffens[row] == stiffer]
+        if not rows:
+            continue
         alike, wanted = [some[row] for row in rows], [sizes[row] for row in rows]
         if stiffer:
             failed = [SimulationDiverged(earlier.stiffer[keys[row]]) for row in rows]
@@ -252,7 +252,7 @@ def _on_coarser(
             ):
                 verdict.reached = None
             left[i] = verdict
-    fast = wp.get_device(device).is_cuda
+    fast = kind_of(device) == "cuda"
     for coarser in COARSER:
         chosen = [i for i in left if coarser < 1 or (fast and _touched(left[i]))]
         if not chosen:
@@ -394,7 +394,7 @@ def _batches(
     for index, (scene, mesh) in enumerate(zip(scenes, meshes, strict=True)):
         key = batch_key(scene, mesh), _penalty(scene, mesh, numerics)
         alike.setdefault(key, []).append(index)
-    most = ELEMENTS_SIDE_BY_SIDE["cuda" if wp.get_device(device).is_cuda else "cpu"]
+    most = ELEMENTS_SIDE_BY_SIDE[kind_of(device)]
     batches = []
     for group in alike.values():
         size = max(1, most // len(meshes[group[0]].elements))

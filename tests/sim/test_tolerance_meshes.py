@@ -139,6 +139,13 @@ def test_within_a_time_the_best_answer_is_given_and_its_plan_replays_it(
         replay(simulate(BALL, Layer()))
 
 
+def test_meshes_that_follow_their_contacts_may_have_one_topology() -> None:
+    scenes = [replace(BALL, indenter=sphere(radius)) for radius in (4e-3, 3e-3)]
+    outcomes = simulate_fem(scenes, Fem(fineness=0.3, one_topology=True))
+    cells = [one.record["mesh"]["cells"][:2] for one in outcomes if isinstance(one, Result)]
+    assert cells[0] == cells[1]
+
+
 def test_a_press_without_a_solution_goes_on_with_a_skin_that_stiffens(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
