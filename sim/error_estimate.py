@@ -247,8 +247,9 @@ def further_errors(result: Result) -> Array:
         both = np.maximum(through - OVERLAP_GOOD, 0) + np.maximum(folded - OVERLAP_GOOD, 0)
         changed = np.array(stiffening["correction"]) + PER_OVERLAP * both
         fraction = fraction + np.where(frames < stiffening["waypoint"], 0.0, changed)
-    for side, error in (("rim", AT_RIM / fineness_of(result)), ("wall", np.ones(len(frames)))):
-        fraction[record.get(side, [])] += error[record.get(side, [])]
+    at_rim, at_wall = record.get("rim", []), record.get("wall", [])
+    fraction[at_rim] += AT_RIM / fineness_of(result)[at_rim]
+    fraction[at_wall] += 1.0
     return fraction
 
 

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.device import kind_of
 from sim.error_estimate import (
     LAYER_LEAST,
     LAYER_PER_DEPTH,
@@ -262,8 +263,7 @@ class _Search:
         up to its own, and the index of the mesh by which the error was measured."""
         self._cost = 0.0
         """Time of the last mesh over its fineness to the next power [s]."""
-        self._kind = "cpu" if device == "cpu" else "cuda"
-        self._power = TIME_POWER[self._kind]
+        self._power = TIME_POWER[kind_of(device)]
 
     def run(self) -> None:
         """Solve until the tolerance is reached, or finer meshes are of no use.
@@ -314,7 +314,7 @@ class _Search:
                 return None
             finer = (error / self._wanted.value) ** 0.5 * 1.05
             elements = chain.results[-1].record["mesh"]["elements"] * finer**3
-            if limited or elements > HOPELESS * ELEMENTS_MAX[self._kind]:
+            if limited or elements > HOPELESS * ELEMENTS_MAX[kind_of(self._device)]:
                 return None
             fineness *= float(np.clip(finer, FINER_LEAST, FINER_MOST))
         return None
@@ -426,7 +426,7 @@ def estimate_of(result: Result, wanted: Tolerance) -> float:
 
 def first_mesh(scene: Scene, wanted: Tolerance, device: str) -> Fem:
     """Return the settings of the finer mesh with which the search begins."""
-    most = ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"]
+    most = ELEMENTS_MAX[kind_of(device)]
     fraction = wanted.value if wanted.kind == "fraction" else 0.01
     fineness = float(np.clip((EXPECTED / fraction) ** 0.5, FIRST_LEAST, FIRST_MOST))
     return replace(_states(scene, fraction), fineness=fineness, elements_max=most)

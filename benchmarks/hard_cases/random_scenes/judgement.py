@@ -18,7 +18,7 @@ from benchmarks.hard_cases.random_scenes.scenes import GROUPS, Drawn, drawn
 from benchmarks.processes import OutOfTime, rows_of, time_limit
 from benchmarks.report import Page, Run, table
 from recorder.progress import span_of
-from sim.device import ready_device
+from sim.device import kind_of, ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.indenters import sphere
@@ -155,7 +155,7 @@ def _random(run: Run, indices: Sequence[int], device: str) -> list[Row]:
     run.seeds = [run.options.seed]
     scenes = [drawn(run.options.seed, index) for index in indices]
     rows = all_judged(run, scenes, device)
-    least = LEAST["cpu" if device == "cpu" else "cuda"]
+    least = LEAST[kind_of(device)]
     for (name, count, whole), fraction in zip(_counts(rows), least, strict=False):
         if count < fraction * whole and not run.quick:
             run.failures.append(f"{name}: {count} of {whole}; required: {100 * fraction:g} %")

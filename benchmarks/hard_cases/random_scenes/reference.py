@@ -14,6 +14,7 @@ import numpy as np
 from benchmarks.hard_cases.laws import Array
 from benchmarks.hard_cases.random_scenes import axial
 from benchmarks.hard_cases.random_scenes.mechanics import silent_laws
+from sim.device import kind_of
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.fem.solver import simulate_fem
@@ -78,7 +79,7 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
     for penalty, augmentations in TIGHT:
         numerics = Fem(
             fineness=fineness,
-            elements_max=ELEMENTS_MAX["cpu" if device == "cpu" else "cuda"],
+            elements_max=ELEMENTS_MAX[kind_of(device)],
             penalty=penalty,
             augmentations=augmentations,
             step_factor=factor,
