@@ -23,13 +23,15 @@ from sim.device import ready_device
 from sim.errors import SimulationDiverged
 from sim.fem import FOR_EDGES, Fem
 from sim.indenters import NAMES, named
-from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
+from sim.paper_presses import DEPTHS_MM, PLACES_MM
 from sim.result import Outcome, Result
 from sim.scene import Effects, Friction, Scene, press
 from sim.tiers import gathered, simulate_many, submitted
 from sim.tolerance import left_of_difference
 
 MM = 1e-3
+# Coulomb coefficient of the presses.
+FRICTION = 0.8
 # All places [mm], and those whose forces are compared: middle, corner and side, which by
 # symmetry represent all nine.
 PLACES = tuple(product(PLACES_MM, PLACES_MM))

@@ -10,10 +10,10 @@ from sim.errors import PassesThrough, SceneError, SimulationDiverged, check_rang
 from sim.fem import FOR_EDGES, Fem, Grading, further_settings
 from sim.indenters import NAMES, drawn_name, indenter_of, is_indenter, number_of
 from sim.layer import Layer
-from sim.paper_presses import DEPTHS_MM, FRICTION, PLACES_MM
+from sim.paper_presses import DEPTHS_MM, PLACES_MM
 from sim.planning import plan as within
 from sim.result import ContactTier, Outcome, Result
-from sim.scene import Body, Friction, Motion, Scene, from_target, press, through
+from sim.scene import Body, Motion, Scene, from_target, press, through
 from sim.sensors import CameraSignal, SimulatedSensor, sensor
 from sim.tiers import simulate_many
 from trajectories import PHASES, ForceDepth, Point, PressShear, Target
@@ -463,13 +463,12 @@ STATES = len(PLACES) * len(DEPTHS_MM)
 
 
 def gel(patterns: tuple[str, ...] | None = None) -> SimulatedSensor:
-    """Return the paper's gel with the friction of its presses, with some patterns or all 12.
+    """Return the paper's gel with some of its patterns, or all 12.
 
     Raises:
         SceneError: A pattern is unknown.
     """
     each = sensor("gel")
-    each = replace(each, effects=replace(each.effects, friction=Friction(FRICTION)))
     if patterns is None or not isinstance(each.signal, CameraSignal):
         return each
     return replace(each, signal=replace(each.signal, patterns=patterns))

@@ -1,4 +1,9 @@
-"""Rendering of marker images from deformed surfaces."""
+"""Rendering of marker images from deformed surfaces.
+
+`Renderer` and `Textures` import Warp, which readers of patterns and cameras do without.
+"""
+
+from typing import TYPE_CHECKING, Any
 
 from sim.markers.camera import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
 from sim.markers.pattern import (
@@ -11,8 +16,10 @@ from sim.markers.pattern import (
     rings,
     staggered,
 )
-from sim.markers.renderer import Renderer
-from sim.markers.textures import Textures
+
+if TYPE_CHECKING:
+    from sim.markers.renderer import Renderer
+    from sim.markers.textures import Textures
 
 __all__ = [
     "DISTANCE",
@@ -31,3 +38,11 @@ __all__ = [
     "rings",
     "staggered",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in ("Renderer", "Textures"):
+        raise AttributeError(name)
+    from sim.markers import renderer
+
+    return getattr(renderer, name)

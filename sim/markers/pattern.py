@@ -221,7 +221,8 @@ def _centred(count: int, pitch: float) -> list[float]:
 #
 # Of the real GelSights the pitch of 2.4 mm is known (5 rows of 7 in view), and that two of them had
 # their elastomer shifted or rotated; shape, size and amounts are assumed. Of the GelSight that is
-# compared with other sensors, it is known that 56 markers are in view.
+# compared with other sensors, it is known that 56 markers are in view. "Mini" has the 7 x 9 dots of
+# GelSight Mini, as its vendor's marker tracker (gsrobotics) counts them.
 
 MM = 1e-3
 # Shift [m] and rotation [rad] from Array-I to Array-II.
@@ -262,6 +263,7 @@ _PATTERNS = (
     _pattern("Diamond-I", "diamond", 0.80, staggered(6, 11, 3.4 * MM, 1.7 * MM, shorter=True)),
     _pattern("GelSight", "disc", 0.60, rows(8, 7, 1.75 * MM)),
     _pattern("TacPalm", "disc", 1.10, hexagon(6, 2.6 * MM)),
+    _pattern("Mini", "disc", 0.50, rows(9, 7, 1.9 * MM)),
 )
 _BY_NAME = {pattern.name: pattern for pattern in _PATTERNS}
 

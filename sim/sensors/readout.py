@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from recorder.markers import HEIGHT, WIDTH, draw_discs, pack
 from sim.arrays import Array
-from sim.markers import Camera, Pattern, Renderer
+from sim.markers import Camera, Pattern
 from sim.sensors.field import SurfaceField
 from sim.sensors.pins import tip_coverage
 from sim.sensors.sensor import CameraSignal, SimulatedSensor
@@ -89,6 +89,8 @@ class CameraReadout:
     def __init__(
         self, sensor: SimulatedSensor, signal: CameraSignal, seed: int | None, device: str
     ) -> None:
+        from sim.markers import Renderer
+
         self._signal, self._placement = signal, _placement(sensor, seed)
         self.camera = _framed(sensor, signal, seed)
         """The camera as mounted."""

@@ -93,7 +93,7 @@ OPTIONS = {
     "sim press --depths 1,1": "--depths[1]",
     "sim archive": "the following arguments are required: CONTENTS",
     "sim archive material --draws 2": "--draws: r6 has no posterior",
-    "sim archive digit": "sensor: 'digit'; allowed: array-i, array-ii, circle-i",
+    "sim archive digits": "sensor: 'digits'; allowed: array-i, array-ii, circle-i",
     "sim archive none.yaml": "none.yaml: no such file",
     "sim archive r6 --scale 2": "--scale: '2'; allowed: smoke, full, or above 0 to 1",
     "sim archive r6 --indenters egg": "--indenters: egg; allowed: sphere, sphere_s, hemisphere",
