@@ -30,11 +30,7 @@ Progress = Callable[[float], None]
 
 
 def simulate(
-    scene: Scene,
-    tier: Tier = Fem(),
-    *,
-    device: str = "cpu",
-    progress: Progress | None = None,
+    scene: Scene, tier: Tier = Fem(), *, device: str = "cpu", progress: Progress | None = None
 ) -> Result:
     """Simulate one scene; see `sim.plan` for a tolerance in place of a tier.
 

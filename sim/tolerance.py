@@ -209,11 +209,7 @@ class _Chain:
             precision = precision_for_finer(self.results[-1], numerics)
             numerics = replace(numerics, precision=precision)
         (outcome,) = simulate_fem(
-            [self._scene],
-            numerics,
-            device=self._device,
-            progress=progress,
-            required=self._required,
+            [self._scene], numerics, device=self._device, progress=progress, required=self._required
         )
         outcome = estimated(with_time(outcome, self.steps, numerics))
         if isinstance(outcome, SimulationDiverged):

@@ -23,10 +23,7 @@ SPACING = 0.05e-3
 
 @wp.kernel(enable_backward=False)
 def _cast(
-    start: wp.vec3,
-    mesh: wp.uint64,
-    direction: wp.array[wp.vec3],
-    material_out: wp.array[wp.vec3],
+    start: wp.vec3, mesh: wp.uint64, direction: wp.array[wp.vec3], material_out: wp.array[wp.vec3]
 ):
     k = wp.tid()
     query = wp.mesh_query_ray(mesh, start, direction[k], 1.0e3)

@@ -43,11 +43,7 @@ def force_scores(
 
 
 def pattern_rows(
-    archive: MarkerArchive,
-    split: Split,
-    translator: Translator,
-    most: int,
-    device: torch.device,
+    archive: MarkerArchive, split: Split, translator: Translator, most: int, device: torch.device
 ) -> Iterator[dict[str, Any]]:
     """Yield scores of pairs of patterns at some locations, before and after translation."""
     locations = split.locations(UNSEEN)

@@ -60,11 +60,7 @@ def measure(run: Run) -> list[dict[str, Any]]:
 
 
 def costs(
-    name: str,
-    model: ForceModel,
-    folder: Path,
-    variants: Sequence[tuple[str, str]],
-    count: int,
+    name: str, model: ForceModel, folder: Path, variants: Sequence[tuple[str, str]], count: int
 ) -> list[dict[str, Any]]:
     """Return the cost of running a model in each variant, on random frames.
 

@@ -74,11 +74,7 @@ LAYER = Truth()
 
 
 def observed(
-    skin: SimulatedSensor,
-    presses: PlannedPresses,
-    bench: Bench,
-    seed: int,
-    truth: Truth = LAYER,
+    skin: SimulatedSensor, presses: PlannedPresses, bench: Bench, seed: int, truth: Truth = LAYER
 ) -> PressTrack:
     """Return the track that a bench would record of a skin.
 

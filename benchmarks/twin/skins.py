@@ -10,16 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
-from benchmarks.twin.planted import (
-    FEM,
-    GAUGE,
-    LAYER,
-    Bench,
-    Truth,
-    observed,
-    random_skin,
-    usual,
-)
+from benchmarks.twin.planted import FEM, GAUGE, LAYER, Bench, Truth, observed, random_skin, usual
 from recorder.charts import BLUE, SOFT, chart
 from sim.cli.twin_plan import CHANGE
 from sim.errors import SimulationDiverged

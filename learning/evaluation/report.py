@@ -86,10 +86,7 @@ SEQUENCES, PRESSES = 3, 10
 
 
 def _force(
-    predictions: Sequence[Predictions],
-    rows: Sequence[ForceRow],
-    *,
-    seed: int,
+    predictions: Sequence[Predictions], rows: Sequence[ForceRow], *, seed: int
 ) -> dict[str, Any]:
     """Return the tables and pictures of forces; empty without predictions."""
     if not rows:

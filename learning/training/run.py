@@ -180,9 +180,7 @@ class RunFolder:
         return min(with_score)[1] if with_score else None
 
     def restore(
-        self,
-        models: Mapping[str, nn.Module],
-        training: Mapping[str, Any] | None = None,
+        self, models: Mapping[str, nn.Module], training: Mapping[str, Any] | None = None
     ) -> int:
         """Load the newest checkpoint into networks and optimisers; return the number of steps done.
 
@@ -264,11 +262,7 @@ class RunFolder:
 def _require_same(folder: Path, config: Config) -> None:
     there = read_config(folder)
     one, other = (
-        {
-            "kind": each.kind,
-            "settings": {**each.settings, "description": None},
-            "data": each.data,
-        }
+        {"kind": each.kind, "settings": {**each.settings, "description": None}, "data": each.data}
         for each in (there, config)
     )
     different = differing_keys(one, other)

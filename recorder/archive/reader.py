@@ -261,10 +261,7 @@ class MarkerArchive(Mapping[str, ArchivedSensor]):
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        storage_options: Mapping[str, Any] | None = None,
+        self, path: str | os.PathLike[str], *, storage_options: Mapping[str, Any] | None = None
     ) -> None:
         """Open an archive.
 

@@ -17,12 +17,7 @@ import numpy as np
 from recorder.errors import SessionError
 from recorder.store import images
 from recorder.store.files import TEMPORARY
-from recorder.store.journal import (
-    Journal,
-    JournalReader,
-    row_time,
-    write_journal,
-)
+from recorder.store.journal import Journal, JournalReader, row_time, write_journal
 from recorder.store.layout import ColumnLayout, StreamLayout
 from recorder.store.reader import GrowingReader
 from recorder.store.records import HEADER

@@ -112,11 +112,7 @@ def _simulated(scene: Scene, options: argparse.Namespace) -> Result:
         from sim.planning import plan
 
         within = plan(
-            scene,
-            options.tolerance,
-            seconds=options.seconds,
-            only=only,
-            device=options.device,
+            scene, options.tolerance, seconds=options.seconds, only=only, device=options.device
         )
         return within.run(progress=progress)
 

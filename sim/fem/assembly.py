@@ -43,14 +43,7 @@ from sim.fem.balance import (
     residual_kernel,
     work_kernel,
 )
-from sim.fem.contact import (
-    OVERLAPS,
-    POINTS,
-    STICK,
-    contact_kernels,
-    face_rule,
-    overlap_kernel,
-)
+from sim.fem.contact import OVERLAPS, POINTS, STICK, contact_kernels, face_rule, overlap_kernel
 from sim.fem.element import Branches, VolumePressure, element_kernels, split_factor
 from sim.fem.lanes import AT_ONCE, forces_kernel
 from sim.fem.matrix import HALF_POISSON, BlockMatrix

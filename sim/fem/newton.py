@@ -158,9 +158,7 @@ class Newton:
         self._check_convergence(chosen & ~self._predicting)
 
     def sweep(
-        self,
-        running: np.ndarray,
-        meanwhile: Callable[[Callable[[], bool]], None] | None = None,
+        self, running: np.ndarray, meanwhile: Callable[[Callable[[], bool]], None] | None = None
     ) -> None:
         """Run one iteration of the environments (B,) that are neither converged nor failed.
 

@@ -15,11 +15,7 @@ from sim.fem import ELEMENTS_DEFAULT, FINENESS_LEAST, Fem, Precision
 from sim.fem.assembly import damping_time
 from sim.fem.mesh import Mesh, meshes_of
 from sim.fem.outcome import checked, coarseness, more_wanted, required_by, wanted_of_overlap
-from sim.fem.sizing import (
-    Sizes,
-    coarser_than_required,
-    stages_of,
-)
+from sim.fem.sizing import Sizes, coarser_than_required, stages_of
 from sim.fem.stepping import Batch, Crossed, batch_key, path_of
 from sim.result import Outcome, Result, force_scale, with_beginning
 from sim.scene import Scene, beginning_of
@@ -177,11 +173,7 @@ def _without_finer(result: Result, failed: SimulationDiverged) -> Result:
 
 
 def _following(
-    scenes: Sequence[Scene],
-    sizes: Sequence[Sizes],
-    numerics: Fem,
-    device: str,
-    progress: _Onward,
+    scenes: Sequence[Scene], sizes: Sequence[Sizes], numerics: Fem, device: str, progress: _Onward
 ) -> tuple[list[Outcome], list[Sizes]]:
     """Solve presses on meshes that follow their contacts, rebuilt where the solution needs more.
 

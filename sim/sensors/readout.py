@@ -24,10 +24,7 @@ COVERED = 128
 
 
 def readout(
-    sensor: SimulatedSensor,
-    *,
-    seed: int | None = None,
-    device: str = "cpu",
+    sensor: SimulatedSensor, *, seed: int | None = None, device: str = "cpu"
 ) -> CameraReadout | TaxelReadout:
     """Return the readout of a sensor.
 

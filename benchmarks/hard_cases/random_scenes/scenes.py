@@ -155,12 +155,7 @@ def _speed(dice: Dice, effects: Effects) -> float:
 
 
 def _motion(
-    dice: Dice,
-    body: Body,
-    depth: float,
-    shear: float,
-    place: tuple[float, float],
-    effects: Effects,
+    dice: Dice, body: Body, depth: float, shear: float, place: tuple[float, float], effects: Effects
 ) -> Motion:
     """Return a press, a cycle, a hold, a shear and its return, or a slide; from the surface on.
 
