@@ -37,14 +37,7 @@ def add_settings(
     known: str | None = None,
     example: str = "over the preset",
 ) -> None:
-    """Add the options for a preset and for settings that override it.
-
-    Args:
-        parser: Parser of the command.
-        preset: Name of the default preset.
-        known: Help text of `--preset`; None: a general one.
-        example: Help text of `--set`.
-    """
+    """Add the options for a preset and for settings over it, with `known` and `example` as help."""
     parser.add_argument(
         "--preset",
         default=preset,

@@ -44,13 +44,9 @@ def preset_path(preset_dir: Path, name_or_path: str | Path) -> Path:
 def read_settings(
     kind: type[Settings], preset_dir: Path, name_or_path: str | Path, overrides: Sequence[str] = ()
 ) -> Settings:
-    """Read settings from a preset or a file and apply overrides.
+    """Read settings from a preset's name or a YAML file and apply overrides.
 
-    Args:
-        kind: Frozen dataclass to build.
-        preset_dir: Folder of the presets.
-        name_or_path: Name of a preset, or path of a YAML file.
-        overrides: `key=value` or `key.sub=value`, the value in YAML; later ones win.
+    These are `key=value` or `key.sub=value`, the value in YAML; later ones win.
     """
     path = preset_path(preset_dir, name_or_path)
     content = READER.read(path)

@@ -36,14 +36,7 @@ def write_sheet(
     columns: int,
     size: tuple[int, int] = (320, 240),
 ) -> None:
-    """Write rows of title, note and pictures.
-
-    Args:
-        rows: The rows.
-        out: File to write.
-        columns: Pictures in a row, at most.
-        size: Width and height of a picture [px].
-    """
+    """Write rows of title, note and pictures, `columns` at most, of a size (width, height) [px]."""
     height = HEAD + size[1] + CAPTION + GAP
     page = Image.new("RGB", (GAP + columns * (size[0] + GAP), GAP + len(rows) * height), PAPER)
     pen = ImageDraw.Draw(page)

@@ -56,12 +56,9 @@ class ForceErrors:
 
 
 def force_errors(true: Floats, predicted: Floats, spread: Floats) -> ForceErrors:
-    """Return the errors of predicted forces.
+    """Return the errors of predicted forces (n, 3) [N]; NaN is no label, or an axis without one.
 
-    Args:
-        true: Measured forces (n, 3) [N]; NaN is no label.
-        predicted: Predicted forces (n, 3) [N]; NaN on axes that the model does not predict.
-        spread: Standard deviation of the target's labels, of Fx, Fy, Fz and Ft (4,) [N].
+    `spread` is the standard deviation of the target's labels, of Fx, Fy, Fz and Ft (4,) [N].
     """
     comparable = _comparable(true, predicted)
     measured, estimated = with_magnitude(true), with_magnitude(predicted)

@@ -32,13 +32,9 @@ def plugin_identity(name: str) -> str:
 def load_plugin(
     name: str, interface: type[Any], *, folder: Path | None = None, device: str = "cpu"
 ) -> Any:
-    """Return a model of another package.
+    """Return a model of another package by its entry point's name, checked to be an `interface`.
 
-    Args:
-        name: Name of its entry point.
-        interface: Protocol that it must have, checked at run time.
-        folder: Folder of the trained model; None: one that needs none.
-        device: Device to compute on.
+    `folder` is that of the trained model, if it needs one.
     """
     entry = _entry_point(name)
     try:

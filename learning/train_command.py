@@ -29,18 +29,13 @@ def run_training(
     reading: str = "images",
     metadata: Mapping[str, Any] | None = None,
 ) -> None:
-    """Begin or resume a run, train, and print the result.
+    """Begin or resume a run in `out`, train, and print the result.
 
-    Args:
-        out: Folder of the run.
-        kind: Kind of the model.
-        settings: Settings of the training; `launch` selects device and precision.
-        data: Words that identify the training data, joined to its fingerprint.
-        train: Reads the data, trains, and finishes the run unless it was stopped. Returns lines to
-            print at the end, or None for the default line.
-        split: Split of the presses; it is written to `split.json` in the run's folder.
-        reading: Name of the items that are counted while data is read.
-        metadata: Values known before training that are needed to use the model.
+    `data` are words that identify the training data, joined to its fingerprint. `train` reads the
+    data, trains, and finishes the run unless it was stopped; it returns lines to print at the end,
+    or None for the default line. The split is written to `split.json`; `reading` names the items
+    that are counted while data is read; `metadata` is what is known before training and needed to
+    use the model.
     """
     launched = accelerator(settings.launch)
     writes = launched.is_main_process

@@ -48,12 +48,9 @@ class Workers:
     ) -> None:
         """Prepare the pool; no process is started yet.
 
-        Args:
-            processes: Largest number of processes.
-            begin: Called by each worker before its first call.
-            arguments: Arguments of `begin`.
-            patient: If true, calls that have begun always run to their end.
-            fewer: Suggested remedy if a worker was killed for lack of memory.
+        Each worker calls `begin` with `arguments` before its first call. If `patient`, calls that
+        have begun always run to their end. `fewer` is the remedy to suggest if a worker was killed
+        for lack of memory.
         """
         self.processes = processes
         self._context, self._patient, self._fewer = _Spawning(), patient, fewer

@@ -467,11 +467,8 @@ def joints_spec(rate_hz: float, *, name: str, joints: int = 6, **attrs: Any) -> 
 def events_spec(*, name: str, length: int = 256, rate_hz: float = 1.0, **attrs: Any) -> StreamSpec:
     """Return a stream of text events; `event_text` and `event_row` convert between text and rows.
 
-    Args:
-        name: Name of the stream.
-        length: Longest text [bytes of UTF-8].
-        rate_hz: Expected number of events per second.
-        attrs: Stored with the stream.
+    `length` is that of the longest text [bytes of UTF-8]; `rate_hz` the expected number of events
+    per second.
     """
     value = Column(
         "value",

@@ -118,12 +118,9 @@ def _with_error(value: float | None, error: float | None, factor: float, unit: s
 def effects_table(
     scene: Scene, *, device: str = "cpu", progress: Callable[[float], None] | None = None
 ) -> EffectsTable:
-    """Return the changes by each effect: of force, markers and time.
+    """Return the changes by each effect of a scene: of force, markers and time.
 
-    Args:
-        scene: Scene with the effects in question.
-        device: Device of the coarse mesh, `cpu` or `cuda:0` and the like.
-        progress: Called with the fraction done, 0 to 1.
+    They are solved on a coarse mesh; `progress` is called with the fraction done, 0 to 1.
 
     Raises:
         SceneError: The device does not exist, or `scene` is no Scene.

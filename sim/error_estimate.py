@@ -319,14 +319,10 @@ def _weighed(result: Result, fraction: Array) -> Array:
 def error_entry(
     result: Result, status: str, fraction: Array, by: str, **more: Any
 ) -> dict[str, Any]:
-    """Return the entry `record["error"]` of a result.
+    """Return the entry `record["error"]` of a result, with `more`.
 
-    Args:
-        result: Result that the error belongs to.
-        status: `measured` or `estimated`.
-        fraction: Error of the force of each frame (F,), over the force.
-        by: Method, in words.
-        more: Further entries.
+    The status is `measured` or `estimated`, the error of the force of each frame (F,) a fraction of
+    the force; `by` names the method in words.
     """
     fraction = np.minimum(np.maximum(fraction, vanishing_share(result)), 1.0)
     return {
@@ -528,15 +524,10 @@ def _mirrored(scene: Scene, normal: Normal) -> int:
 def asymmetry(indenter: Indenter, normal: Normal, reach: float, across: float) -> float:
     """Return the difference of an indenter's surface from its image in a plane through its tip [m].
 
-    The plane is vertical. The result is the largest difference of the signed distances at points
-    and their images, among those closer to the surface than `reach`; or at only a few of them, if
-    those already differ too much.
-
-    Args:
-        indenter: Indenter with the surface.
-        normal: Unit normal (x, y) of the plane.
-        reach: Largest height of the points [m].
-        across: Largest distance of the points from the tip [m].
+    The plane is vertical, with the unit normal (x, y). The result is the largest difference of the
+    signed distances at points and their images, among those closer to the surface than `reach` [m],
+    their largest height, and within `across` [m] of the tip; or at only a few of them, if those
+    already differ too much.
     """
     sides = np.abs(indenter.bounds_below(reach)[:2]).max(axis=1)
     half, difference = np.minimum(sides, across), math.inf

@@ -37,12 +37,8 @@ class FrameSurface:
 def surface_of(result: Result, frame: int, y: Array | None = None) -> FrameSurface:
     """Return the surface of one frame, refined so that a coarse mesh looks smooth.
 
-    The linear `layer` tier computes contact at undeformed positions, so its points are drawn there.
-
-    Args:
-        result: Result with the surface.
-        frame: Number of the frame.
-        y: Undeformed y of the points (m,) [m]; None: all of the body.
+    The linear `layer` tier computes contact at undeformed positions, so its points are drawn there:
+    at undeformed `y` (m,) [m], or all of the body.
     """
     body, along = result.scene.body, (result.surface_x, result.surface_y)
     fine = _refined(along[0]), _refined(along[1]) if y is None else y

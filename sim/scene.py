@@ -123,9 +123,7 @@ class Body:
     def fractions(self, x: Places, y: Places) -> Array:
         """Return the exact fraction of each cell that the footprint covers (X - 1, Y - 1).
 
-        Args:
-            x: Edges of the cells along x (X,) [m], rising.
-            y: Edges of the cells along y (Y,) [m], rising.
+        The edges of the cells are at x (X,) and y (Y,) [m], rising.
         """
         u, v = (
             np.clip(edges / (size / 2), -1.0, 1.0)

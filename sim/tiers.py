@@ -218,10 +218,7 @@ SECONDS_ITERATION, ITERATIONS = 6e-6, 8
 def seconds_of(scene: Scene, tier: Layer | Fem, mesh: Mesh | None = None) -> float:
     """Return the approximate CPU time of one scene [s]; most take one to six times as long.
 
-    Args:
-        scene: Scene to simulate.
-        tier: Tier and its settings.
-        mesh: Mesh of `Fem`, if it is already built.
+    The mesh of `Fem` is that given, if it is already built.
     """
     if isinstance(tier, Layer):
         return SECONDS_LAYER + SECONDS_LAYER_FRAME * len(scene.motion)

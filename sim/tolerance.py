@@ -386,10 +386,6 @@ def replay(result: Result, *, device: str = "cpu") -> Result:
 
     On the same device its numbers are bit for bit the same, however busy the machine is.
 
-    Args:
-        result: Result with a plan.
-        device: Device on which meshes are solved.
-
     Raises:
         SceneError: The result has no plan.
     """
@@ -534,15 +530,10 @@ def _of_layer(
 def extrapolated(
     coarse: Result, fine: Result, wanted: Tolerance, floor: float
 ) -> tuple[Result, float]:
-    """Return `fine` with the forces extrapolated from both meshes, and its error.
+    """Return `fine` with the forces extrapolated from both meshes, and its error as a tolerance.
 
-    Displacement and traction stay those of the finer mesh.
-
-    Args:
-        coarse: Result on a coarser mesh.
-        fine: Result on a finer one.
-        wanted: Tolerance in whose unit the error is returned.
-        floor: Least stated error of the force, over the force.
+    Displacement and traction stay those of the finer mesh. `floor` is the least stated error of the
+    force, over the force.
     """
     ratio = elements_ratio(coarse, fine)
     left = left_of_difference(ratio)

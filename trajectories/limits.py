@@ -53,15 +53,10 @@ class DryRun:
 
 
 def move_duration(length: float, speed: float, acceleration: float) -> float:
-    """Return the duration of a move from rest to rest [s].
+    """Return the duration of a move from rest to rest [s]; length [m], speed [m/s].
 
-    Speed rises at `acceleration`, stays at `speed` and falls at `acceleration`; a move shorter than
-    speed^2 / acceleration never reaches `speed`.
-
-    Args:
-        length: Length of the move [m].
-        speed: Highest speed [m/s].
-        acceleration: Acceleration and deceleration [m/s^2].
+    Speed rises at `acceleration` [m/s^2], stays at `speed` and falls at `acceleration`; a move
+    shorter than speed^2 / acceleration never reaches `speed`.
     """
     if length <= speed * speed / acceleration:
         return 2 * math.sqrt(length / acceleration)
@@ -71,11 +66,7 @@ def move_duration(length: float, speed: float, acceleration: float) -> float:
 def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> DryRun:
     """Dry-run `plan` and compare every point with `limits`.
 
-    Args:
-        plan: Plan to check.
-        limits: Limits to check against.
-        speed: Speed of the recorded moves [m/s].
-        acceleration: Acceleration of the recorded moves [m/s^2].
+    Speed [m/s] and acceleration [m/s^2] are those of the recorded moves.
     """
     points: list[Point] = []
     recorded = unrecorded = 0.0

@@ -86,10 +86,8 @@ def down_and_up(target: Target, end: Point | None = None) -> tuple[Move, ...]:
 def dome_height(radius: float | None, x: float, y: float) -> float:
     """Return the height of a sensor's undeformed top at (x, y) [m], 0 at the centre.
 
-    Args:
-        radius: Radius of the spherical top, its apex at the origin [m]; None: flat.
-        x: Place in the contact frame [m]; beyond the dome the height is that of its rim.
-        y: Place in the contact frame [m].
+    Its top is spherical, or flat without a radius, its apex at the origin of the contact frame;
+    beyond the dome the height is that of its rim.
     """
     if radius is None:
         return 0.0

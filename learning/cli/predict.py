@@ -78,13 +78,8 @@ def predicted(
 ) -> tuple[Predictions, list[str]]:
     """Return the forces that a model predicts on some presses of a sensor, and lines about them.
 
-    Args:
-        name_or_folder: As for `load_force_model`.
-        archive: Frames of the sensor.
-        sensor_name: Name of the sensor; None: the model's target, or the only one.
-        split_file: Roles of presses; None: those of the model's training, else of the archive.
-        roles: Roles of the presses.
-        device: Device of the model.
+    `name_or_folder` is as for `load_force_model`. Without a name the sensor is the model's target,
+    or the only one; without a file the split is that of the model's training, else of the archive.
     """
     from learning.data.presses import load_presses
     from learning.data.splits import SPLIT, training_split

@@ -289,11 +289,9 @@ def find_compensation(
 ) -> tuple[StoredCompensation, ArchivePriors]:
     """Find compensations between an archive's sensors; return them with their curves.
 
-    Args:
-        archive: The archive.
-        pairs: Sources and targets; None: all pairs of sensors with a prior.
-        curves: Sources of force-depth curves in addition to the archive's rows.
-        split: File of a split, whose training presses count; None: labels of all seen indenters.
+    `pairs` are sources and targets, by default all with a prior; `curves` are sources in addition
+    to the archive's rows. Labels are those of a split's training presses, without one of all seen
+    indenters.
     """
     gathered = gather_priors(archive, curves)
     wanted = _pairs_of(archive, gathered, pairs)

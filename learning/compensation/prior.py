@@ -195,18 +195,11 @@ def fit_prior(measured: ForceDepthCurve, depth_range: float | None = None) -> Pr
 def prior_of_coefficients(
     sensor: str, coefficients: Compensation, *, depth_range: float, per_mm: bool, source: str
 ) -> Prior:
-    """Return a prior with published coefficients.
+    """Return a prior with published coefficients, whose depth 1 is `depth_range` [m].
 
-    A negative force at the end of the range is taken as a gauge with negative compression: signs
-    are flipped.
-
-    Args:
-        sensor: Name of the sensor.
-        coefficients: Polynomials for loading and unloading, highest power first.
-        depth_range: Depth that counts as 1 [m].
-        per_mm: True if they are of depth in mm (material test); else of its fraction of the range
-            (heterogeneous test).
-        source: Description of their origin.
+    They are of depth in mm (`per_mm`, the material test) or of its fraction of the range
+    (heterogeneous test). A negative force at the end of the range is taken as a gauge with negative
+    compression: signs are flipped. `source` describes their origin.
     """
     unit = depth_range * 1e3 if per_mm else 1.0
     loading, unloading = _converted(coefficients.down, unit), _converted(coefficients.up, unit)

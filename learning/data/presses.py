@@ -313,12 +313,10 @@ class ForceRange:
 
     @classmethod
     def from_training(cls, wrench: Any, *, margin: float = 0.0) -> Self:
-        """Return the range of forces (n, 3) or wrenches (n, 6) [N], an array or a tensor.
+        """Return the range of forces (n, 3) or wrenches (n, 6) [N]; NaN is no label.
 
-        Args:
-            wrench: Labels of the training split; NaN is no label.
-            margin: Fraction of the range to add at both ends, as a sigmoid never reaches its
-                limits.
+        `margin` is the fraction of the range to add at both ends, as a sigmoid never reaches its
+        limits.
         """
         forces: NDArray[np.float64] = np.asarray(
             wrench.cpu() if hasattr(wrench, "cpu") else wrench, np.float64

@@ -178,18 +178,11 @@ def make_split(
     seed: int = 0,
     unseen: Sequence[str] | None = None,
 ) -> Split:
-    """Split the presses of an archive.
+    """Split the presses of a complete archive; the seed and the presses alone determine it.
 
-    Each fraction is taken evenly from the seen indenters; unless it is 0, it has at least one
-    press.
-
-    Args:
-        archive: A complete archive.
-        validation: Fraction of the presses of seen indenters.
-        new_press: Fraction of the presses of seen indenters.
-        held_out_sensors: Names of sensors that no model may be trained on.
-        seed: Seed of the choice, which depends on nothing else but the presses.
-        unseen: Indenters that no model may be trained on; None: the archive's list.
+    `validation` and `new_press` are fractions of the presses of seen indenters, each taken evenly
+    from them, at least one press unless it is 0. No model may be trained on held-out sensors and on
+    `unseen` indenters, by default the archive's.
     """
     for name, fraction in (("validation", validation), ("new_press", new_press)):
         if not 0 <= fraction < 1:

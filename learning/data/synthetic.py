@@ -63,9 +63,8 @@ class Patterns:
     def draw(self, places: Tensor) -> Tensor:
         """Draw images (n, 1, h, w) in 0..1 of the material at given places.
 
-        Args:
-            places: Column and row before contact of the material at each pixel [px of 640 x 480],
-                (n or 1, 2, h, w).
+        These are column and row before contact of the material at each pixel [px of 640 x 480], (n
+        or 1, 2, h, w).
         """
         count = len(self)
         centre = places.new_tensor([(WIDTH - 1) / 2, (HEIGHT - 1) / 2])

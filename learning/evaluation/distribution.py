@@ -338,10 +338,8 @@ MARKER_GRID = Extractor(GRID, _marker_grid)
 def load_extractor(name_or_path: str, device: str = "cpu") -> Extractor:
     """Load an extractor of features.
 
-    Args:
-        name_or_path: `marker-grid`; the folder of a trained marker VAE; or the file
-            pt_inception-2015-12-05-6726825d.pth, for FID and KID.
-        device: Device of networks.
+    It is `marker-grid`, the folder of a trained marker VAE, or the file
+    pt_inception-2015-12-05-6726825d.pth, for FID and KID.
     """
     if name_or_path in ("marker-grid", GRID):
         return MARKER_GRID

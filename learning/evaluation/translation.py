@@ -110,18 +110,12 @@ def endpoint_errors(
     lattice: Lattice,
     smallest_px: int = SMALLEST_PX,
 ) -> Floats:
-    """Return the offsets of markers from their true displaced positions (m, 2) [px].
+    """Return the offsets of markers of frames from their true displaced positions (m, 2) [px].
 
     This is the end-point error of optical flow, at the markers: a marker at p in the image without
     contact belongs at p + d(p). A curved marker's centre deviates slightly from that; the error of
-    true frames shows by how much.
-
-    Args:
-        evaluated: Evaluated frames (n, 480, 640).
-        reference: Image of their sensor without contact (480, 640).
-        displacement: True displacement in each frame (n, rows, columns, 2) [px].
-        lattice: Lattice of the displacement.
-        smallest_px: Patches of fewer pixels are ignored.
+    true frames shows by how much. Frames are (n, 480, 640), their true displacement (n, rows,
+    columns, 2) [px] on the lattice; patches of fewer than `smallest_px` pixels are ignored.
     """
     rest, blobs = find_blobs(reference[None], smallest_px), find_blobs(evaluated, smallest_px)
     _, centres = _centres(blobs.only(blobs.whole), len(evaluated))

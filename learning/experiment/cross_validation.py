@@ -42,16 +42,10 @@ class Fold:
 def folds(
     archive: MarkerArchive, sensor: str, settings: ForceModelSettings, progress: ReportItems
 ) -> Iterator[Fold]:
-    """Train and predict with each indenter of a sensor left out in turn.
+    """Train and predict with each indenter of a labelled sensor left out in turn.
 
     The number of epochs is that of the settings: no press of the indenter that is left out chooses
     anything.
-
-    Args:
-        archive: A complete archive.
-        sensor: One of its sensors, with labels.
-        settings: Settings of the force model.
-        progress: Called with the number of folds done and in total.
     """
     one = archive[sensor]
     table = one.table

@@ -45,16 +45,10 @@ def run_experiment(
 ) -> Report:
     """Run or continue an experiment and return its report.
 
-    Args:
-        places: Archive with frames of all sensors, labels and force-depth presses; folder of all
-            results.
-        settings: Settings of models and amount of data.
-        pairs: `SOURCE:TARGET`; None: all directed pairs.
-        device: Device of training and translation.
-        processes: Number of processes that track markers.
-        jobs: Number of tasks at once, each in its own process; 1: all in this process.
-        say: Called with a line for each completed part.
-        where: Place of the settings in errors, such as their file.
+    Its archive has frames of all sensors, labels and force-depth presses. `pairs` are
+    `SOURCE:TARGET`, by default all directed ones; `jobs` tasks run at once, each in its own process
+    if there are several, `processes` track markers. `say` is called with a line for each completed
+    part; `where` is the place of the settings in errors.
     """
     if jobs < 1:
         raise LearningError(f"--jobs: found {jobs}; allowed: 1 or more")
@@ -90,9 +84,6 @@ def gained(rows: Sequence[ForceRow]) -> str:
     """Return R2 on unseen indenters before and after, means over pairs, axes and translators.
 
     "After" is the last method that needs no label of the target.
-
-    Args:
-        rows: Errors of an experiment's pairs.
     """
     if not rows:
         return "no labels to compare with"

@@ -48,13 +48,10 @@ _GATES = tuple(f"convgru.layers.0.{name}." for name in ("convz", "convr"))
 
 
 def import_force_weights(file: Path, out: Path, *, marker_value: float = 1.0) -> ForceModel:
-    """Write a run folder with one of the authors' force models, and return it.
+    """Write a run folder with one of the authors' force models, a `.pth` file, and return it.
 
-    Args:
-        file: Their `.pth` file.
-        out: Folder to write.
-        marker_value: Value of a marker in their training images: 1, or 1/255 in their code for
-            homogeneous and material sensors.
+    `marker_value` is the value of a marker in their training images: 1, or 1/255 in their code for
+    homogeneous and material sensors.
     """
     tensors = _read(file)
     network = _network(file, tensors)

@@ -46,13 +46,9 @@ def train_batched(
     *,
     start_from: ForceModel | None = None,
 ) -> list[ForceModel] | None:
-    """Train one force model per sensor and return them; None if stopped.
+    """Train one force model per sensor, on the same presses, and return them; None if stopped.
 
-    Args:
-        presses: The same presses as shown by each sensor, on the device of the training.
-        settings: Settings of the network and its training; `launch` sets the precision.
-        session: Who stops and watches the training; None: nobody.
-        start_from: A model with the same network, for the initial weights.
+    `start_from` is a model with the same network, for the initial weights.
     """
     if settings.input.alone:
         presses = [each.each_frame_alone() for each in presses]

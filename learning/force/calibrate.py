@@ -71,15 +71,9 @@ def calibrated(
     calibrates: Mask,
     learned: Mask,
 ) -> IntervalCalibration:
-    """Return the intervals of a model of a sensor.
+    """Return the intervals of a model of a sensor, by comparison with expected forces.
 
-    Args:
-        archive: Presses of the sensor.
-        sensor: Its name.
-        model: Its model.
-        expected: Forces to compare with.
-        calibrates: True for the rows (n,) of the table that calibrate, which it did not learn from.
-        learned: True for rows (n,) that it learned from.
+    Rows of its table (n,) that calibrate are disjoint from those that the model learned from.
     """
     own = archive[sensor]
     names = np.array(archive.indenters)[own.table["indenter"]]

@@ -40,12 +40,10 @@ class OneFrame(nn.Module):
     def forward(
         self, frame: Tensor, state: Tensor, reference: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Return force (n, 3) N and the next state.
+        """Return force (n, 3) N and the next state, of a frame and a state (n, channels, h, w).
 
-        Args:
-            frame: Stored frame (n, 256, 256) uint8 or (n, 3, 32, 32) float32.
-            state: State (n, channels, h, w).
-            reference: Image (n, 256, 256) uint8 without contact, if the model needs it.
+        The frame is (n, 256, 256) uint8 or (n, 3, 32, 32) float32; the reference, if the model
+        needs it, is an image (n, 256, 256) uint8 without contact.
         """
         kind = next(self.model.parameters()).dtype
         prepared = prepare(frame, reference, self.model.inputs)

@@ -25,14 +25,10 @@ _TIMEOUT_S = 30.0
 
 
 def model_folder(name: str | os.PathLike[str]) -> Path:
-    """Return the folder of a force model.
+    """Return the folder of a force model: a folder, the web address of one, or the `demo`.
 
     A model of a web address is copied to `models/NAME` first, unless it is there. Weights are
     safetensors, so no code in them runs.
-
-    Args:
-        name: A folder, the web address of one, or the name of a model that is installed with the
-            package: `demo`.
     """
     text = os.fspath(name)
     if text.startswith(("http://", "https://")):

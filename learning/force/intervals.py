@@ -300,17 +300,12 @@ def measured_scale(
 ) -> tuple[float, Scale]:
     """Return the factor on predicted forces, and its remaining uncertainty.
 
-    The factor is the geometric mean of true over predicted forces, each with the inverse square
-    of its relative error as weight: where errors grow with the force, the strongest counts no
-    more than others. Prior and measurement are combined by their precision (both are log-normal):
-    weights that are too light for the model to see change little.
-
-    Args:
-        samples: True and predicted forces.
-        prior: Factor as known so far.
-        source: Source of the knowledge, then.
-        independent: Number of presses with an error of their own. Weights on one indenter have the
-            same error, which does not average out: 1.
+    The factor is the geometric mean of true over predicted forces, each with the inverse square of
+    its relative error as weight: where errors grow with the force, the strongest counts no more
+    than others. Prior and measurement are combined by their precision (both are log-normal):
+    weights that are too light for the model to see change little. `independent` is the number of
+    presses with an error of their own: weights on one indenter have the same error, which does not
+    average out. `source` names the source of what is then known.
     """
     if not samples:
         raise LearningError("weights: found none; allowed: one or more")

@@ -83,15 +83,11 @@ class LabelSource:
 def label_source(
     name: str | None, archive: MarkerArchive, sensors: Sequence[str], pair: str | None = None
 ) -> LabelSource:
-    """Return the labels of a training by their name.
+    """Return the labels of a training by their name; None: the archive's labels.
 
-    Args:
-        name: A CSV of readings, `twin`, the archive of the target of a pair with forces of its
-            twin, or FILE.json or FILE.json:CHOICE of `tactile compensate`; None: the archive's
-            labels.
-        archive: Archive of the training.
-        sensors: Sensors that are trained on.
-        pair: A-to-B, labels of A for B; None: as the name of the only sensor says.
+    A name is a CSV of readings, `twin`, the archive of the target of a pair with forces of its
+    twin, or FILE.json or FILE.json:CHOICE of `tactile compensate`. `pair` is A-to-B, labels of A
+    for B, by default as the name of the only sensor says.
     """
     if name is None:
         if pair is not None:

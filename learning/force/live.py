@@ -216,14 +216,10 @@ class LivePredictor:
         intervals: Intervals | None = None,
         before: ForceStream | None = None,
     ) -> None:
-        """Create a predictor without a reference.
+        """Create a predictor, which takes its reference from `start_frames` without contact.
 
-        Args:
-            network: Stream of the force model.
-            chosen: Preset for finding markers in pictures or drawing them from taxels.
-            start_frames: Number of frames without contact for the reference.
-            intervals: Intervals of the model.
-            before: Stream of another model, whose forces are shown beside.
+        The preset finds markers in pictures or draws them from taxels; `before` is the stream of
+        another model, whose forces are shown beside.
         """
         if start_frames < 1:
             raise LearningError(f"start_frames: found {start_frames}; allowed: 1 or more")
@@ -249,8 +245,7 @@ class LivePredictor:
     def begin(self, frames: NDArray[Any]) -> None:
         """Take the reference from frames without contact, and forget all earlier frames.
 
-        Args:
-            frames: Pictures (n, h, w, 3) uint8, RGB, or counts of taxels (n, 16, 3).
+        Frames are pictures (n, h, w, 3) uint8, RGB, or counts of taxels (n, 16, 3).
         """
         if not len(frames):
             raise LearningError("frames without contact: found none; allowed: one or more")
@@ -262,10 +257,9 @@ class LivePredictor:
         self._first.clear()
 
     def step(self, frame: Frame) -> LiveForce | None:
-        """Return the force of the next frame; None while the reference is being taken.
+        """Return the force of the next picture (h, w, 3) uint8, RGB, or counts of taxels (16, 3).
 
-        Args:
-            frame: Picture (h, w, 3) uint8, RGB, or counts of taxels (16, 3).
+        None while the reference is being taken.
         """
         if self._contact is None:
             self._first.append(np.array(frame))
@@ -308,16 +302,11 @@ def open_live(
     preset_name: str | None = None,
     threads: int = 0,
 ) -> LivePredictor:
-    """Return the predictor of a finished force model.
+    """Return the predictor of a finished force model, named as for `load_force_model`.
 
-    Args:
-        model: As for `load_force_model`; intervals in its folder are read.
-        before: Another model, whose forces are shown beside.
-        runtime: One of an exported model, `torch`, or `auto`: ONNX Runtime if the model was
-            exported, else torch. A model of another package without a folder needs torch.
-        sensor: Name of the sensor, which determines the preset of a model of markers.
-        preset_name: Name or YAML file of the preset, instead of `sensor`.
-        threads: Number of threads; 0: default of the runtime.
+    `before` is another model, whose forces are shown beside. The runtime is that of an exported
+    model, `torch`, or `auto`: ONNX Runtime if the model was exported, else torch. The preset of a
+    model of markers is that of the sensor, or `preset_name`, a name or a YAML file.
 
     Raises:
         LearningError: The model or preset does not exist, or the sensor has no preset.

@@ -365,10 +365,6 @@ class ForceModel(nn.Module):
     ) -> NDArray[np.float64]:
         """Return forces (N, 3) N of all frames; every press starts from the initial state.
 
-        Args:
-            presses: Images, or marker fields if the model takes those.
-            progress: Called with the number of frames done and the total.
-
         Raises:
             LearningError: The presses have another form than the model takes.
         """
@@ -456,11 +452,9 @@ def stored_shape(inputs: InputSettings) -> tuple[int, ...]:
 def prepare(frames: Tensor, references: Tensor | None, inputs: InputSettings) -> Tensor:
     """Convert stored frames to network inputs (n, planes, side, side), float.
 
-    Args:
-        frames: Images (n, 256, 256) uint8, or marker fields (n, 3, 32, 32) float: dx, dy [px of
-            the 640 x 480 image] and the change of the logarithm of a marker's area.
-        references: Images without contact (n, 256, 256) uint8, if the form needs them.
-        inputs: Settings of the network input.
+    Frames are images (n, 256, 256) uint8, with references of that shape if the form needs them, or
+    marker fields (n, 3, 32, 32) float: dx, dy [px of the 640 x 480 image] and the change of the
+    logarithm of a marker's area.
     """
     require_stored(frames, inputs, "frames")
     if inputs.form == "field":
@@ -537,10 +531,8 @@ def load_force_model(
 ) -> ForceModel:
     """Load a trained model, in evaluation mode: ours, or one of another package.
 
-    Args:
-        name_or_folder: The folder of a finished run, its web address, `demo`, or the name of an
-            installed package's model that needs no folder.
-        device: Device of the model.
+    It is the folder of a finished run, its web address, `demo`, or the name of an installed
+    package's model that needs no folder.
 
     Raises:
         LearningError: Not such a folder, a model of another kind, or weights that do not fit.

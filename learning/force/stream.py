@@ -51,10 +51,7 @@ class ForceStream:
         self._state = np.zeros(inputs.state, np.float32)
 
     def reset(self, reference: Array | None = None) -> None:
-        """Reset the state, as at no contact, and optionally replace the reference.
-
-        Args:
-            reference: Image (256, 256) uint8 of the sensor without contact.
+        """Reset the state, as at no contact, and optionally replace the reference (256, 256) uint8.
 
         Raises:
             LearningError: The reference has another shape or type.
@@ -64,10 +61,7 @@ class ForceStream:
         self._state = np.zeros(self.inputs.state, np.float32)
 
     def step(self, frame: Array) -> NDArray[np.float64]:
-        """Return the force (3,) N of the next frame.
-
-        Args:
-            frame: Image (256, 256) uint8, or marker field (3, 32, 32) float32.
+        """Return the force (3,) N of the next frame (256, 256) uint8, or field (3, 32, 32).
 
         Raises:
             LearningError: The frame has another shape or type, or the reference is missing.
@@ -104,12 +98,9 @@ class ForceStream:
 def open_exported(
     path: str | os.PathLike[str], *, runtime: str = RUNTIMES[0], threads: int = 0
 ) -> ForceStream:
-    """Return a stream that runs an exported model.
+    """Return a stream that runs an exported model: `model.onnx`, or the folder that has one.
 
-    Args:
-        path: `model.onnx`, or the folder of a model that has one.
-        runtime: One of `RUNTIMES`.
-        threads: Number of threads; 0: default of the runtime.
+    With `threads` 0 their number is the runtime's default.
 
     Raises:
         LearningError: The file or runtime does not exist, the model is of another kind, or the

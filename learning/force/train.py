@@ -147,12 +147,7 @@ class ForceModelSettings:
 
 
 def read_force_settings(preset: str, overrides: Sequence[str] = ()) -> ForceModelSettings:
-    """Return the settings of a preset; with `plugin`, network and input are that model's.
-
-    Args:
-        preset: Name of a preset, or a YAML file.
-        overrides: `key=value` or `key.sub=value`, the value in YAML.
-    """
+    """Return the settings of a preset or YAML file; a `plugin` determines network and input."""
     settings = read_settings(ForceModelSettings, PRESETS, preset, overrides)
     if settings.plugin is None:
         return settings
@@ -350,11 +345,8 @@ def error(
 ) -> Tensor:
     """Return the mean absolute error of forces (b, s, 3) over labels of valid frames (eq. 5).
 
-    Args:
-        predicted: Predicted forces, normalised to the force range.
-        wanted: True forces, likewise; NaN is no label and adds neither error nor gradient.
-        lengths: Number of valid frames of each sequence (b,); None: all.
-        weights: Weights of the labels (b, s, 3); None: equal.
+    Forces are normalised to the force range; NaN is no label and adds neither error nor gradient.
+    `lengths` (b,) are the numbers of valid frames, `weights` (b, s, 3) those of labels.
     """
     counted = ~wanted.isnan()
     if lengths is not None:
@@ -428,17 +420,13 @@ def train_force(
     validation: Presses | Sequence[Presses] = (),
     start_from: ForceModel | None = None,
 ) -> ForceModel:
-    """Train a force model and return it in evaluation mode.
+    """Train a force model on presses of one or several sensors and return it in evaluation mode.
 
-    Args:
-        presses: Training presses of one or several sensors. They stay on their device; presses on
-            the GPU avoid a copy at every step.
-        settings: Settings of the model and its training.
-        session: Surroundings of the training; None: in memory, on the device of the settings. A
-            stop is looked for before every step; training is then saved.
-        validation: Presses that determine the end of a stage and the weights to keep; those of
-            sensors without a label among them are left out.
-        start_from: A model with the same network, for the initial weights.
+    Presses stay on their device; on the GPU that avoids a copy at every step. Without a session the
+    training is in memory, on the device of the settings; a stop is looked for before every step,
+    training is then saved. Validation presses determine the end of a stage and the weights to keep;
+    those of sensors without a label are left out. `start_from` is a model with the same network,
+    for the initial weights.
     """
     session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on, device = session.run, session.accelerator, session.device

@@ -469,17 +469,11 @@ def fields_of_presses(
 ) -> NDArray[np.floating[Any]]:
     """Compute the fields of all frames: displacement as float16, maps as float32.
 
-    Args:
-        packed: Returns the packed masks (m, 38400) of the frames from a first to before an end;
-            frames are numbered press by press, in order of time.
-        starts: First frame of each press, and the number of frames (p + 1,).
-        references: Packed masks without contact (k, 38400).
-        reference: Row of `references` for each frame (n,); constant within a press.
-        form: Kind of fields.
-        source: View of the frames; None: the target's.
-        target: View of the sensor whose image a displacement is for.
-        processes: Number of processes.
-        progress: Called with the number of frames done and in total.
+    `packed` returns the packed masks (m, 38400) of the frames from a first to before an end,
+    numbered press by press in order of time; `starts` (p + 1,) has the first frame of each press,
+    and the number of frames. Each frame has a row of `references` (k, 38400), constant within a
+    press. `source` is the view of the frames, by default that of `target`, whose image a
+    displacement is for.
     """
     total, done = int(starts[-1]), 0
     shape = LATTICE.shape if form == "displacement" else (3, MAP_SIDE, MAP_SIDE)

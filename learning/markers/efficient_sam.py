@@ -60,12 +60,9 @@ class EfficientSam:
     def refined(
         self, view: NDArray[np.uint8], mask: NDArray[np.bool_], box_px: int
     ) -> NDArray[np.bool_]:
-        """Return the union (480, 640) of the model's masks for boxes around markers.
+        """Return the union (480, 640) of the model's masks for boxes around markers, for RGB.
 
-        Args:
-            view: The picture (480, 640, 3), RGB.
-            mask: Rough masks of the markers.
-            box_px: Half the side of a box around a marker's centre.
+        `mask` is a rough one; `box_px` is half the side of a box around a marker's centre.
 
         Raises:
             LearningError: The model's outputs are not masks of the picture's size.

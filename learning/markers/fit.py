@@ -107,9 +107,8 @@ def fit_preset(
 ) -> tuple[CameraPreset, Pattern]:
     """Return a preset for the sensor of pictures without contact (h, w, 3) RGB, and its markers.
 
-    Args:
-        pictures: One or more, without contact; their median is used.
-        pitch_mm: Distance between neighbouring markers [mm], for the scale of the preset.
+    The median of the pictures is used. `pitch_mm`, the distance between neighbouring markers [mm],
+    gives the scale of the preset.
     """
     if not pictures:
         raise LearningError("pictures: found none; allowed: one or more without contact")

@@ -72,12 +72,9 @@ def taxel_masks(
     no_contact: NDArray[np.floating | np.integer],
     preset: TaxelPreset,
 ) -> NDArray[np.bool_]:
-    """Draw the masks (n, 480, 640) of counts.
+    """Draw the masks (n, 480, 640) of counts in the device's order (n, 16, 3) [counts].
 
-    Args:
-        counts: Counts in the device's order (n, 16, 3) [counts].
-        no_contact: Counts without contact (16, 3), or one set for each (n, 16, 3) [counts].
-        preset: Numbering of the taxels.
+    Counts without contact are one set (16, 3), or one for each frame.
 
     Raises:
         ValueError: A shape is wrong, or counts are not finite.

@@ -306,11 +306,7 @@ def read_group(
     Targets of two sensors are paired by their numbers, so all sessions with shear must have the
     same plan: the same number of targets, points, depth levels and directions, shear angles within
     1 deg and one layout of points. The depth of a level may differ between sensors, but not within
-    one.
-
-    Args:
-        paths: The sessions, in any order.
-        sensor: Name of their sensor, instead of the names in the sessions.
+    one. `sensor` replaces the names in the sessions.
     """
     if not paths:
         raise LearningError("sessions: found none; allowed: one or more")

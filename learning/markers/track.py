@@ -63,11 +63,7 @@ class Tracker:
     """Follows the markers of one reference."""
 
     def __init__(self, reference: Floats) -> None:
-        """Index the markers by their order in the reference.
-
-        Args:
-            reference: Column and row (m, 2) of the markers without contact [px].
-        """
+        """Index the markers (m, 2), column and row [px], by their order in the reference."""
         self.reference = np.array(reference, np.float64)
         if self.reference.ndim != 2 or self.reference.shape[1:] != (2,) or not len(self.reference):
             raise LearningError(

@@ -54,13 +54,10 @@ def read_weights(path: Path) -> dict[str, Tensor]:
 
 
 def load_weights(model: nn.Module, weights: Path | Mapping[str, Tensor], prefix: str = "") -> None:
-    """Load weights into a module; names and shapes must match exactly.
+    """Load weights, a file or its content, into a module; names and shapes must match exactly.
 
-    Args:
-        model: The module, not wrapped by Accelerate. Its `may_be_nan`, if any, names tensors in
-            which NaN has a meaning.
-        weights: The file, or its content.
-        prefix: Prefix of error messages; replaced by the path if `weights` is a file.
+    The module is not wrapped by Accelerate; its `may_be_nan`, if any, names tensors in which NaN
+    has a meaning. `prefix` begins messages of errors, unless a file's path does.
     """
     if isinstance(weights, Path):
         prefix, weights = str(weights), read_weights(weights)

@@ -83,14 +83,9 @@ class RunFolder:
     ) -> Self:
         """Begin or resume a run; other settings or data than it was begun with are refused.
 
-        Args:
-            path: Folder of the run.
-            kind: Kind of the model.
-            settings: Frozen dataclass with all settings of the training.
-            data_fingerprint: Fingerprint of the training data, including the split.
-            metadata: Plain values known before training that are needed to use the model.
-            keep: Number of newest checkpoints to keep, in addition to the best.
-            writes: True if this process writes; of several, only the main one does.
+        `data_fingerprint` includes the split; `metadata` are plain values known before training
+        that are needed to use the model. The newest `keep` checkpoints stay, in addition to the
+        best. Of several processes only the main one `writes`.
         """
         folder = Path(path)
         if keep < 1:
@@ -139,12 +134,10 @@ class RunFolder:
     ) -> Path:
         """Write a checkpoint, then delete those that are not kept.
 
-        Args:
-            step: Number of steps done.
-            models: Networks by name, not wrapped by Accelerate; `model` is the one to use.
-            training: Other state needed to resume, by name: objects with a `state_dict`, such as
-                optimisers, or plain values. Torch's generators are saved as well.
-            score: Validation score, lower is better; None: not scored.
+        `models` are networks by name, not wrapped by Accelerate; `model` is the one to use.
+        `training` is other state needed to resume, by name: objects with a `state_dict`, such as
+        optimisers, or plain values; torch's generators are saved as well. A lower validation score
+        is better.
         """
         folder = self.path / CHECKPOINTS / f"{step:08d}"
         if not self.writes:
@@ -184,12 +177,8 @@ class RunFolder:
     ) -> int:
         """Load the newest checkpoint into networks and optimisers; return the number of steps done.
 
-        Args:
-            models: Networks by the names that they were saved under, not wrapped by Accelerate.
-            training: Objects to restore by `load_state_dict`, by name; others are ignored.
-
-        Returns:
-            0 without a checkpoint; nothing changes then.
+        That is 0 without a checkpoint; nothing changes then. Names are those of `save`; of
+        `training`, objects with a `load_state_dict` are restored.
         """
         folder = self.latest()
         if folder is None:

@@ -72,12 +72,9 @@ class ByPlace:
     def calibrate(
         self, model: ForceModel, indenters: Sequence[str], scale: Scale
     ) -> IntervalCalibration:
-        """Return the intervals of a model of the target.
+        """Return the intervals of a model of the target, given what is known of its scale.
 
-        Args:
-            model: The model.
-            indenters: Indenters that calibrate: seen in the archive, never by the model.
-            scale: What is known of the scale of its forces.
+        Indenters that calibrate are seen in the archive, never by the model.
         """
         table = self.archive[self.target].table
         calibrates = np.isin(np.array(self.archive.indenters)[table["indenter"]], indenters)
@@ -93,12 +90,8 @@ class ByPlace:
     ) -> Path:
         """Fine-tune a model on the target's training presses that match; return its folder.
 
-        Args:
-            trained: Folder of the model, which is returned if no training press matches.
-            split: Roles of presses.
-            settings: Settings of the experiment, whose fine-tuning is repeated.
-            device: Device of the training.
-            name: Name of this training, which ends that of its folder.
+        Without such a press that is the model's own; else it ends with the name of this training.
+        The fine-tuning of the experiment's settings is repeated.
         """
         sensor = self.archive[self.target]
         rows = split.rows(sensor.table, "train")

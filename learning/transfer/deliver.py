@@ -119,12 +119,8 @@ def write_report(
 ) -> None:
     """Write the report of a transfer to a file.
 
-    Args:
-        out: The file.
-        card: The model's card.
-        matches: Table of the presses that match.
-        pictures: Captions and PNGs.
-        curve: Errors over the number of labelled presses, a line each; empty without labels.
+    It has the card, the table of presses that match, captions and PNGs, and the errors over the
+    number of labelled presses, if there are any.
     """
     encoded = [(text, base64.b64encode(png).decode()) for text, png in pictures]
     page = render(

@@ -39,17 +39,10 @@ def join_pair(
 ) -> tuple[MarkerArchive, list[str]]:
     """Write the presses of both sensors to one archive; return it, and the table of matches.
 
-    The target's labels are not copied, so that no later stage can read them. Its rows stay in
-    order: row k is row k of its own archive.
-
-    Args:
-        source: Sensor with labels.
-        target: Sensor without.
-        out: Archive to write, or to continue.
-        tolerances: Largest differences of presses that match.
-        unseen: Indenters that models may not be trained on; None: as in the archives.
-        source_labels: CSV of labels of the source, in place of those of its archive.
-        keep_curve: True to keep the forces of the target's force-depth presses.
+    The target's labels are not copied, so that no later stage can read them; with `keep_curve` the
+    forces of its force-depth presses are. Its rows stay in order: row k is row k of its own
+    archive. Labels of a CSV replace those of the source's archive; `unseen` replaces its indenters
+    that models may not be trained on.
     """
     wrenches = {target.name: _without_labels(target, keep_curve=keep_curve)}
     if source_labels is not None:

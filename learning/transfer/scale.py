@@ -34,11 +34,8 @@ def weigh(
 ) -> Iterator[str]:
     """Write the model with the scale that weights give, and yield what is then known of it.
 
-    Args:
-        model_folder: A model that `tactile transfer` made.
-        out: Folder to write.
-        weights: Weights [N].
-        predicted: Fz that the model predicts under each [N].
+    Weights and the Fz predicted under each are in [N]; the model is one that `tactile transfer`
+    made.
     """
     intervals = read_intervals(model_folder)
     if intervals is None or intervals.axes[2] is None:
@@ -167,10 +164,7 @@ def gains_of_labels(
 ) -> tuple[Floats, Scale, str]:
     """Return factors on predicted forces (3,), their remaining uncertainty, and a sentence.
 
-    Args:
-        labels: Labels of the target.
-        predicted: Forces predicted there (n, 3) [N].
-        intervals: Intervals of the model.
+    The forces predicted at the labels are (n, 3) [N].
     """
     text = f"scale from {labels.presses} labelled presses of the target"
     gains, scale = _gains(labels, predicted, intervals, labels.presses, text)

@@ -82,14 +82,7 @@ def translate_archive(
 ) -> int:
     """Translate an archive for some pairs, or resume; return the number of frames written now.
 
-    Args:
-        archive: Archive whose sensors are translated.
-        out: Path of the translated archive, new or unfinished.
-        pairs: Source and target sensors.
-        model: The translator.
-        split: Translate only the parts of this split that have one of `roles`.
-        roles: Names of roles of the split.
-        progress: Called with the number of frames done and the total.
+    With a split, only its presses that have one of `roles`.
     """
     if archive.warning is not None:
         raise LearningError(archive.warning)

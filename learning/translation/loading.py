@@ -25,10 +25,8 @@ TRAINED = {
 def load_translator(name_or_folder: str | Path, device: torch.device | str = "cpu") -> Translator:
     """Return a translator: ours, or one of another package (`learning.plugins`).
 
-    Args:
-        name_or_folder: `flow`, the name of an installed translator that needs no folder, or the
-            folder of a finished training run.
-        device: Device on which a trained translator computes.
+    It is `flow`, the name of an installed translator that needs no folder, or the folder of a
+    finished training run.
 
     Raises:
         LearningError: The folder does not exist or holds no translator.

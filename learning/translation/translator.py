@@ -74,13 +74,9 @@ class Translator(Protocol):
     ) -> torch.Tensor:
         """Return the frames as the target would have shown them, bool (n, 480, 640).
 
-        Args:
-            source: Masks of the source, bool (n, 480, 640), on any device; the result is there too.
-            target_reference: The target's reference, bool (480, 640).
-            source_reference: The source's reference, bool (480, 640). If it is needed and missing,
-                the first frame of an ordered press is used.
-            ordered: True if the frames are one press in time order. Without a source reference
-                the press must begin without contact.
+        Source frames (n, 480, 640) are on any device, the result is there too; references are (480,
+        640). If the source's is needed and missing, the first frame of a press in time order
+        (`ordered`), which must begin without contact, is used.
 
         Raises:
             LearningError: Wrong shapes or types, or a required reference is missing.

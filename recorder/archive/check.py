@@ -96,11 +96,7 @@ _LISTED = 20  # number of rows that a finding lists
 
 
 def check_archive(files: Files, path: Path) -> Iterator[Finding]:
-    """Yield the problems of an archive; none for a valid one.
-
-    Args:
-        files: File access for the archive.
-        path: Its directory.
+    """Yield the problems of an archive, a directory of `files`; none for a valid one.
 
     Raises:
         SessionError: Not an archive.

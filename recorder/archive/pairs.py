@@ -30,14 +30,9 @@ _CODES = len(PHASES) + 2  # the phases, no phase, and the first frame
 def press_rows(table: Table, *parts: str) -> dict[tuple[int, ...], NDArray[np.int64]]:
     """Return the rows of each press of a sensor, in order of their frames.
 
-    Rows that are not valid, and those without a location, belong to none.
-
-    Args:
-        table: Table of the sensor: columns `location`, `frame`, `valid`, and those of `parts`.
-        parts: Integer columns that divide a press, such as `phase`.
-
-    Returns:
-        Rows (k,) by location and values of `parts`, ascending. A location belongs to one press.
+    They are (k,), by location and values of `parts`, integer columns that divide a press, such as
+    `phase`; ascending. A location belongs to one press. Rows that are not valid, and those without
+    a location, belong to none.
     """
     rows = np.flatnonzero((table["location"] >= 0) & table["valid"]).astype(np.int64)
     if not len(rows):
@@ -65,15 +60,9 @@ class LocationPairs:
 
 
 def location_pairs(source: Table, target: Table, preset: str = "supplement") -> LocationPairs:
-    """Return the location pairs of two sensors' tables.
+    """Return the location pairs of two sensors' tables by one of `PRESETS`.
 
     Locations or phases that only one of them has, and rows that are not valid, are left out.
-
-    Args:
-        source: Table of one sensor: columns `location`, `target`, `indenter`, `phase`, `frame`,
-            `valid`.
-        target: Table of the other.
-        preset: One of `PRESETS`.
 
     Raises:
         SessionError: An unknown preset, or a location shared by several presses of one sensor.

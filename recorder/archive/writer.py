@@ -262,11 +262,8 @@ class SensorWriter:
 def write_simulated(sensor: ArchivedSensor, force: Array, spread: Array, made_from: str) -> None:
     """Add a twin's forces to a sensor of a complete archive, in place of any that it has.
 
-    Args:
-        sensor: The sensor, of an archive on this machine.
-        force: Fx, Fy, Fz of each frame (n, 3) [N]; NaN without a press.
-        spread: Their standard deviation (n, 3) [N].
-        made_from: The twin and settings that they are from.
+    Fx, Fy, Fz of each frame and their standard deviation are (n, 3) [N]; NaN without a press.
+    `made_from` are the twin and settings.
 
     Raises:
         SessionError: The archive is not complete, or the shapes do not fit its frames.

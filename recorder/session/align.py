@@ -53,10 +53,8 @@ class Aligned:
 def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
     """Return the latest sample at or before each query; of equal times the last.
 
-    Args:
-        times: Sample times (m,) [ns], ascending.
-        query: Requested times (n,) [ns].
-        max_age: Largest age that is valid [s].
+    Sample times (m,) [ns] ascend, queries are (n,) [ns]; a sample is valid up to an age of
+    `max_age` [s].
     """
     index = np.searchsorted(times, query, side="right").astype(np.int64) - 1
     return _picked(times, query, index, max_age)
@@ -65,10 +63,7 @@ def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
 def nearest(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
     """Return the sample nearest to each query; the earlier of a tie, the last of equal times.
 
-    Args:
-        times: Sample times (m,) [ns], ascending.
-        query: Requested times (n,) [ns].
-        max_age: Largest distance that is valid [s].
+    As for `held`; `max_age` is the largest distance that is valid [s].
     """
     if not len(times):
         return _picked(times, query, np.full(len(query), -1, np.int64), max_age)
@@ -82,13 +77,9 @@ def nearest(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
 
 
 def linear(times: Times, values: Array, query: Times, *, max_age: float = np.inf) -> Aligned:
-    """Return values interpolated linearly between the samples around each query.
+    """Return values (m, ...) interpolated linearly between the samples around each query.
 
-    Args:
-        times: Sample times (m,) [ns], ascending.
-        values: Samples (m, ...).
-        query: Requested times (n,) [ns].
-        max_age: Largest distance of either sample that is valid [s].
+    As for `held`; `max_age` is the largest distance of either sample that is valid [s].
     """
     bracket = _bracket(times, query, max_age)
     weight = bracket.weight.reshape(-1, *(1 for _ in values.shape[1:]))
@@ -106,18 +97,11 @@ def linear(times: Times, values: Array, query: Times, *, max_age: float = np.inf
 def mean(
     times: Times, values: Array, start: Times, stop: Times, *, max_age: float = np.inf
 ) -> Aligned:
-    """Return the mean of the samples inside each interval [start, stop], both ends included.
+    """Return the mean of the samples (m, ...) inside each interval [start, stop], ends included.
 
     If no sample lies inside, the value is interpolated linearly at the middle of the interval. A
-    mean is valid if samples lie within `max_age` of both ends; its age is the time from its last
-    sample to `stop`.
-
-    Args:
-        times: Sample times (m,) [ns], ascending.
-        values: Samples (m, ...).
-        start: Interval starts (n,) [ns].
-        stop: Interval ends (n,) [ns].
-        max_age: Largest distance that is valid [s].
+    mean is valid if samples lie within `max_age` [s] of both ends; its age is the time from its
+    last sample to `stop`. Times are in [ns], those of samples ascending.
     """
     first = np.searchsorted(times, start, side="left")
     last = np.searchsorted(times, stop, side="right")
@@ -136,11 +120,7 @@ def mean(
 def pose(times: Times, poses: Array, query: Times, *, max_age: float = np.inf) -> Aligned:
     """Return poses: positions interpolated linearly, rotations along the shortest arc.
 
-    Args:
-        times: Sample times (m,) [ns], ascending.
-        poses: Positions [m] and rotation vectors [rad] (m, 6).
-        query: Requested times (n,) [ns].
-        max_age: Largest distance of either sample that is valid [s].
+    As `linear`, of positions [m] and rotation vectors [rad] (m, 6).
     """
     result = linear(times, poses, query, max_age=max_age)
     bracket = _bracket(times, query, max_age)

@@ -145,9 +145,7 @@ def _or_nan(value: Any) -> float:
 def fit_clock(device_t: Floats, t_ns: NDArray[np.int64]) -> ClockFit | None:
     """Fit the device's clock to the host's; return None if there are too few samples.
 
-    Args:
-        device_t: Device times (n,) [s] in order of arrival; NaN if the device gave none.
-        t_ns: Arrivals (n,) [ns].
+    Device times (n,) [s] are in order of arrival [ns]; NaN if the device gave none.
     """
     rows = np.flatnonzero(np.isfinite(device_t))
     if len(rows) < _LEAST_SAMPLES:

@@ -141,11 +141,10 @@ class Stream:
         return out
 
     def images_into(self, rows: NDArray[np.integer[Any]], out: Array) -> None:
-        """Decode images into an array, which may be used again and again.
+        """Decode images of rows (n,) into an array (n, h, w, channels), which may be used again.
 
-        Args:
-            rows: Rows (n,); -1 leaves the image in its place as it is.
-            out: Images (n, h, w, channels), C-contiguous, of the type that `images` returns.
+        It is C-contiguous, of the type that `images` returns; row -1 leaves the image in its place
+        as it is.
 
         Raises:
             SessionError: No images here, a row outside the stream, or a corrupt image.

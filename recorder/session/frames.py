@@ -96,9 +96,8 @@ def frames_table(session: Session, rate_hz: float) -> dict[str, Array]:
 def in_frame(frame: Floats, poses: Floats) -> Floats:
     """Return the places of poses in a frame (n, 3) [m]; in the contact frame, depth is -z.
 
-    Args:
-        frame: Frame in the base frame (6,) [m, rad]; of the contact frame z is the outward normal.
-        poses: Places, or tool poses, in the base frame (n, 3 or more) [m, rad].
+    The frame (6,) and the places, or tool poses, (n, 3 or more) are in the base frame [m, rad]; of
+    the contact frame z is the outward normal.
     """
     axes = axes_of(frame[3:])
     return np.stack([(poses[:, :3] - frame[:3]) @ axis for axis in axes], axis=1)

@@ -132,14 +132,10 @@ def find_losses(
     device_t: Floats | None = None,
     timed: bool = True,
 ) -> Losses:
-    """Find the samples lost in one run of a stream.
+    """Find the samples lost in one run of a stream, whose rows arrived at `t_ns` (n,) in order.
 
-    Args:
-        t_ns: Times of arrival (n,) [ns], in the order in which the rows were stored.
-        rate_hz: Declared rate.
-        seq: The device's sequence numbers (n,); None without them.
-        device_t: The device's own times (n,) [s], NaN where it gave none; None without them.
-        timed: False if the arrivals say nothing, as in a replay at another speed.
+    With the device's sequence numbers (n,) and its own times (n,) [s], NaN where it gave none, if
+    there are any. `timed` is false if the arrivals say nothing, as in a replay at another speed.
     """
     if len(t_ns) < 2:
         return Losses.none(SEQUENCE if seq is not None else ARRIVAL if timed else NOTHING)

@@ -371,9 +371,8 @@ class StreamWriter:
     def open(cls, path: str | os.PathLike[str], *, sync_interval: float = 1.0) -> Self:
         """Open a stream for writing after its last complete row, however its last writer ended.
 
-        Args:
-            path: The stream's group, e.g. `<session>/streams/force`.
-            sync_interval: Longest time between two flushes to the disk [s].
+        Its group is such as `<session>/streams/force`; it is flushed to the disk after
+        `sync_interval` [s] at most.
 
         Raises:
             SessionError: Not a stream, corrupt, or open in another writer.

@@ -113,9 +113,8 @@ class SessionWriter:
     def begin_run(self, entry: dict[str, Any]) -> None:
         """Add a run, before its streams are opened.
 
-        Args:
-            entry: Attributes of the run, above all its clock anchor `t0_ns`, `utc` and `boot_id`.
-                `first_row`, the first row of the run in each stream, is added.
+        Its attributes are above all its clock anchor `t0_ns`, `utc` and `boot_id`; `first_row`, its
+        first row in each stream, is added.
         """
         names = [*_stream_names(self.path)]
         first_row = {name: survey(StreamLayout.load(self.stream_path(name))).rows for name in names}

@@ -105,11 +105,9 @@ def is_url(place: str | os.PathLike[str]) -> bool:
 def locate(
     place: str | os.PathLike[str], storage_options: Mapping[str, Any] | None = None
 ) -> tuple[Files, Path]:
-    """Return the file access for a place, and the path of the place within it.
+    """Return the file access for a path or a URL that fsspec knows, and the path within it.
 
-    Args:
-        place: A path, or a URL that fsspec knows.
-        storage_options: Options that fsspec needs to open the URL, e.g. `{"anon": True}`.
+    `storage_options` are what fsspec needs to open the URL, e.g. `{"anon": True}`.
     """
     if is_url(place):
         return open_url(str(place), storage_options or {})

@@ -127,13 +127,10 @@ class RecordLog:
     def __init__(
         self, path: Path, *, end: int = 0, below: Path | None = None, step: int = 0
     ) -> None:
-        """Open a log, creating it if missing, and drop everything after byte `end`.
+        """Open a log, or create it, and drop everything after byte `end`, of its last record.
 
-        Args:
-            path: The file.
-            end: End of its last record [bytes].
-            below: Directories below it may be as new as the file, and are made durable with it.
-            step: Growth of the file ahead of its records [bytes], at most `STEP`; 0 for none.
+        Directories below `below` may be as new as the file, and are made durable with it. The file
+        grows ahead of its records by `step` [bytes], at most `STEP`; 0 for none.
         """
         self.path = path
         self.end = end

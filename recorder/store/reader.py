@@ -152,14 +152,11 @@ class ColumnReader:
             yield bytes(data)
 
     def read_images(self, rows: Sequence[int], out: Array) -> None:
-        """Decode images into `out` (n, h, w, channels), each of them once.
+        """Decode the images of rows into `out` (n, h, w, channels), contiguous, each of them once.
 
+        It has the column's shape and little-endian type; nothing is written for a row below 0.
         JPEGs are decoded on several cores, except in a worker process of `multiprocessing`, which
         shares them with others.
-
-        Args:
-            rows: Rows of the images (n,); nothing is written for a row below 0.
-            out: Destination, contiguous; of the column's shape and little-endian type.
         """
         decode = images.decoder_into(self.layout.codec, self.layout.chunk_bytes)
         first = {row: index for index, row in reversed(list(enumerate(rows))) if row >= 0}

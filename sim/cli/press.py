@@ -144,12 +144,7 @@ def _make_room(save: Path | None, picture: Path | None) -> None:
 
 
 def as_json(result: Result, *, seconds: float) -> dict[str, Any]:
-    """Return all frames but the first, which only touches, as plain JSON values.
-
-    Args:
-        result: Result of the simulation.
-        seconds: Total wall-clock time.
-    """
+    """Return all frames but the first, which only touches, and the seconds, as JSON values."""
     scene, frames = result.scene, slice(1, None)
     tip = np.array(scene.motion.tip, float)[frames] * 1e3
     force, torque = result.wrench[frames, :3], result.wrench[frames, 3:]

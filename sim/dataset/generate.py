@@ -121,15 +121,8 @@ def make_unit(
 ) -> int:
     """Solve, render and write one unit, and return the number of masks written.
 
-    Existing files are kept. Reproducible to the byte on a CPU.
-
-    Args:
-        path: The archive.
-        plan: Its plan.
-        unit: The unit.
-        device: Device to solve and render on.
-        progress: Called with the fraction done.
-        workers: Processes that render; None: this one does. Files are the same.
+    Existing files are kept. Reproducible to the byte on a CPU, whether this process renders or
+    `workers` do. `progress` is called with the fraction done.
 
     Raises:
         SceneError: A scene is invalid.

@@ -194,10 +194,7 @@ Maker = Callable[[Sequence[Unit], Inside], Iterator[tuple[Unit, int]]]
 def fill(opened: OpenArchive, maker: Maker, progress: Callable[[float], None]) -> int:
     """Make the missing units, close the archive, and return the number of masks written.
 
-    Args:
-        opened: The archive.
-        maker: Makes the missing units.
-        progress: Called with the fraction of all rows that are written.
+    `progress` is called with the fraction of all rows that are written.
     """
     missing = opened.missing()
     weights = {unit: _rows(opened.plan, unit) for unit in units(opened.plan)}
@@ -237,14 +234,9 @@ def make_here(
     device: str,
     processes: int = 1,
 ) -> Iterator[tuple[Unit, int]]:
-    """Make units one by one in this process, as a GPU needs.
+    """Make units one by one in this process, as a GPU needs; `processes` may render their images.
 
-    Args:
-        opened: The archive.
-        units: Its missing units.
-        inside: Called with the fraction of the unit's presses that are solved.
-        device: Device to solve and render on.
-        processes: Processes that render the images of a unit; 1: this one does.
+    `inside` is called with the fraction of the unit's presses that are solved.
 
     Raises:
         SceneError, OSError, WorkerLost: As `make_unit`.
@@ -264,12 +256,7 @@ def make_in_processes(
 ) -> Iterator[tuple[Unit, int]]:
     """Make units in parallel and yield each when it is done; each process has one thread.
 
-    Args:
-        opened: The archive.
-        units: Its missing units.
-        inside: Not called, because several units are in progress.
-        device: Device for presses and images.
-        processes: Most processes to use.
+    `inside` is not called, because several units are in progress.
 
     Raises:
         SceneError, OSError: As `make_unit`; units in flight are abandoned.

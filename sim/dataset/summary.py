@@ -17,10 +17,8 @@ def summary(
 ) -> Iterator[str]:
     """Yield the lines of the summary of a complete archive.
 
-    Args:
-        path: Path of the archive.
-        check: True to count markers, about a millisecond per image.
-        progress: Called with the fraction of the sensors that are counted.
+    To `check` counts markers, about a millisecond per image; `progress` is called with the fraction
+    of the sensors that are counted.
     """
     archive = MarkerArchive(path)
     images = sum(len(sensor) for sensor in archive.values())

@@ -248,13 +248,10 @@ class SolverState:
     def begin_step(
         self, chosen: np.ndarray, tip: np.ndarray, duration: np.ndarray, guess: np.ndarray
     ) -> None:
-        """Prepare the step of the chosen environments (B,) bool to `tip` (B, 3).
+        """Prepare the step of the chosen environments (B,) to `tip` (B, 3); `set_tip` moves them.
 
-        Args:
-            chosen: Environments whose step begins.
-            tip: Targets of their tips; `set_tip` moves them.
-            duration: Time of the current step of each environment, begun now or before (B,) [s].
-            guess: Fraction of the last accepted change of `u` that `u` begins with (B,).
+        The durations [s] are those of the current step of each environment, begun now or before;
+        `u` begins with `guess` (B,), a fraction of its last accepted change.
         """
         self._tip_after[chosen] = tip[chosen]
         active = self.mask(chosen)

@@ -174,13 +174,9 @@ def axes(
 ) -> tuple[Array, Array]:
     """Return the node positions of `build_mesh` along x (X,) and y (Y,), in thicknesses.
 
-    Args:
-        body: Body to mesh.
-        spacing: Height of the elements [m], and except for grading their side in the window.
-        window: ((x least, x most), (y least, y most)) [m] outside of which elements grow; None: all
-            elements are equal.
-        grading: Growth of the elements.
-        at_least: Least numbers of elements along x and y, with a window.
+    `spacing` [m] is the height of the elements, and except for grading their side in the window ((x
+    least, x most), (y least, y most)) [m]; outside they grow. Without a window all are equal; with
+    one `at_least` are their least numbers along x and y.
     """
     nx, ny, _nz = cell_counts(body, spacing)
     unit = body.thickness

@@ -618,15 +618,9 @@ def _weights(fine: Array, points: NDArray[np.int64]) -> tuple[Array, Array, Arra
 class Multigrid:
     """Columns of B environments, with coarser grids for hard ones; it owns their factors.
 
-    Those of the columns take 72 bytes per node and environment in float32.
-
-    Args:
-        meshes: Meshes with the same numbers of nodes, M.
-        variant: Index of the mesh of each environment (B,).
-        real: Warp's scalar type.
-        device: Device of the factors.
-        parallel: Store matrices and factors with node and column numbers running fastest, as the
-            matrix that is factored; by default only on a GPU.
+    Those of the columns take 72 bytes per node and environment in float32. Meshes have the same
+    numbers of nodes; `variant` is the index of that of each environment (B,). If `parallel`, by
+    default only on a GPU, matrices and factors have node and column numbers running fastest.
     """
 
     def __init__(
@@ -759,13 +753,10 @@ class Multigrid:
     def advance(self, which, scalars, along, vectors, sums) -> None:
         """Take a step of conjugate gradients, and precondition the new residual.
 
-        Args:
-            which: Indices of environments, int32 (R,); -1: none.
-            scalars: Length of the step in column 2 (B, 3 or more), float64.
-            along: Search direction and the tangent times it, two (B, N).
-            vectors: Solution and residual, which the step changes, and output of the preconditioned
-                residual, three (B, N).
-            sums: Output of the partial sums of r.z and r.r (B, `parts`, 2), float64.
+        `which` are indices of environments, int32 (R,), -1 none; the step's length is column 2 of
+        `scalars` (B, 3 or more), float64. `along` are the search direction and the tangent times
+        it, `vectors` solution and residual, which the step changes, and the preconditioned
+        residual, each (B, N). `sums` gets the partial sums of r.z and r.r (B, `parts`, 2), float64.
         """
         solution, r, z = vectors
         inputs = [which, scalars, *along]

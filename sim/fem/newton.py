@@ -318,11 +318,8 @@ class Newton:
         """Return the indenter's work over the step that led to the current state (B,) [E T^3].
 
         Work on the skin is integrated from both ends of the step. For a long step the energy that
-        the body takes up half-way is added (Simpson's rule).
-
-        Args:
-            chosen: Environments whose step has converged (B,); their state does not change.
-            duration: Time of the current step of each environment (B,) [s].
+        the body takes up half-way is added (Simpson's rule). The state of the chosen environments,
+        whose step has converged, does not change; durations are in [s].
         """
         assembly, state = self._assembly, self._assembly.state
         work = assembly.work(chosen)
@@ -557,14 +554,11 @@ class ConjugateGradient:
         most: int,
         meanwhile: Callable[[Callable[[], bool]], None] | None = None,
     ) -> None:
-        """Fill `solution` of the chosen environments; `status` tells how.
+        """Fill `solution` of the chosen environments (B,); `status` tells how.
 
-        Args:
-            chosen: True for the environments to solve (B,).
-            residual: Right-hand side (B, N).
-            accuracy: Target of |r| / |residual|, float64 NumPy (B,).
-            most: Most iterations.
-            meanwhile: Called when a GPU has work to do, with a function that is true while it has.
+        The target of |r| / |residual| is `accuracy`, float64 NumPy (B,), in at most `most`
+        iterations. `meanwhile` is called when a GPU has work to do, with a function that is true
+        while it has.
         """
         running = np.flatnonzero(chosen)
         self._gather(running, renew=True)

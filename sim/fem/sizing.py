@@ -104,13 +104,9 @@ def sizes_of(
 ) -> Sizes:
     """Return the element sizes that one contact requires.
 
-    Args:
-        touched: Pixels or nodes that touch (X, Y).
-        x: Their positions (X,), rising, evenly spaced or not.
-        y: The same along y (Y,).
-        thickness: Thickness of the body.
-        edge_radius: Smallest radius of the indenter's surface, which may bound the contact.
-        on_body: Pixels on the body (X, Y); None: all of them.
+    Pixels or nodes (X, Y) that touch are at x (X,), y (Y,), rising, evenly spaced or not; of pixels
+    only those `on_body` count. `edge_radius`, the smallest radius of the indenter's surface, may
+    bound the contact.
     """
     if not touched.any():
         return NOTHING
@@ -318,14 +314,9 @@ def places_of(
 def resolved(touched: Mask, x: Array, y: Array, *, body: Body, top: float) -> Array:
     """Return how finely a mesh resolves contacts solved on it (F,); inf if nothing touches.
 
-    1 corresponds to 12 elements from one side of the contact to the other.
-
-    Args:
-        touched: Nodes of the top that touch, of each frame (F, X, Y).
-        x: Positions of the nodes (X,) [m].
-        y: The same along y (Y,) [m].
-        body: Meshed body.
-        top: Height of the topmost elements [m].
+    1 corresponds to 12 elements from one side of the contact to the other. `touched` are nodes of
+    the top at x (X,) and y (Y,) [m] in each frame (F, X, Y); `top` is the height of the topmost
+    elements [m].
     """
     pieces = _pieces_of(touched, x, y, body.thickness)
     coarser = np.where(touched.any(axis=(1, 2)), 1e-6, 0.0)

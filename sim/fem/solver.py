@@ -92,15 +92,10 @@ def simulate_fem(
 ) -> list[Outcome]:
     """Simulate presses and return the outcomes in their order: a result or the reason for none.
 
-    Args:
-        scenes: Scenes to simulate; those with the same thickness, mesh topology and set of effects
-            are solved in one batch.
-        numerics: Mesh, precision and tolerances.
-        device: `cpu`, or `cuda:0` and the like.
-        progress: Called with the fraction done, 0 to 1.
-        required: What solutions of the same scenes on coarser meshes required; to it is added what
-            these require. It saves building a mesh that proves too coarse, and attempts with a skin
-            that has no state.
+    Scenes with the same thickness, mesh topology and set of effects are solved in one batch.
+    `required` is what solutions of the same scenes on coarser meshes required; to it is added what
+    these require. It saves building a mesh that proves too coarse, and attempts with a skin that
+    has no state.
     """
     check_device(device)
     if numerics.elements_max is None:

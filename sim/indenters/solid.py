@@ -163,15 +163,7 @@ class Triangles:
 
 
 def read_triangles(data: bytes, name: str, unit: Unit, up: Up, axis: Axis) -> Triangles:
-    """Read the body in an STL file.
-
-    Args:
-        data: The whole file, binary or text.
-        name: Name of the file for messages.
-        unit: Unit of the file's numbers.
-        up: Axis of the file that points away from the skin.
-        axis: Origin of x and y: the `middle` of the bounding box, or that of the `file`.
-    """
+    """Read the body in an STL file, binary or text; the options are those of `from_stl`."""
     mesh = _read(data, name)
     if not np.isfinite(mesh.vertices).all():
         count = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())

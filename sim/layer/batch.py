@@ -74,14 +74,8 @@ def simulate_layers(
     """Simulate many scenes on one device; return a result for each, or the reason for none.
 
     Scenes are solved together if they have the same body and viscosity, and all of them friction or
-    none. Forces are those of `simulate_layer` within the tolerance. It is left to solve wide
-    contacts on fine pixels, one by one.
-
-    Args:
-        scenes: Scenes as for `simulate_layer`.
-        layer: Pixels and tolerance.
-        device: `cuda:0` and the like, or `cpu` (slower than `simulate_layer`).
-        progress: Called with the fraction done, 0 to 1.
+    none. Forces are those of `simulate_layer`, which is faster on a CPU, within the tolerance. It
+    is left to solve wide contacts on fine pixels, one by one.
     """
     check_device(device)
     for scene in scenes:

@@ -424,10 +424,7 @@ def simulate_layer(
 ) -> Result:
     """Simulate one scene with small strains on an infinite layer, without sides or a surrounding.
 
-    Args:
-        scene: Scene with friction and viscosity that relaxes all, but no mass.
-        layer: Pixels and tolerance.
-        progress: Called with the fraction done, 0 to 1.
+    The scene has friction, and viscosity that relaxes all, but no mass.
     """
     check_supported(scene, layer.tolerance)
     began = time.perf_counter()

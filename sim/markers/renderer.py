@@ -89,13 +89,9 @@ class Renderer:
         spacing: float = SPACING,
         device: str = "cpu",
     ) -> None:
-        """Prepare rendering of `body` with `camera`.
+        """Prepare rendering of a gel with a camera, by default the paper's.
 
-        Args:
-            body: The gel.
-            camera: The camera; by default the paper's.
-            spacing: Spacing of the points to which the surface is refined [m].
-            device: `cpu`, `cuda:0` and the like.
+        `spacing` [m] is that of the points to which the surface is refined.
         """
         self.body, self.camera = body, Camera.paper() if camera is None else camera
         if self.camera.distance <= body.thickness:
@@ -118,12 +114,9 @@ class Renderer:
         return self.see(*axes, np.zeros((1, TAPS, TAPS, 3), np.float32))
 
     def see(self, x: Array, y: Array, surface: Surface) -> View:
-        """Return the view of the gel in F frames.
+        """Return the view of the gel in F frames, its surface displaced by (F, X, Y, 3) [m].
 
-        Args:
-            x: Undeformed x of the surface's points (X,) [m], ascending.
-            y: The same for y (Y,).
-            surface: Displacement of the points (F, X, Y, 3) [m].
+        Undeformed points are at x (X,) and y (Y,) [m], ascending.
 
         Raises:
             SceneError: Displacements are not finite or have another shape, or the points end

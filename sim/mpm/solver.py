@@ -180,11 +180,7 @@ def simulate_mpm(
 ) -> list[Outcome]:
     """Simulate presses on bodies of one shape; return a result or the reason for none, in order.
 
-    Args:
-        scenes: Scenes with the same size, thickness, dome and set of effects; the rest may differ.
-        numerics: Our grid, or published settings.
-        device: `cpu`, or `cuda:0` and the like.
-        progress: Called with the fraction done, 0 to 1.
+    Scenes have the same size, thickness, dome and set of effects; the rest may differ.
     """
     scenes = list(scenes)
     if not scenes:

@@ -65,13 +65,8 @@ class Pins:
 def tip_coverage(centres: Array, radii: Array, *, width: int, height: int) -> NDArray[np.uint8]:
     """Return grey images (F, height, width) of round pin tips, 255 for a fully covered pixel.
 
-    A tip is rigid: it stays round when the skin stretches, and looks larger when nearer.
-
-    Args:
-        centres: Columns and rows of the tips (F, n, 2) [px]; whole numbers are pixel centres.
-        radii: Their radii (F, n) [px].
-        width: Number of columns.
-        height: Number of rows.
+    A tip is rigid: it stays round when the skin stretches, and looks larger when nearer. Centres
+    are columns and rows (F, n, 2) [px], whole numbers at pixel centres; radii are (F, n) [px].
     """
     reach = math.ceil(float(radii.max(initial=0.0)) + 1.0)
     step = np.arange(-reach, reach + 1)

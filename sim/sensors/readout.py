@@ -28,10 +28,7 @@ def readout(
 ) -> CameraReadout | TaxelReadout:
     """Return the readout of a sensor.
 
-    Args:
-        sensor: The sensor.
-        seed: Seed of its noise and of the variations in its `variation`; None disables both.
-        device: Device that renders the images, `cpu` or `cuda:0` and the like.
+    The seed is that of its noise and of the variations in its `variation`; None disables both.
     """
     if isinstance(sensor.signal, TaxelSignal):
         return TaxelReadout(sensor, sensor.signal, seed)

@@ -23,12 +23,8 @@ def flux_density(moments: Array, magnets: Array, places: Array) -> Array:
     """Return the total flux density (..., h, 3) [T] of m dipoles at h places.
 
     B = mu0 / 4 pi (3 r (m . r) / r^5 - m / r^3), r from magnet to place (Jackson, Classical
-    Electrodynamics, section 5.6).
-
-    Args:
-        moments: Magnetic moments (..., m, 3) [A m^2].
-        magnets: Positions of the magnets (..., m, 3) [m].
-        places: Positions at which to compute the field (h, 3) [m].
+    Electrodynamics, section 5.6). Moments (..., m, 3) are in [A m^2], magnets (..., m, 3) and
+    places (h, 3) in [m].
     """
     apart = places[:, None, :] - magnets[..., None, :, :]
     distance = np.linalg.norm(apart, axis=-1, keepdims=True)
@@ -61,15 +57,10 @@ MARGIN = 2.0
 class Interior:
     """Displacement and its gradient at places inside a layer, linear in the top's displacement.
 
-    The layer is linear elastic, bonded to a rigid base and laterally unbounded. The displacement of
-    its top is given; each of its waves decays downwards by the closed form of `_reach`. Small
-    strains are assumed below the top only; the displacement of the top may come from a large-strain
-    solver.
-
-    Args:
-        body: A flat layer.
-        depth: Depth of the places below the undeformed top [m], up to the thickness.
-        places: x and y of the places (n, 2) [m].
+    The layer is flat, linear elastic, bonded to a rigid base and laterally unbounded. The
+    displacement of its top is given; each of its waves decays downwards by the closed form of
+    `_reach`. Small strains are assumed below the top only; the displacement of the top may come
+    from a large-strain solver. Places are x and y (n, 2) [m], `depth` [m] below the undeformed top.
     """
 
     def __init__(self, body: Body, depth: float, places: Array) -> None:
@@ -320,9 +311,8 @@ class TaxelPad:
     def flux(self, moved: Array, gradient: Array) -> Array:
         """Return the flux density (F, 16, 3) [T] at the Hall elements.
 
-        Args:
-            moved: Displacement of the magnets (F, 16, 3) [m].
-            gradient: Gradient of the displacement there (F, 16, 3, 3), du_i / dx_j.
+        It is that of magnets moved by (F, 16, 3) [m], with the gradient there (F, 16, 3, 3), du_i /
+        dx_j.
         """
         moments = self.signal.moment * rotations(gradient)[..., 2]
         return flux_density(moments, self._magnets + moved, self._halls)
@@ -335,9 +325,7 @@ class TaxelPad:
     def raw(self, top: SurfaceField, normal: Array | None = None) -> Counts:
         """Return raw counts (F, 16, 3) as the device sends them: integers, saturated, 0 to 65535.
 
-        Args:
-            top: Displacement of the silicone's top.
-            normal: Standard normal numbers (F, 16, 3) for the noise; None for no noise.
+        The noise is given as standard normal numbers (F, 16, 3); None for no noise.
         """
         signal = self.signal
         gain = np.array([signal.gain_shear, signal.gain_shear, signal.gain_normal])

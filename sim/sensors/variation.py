@@ -91,12 +91,9 @@ class Segmentation:
 
 
 class SegmentationErrors:
-    """Segmentation errors applied to images of one sensor; those of frame k are reproducible.
+    """Segmentation errors of one sensor's images; those of frame k are reproducible.
 
-    Args:
-        segmentation: Magnitude of the errors.
-        seed: Seed of all draws.
-        names: Names that identify these images, such as sensor and indenter.
+    Seed and names, such as sensor and indenter, identify these images.
     """
 
     def __init__(self, segmentation: Segmentation, seed: int, *names: str | int) -> None:
@@ -111,10 +108,9 @@ class SegmentationErrors:
     def masks(self, coverage: Greys, first: int = 0) -> Masks:
         """Return masks (F, H, W) of the markers that are segmented in grey images (F, H, W).
 
-        Args:
-            coverage: Coverage of each pixel by markers, 255 if complete. With binary images (0 or
-                255), jitter below half a pixel is lost, as they have no subpixel edges.
-            first: Number of the first frame, which selects the errors.
+        A pixel's grey is its coverage by markers, 255 if complete. With binary images (0 or 255),
+        jitter below half a pixel is lost, as they have no subpixel edges. The errors are those from
+        frame `first` on.
 
         Raises:
             SceneError: The images are not grey images.
@@ -285,10 +281,7 @@ class Drift:
     def drawn(self, points: int, seed: int, *session: str | int) -> Array:
         """Return the skin's offset (points, 2) [m] at each contact point of a session, in order.
 
-        Args:
-            points: Number of contact points.
-            seed: Seed of all draws.
-            session: Names that identify this session, such as sensor and indenter.
+        Seed and names, such as sensor and indenter, identify the session.
         """
         steps = generator(seed, "drift", *session).normal(0.0, self.step, (points, 2))
         steps[:1] = 0.0

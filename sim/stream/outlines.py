@@ -22,11 +22,7 @@ POINTS = 32
 
 
 class LiveMarkers:
-    """Markers of a sensor's first pattern.
-
-    Args:
-        sensor: Sensor with a camera.
-        grid: Points at which the displacement will be given.
+    """Markers of a sensor's first pattern, for displacements given at the points of a grid.
 
     Raises:
         SceneError: The sensor has no camera.
@@ -52,8 +48,7 @@ class LiveMarkers:
     def outlines(self, displacement: NDArray[np.float32]) -> Array:
         """Return column and row of the points of every rim (markers, POINTS, 2) [px].
 
-        Args:
-            displacement: Displacement of the top (X, Y, 3) [m].
+        The displacement of the top is (X, Y, 3) [m].
         """
         if self._tips is not None:
             return self._round(self._tips.displacement(displacement))

@@ -212,9 +212,6 @@ class Slope:
     last move, the one nearest to the previous matrix, with less weight on short moves. A contact
     that is pressed and then sheared keeps its normal stiffness while the shear stiffness is
     learned, and a move back starts from the stiffness of the way there.
-
-    Args:
-        count: Number of values.
     """
 
     def __init__(self, count: int) -> None:
@@ -323,13 +320,9 @@ SHARES = np.array([1.0, 4.0, 1.0]) / 6.0
 
 
 class LiveTips:
-    """Displacement of pin tips, computed from that of the skin.
+    """Displacement of pin tips at centres (n, 2) [m], computed from that of the skin.
 
-    Args:
-        pins: The pins.
-        x: x of the skin's points (X,) [m], ascending.
-        y: y of the skin's points (Y,) [m], ascending.
-        centres: Positions of the pins (n, 2) [m].
+    The skin's points are at x (X,) and y (Y,) [m], ascending.
     """
 
     def __init__(self, pins: Pins, x: FloatArray, y: FloatArray, centres: FloatArray) -> None:

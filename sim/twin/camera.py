@@ -211,12 +211,8 @@ def fitted_camera(
 ) -> CameraFit:
     """Return the camera and layout that explain observations, however badly.
 
-    Args:
-        fit: Fit of the skin to the same presses.
-        observations: Markers observed in them.
-        name: Name of the layout.
-        grid: Pixels along the body's longer side.
-        progress: Called with the fraction done.
+    The fit of the skin is to the same presses; `name` is that of the layout, `grid` the pixels
+    along the body's longer side.
 
     Raises:
         SceneError: The design has no camera, or images are mirrored.

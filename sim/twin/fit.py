@@ -148,16 +148,11 @@ def fitted(
     processes: int = 1,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> Fit:
-    """Return the twin that explains tracks, however badly: see its `misfit`.
+    """Return the twin that explains tracks of one sensor, however badly: see its `misfit`.
 
-    Args:
-        tracks: Tracks of one sensor, by one or more indenters.
-        design: Row from which the fit begins; its body gives the prior's centre.
-        grid: Pixels along the body's longer side.
-        tier: `layer` takes strains as small; `fem` corrects its forces, in minutes.
-        device: Device of tier `fem`.
-        processes: Number of processes that solve; the result is the same.
-        progress: Called with the fraction done.
+    The fit begins from the row `design`, whose body gives the prior's centre; `grid` are pixels
+    along the longer side. Tier `layer` takes strains as small; `fem` corrects its forces, in
+    minutes. The result does not depend on the number of processes.
 
     Raises:
         SceneError: There is no track, or a tip goes deeper than the skin is thick.
@@ -194,15 +189,9 @@ def _fit(
     correct: Callable[[Mapping[str, float]], None] | None,
     progress: Callable[[float], None],
 ) -> Fit:
-    """Return the fit by a model, whose error is its distance from a rougher one.
+    """Return the fit by a model of tier `layer`, whose error is its distance from a rougher one.
 
-    Args:
-        design: Sensor from which it begins.
-        tracks: The tracks.
-        model: Forces of tier `layer`.
-        rougher: The same with fewer pixels.
-        correct: Corrects both at some values; None: they stay as they are.
-        progress: Called with the fraction done.
+    `correct` corrects both at some values; without it they stay as they are.
     """
     part = 1.0 if correct is None else 0.4
     names = (*quantities(design), *BENCH)
@@ -503,11 +492,8 @@ def _step(names: Sequence[str], values: Mapping[str, float], normal: Array, slop
 def information(data: Data, near: Linear, timing: float, law: float) -> Array:
     """Return the information of tracks on the quantities (p, p): an inverse covariance, no prior.
 
-    Args:
-        data: The tracks, and errors of the grid.
-        near: Readings and slopes of all of them.
-        timing: Timing error between arm and gauge [s].
-        law: Relative error of the law at rest.
+    `near` are readings and slopes of all tracks; `timing` is the error between arm and gauge [s],
+    `law` the relative error of the law at rest.
     """
     sigma = _sigmas(data.tracks, near, timing, law)
     _, jacobian = _stacked(data, near.readings, sigma, near.slopes)
@@ -643,11 +629,7 @@ def _flat(points: Array) -> Array:
 def _common(force: Array, target: NDArray[np.int64], rest: NDArray[np.int64], off: Array) -> Array:
     """Return the errors that points have in common (m, 3, k) [N], each of one standard deviation.
 
-    Args:
-        force: Forces (m, 3) [N].
-        target: Press of each point (m,).
-        rest: Number of each point's rest (m,).
-        off: Error of the grid (m, 3) [N].
+    Forces and the errors of the grid are (m, 3) [N]; each point (m,) has a press and a rest.
     """
     errors = []
     for press in np.unique(target):

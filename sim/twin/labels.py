@@ -75,13 +75,8 @@ def forces(
     """Return the force on each sensor at each frame of a press (k, n, 3) [N].
 
     By tier `layer`; those of a twin that was identified by tier `fem` are of `fem`, and those of
-    the sensors drawn from it are corrected as its own.
-
-    Args:
-        sensors: The twin, and sensors drawn from it.
-        press: The press.
-        grid: Pixels along the body's longer side.
-        true: The twin's forces by tier `fem` (n, 3) [N], if they are solved already.
+    the sensors drawn from it, which follow it, are corrected as its own. `true` are the twin's
+    forces by tier `fem` (n, 3) [N], if they are solved already.
     """
     by_tier_layer = by_layer(sensors, press, grid)
     twin = sensors[0]
@@ -157,17 +152,9 @@ def simulated_forces(
 ) -> TwinForces:
     """Return the twin's forces at all frames of the presses of an archive.
 
-    Args:
-        archived: Sensor of an archive, whose presses are simulated.
-        indenters: Names of the archive's indenters, by code.
-        twin: The twin.
-        draws: Number of sensors drawn from its posterior; 0: no spread.
-        seed: Seed of the draws.
-        grid: Pixels along the body's longer side.
-        height: Height of the surface over where the archive has it [m]; None: the twin's own.
-        device: Device of tier `fem`; a GPU solves many presses at once.
-        processes: Number of processes.
-        progress: Called with the fraction done.
+    Their spread is that of `draws` sensors from its posterior, 0 for none. `height` is that of the
+    surface over where the archive has it [m], by default the twin's own. Tier `fem` runs on the
+    device: a GPU solves many presses at once.
     """
     if draws and twin.posterior is None:
         raise SceneError(

@@ -47,11 +47,7 @@ class MarkerObservations:
 def marker_observations(
     tracks: Sequence[PressTrack], archives: Sequence[MarkerArchive]
 ) -> list[MarkerObservations]:
-    """Return the markers of archives at points of tracks.
-
-    Args:
-        tracks: Tracks of sessions.
-        archives: Archives that were made from some of these sessions.
+    """Return the markers at points of tracks, in archives made from some of their sessions.
 
     Raises:
         SceneError: An archive has no frame of any of the tracks, or hardly any marker.
@@ -132,13 +128,9 @@ def _observations(
 
 
 class Follower:
-    """Follows the markers of a reference from frame to frame.
+    """Follows the markers (m, 2) [px] of a reference, each of an area [px], from frame to frame.
 
     A marker is the patch nearest to where it was, if that patch has no nearer marker.
-
-    Args:
-        markers: Column and row without contact (m, 2) [px].
-        area: Area of a marker [px].
     """
 
     def __init__(self, markers: Array, area: float) -> None:

@@ -134,16 +134,9 @@ def by_fem(
 ) -> Array:
     """Return the force on a sensor along a path (n, 3) [N], by tier `fem`.
 
-    What has no solution is tried again with smaller steps, or on smaller elements if the indenter
-    passes through them.
-
-    Args:
-        sensor: The sensor.
-        indenter: The indenter.
-        tip: Tips (n, 3) [m], z above the undeformed surface there.
-        time: Their times (n,) [s], from 0 on.
-        finer: Elements through the thickness, over `CELLS`.
-        device: Device of the solver.
+    Tips (n, 3) [m], z above the undeformed surface there, are at times (n,) [s] from 0 on; `finer`
+    are elements through the thickness, over `CELLS`. What has no solution is tried again with
+    smaller steps, or on smaller elements if the indenter passes through them.
     """
     scene, first = sensor.scene(indenter, motion_of(tip, time)), fem_of(sensor, finer)
     try:
@@ -195,11 +188,8 @@ class Correction:
 class TrackModel:
     """Readings that a sensor would give along tracks.
 
-    Args:
-        design: Sensor whose quantities are unknown; it must have friction and viscosity.
-        tracks: The tracks.
-        grid: Pixels along the body's longer side.
-        workers: Processes that solve, each a track; None: this one.
+    Its quantities are unknown; the design must have friction and viscosity. Workers solve, each a
+    track, or this process.
     """
 
     def __init__(

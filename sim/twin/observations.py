@@ -207,12 +207,8 @@ def _points(time: Array, tip: Array, still: float) -> NDArray[np.int64]:
     """Return rows at which to solve: evenly along the path, ever rarer while the tip rests.
 
     Those where the tip starts and stops are among them: a stop that is missing would be a slower
-    move that goes on into the rest, and drags the skin for longer.
-
-    Args:
-        time: Times (m,) [s].
-        tip: Tips (m, 3) [m].
-        still: A tip that moves less is at rest [m].
+    move that goes on into the rest, and drags the skin for longer. A tip that moves less than
+    `still` [m] is at rest.
     """
     step = -tip[:, 2].min() / POINTS
     ahead = np.minimum(np.searchsorted(time, time + SOONEST / 2), len(time) - 1)

@@ -110,13 +110,10 @@ class Expected:
 
 
 class Planner:
-    """Information of presses on a design, before any is pressed.
+    """Information of presses on a design, whose values are taken as true, before any is pressed.
 
-    Args:
-        design: Row from which the fit would begin; its values are taken as true.
-        noise: Standard deviation of a sample of the gauge [N].
-        law: Relative error of the law at rest.
-        grid: Pixels along the body's longer side.
+    `noise` is the standard deviation of a sample of the gauge [N], `law` the relative error of the
+    law at rest.
     """
 
     def __init__(
@@ -197,18 +194,13 @@ class Planner:
         change: float,
         progress: Callable[[float], None] = lambda fraction: None,
     ) -> list[PlannedPresses]:
-        """Return presses that narrow the sensor's intervals most in the time given.
+        """Return presses that narrow the sensor's intervals most in the time given [s].
 
         One after another, the most narrowing for its time (D-optimal, greedy): a press, or the
-        first two of an indenter that is not mounted yet. All forces of an indenter may be off by
-        `PRINT`, so that presses by another one tell more than the same ones repeated. Presses that
-        are rough on the grid are left out.
-
-        Args:
-            candidates: What may be pressed.
-            seconds: Time for all [s], with changes of the indenter.
-            change: Time to mount an indenter [s].
-            progress: Called with the fraction of candidates that is solved.
+        first two of an indenter that is not mounted yet, which takes `change` [s]. All forces of an
+        indenter may be off by `PRINT`, so that presses by another one tell more than the same ones
+        repeated. Presses that are rough on the grid are left out. `progress` is called with the
+        fraction of candidates that is solved.
         """
         _require(candidates, seconds, change)
         for done, each in enumerate(candidates):

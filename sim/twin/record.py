@@ -177,9 +177,7 @@ def _marker_line(observations: Sequence[MarkerObservations], places: Sequence[Ar
 def plan_files(planned: Sequence[PlannedPresses], bench: str) -> dict[str, str]:
     """Return the text of each file of a plan: a bench for each session, and `campaign.yaml`.
 
-    Args:
-        planned: Presses of each session.
-        bench: Bench file that presses, relative to the plan's folder.
+    `bench` is the bench file that presses, relative to the plan's folder.
     """
     files, entries = {}, []
     for number, each in enumerate(planned, 1):

@@ -352,13 +352,10 @@ class MarkerToMarker(nn.Module):
         source_reference: torch.Tensor | None = None,
         noise: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Return the translated images (n, 3, h, w) in the networks' own range.
+        """Return images (n, 1, h, w) in [0, 1] translated, (n, 3, h, w) in the networks' own range.
 
-        Args:
-            source: Images (n, 1, h, w) in [0, 1].
-            target_reference: Latent of the target's reference mask (n, channels, h/8, w/8).
-            source_reference: Latent of the source's reference, if it is an input.
-            noise: Standard normal noise of a latent's shape; None: use the posterior's mean.
+        References are latents (n, channels, h/8, w/8), the source's if it is an input; `noise` is
+        standard normal, of a latent's shape. Without noise the posterior's mean is used.
         """
         latent = self.posterior(source).at(noise)
         time = torch.full((len(source),), LAST_TIME, device=source.device)

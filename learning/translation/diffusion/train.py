@@ -332,16 +332,12 @@ def train(
     vae_adapter: Mapping[str, torch.Tensor] | None = None,
     start_from: Mapping[str, torch.Tensor] | None = None,
 ) -> MarkerToMarker:
-    """Train a network and return it.
+    """Train a network on pairs, which are copied to the device, and return it.
 
-    Args:
-        pairs: Training pairs; copied to the device.
-        pretrained: Networks to start from. UNet and autoencoder become part of the result.
-        settings: Settings of the training.
-        validation: Validation pairs; None: no validation.
-        session: Surroundings of the training; None: in memory, on the device of the settings.
-        vae_adapter: Adapter of the marker VAE, for encoder, decoder and reference.
-        start_from: State of a trained network with the same settings.
+    Pretrained UNet and autoencoder become part of the result. `vae_adapter` is the adapter of the
+    marker VAE, for encoder, decoder and reference; `start_from` is the state of a trained network
+    with the same settings. Without a session the training is in memory, on the device of the
+    settings.
     """
     if not len(pairs.pairs):
         raise LearningError("pairs: found none; allowed: one or more")

@@ -170,12 +170,9 @@ def train_vae(
 ) -> MarkerVae:
     """Train the autoencoder and return it.
 
-    Args:
-        images: Training images of all patterns (n, h, w) uint8; copied to the device.
-        vae: SD-Turbo's autoencoder; becomes part of the result.
-        settings: Settings of the training (`of_marker_vae`).
-        validation: Validation images; None: no validation.
-        session: Surroundings of the training; None: in memory, on the device of the settings.
+    Images of all patterns (n, h, w) uint8 are copied to the device; SD-Turbo's autoencoder `vae`
+    becomes part of the result. Without a session the training is in memory, on the device of the
+    settings (`of_marker_vae`).
     """
     if not len(images):
         raise LearningError("images: found none; allowed: one or more")

@@ -240,15 +240,11 @@ def from_displacement(field: Tensor, lattice: Lattice) -> Tensor:
 
 
 def transferred(deformation: Tensor, zoom: Tensor, placement: Tensor | None = None) -> Tensor:
-    """Return a deformation (n, 3, h, w) converted to pixels of another sensor's image.
+    """Return a deformation (n, 3, h, w) of a source's image in pixels of another sensor's image.
 
-    The image centres coincide and lengths in millimetres are preserved.
-
-    Args:
-        deformation: Deformation in the source's image (n, 3, h, w).
-        zoom: Millimetres per target pixel over millimetres per source pixel (n, 2) (column, row).
-        placement: Affine change (n, 2, 3) of the sampled position, from the target's image to the
-            source's, both from -1 to 1; None: no change.
+    The image centres coincide and lengths in millimetres are preserved: `zoom` is millimetres per
+    target pixel over those per source pixel (n, 2) (column, row). `placement` is an affine change
+    (n, 2, 3) of the sampled position, from the target's image to the source's, both from -1 to 1.
     """
     height, width = deformation.shape[-2:]
     grid = image_grid(height, width, deformation.device).expand(len(deformation), -1, -1, -1)
@@ -410,16 +406,12 @@ _LEAST_PX = 0.01
 
 
 def signed_distance(masks: Tensor, reach: int = REACH_PX) -> Tensor:
-    """Return signed distances (n, 1, h, w) [px], positive on markers, float32.
+    """Return signed distances (n, 1, h, w) [px], positive on markers, float32, for masks (n, h, w).
 
     Far from an edge it is the distance to the nearest pixel of the other kind, less half a pixel.
     That locates edges to a third of a pixel, always too far inside round shapes. Near an edge it is
     therefore inferred from the mask blurred by a Gaussian, for a straight edge, to a twentieth of a
-    pixel. An image without markers is -reach everywhere.
-
-    Args:
-        masks: True on markers, bool (n, h, w).
-        reach: Distances are clipped here [px].
+    pixel. An image without markers is -reach everywhere; distances are clipped there.
     """
     outside = _distance_to(masks, reach) - 0.5
     inside = _distance_to(~masks, reach) - 0.5

@@ -362,13 +362,9 @@ def train_field(
     validation: FieldFrames | None = None,
     session: TrainingSession | None = None,
 ) -> FieldModel:
-    """Train a field model and return it in evaluation mode.
+    """Train a field model on frames and pairs on its device, and return it in evaluation mode.
 
-    Args:
-        frames: Training frames and pairs, on the device of the training.
-        settings: Settings of model and training.
-        validation: Validation frames and pairs; None: no validation.
-        session: Surroundings of the training; None: in memory, on the device of the settings.
+    Without a session the training is in memory, on the device of the settings.
     """
     session = session or TrainingSession(accelerator(settings.launch))
     run, runs_on = session.run, session.accelerator

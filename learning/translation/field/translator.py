@@ -113,11 +113,7 @@ def _distance(packed: bytes, device: torch.device) -> Tensor:
 
 
 def load(folder: Path, device: torch.device | str = "cpu") -> FieldTranslator:
-    """Return the translator in the folder of a finished training run.
-
-    Args:
-        folder: Folder of the run or of one of its checkpoints.
-        device: Device to compute on.
+    """Return the translator in the folder of a finished training run, or of one of its checkpoints.
 
     Raises:
         LearningError: No model, a model of another kind, or weights that do not fit.
