@@ -55,7 +55,6 @@ class Row:
     mock: bool = False
     """True if emulators took the place of the devices."""
     runs: int = 0
-    """Number of runs."""
     dropped: int = 0
     """Samples that the streams of the last run report as dropped."""
     findings: tuple[str, ...] | None = None

@@ -33,7 +33,6 @@ class Curve:
     values: Floats
     """Values (n,); NaN leaves a gap."""
     color: Color
-    """Colour of the curve."""
 
 
 def font(size: int) -> Font:

@@ -102,7 +102,6 @@ class Traits:
     stamp: str = "end"
     """One of `STAMPS`: the moment that `device_t` is of, if the clock is `monotonic`."""
     defaults: KindDefaults = field(init=False, repr=False, compare=False)
-    """Defaults of the kind."""
 
     def __post_init__(self) -> None:
         """Look up the defaults of the kind."""

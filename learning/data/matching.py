@@ -307,7 +307,6 @@ class MatchReport:
     presses: tuple[int, int]
     """Presses of each."""
     matched: int
-    """Presses that matched."""
     frames: int
     """Pairs of frames: of the last ones of the phases that both have."""
     place: float

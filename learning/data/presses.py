@@ -31,7 +31,6 @@ class Presses:
     """P presses of one sensor with N frames in total, stored press by press."""
 
     sensor: str
-    """Name of the sensor."""
     mm_per_px: float
     """Size of a pixel of the 640 x 480 image [mm]."""
     form: Form

@@ -39,7 +39,6 @@ class PressKey:
     location: int
     """Equal across sensors."""
     indenter: str
-    """Name of the indenter."""
     target: int
     """Its number within the indenter."""
     role: Role
@@ -58,7 +57,6 @@ class Split:
     new_press: float = 0.0
     """The same for `new_press`."""
     seed: int = 0
-    """Seed of the choice."""
 
     @property
     def fingerprint(self) -> str:

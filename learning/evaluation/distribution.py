@@ -33,7 +33,6 @@ class ConvLayer:
     """One convolution of a branch."""
 
     name: str
-    """Name of the layer."""
     width: int
     """Number of output channels."""
     kernel: tuple[int, int] = (1, 1)

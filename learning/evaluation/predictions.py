@@ -274,7 +274,6 @@ class ForceRow:
     role: str
     """Role of the frames in the split; `all`: unseen and seen indenters together."""
     errors: ForceErrors
-    """The errors."""
     label_range: tuple[float, float, float, float]
     """Range of Fx, Fy, Fz, Ft of the target's labels [N]."""
 

@@ -303,7 +303,6 @@ class Report:
     files: tuple[Path, ...]
     """The page first, then the tables."""
     force: tuple[ForceRow, ...]
-    """Errors of forces."""
     unscored: tuple[dict[str, Any], ...]
     """Lines on predictions without labels, see `unscored_lines`."""
 

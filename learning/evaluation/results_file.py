@@ -23,7 +23,6 @@ class Results:
     """Content of a file."""
 
     kind: str
-    """Kind of results."""
     reported: Mapping[str, Any]
     """JSON header."""
     arrays: Mapping[str, NDArray[Any]]

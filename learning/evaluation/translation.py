@@ -237,7 +237,6 @@ class DistanceScore:
     extractor: str
     """Extractor of the features, with the hash of its weights."""
     frechet: float
-    """Frechet distance."""
     kernel: float
     """Squared kernel distance, mean of random subsets."""
     kernel_std: float
@@ -261,13 +260,10 @@ class TranslationScores:
     target: str
     """Sensor that they were translated to."""
     translator: str
-    """Name of the translator."""
     model: str
     """Hash of its weights."""
     paired: tuple[PairedScore, ...]
-    """Scores of paired frames."""
     distances: tuple[DistanceScore, ...]
-    """Distances of features."""
     features: Mapping[str, NDArray[np.float32]]
     """Some features (n, d) of `SOURCE`, `TRANSLATED` and `FLOOR`, for plots."""
 

@@ -30,7 +30,6 @@ class ExperimentSettings:
 
     description: str
     translators: tuple[TranslatorName, ...]
-    """Translators between sensors."""
     force: ModelChoice
     """Force model trained on the source's own frames."""
     fine_tuning: tuple[str, ...]

@@ -67,7 +67,6 @@ class Places:
     out: Path
     """Folder of the experiment."""
     archive: Path
-    """Archive of the training data."""
 
     @property
     def split(self) -> Path:

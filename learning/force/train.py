@@ -72,7 +72,6 @@ class OptimiserSettings:
 
     name: Literal["sgd", "adamw"] = "adamw"
     momentum: float = 0.9
-    """Momentum of SGD."""
     weight_decay: float = 1e-2
     clip: float | None = 1.0
     """Gradient norm above which gradients are clipped; none: no clipping."""

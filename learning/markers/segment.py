@@ -159,13 +159,11 @@ class Morphology:
     """One step of cleaning."""
 
     step: Step
-    """Operation."""
     size_px: int
     """Side of the structuring element."""
     times: int = 1
     """Number of repeats: an `open` of 2 erodes twice, then dilates twice."""
     shape: Shape = "ellipse"
-    """Shape of the element."""
 
     def __post_init__(self) -> None:
         _require(self, "size_px", self.size_px, 1, 99)
@@ -189,7 +187,6 @@ class CameraPreset:
     sensors: tuple[str, ...] = ()
     """Names of the sensors in sessions that use it by default."""
     region: Region = field(default_factory=Region)
-    """Region of the picture in use."""
     equalise: bool = False
     """True to equalise the luma of YUV first."""
     invert: bool = False
@@ -226,7 +223,6 @@ class TaxelPreset:
     KIND: ClassVar[str] = "taxels"
 
     description: str
-    """Purpose of the preset."""
     mm_per_px: float | None = None
     """Size of a pixel on the surface without contact [mm]: 128 columns are a pitch."""
     sensors: tuple[str, ...] = ()
@@ -246,7 +242,6 @@ class ShadingPreset:
     KIND: ClassVar[str] = "shading"
 
     description: str
-    """Purpose of the preset."""
     mm_per_px: float | None = None
     """Size of a pixel of the 640 x 480 on the surface without contact [mm]; None: must be given."""
     sensors: tuple[str, ...] = ()

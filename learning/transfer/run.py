@@ -64,7 +64,6 @@ class TransferRequest:
     source: SensorSelection
     target: SensorSelection
     out: Path
-    """Folder of the run."""
     settings: ExperimentSettings
     source_model: Path | None = None
     """Force model of the source; None: one is trained."""

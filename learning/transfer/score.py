@@ -80,7 +80,6 @@ class NewFrames:
     """Shapes of the frames (n, 7)."""
     indenters: tuple[str, ...]
     intervals: Intervals
-    """Intervals of the model."""
 
 
 def new_frames(model_folder: Path, truth: SensorSelection) -> NewFrames:

@@ -26,7 +26,6 @@ class SensorView:
     """Scale of a sensor's image on its surface."""
 
     name: str
-    """Name of the sensor."""
     mm_per_column: float
     """Distance between the centres of neighbouring pixels in a row [mm]."""
     mm_per_row: float

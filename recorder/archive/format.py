@@ -387,7 +387,6 @@ class SensorPlan:
     attrs: Mapping[str, Any] = field(default_factory=dict)
     """Further JSON-compatible attributes, such as pattern, camera and origin."""
     representation: Representation = MASKS
-    """Content of its frames."""
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -602,11 +601,8 @@ class StoredSensor:
     files: Files
     """File access for the group."""
     attrs: dict[str, Any]
-    """Attributes of the group."""
     representation: Representation
-    """Content of its frames."""
     frames: ArchiveArray
-    """Array of the frames."""
     references: ArchiveArray
     """Array of the frames without contact."""
 

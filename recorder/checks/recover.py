@@ -44,7 +44,6 @@ class Recovery:
     frames_rebuilt: bool
     """True if the frames view was rebuilt."""
     status: str
-    """Status of the session now."""
 
     @property
     def touched(self) -> bool:

@@ -218,7 +218,6 @@ class SignalLag:
     high: float
     """Ends of the 95 % interval [s]."""
     correlation: float
-    """Correlation at that lag."""
 
     def __str__(self) -> str:
         return (

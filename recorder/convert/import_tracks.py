@@ -277,7 +277,6 @@ class RecordedTrack:
     stream: str
     """Name of the stream in the session."""
     kind: As
-    """Kind of its content."""
     content: Content
     """Its samples."""
     source: str

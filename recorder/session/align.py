@@ -234,7 +234,6 @@ class Source:
     """One stream of one run."""
 
     name: str
-    """Name of the stream."""
     traits: Traits
     """Kind, alignment, roles and clock."""
     times: Times

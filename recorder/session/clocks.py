@@ -52,7 +52,6 @@ class ClockPiece:
     first_row: int
     """First row of the fit."""
     rows: int
-    """Number of rows."""
     offset: float
     """Value added to `device_t` at the first row to get host time [s]."""
     drift_ppm: float

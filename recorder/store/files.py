@@ -325,7 +325,6 @@ class Manifest:
     """Files of a session at the end of a run; paths are relative to the session."""
 
     run: int
-    """Number of the run."""
     previous: dict[str, Any] | None
     """`run` and `sha256` of the manifest before it; None for the first."""
     rows: dict[str, int]
@@ -333,7 +332,6 @@ class Manifest:
     files: dict[str, tuple[int, str]]
     """Size [bytes] and SHA-256 of every file but the shards of streams."""
     shards: dict[str, Shard]
-    """Shards of streams."""
     digest: str
     """SHA-256 of the file of the manifest itself."""
 

@@ -104,16 +104,12 @@ CORRUPT_IN_A_ROW = 10
 
 
 class ReceivingDriver:
-    """Base of the drivers whose samples a thread receives.
+    """Base of the drivers whose samples a thread receives, at most `capacity` for a late consumer.
 
     A driver defines `_connect`, `_receive`, `_release` and `describe`. In case of silence or damage
     `_receive` calls `_count_wait` or `_count_corrupt`, which raise once there is too much of it.
-
-    Args:
-        where: Address of the device, for errors.
-        clock: Timestamps the samples.
-        capacity: Samples kept for a late consumer.
-        rejects: Reasons for which the driver leaves samples out.
+    `where` is the device's address, for errors; `rejects` are the reasons for which it leaves
+    samples out.
     """
 
     def __init__(

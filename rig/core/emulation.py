@@ -121,10 +121,9 @@ NO_CONTACT_DEPTH = -0.01
 
 
 class SharedWorld(AwaitedRecord):
-    """World published by another process in a `SharedLatest` file.
+    """World published by another process in a `SharedLatest` file, which may be created later.
 
-    Args:
-        path: The file, which may be created later. None: nothing ever touches the sensor.
+    Without a file nothing ever touches the sensor.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -144,10 +143,7 @@ class SharedWorld(AwaitedRecord):
 class DeviceServer(ThreadingHTTPServer):
     """HTTP server of an emulated device, without a host name.
 
-    Args:
-        address: Host and port.
-        handler: Class that handles requests.
-        faults: Injector of the device's faults; while it is unplugged, every client is rejected.
+    While `faults` has the device unplugged, every client is rejected.
     """
 
     daemon_threads = True

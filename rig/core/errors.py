@@ -30,11 +30,7 @@ class SafetyStop(CommandError, RuntimeError):
 
 
 def combined(failures: Sequence[Exception]) -> Exception:
-    """Return the only failure, or one error of the first one's type that names them all.
-
-    Args:
-        failures: Errors of devices, or errors that this function made of several of them.
-    """
+    """Return the only failure, or one error of the first one's type that names them all."""
     each: list[Exception] = [
         one for failure in failures for one in getattr(failure, "failures", (failure,))
     ]

@@ -61,15 +61,11 @@ def corrupted_text(message: str, rng: random.Random) -> str:
 
 
 class FaultInjector(Generic[M]):
-    """Fault injector for one device's connection.
+    """Fault injector for one device's connection, with a seed of its garbage.
 
-    Args:
-        clock: Times the end of a fault.
-        spoil: Corrupts a message.
-        mistake: Converts a message to the wrong units; None if `on_change` takes care of it.
-        on_change: Called after `unplug`, `replug`, `wrong_units`, `clear`, and when one of them
-            expires, for effects beyond single messages; it reads `unplugged` and `wrong_units`.
-        seed: Seed of the garbage.
+    `spoil` corrupts a message, `mistake` converts one to the wrong units. `on_change` is called
+    after `unplug`, `replug`, `wrong_units`, `clear`, and when one of them expires, for effects
+    beyond single messages; it reads `unplugged` and `wrong_units`.
     """
 
     def __init__(

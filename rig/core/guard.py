@@ -141,10 +141,7 @@ def judge_safety(status: int) -> Violation | None:
 def outside_box(limits: GuardLimits, contact_frame: ArrayLike, position: ArrayLike) -> str | None:
     """Return the reason why a TCP position (3,) in the base frame [m] is outside the box, or None.
 
-    Args:
-        limits: Limits with the box in the contact frame.
-        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
-        position: Position of the TCP.
+    The box is in the contact frame, a pose (6,) in the base frame [m, rad].
     """
     return _box_reason(limits, transform(invert(contact_frame), position))
 
@@ -200,11 +197,8 @@ class Guard(Protocol):
 class MotionGuard:
     """Stops the arm for its controller's safety status, missing poses, or leaving the box.
 
-    In retreat, the box and missing poses do not stop it.
-
-    Args:
-        limits: Limits to enforce.
-        contact_frame: Pose (6,) of the contact frame in the base frame [m, rad].
+    In retreat, the box and missing poses do not stop it. The contact frame is a pose (6,) in the
+    base frame [m, rad].
     """
 
     RECORD: ClassVar[np.dtype[Any]] = POSE_LATEST
@@ -240,10 +234,7 @@ class ForceGuard:
     Modes: "guarded" checks everything. "travel" does too; no contact is expected, so any force that
     trips is unexpected. "retreat" lets the arm leave even if the sensor fails: no soft limit, no
     check of age, and the hard limit only while the load still grows, in two records at least.
-
-    Args:
-        limits: Limits to enforce.
-        name: Name of the F/T sensor, for reasons; empty: the bench has only one.
+    Reasons have the name of the sensor; empty: the bench has only one.
     """
 
     RECORD: ClassVar[np.dtype[Any]] = FORCE_LATEST

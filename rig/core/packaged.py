@@ -14,14 +14,9 @@ CAMPAIGNS = _HOME / "campaigns"
 
 
 def packaged(path: Path, folder: Path) -> Path:
-    """Return the path, or the packaged file of that name.
+    """Return the path, or the packaged file of that name in `BENCHES` or `CAMPAIGNS`.
 
-    Args:
-        path: Path as given by the user.
-        folder: `BENCHES` or `CAMPAIGNS`.
-
-    Returns:
-        `path` itself if it exists or if no packaged file has that name.
+    It is the path itself if it exists or if no packaged file has that name.
     """
     if path.exists() or path.parent not in (Path(), Path(folder.name)):
         return path

@@ -166,12 +166,9 @@ class Playback:
     ) -> None:
         """Wait for the start, send every row, and wait for the end of the replay.
 
-        Args:
-            send: Sends the row at this place of the recording.
-            window: Largest number of rows under way to the reader.
-            ending: Set when the emulator closes.
-            idle: Called about 20 times per second while no row is due.
-            wake: Wakes a reader that waits for a row, without sending one: it is about to close.
+        `send` sends the row at a place of the recording, at most `window` under way to the reader;
+        `idle` is called about 20 times per second while no row is due. `ending` is set when the
+        emulator closes; `wake` then wakes a reader that waits for a row, without sending one.
         """
         self._ending = ending
         self._idle = idle or _nothing

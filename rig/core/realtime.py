@@ -22,13 +22,8 @@ def enable_realtime(priority: int = RIG_PRIORITY) -> dict[str, bool]:
     """Enable real-time scheduling and disable timer slack and garbage collection in this process.
 
     The default timer slack alone delays every wake-up by 50 us. Garbage collection is disabled
-    because its timing is unpredictable; a `Sweeper` runs it at suitable times.
-
-    Args:
-        priority: Priority of SCHED_FIFO, 1 to 99.
-
-    Returns:
-        The settings granted, by name; stored with every stream.
+    because its timing is unpredictable; a `Sweeper` runs it at suitable times. The priority is that
+    of SCHED_FIFO, 1 to 99. Returns the settings granted, by name; stored with every stream.
     """
     gc.collect()
     gc.freeze()
@@ -67,10 +62,7 @@ class Sweeper:
     """Explicit garbage collection, for the cycles left by HTTP requests and chunk encoding.
 
     Objects from before `enable_realtime` are frozen and survivors of earlier sweeps are skipped, so
-    a sweep takes a fraction of a millisecond.
-
-    Args:
-        every: Interval between sweeps [s].
+    a sweep, one in `every` [s], takes a fraction of a millisecond.
     """
 
     def __init__(self, every: float = 5.0) -> None:

@@ -67,10 +67,8 @@ class SharedLatest:
     def create(cls, path: Path, dtype: np.dtype[Any], slots: int = SLOTS) -> Self:
         """Create the empty file (count 0) atomically and open it for writing.
 
-        Args:
-            path: The file.
-            dtype: Structured dtype of one record.
-            slots: Records that it holds; `since` can return all of them but the oldest.
+        It holds `slots` records of a structured dtype; `since` can return all of them but the
+        oldest.
         """
         size = _HEADER + slots * _slot(dtype).itemsize
         unfinished = path.with_name(f"{path.name}.{os.getpid()}-unfinished")
@@ -129,9 +127,6 @@ class SharedLatest:
 
         Fewer than the difference of the two numbers were returned if the writer has overwritten
         some, or overtook this reader.
-
-        Args:
-            number: Number of the last record that was read; 0: none.
         """
         newest = int(self._count[0])
         # The slot after the newest may be half written.

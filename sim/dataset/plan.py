@@ -246,7 +246,6 @@ class DatasetPlan:
     solving: Solving = field(default_factory=Solving)
     """Tier and mesh, or tolerance, of the presses."""
     seed: int = 0
-    """Seed of all random draws."""
     steps: int = 10
     """Frames per phase of a target; states have no phases."""
     fraction: float = 1.0

@@ -454,7 +454,6 @@ class Solid:
 
     path: str = field(compare=False)
     sha256: str
-    """SHA-256 of the file's content."""
     unit: Unit = "mm"
     """Unit of the numbers in the file."""
     up: Up = "+z"

@@ -31,7 +31,6 @@ class GenForcePress:
     target: int
     """Number of the press within the indenter, from 0."""
     files: tuple[Path, ...]
-    """File of each frame."""
     phase: NDArray[np.int64]
     """Phase code of each frame (n,); -1 for none."""
     wrench: Array

@@ -121,7 +121,6 @@ class PublishedSensor:
 
     plan: SensorPlan
     files: tuple[Path, ...]
-    """File of each frame."""
     read_mask: ReadMask
     """Reads the packed mask (38400,) of a frame's file."""
     table: Mapping[str, NDArray[Any]]

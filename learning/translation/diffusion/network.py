@@ -124,7 +124,6 @@ class VaeSettings:
     gradient_checkpointing: bool = False
     """True to recompute activations instead of storing them: less memory, more time."""
     seed: int = 0
-    """Seed of everything random."""
 
     def __post_init__(self) -> None:
         require(self, "vae_rank", least=1, most=1024)

@@ -105,14 +105,12 @@ class TranslatorSettings(MarkerVaeSettings, DiffusionNetworkSettings):
     optimiser: Optimiser
     """Settings of each optimiser; the discriminator has its own."""
     losses: DiffusionLossWeights = field(default_factory=DiffusionLossWeights)
-    """Weights of the losses."""
     sample_latents: bool = True
     """True if training samples latents from the posterior; inference uses its mean."""
     two_pass: bool = False
     """True for separate passes and steps for reconstruction and adversary (authors' code); False
     for one pass and one step."""
     steps: int = 100_000
-    """Steps of the optimiser."""
     batch: int = 16
     """Batch size on one device, before accumulation."""
     accumulation: int = 1

@@ -112,7 +112,6 @@ class FieldSettings:
     every_frame: int = 4
     """The field net is trained on every n-th frame of a press, and on all paired frames."""
     weight_decay: float = 1e-2
-    """Weight decay of AdamW."""
     clip: float = 1.0
     """Gradient norm above which gradients are clipped."""
     launch: LaunchSettings = field(default_factory=LaunchSettings)

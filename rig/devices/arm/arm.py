@@ -322,11 +322,7 @@ class Arm:
             del self._reports[number]
 
     def _discard(self, why: str | None = None) -> None:
-        """End the child, if any, within bounded time and without leaving a zombie.
-
-        Args:
-            why: Message of the error that later calls raise.
-        """
+        """End the child within bounded time, without leaving a zombie; later calls raise `why`."""
         with self._lock:
             self._lost = why or f"{self._where}: not started"
             if self._process is not None:

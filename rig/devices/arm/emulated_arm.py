@@ -146,9 +146,8 @@ class Wrist:
 class Robot:
     """Ideal arm that follows its commands exactly.
 
-    Args:
-        pose: TCP pose (6,) in the base frame at power on [m, rad].
-        tcp: TCP (6,) in the flange frame at power on, as in the installation [m, rad].
+    TCP pose (6,) in the base frame and TCP (6,) in the flange frame, as in the installation, are
+    those at power on [m, rad].
     """
 
     def __init__(self, pose: Array, tcp: Array) -> None:

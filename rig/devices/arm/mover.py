@@ -200,13 +200,8 @@ _LOST: tuple[Kind, ...] = ("stale_force", "stale_pose")
 class Mover:
     """A connected arm that executes one command after the other.
 
-    Args:
-        setup: Limits and configuration to enforce.
-        control: The running control program.
-        watch: State of the arm and the sensors.
-        clock: Paces the loop.
-        interrupted: Called in every cycle of a move; True ends the move by a halt. An exception it
-            raises is passed on with the arm still moving.
+    `interrupted` is called in every cycle of a move; True ends the move by a halt. An exception it
+    raises is passed on with the arm still moving.
     """
 
     def __init__(
@@ -295,9 +290,7 @@ class Mover:
     def move(self, command: Move, on_start: Callable[[float], None]) -> Reply:
         """Execute a move and return its result.
 
-        Args:
-            command: The move.
-            on_start: Called at the start with the longest time the move can take [s].
+        `on_start` is called at the start with the longest time the move can take [s].
         """
         start_ns = self._clock.now_ns()
         goal = np.array(command.pose)

@@ -61,13 +61,9 @@ class RtdeLink:
 
     A sample is a dict: `t_ns` host arrival, `device_t` controller clock [s], `value` TCP pose (6,)
     in the base frame [m, rad], `speed` (6,) [m/s, rad/s], `speed_scaling` and `speed_fraction` (the
-    slider) in 0..1, `runtime_state`, `safety_status` (bits), `robot_mode`.
-
-    Args:
-        host: Controller address.
-        rate_hz: Packages per second; the controller rounds to 500 Hz divided by an integer.
-        clock: Timestamps the arrivals.
-        more: Further variables to stream, and the names of their columns.
+    slider) in 0..1, `runtime_state`, `safety_status` (bits), `robot_mode`; `more` are further
+    variables and the names of their columns. The controller rounds the rate to 500 Hz divided by an
+    integer.
     """
 
     def __init__(

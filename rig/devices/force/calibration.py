@@ -59,9 +59,7 @@ class TransducerCalibration:
     def saturated(self, volts: npt.ArrayLike, fraction: float = 0.999) -> npt.NDArray[np.bool_]:
         """Return True where any gauge of volts (..., 6) is saturated, so the wrench is wrong.
 
-        Args:
-            volts: Gauge voltages [V].
-            fraction: Fraction of the output range from which a gauge counts as saturated.
+        It is from a fraction of the output range.
         """
         low, high = self.volts_range
         middle, half = (high + low) / 2, (high - low) / 2

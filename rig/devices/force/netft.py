@@ -50,12 +50,10 @@ _AGE_MAX_NS = 10 * SECOND_NS
 
 
 class StampedSocket:
-    """A UDP socket that returns packets with their time of arrival.
+    """A UDP socket that returns packets with their time of arrival; its timeout is kept.
 
-    Args:
-        udp: The socket; its timeout is kept.
-        clock: Clock for packets that the kernel did not timestamp, or whose timestamp is ahead or
-            more than 10 s behind because UTC was set.
+    The clock is for packets that the kernel did not timestamp, or whose timestamp is ahead or more
+    than 10 s behind because UTC was set.
     """
 
     def __init__(self, udp: socket.socket, clock: Clock) -> None:

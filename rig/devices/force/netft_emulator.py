@@ -272,13 +272,9 @@ def force_bias(stream: Stream) -> Floats:
 
 
 def force_counts(value: Floats, bias: Floats, page: Page, name: str = "force") -> Ints:
-    """Return the counts (n, 6) from which the driver computes exactly `value`.
+    """Return the counts (n, 6) from which the driver computes exactly `value`, by the box's page.
 
-    Args:
-        value: As stored: measured minus bias (n, 6) [N, N m].
-        bias: (6,) [N, N m].
-        page: Settings of the box.
-        name: Name of the stream, for errors.
+    Values are as stored: measured minus bias (6,), (n, 6) [N, N m].
     """
     scale = np.repeat(page.scale(), 3)
     whole = np.rint((value + bias) / scale)

@@ -91,11 +91,7 @@ class RobotiqDriver:
         return parse_status(self._ask(READ_INPUT, STATUS_ADDRESS))
 
     def activate(self, timeout: float) -> GripperStatus:
-        """Activate an inactive gripper: it opens and closes once, and drops its object.
-
-        Args:
-            timeout: For the whole activation; a gripper takes one to two seconds [s].
-        """
+        """Activate an inactive gripper: in 1 to 2 s it opens, closes and drops its object."""
         if self.status().state == ACTIVE:
             return self.status()
         self._tell(GripperCommand(activate=False))
@@ -106,13 +102,9 @@ class RobotiqDriver:
     def move(
         self, position: int, *, speed: int, force: int, timeout: float = 10.0
     ) -> GripperStatus:
-        """Move the fingers to `position` and wait until they rest there, or on an object.
+        """Move the fingers to `position` and wait [s] until they rest there, or on an object.
 
-        Args:
-            position: 0 open to 255 closed.
-            speed: 0 slowest to 255.
-            force: 0 weakest to 255.
-            timeout: For the movement [s].
+        Position is 0 open to 255 closed, speed 0 slowest, force 0 weakest, to 255.
         """
         command = GripperCommand(go=True, position=position, speed=speed, force=force)
         if self.status().state != ACTIVE:
@@ -253,17 +245,9 @@ def swap_held(
 ) -> GripperStatus:
     """Open the fingers and wait until `what` is between them, without any key press.
 
-    Every `pause` seconds the fingers close, slowly and weakly, and open again if they meet nothing.
-    An object they meet is then held with the configured force.
-
-    Args:
-        gripper: Open driver; the gripper is activated if it is not.
-        what: Object to insert, as shown to the technician.
-        clock: Clock for the pauses.
-        say: Prints a line.
-        pause: Time before the fingers open, and before each attempt to close [s].
-        patience: Time limit without an object to hold [s].
-        speed: Speed of the fingers while they search for an object, 0 to 255.
+    Every `pause` seconds the fingers close, slowly and weakly, and open again if they meet nothing;
+    after `patience` seconds without an object they give up. An object they meet is then held with
+    the configured force. `say` prints a line for the technician.
     """
     say(f"gripper: opens in {pause:g} s: support the object it holds")
     _rest(clock, pause)
@@ -292,10 +276,8 @@ def _rest(clock: Clock, seconds: float) -> None:
 def judge(status: GripperStatus, reference: GripperStatus, tolerance: int) -> str | None:
     """Return the reason why the grip is lost, or None while it holds.
 
-    Args:
-        status: Current status.
-        reference: Status when the gripper was known to hold.
-        tolerance: Largest allowed movement of the fingers, in counts of 255.
+    The reference is the status when it was known to hold; the fingers may have moved by the
+    tolerance, in counts of 255.
     """
     if status.fault:
         return f"fault {status.fault}: {fault_text(status.fault)}"

@@ -71,10 +71,8 @@ _HOLDING_CURRENT, _MOVING_CURRENT = 0.06, 0.2
 class Fingers:
     """Model of a 2F gripper, as seen in its registers.
 
-    Args:
-        clock: Clock for the movement of the fingers.
-        object_at: Position at which closing fingers meet the object, counts; None: no object.
-        holding: Start activated and closed on the object.
+    Closing fingers meet the object at `object_at`, counts, if there is one; `holding` starts
+    activated and closed on it.
     """
 
     def __init__(self, clock: Clock, *, object_at: int | None, holding: bool = False) -> None:

@@ -154,7 +154,6 @@ class PedalState:
 
     down: bool = False
     presses: int = 0
-    """Number of presses."""
     releases: int = 0
     """Number of releases, unplugging included."""
     out_since_ns: int | None = None
