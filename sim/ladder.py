@@ -46,6 +46,8 @@ FRICTION = 0.5
 COARSE = 2
 # Stated error of a force with a table of `fem`, and without one, over the force.
 MENDED, UNMENDED = 0.1, 0.25
+# Least growth of the tangential stiffness from one step to the next, over the stiffness.
+LEAST = 1e-3
 # Ladders that come with the simulator.
 PACKAGED = Path(__file__).parent / "ladders"
 
@@ -62,8 +64,6 @@ class Presses:
     """Mean height of the pressed skin above the tip, weighted by pressure (n,) [m]."""
     traction: Array
     """Traction on the body (n, 3, X, Y) [Pa]."""
-    stiffness: Array
-    """Tangential stiffness of the contact between two steps (n,) [N/m]; NaN: unknown."""
 
 
 class Ladder:
@@ -90,11 +90,13 @@ class Ladder:
         self._fine = fine
         self._fine_force = _rising(self.depths, self._forces)(fine)
         self.fields = Fields.of(presses, body)
-        stiffness = np.where(np.isnan(presses.stiffness), self.fields.stiffness, presses.stiffness)
-        self.stiffness: Array = np.maximum.accumulate(stiffness * scale)
+        sideways = _growing(self.fields.stiffness * scale[:, None])
+        self.stiffness: Array = sideways.mean(axis=1)
         """Tangential stiffness of the contact from each step to the next (n,) [N/m]."""
         self.spring: Array = np.diff(self.stiffness, prepend=0.0)
         """Stiffness of each spring (n,) [N/m]."""
+        self.sideways: Array = np.diff(sideways, axis=0, prepend=0.0)
+        """Stiffness of each spring along x, along y (n, 2) [N/m]."""
         self.start: Array = np.concatenate(
             [[0.0], np.cumsum(np.diff(self._forces)[:-1] / self.stiffness[:-1])]
         )
@@ -179,7 +181,7 @@ class Fields:
     """Displacement by a contact of each step that moves by 1 m along x, along y: that of each
     less that of the step before (n, 2, X, Y, 3), float32."""
     stiffness: Array
-    """Tangential stiffness of each contact, for a modulus of 1 Pa (n,) [N/m]."""
+    """Tangential stiffness of each contact along x, along y, for a modulus of 1 Pa (n, 2) [N/m]."""
 
     @classmethod
     def of(cls, presses: Presses, body: Body) -> Self:
@@ -240,7 +242,7 @@ class Fields:
             axis=1,
         )
         sideways = np.diff(sideways, axis=0, prepend=np.zeros_like(sideways[:1]))
-        stiffness = total * grid.area / moved.mean(axis=0)
+        stiffness = (total * grid.area / moved).T
         return cls(axes[0], axes[1], normal, sideways, stiffness)
 
     def at(self, field: Array, points: Array) -> Array:
@@ -301,7 +303,7 @@ class LadderPress:
         factor = 1 + gained.sum()
         held = np.tensordot(decay, self._branches, 1) - gained.sum() * self._elastic
         elastic = self._elastic.copy()
-        elastic[:, :2] += ladder.spring[:, None] * aside
+        elastic[:, :2] += ladder.sideways * aside
         travel = ladder.travel(ladder.normal(-tip[2])) if tip[2] < 0 else 0.0
         elastic[:, 2] = ladder.spring * np.maximum(travel - ladder.start, 0.0)
         force = factor * elastic + held
@@ -328,9 +330,9 @@ class LadderPress:
     def shear(self) -> Array:
         """Mean displacement of the contact sideways (2,) [m]; 0 without contact."""
         pressed = self._elastic[:, 2] > 0
-        stiffness = float(self._ladder.spring[pressed].sum())
-        if not stiffness:
+        if not pressed.any():
             return np.zeros(2)
+        stiffness = self._ladder.sideways[pressed].sum(axis=0)
         return np.asarray(self._elastic[:, :2].sum(axis=0) / stiffness)
 
     def markers(self, points: Array) -> Array:
@@ -338,7 +340,7 @@ class LadderPress:
         fields = self._ladder.fields
         at, part = self._ladder.place(self._dent)
         field = (1 - part) * fields.normal[at] + part * fields.normal[at + 1]
-        moved = self._elastic[:, :2] / self._ladder.spring[:, None]
+        moved = self._elastic[:, :2] / self._ladder.sideways
         field += np.tensordot(moved.astype(np.float32), fields.sideways, 2)
         return fields.at(field, np.asarray(points, float) - self.tip[:2] + self.shear)
 
@@ -416,7 +418,13 @@ def solved(felt: Indenter, body: Body, deepest: float) -> Presses:
         wrench[step] = press.wrench / skin.modulus
         height[step] = depth + (pressure * press.displacement[2]).sum() / pressure.sum()
         traction[step] = press.traction / skin.modulus
-    return Presses(depths, wrench, height, traction, np.full(STEPS, np.nan))
+    return Presses(depths, wrench, height, traction)
+
+
+def _growing(stiffness: Array) -> Array:
+    """Return the stiffnesses of contacts (n, 2), each at least a little above the one before."""
+    least = 1.0 + LEAST * np.arange(len(stiffness))[:, None]
+    return np.asarray(np.maximum.accumulate(stiffness / least) * least)
 
 
 def _rising(x: Array, y: Array) -> Any:
