@@ -1,0 +1,120 @@
+"""Presses by finite elements, against which a ladder is measured; to be run on a GPU.
+
+    python tests/support/presses.py --fem r6,tacpalm --device cuda:0 --processes 15 --out FILE.json
+
+For each indenter and sensor there is a normal press through six depths, and a press beside the
+middle that is sheared, returned and lifted, at depths, places and directions that no table has.
+Rows are written as they complete: forces [N], stated errors [%], and displacements [m] of the
+sensor's markers, or why there are none.
+"""
+
+import argparse
+import hashlib
+import json
+import math
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.processes import OutOfTime, add_processes, rows_of, time_limit
+from benchmarks.report import Run
+from recorder.store.files import replace_file
+from sim.device import ready_device
+from sim.errors import SceneError, SimulationDiverged
+from sim.fem import Fem
+from sim.indenters import NAMES, named
+from sim.result import Result
+from sim.scene import Effects, Motion, Scene, press
+from sim.sensors import SimulatedSensor, SurfaceField, sensor
+from sim.sensors.sensor import CameraSignal
+from sim.tiers import simulate
+
+# Depths of the normal press, over the sensor's depth; of the sheared one, the least and the most.
+DEPTHS, SHEARED = (0.2, 0.4, 0.55, 0.7, 0.85, 1.0), (0.45, 0.8)
+# Shear over the depth, farthest place beside the middle [m], and frames of each move.
+SHEAR, ASIDE, FRAMES = 0.7, 2e-3, 4
+
+
+def motions(row: SimulatedSensor, name: str) -> dict[str, Motion]:
+    """Return the motions of an indenter on a sensor; drawn by the names."""
+    seed = hashlib.sha256(f"{row.name} {name}".encode()).digest()
+    random = np.random.default_rng(list(seed))
+    depth = float(random.uniform(*SHEARED)) * row.depth_max
+    x, y = random.uniform(-ASIDE, ASIDE, 2)
+    angle = float(random.uniform(0, math.tau))
+    return {
+        "normal": press([share * row.depth_max for share in DEPTHS]),
+        "sheared": press(
+            [depth], shear=SHEAR * depth, angle=angle, at=(float(x), float(y)), steps=FRAMES
+        ),
+    }
+
+
+def places(row: SimulatedSensor) -> NDArray[np.float64]:
+    """Return the undeformed places of the sensor's markers (n, 2) [m]; of taxels, a grid."""
+    if isinstance(row.signal, CameraSignal):
+        return np.asarray(row.signal.drawn()[0].centres, np.float64)
+    axis = np.linspace(-0.4, 0.4, 9) * row.body.size_x
+    return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def solved(
+    device: str, numerics: Fem, seconds: float, job: tuple[str, str, Motion]
+) -> dict[str, Any]:
+    """Return the row of one press, elastic with the sensor's friction."""
+    of, name, motion = job
+    row = sensor(of)
+    felt = row.scene(named(name), motion).indenter
+    scene = Scene(felt, motion, row.body, Effects(friction=row.effects.friction))
+    ready_device(device)
+    began, why = time.perf_counter(), ""
+    result: Result | None = None
+    try:
+        with time_limit(seconds):
+            result = simulate(scene, numerics, device=device)
+    except SimulationDiverged as error:
+        error.forget_dump()
+        reached = error.reached
+        result, why = reached if isinstance(reached, Result) else None, str(error).split("\n")[0]
+    except (SceneError, OutOfTime) as error:
+        why = str(error).split("\n")[0]
+    values: dict[str, Any] = {"tip": motion.tip, "why": why}
+    if result is not None:
+        moved = SurfaceField.of(result).at(places(row))
+        values |= {
+            "wrench": result.wrench.tolist(),
+            "markers": np.round(moved, 8).tolist(),
+            "error": result.record.get("error", {}),
+        }
+    return values | {"seconds": round(time.perf_counter() - began, 1)}
+
+
+def main() -> None:
+    """Solve the presses of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--fem", required=True, metavar="ROW[,ROW]", help="sensors")
+    parser.add_argument("--only", default=",".join(NAMES), metavar="NAMES", help="indenters")
+    parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.json")
+    parser.add_argument("--fineness", type=float, default=1.0)
+    parser.add_argument("--seconds", type=float, default=100.0, help="most for a press")
+    add_processes(parser, default=15)
+    options = parser.parse_args()
+    jobs = {
+        f"{of} {name} {kind}": (of, name, motions(sensor(of), name)[kind])
+        for of in options.fem.split(",")
+        for kind in ("sheared", "normal")
+        for name in options.only.split(",")
+    }
+    work = partial(solved, options.device, Fem(fineness=options.fineness), options.seconds)
+    run = Run(options, options.out.parent, lambda fraction: print(f"{fraction:.0%}", flush=True))
+    run.store = lambda: replace_file(options.out, json.dumps(run.rows).encode())
+    rows_of(run, work, jobs)
+
+
+if __name__ == "__main__":
+    main()
