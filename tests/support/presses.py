@@ -12,7 +12,9 @@ import argparse
 import hashlib
 import json
 import math
+import signal
 import time
+from concurrent.futures import as_completed
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.processes import OutOfTime, add_processes, rows_of, time_limit
-from benchmarks.report import Run
-from recorder.store.files import replace_file
+from recorder.processes import Workers
 from sim.device import ready_device
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
@@ -37,6 +37,14 @@ from sim.tiers import simulate
 DEPTHS, SHEARED = (0.2, 0.4, 0.55, 0.7, 0.85, 1.0), (0.45, 0.8)
 # Shear over the depth, farthest place beside the middle [m], and frames of each move.
 SHEAR, ASIDE, FRAMES = 0.7, 2e-3, 4
+
+
+class OutOfTime(Exception):
+    """Raised if a press takes too long."""
+
+
+def _ring(_number: int, _frame: object) -> None:
+    raise OutOfTime("no answer in time")
 
 
 def motions(row: SimulatedSensor, name: str) -> dict[str, Motion]:
@@ -74,14 +82,18 @@ def solved(
     began, why = time.perf_counter(), ""
     result: Result | None = None
     try:
-        with time_limit(seconds):
-            result = simulate(scene, numerics, device=device)
+        signal.signal(signal.SIGALRM, _ring)
+        # Again and again: an exception within a destructor is ignored.
+        signal.setitimer(signal.ITIMER_REAL, seconds, 5.0)
+        result = simulate(scene, numerics, device=device)
     except SimulationDiverged as error:
         error.forget_dump()
         reached = error.reached
         result, why = reached if isinstance(reached, Result) else None, str(error).split("\n")[0]
     except (SceneError, OutOfTime) as error:
         why = str(error).split("\n")[0]
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
     values: dict[str, Any] = {"tip": motion.tip, "why": why}
     if result is not None:
         moved = SurfaceField.of(result).at(places(row))
@@ -102,7 +114,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.json")
     parser.add_argument("--fineness", type=float, default=1.0)
     parser.add_argument("--seconds", type=float, default=100.0, help="most for a press")
-    add_processes(parser, default=15)
+    parser.add_argument("--processes", type=int, default=15)
     options = parser.parse_args()
     jobs = {
         f"{of} {name} {kind}": (of, name, motions(sensor(of), name)[kind])
@@ -111,9 +123,16 @@ def main() -> None:
         for name in options.only.split(",")
     }
     work = partial(solved, options.device, Fem(fineness=options.fineness), options.seconds)
-    run = Run(options, options.out.parent, lambda fraction: print(f"{fraction:.0%}", flush=True))
-    run.store = lambda: replace_file(options.out, json.dumps(run.rows).encode())
-    rows_of(run, work, jobs)
+    rows: dict[str, Any] = {}
+    with Workers(options.processes) as workers:
+        tasks = {workers.submit(work, job): name for name, job in jobs.items()}
+        for task in as_completed(tasks):
+            name = tasks[task]
+            rows[name] = {"why": str(task.exception())} if task.exception() else task.result()
+            partial_file = options.out.with_suffix(".partial")
+            partial_file.write_text(json.dumps(rows))
+            partial_file.replace(options.out)
+            print(f"{len(rows)}/{len(jobs)} {name}: {rows[name].get('seconds')} s", flush=True)
 
 
 if __name__ == "__main__":
