@@ -58,7 +58,11 @@ VENDORS = {
     "trimesh": {"sim/indenters"},
 }
 # Imports that a module may make only inside its functions.
-LAZY = {"rig/mock/world/simulated.py": {"sim"}, "rig/monitor/predictor.py": {"learning"}}
+LAZY = {
+    "rig/bench/expected.py": {"sim"},
+    "rig/mock/world/simulated.py": {"sim"},
+    "rig/monitor/predictor.py": {"learning"},
+}
 MODULES = sorted(
     path for package in PACKAGES for path in (ROOT / package).rglob("*.py") if path.is_file()
 )

@@ -1,4 +1,4 @@
-"""Dry run of a plan without hardware: workspace box, depth, force and duration of its moves."""
+"""Dry run of a plan without hardware: workspace box, depth and duration of its moves."""
 
 import math
 from dataclasses import dataclass
@@ -18,10 +18,6 @@ class Limits:
     """Deepest indentation that the sensor withstands [m]."""
     height_max: float
     """Highest z of the tip [m]."""
-    force_rating: float
-    """Rated normal force of the weaker of sensor and F/T gauge [N]."""
-    stiffness: float
-    """Expected normal stiffness of the sensor under the indenter [N/m], to predict the force."""
     duration_max: float
     """Longest session [s]."""
     dome_radius: float | None = None
@@ -40,16 +36,19 @@ class DryRun:
     """Smallest and largest x [m]."""
     y: tuple[float, float]
     """Smallest and largest y [m]."""
-    depth: float
-    """Deepest indentation [m]."""
-    force: float
-    """Expected largest normal force, stiffness x depth [N]."""
+    depths: tuple[float, ...]
+    """Deepest indentation of each target [m]; on a dome, a shear towards the apex goes deeper."""
     duration: float
     """Moving time, recorded and between targets [s]; pauses are not included."""
     recorded: float
     """Recorded part of the duration [s]."""
     broken: tuple[str, ...]
     """Description of each limit that would be exceeded; empty if the plan may run."""
+
+    @property
+    def depth(self) -> float:
+        """Deepest indentation of all [m]."""
+        return max(self.depths)
 
 
 def move_duration(length: float, speed: float, acceleration: float) -> float:
@@ -69,6 +68,7 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
     Speed [m/s] and acceleration [m/s^2] are those of the recorded moves.
     """
     points: list[Point] = []
+    depths: list[float] = []
     recorded = unrecorded = 0.0
     moves = 0
     for target in plan.targets():
@@ -79,10 +79,11 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
             recorded += move_duration(math.dist(move.start, move.end), speed, acceleration)
             points += [move.start, move.end]
             moves += 1
+        ends = [place for move in path for place in (move.start, move.end)]
+        depths.append(max(dome_height(limits.dome_radius, x, y) - z for x, y, z in ends))
     low = tuple(min(point[axis] for point in points) for axis in range(3))
     high = tuple(max(point[axis] for point in points) for axis in range(3))
-    depth = max(dome_height(limits.dome_radius, x, y) - z for x, y, z in points)
-    force = limits.stiffness * depth
+    depth = max(depths)
     duration = recorded + unrecorded
     checks = (
         (low[0] < limits.box_x[0] or high[0] > limits.box_x[1], "x", low[0], high[0], limits.box_x),
@@ -98,8 +99,6 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
         broken.append(f"depth: {1e3 * depth:.3f} mm; allowed: {1e3 * limits.depth_max:.3f} mm")
     if high[2] > limits.height_max + 1e-9:
         broken.append(f"height: {1e3 * high[2]:.2f} mm; allowed: {1e3 * limits.height_max:.2f} mm")
-    if force > limits.force_rating:
-        broken.append(f"force: {force:.1f} N expected; allowed: {limits.force_rating:.1f} N")
     if duration > limits.duration_max:
         broken.append(f"duration: {duration:.0f} s; allowed: {limits.duration_max:.0f} s")
     return DryRun(
@@ -107,8 +106,7 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
         moves=moves,
         x=(low[0], high[0]),
         y=(low[1], high[1]),
-        depth=depth,
-        force=force,
+        depths=tuple(depths),
         duration=duration,
         recorded=recorded,
         broken=tuple(broken),

@@ -23,9 +23,10 @@ from benchmarks.processes import rows_of
 from benchmarks.report import Page, Run, table
 from recorder.charts import BLUE, RED, chart
 from rig.acquire.calibration.store import Calibration
+from rig.acquire.collector import CollectRequest
 from rig.acquire.no_gauge import find_surface, press_in_steps
 from rig.bench.bench import Bench, BenchFile, bench_from
-from rig.bench.guards import check_plan, planned_depth, slowed, without_gauge
+from rig.bench.guards import slowed, without_gauge
 from rig.bench.worlds import AnalyticSpec, Punch, Sphere
 from rig.core.config import read_yaml
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
@@ -105,12 +106,12 @@ def collected(seed: int) -> dict[str, Any]:
 
 def _collect(file: BenchFile, stages: Stages) -> None:
     bench = file.bench
-    depth = planned_depth(bench, bench.trajectory)
-    check_plan(bench, depth)
+    request = CollectRequest.of(bench, Path("plan.zarr"))
+    depth = request.depth(bench)
     calibration = Calibration(find_surface(file, stages), file="found in the same run")
     press_in_steps(bench, calibration, depth, stages, lambda lines: None)
     # Some targets of the plan, evenly spread, with the last and deepest.
-    targets = list(bench.trajectory.targets())
+    targets = request.to_press(0)
     some = targets[:: -max(len(targets) // _TARGETS, 1)][::-1]
 
     def prepared(ready: Bench) -> Bench:

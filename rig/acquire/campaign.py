@@ -13,7 +13,7 @@ from recorder.errors import SessionError
 from recorder.progress import duration
 from recorder.session import Session
 from recorder.store import replace_file
-from rig.acquire.completed import finished_targets, first_open_target
+from rig.acquire.completed import finished_targets, first_open_target, left_out_of
 from rig.bench.bench import Bench, BenchFile, find_bench
 from rig.bench.indenter import find_indenter
 from rig.core.config import build, read_yaml
@@ -215,7 +215,8 @@ def progress_in(campaign: Campaign, item: Item, catalogue: Catalogue | None) -> 
             return Progress(item, path, "done", row.targets)
         session = Session(path)
         plan = plan_from_json(session.attrs["plan"])
-        done = first_open_target(plan, session.segments, int(session.attrs["targets_wanted"]))
+        total, out = int(session.attrs["targets_wanted"]), left_out_of(session.attrs)
+        done = first_open_target(plan, session.segments, total, out)
         return Progress(item, path, "to resume", done, str(session.attrs.get("reason", "")))
     except (SessionError, OSError, ValueError, KeyError) as error:
         return Progress(item, path, "unreadable", 0, str(error))

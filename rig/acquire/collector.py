@@ -32,7 +32,7 @@ from recorder.session import (
     time_lines,
 )
 from rig.acquire.calibration.store import Calibration
-from rig.acquire.completed import first_open_target
+from rig.acquire.completed import first_open_target, left_out_of
 from rig.acquire.control import Control, Interlocks, Interrupted, InterruptFlag, Onlooker
 from rig.acquire.plan_runner import LiveLine, PlanRunner, last_line, rise_clear, zero_stand_ins
 from rig.acquire.streams import (
@@ -43,7 +43,14 @@ from rig.acquire.streams import (
     take_tares,
 )
 from rig.bench.bench import Bench
-from rig.bench.guards import guard_limits, guards_of, statement
+from rig.bench.guards import (
+    force_limit,
+    guard_limits,
+    guards_of,
+    left_out,
+    left_out_text,
+    statement,
+)
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
 from rig.devices.arm.arm import Arm
@@ -84,6 +91,8 @@ class CollectRequest:
     """Recordings that a mock bench's emulators play, for the session's attributes."""
     calibration: Calibration = field(default_factory=Calibration)
     """Earlier calibration that applies to this session."""
+    left_out: Mapping[int, float] = field(default_factory=dict)
+    """Targets that the bench cannot record, with the force that they would take [N]."""
     contact_change: float = math.inf
     """Change of the signal that ends an approach on a bench without a gauge, in standard
     deviations of its noise; inf: none does."""
@@ -114,26 +123,39 @@ class CollectRequest:
         total = len(plan) if targets is None else targets
         if resume:
             plan, total = _resumed(path, bench)
+            others["left_out"] = left_out_of(Session(path).attrs)
         if not 1 <= total <= len(plan):
             raise ConfigError(f"--targets: found {total}; allowed: 1 to {len(plan)}")
-        if unknown := [index + 1 for index in again if not 0 <= index < total]:
-            raise ConfigError(f"--again: found {unknown[0]}; allowed: targets 1 to {total}")
-        bench.check_limits(plan)
+        walked = bench.check_limits(plan)
+        if not resume:
+            others["left_out"] = left_out(bench, plan, walked.depths[:total])
+        out = others["left_out"]
+        if unknown := [index + 1 for index in again if not 0 <= index < total or index in out]:
+            but = " without those left out" * bool(out)
+            raise ConfigError(f"--again: found {unknown[0]}; allowed: targets 1 to {total}{but}")
+        if len(out) == total:
+            raise ConfigError(f"{bench.sensor}: {left_out_text(bench, out)}")
         return cls(path, plan, total, resume, again, **others)
+
+    def depth(self, bench: Bench) -> float:
+        """Return the deepest indentation of the targets that are not left out [m]."""
+        depths = bench.dry_run(self.plan).depths[: self.total]
+        return max(depth for index, depth in enumerate(depths) if index not in self.left_out)
 
     def to_press(self, first: int) -> tuple[Target, ...]:
         """Return the targets of this run in order: those to press again, and those from `first`."""
         return tuple(
             target
             for target in self.plan.targets()
-            if first <= target.index < self.total or target.index in self.again
+            if (first <= target.index < self.total and target.index not in self.left_out)
+            or target.index in self.again
         )
 
     def is_complete(self) -> bool:
         """Return True if the session has nothing to resume: it was closed with all targets done."""
         session = Session(self.path)
-        done = first_open_target(self.plan, session.segments, self.total) == self.total
-        return done and session.status == "complete"
+        first = first_open_target(self.plan, session.segments, self.total, self.left_out)
+        return first == self.total and session.status == "complete"
 
 
 def _resumed(path: Path, bench: Bench) -> tuple[Plan, int]:
@@ -270,8 +292,10 @@ class Collector:
             status,
             reason,
             request.path,
-            done=first + sum(target.index >= first for target in targets[: runner.done]),
+            done=sum(index not in request.left_out for index in range(first))
+            + sum(target.index >= first for target in targets[: runner.done]),
             limited=runner.limited,
+            left_out=len(request.left_out),
             total=request.total,
             seconds=seconds,
         )
@@ -319,7 +343,9 @@ class Collector:
         if request.resume:
             writer = SessionWriter.resume(request.path)
             previous = Session(request.path)
-            first = first_open_target(request.plan, previous.segments, request.total)
+            first = first_open_target(
+                request.plan, previous.segments, request.total, request.left_out
+            )
             run = len(previous.runs)
             # The whole stream has one bias, so that raw = value + bias holds in every run. Drift of
             # the zero since then is recorded in this run's tare and references.
@@ -364,6 +390,7 @@ class Collector:
             "t0_ns": begun["t0_ns"],
             "software": software(),
             "calibration": request.calibration.attrs(),
+            "expected_force": _expected(bench, request),
             **({"without_gauge": statement(bench)} if bench.no_gauge else {}),
         }
 
@@ -418,6 +445,22 @@ class Collector:
             print(f"contact sheet: {picture}")
         except (SessionError, OSError) as error:
             logger.warning("no contact sheet: %s", error)
+
+
+def _expected(bench: Bench, request: CollectRequest) -> dict[str, Any]:
+    """Return what is expected of the presses of a session, in SI units."""
+    depths = bench.dry_run(request.plan).depths[: request.total]
+    reached = sorted({round(depth, 9) for depth in depths})
+    return {
+        "skin": bench.expected.text,
+        "depths": reached,
+        "forces": [bench.expected.at(depth) for depth in reached],
+        "limit": force_limit(bench),
+        "left_out": [[index, force] for index, force in request.left_out.items()],
+        "speed": bench.arm.speed,
+        "reaction": request.calibration.reaction,
+        "reaction_source": "assumed" if request.calibration.latency is None else "measured",
+    }
 
 
 def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseException:

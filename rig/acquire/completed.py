@@ -1,6 +1,7 @@
 """Targets that a session has completed, from which `--resume` continues."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +12,23 @@ _COMPLETE = OUTCOMES.index("complete")
 _FORCE_LIMITED = OUTCOMES.index("force_limited")
 
 
-def first_open_target(plan: Plan, segments: Mapping[str, np.ndarray], total: int) -> int:
-    """Return the index of the first of `total` targets that is not done; `total` if all are."""
+def first_open_target(
+    plan: Plan, segments: Mapping[str, np.ndarray], total: int, left_out: Container[int] = ()
+) -> int:
+    """Return the index of the first of `total` targets that is open; `total` if none is.
+
+    Those that are `left_out` are not pressed.
+    """
     done = finished_targets(plan, segments, total)
-    return next((index for index in range(total) if index not in done), total)
+    open_targets = (n for n in range(total) if n not in done and n not in left_out)
+    return next(open_targets, total)
+
+
+def left_out_of(attrs: Mapping[str, Any]) -> dict[int, float]:
+    """Return the targets that a session leaves out, and the force that they would take [N]."""
+    return {
+        int(index): force for index, force in attrs.get("expected_force", {}).get("left_out", ())
+    }
 
 
 def finished_targets(plan: Plan, segments: Mapping[str, np.ndarray], total: int) -> set[int]:

@@ -22,6 +22,7 @@ from rig.acquire.control import Control, Interlocks
 from rig.acquire.preview import draw
 from rig.acquire.streams import StreamHandle, Streams, rate_window
 from rig.bench.bench import Bench, BenchStream
+from rig.bench.guards import force_text, left_out, left_out_text
 from rig.core.clock import SECOND_NS, Clock, utc_text
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.realtime import RIG_PRIORITY, may_have_priority
@@ -91,8 +92,8 @@ def plan(bench: Bench, sessions: Path) -> Finding:
     """Draw the bench's plan in a folder, and examine it against the bench's limits."""
     walked = bench.dry_run(bench.trajectory)
     text = (
-        f"{walked.targets} targets, {1e3 * walked.depth:.3f} mm deep, about {walked.force:.1f} N, "
-        f"{duration(walked.duration + walked.moves * bench.arm.settle)}"
+        f"{walked.targets} targets, {duration(walked.duration + walked.moves * bench.arm.settle)}; "
+        f"{force_text(bench, walked.depth)}"
     )
     picture = sessions / f"{bench.sensor}-plan.png"
     try:
@@ -104,6 +105,10 @@ def plan(bench: Bench, sessions: Path) -> Finding:
     if walked.broken:
         cure = "trajectory or limits in the bench file"
         return Finding("plan", "FAULT", f"{text}; breaks {'; '.join(walked.broken)}", (cure,))
+    if out := left_out(bench, bench.trajectory, walked.depths):
+        state: State = "FAULT" if len(out) == walked.targets else "note"
+        cure = "another indenter, a plan less deep, or a gauge and sensor of a higher rating"
+        return Finding("plan", state, f"{text}; {left_out_text(bench, out)}", (cure,))
     return Finding("plan", "well", text)
 
 

@@ -30,7 +30,7 @@ from rig.acquire.calibration.store import (
     tip_heights,
 )
 from rig.bench.bench import Bench, BenchFile
-from rig.bench.guards import FRACTION, SURFACE_HOURS, SURFACE_WIDTH, slowed
+from rig.bench.guards import SURFACE_HOURS, SURFACE_WIDTH, force_limit, slowed
 from rig.core.errors import ConfigError, SafetyStop
 from trajectories import FirstPress, Plan, PressShear, Target, Touch
 
@@ -53,15 +53,8 @@ def search_depth(bench: Bench) -> float:
 
     It is never beyond half the rating, nor beyond the bench's depth limit.
     """
-    stand_ins, _, rating = bench.without_gauge
-    planned = bench.plan_limits
-    return min(
-        SEARCH_BELOW,
-        bench.limits.depth_max,
-        FRACTION * rating / stand_ins.stiffness[1],
-        # What the plan check allows, with the stiffness that the bench file expects.
-        0.999 * planned.force_rating / planned.stiffness,
-    )
+    deepest = bench.expected.depth_of(force_limit(bench))[1]
+    return min(SEARCH_BELOW, bench.limits.depth_max, deepest)
 
 
 def search_plan(bench: Bench) -> Touch:

@@ -146,17 +146,26 @@ class LiveLine:
 
 
 def last_line(
-    status: str, reason: str, path: Path, *, done: int, limited: int, total: int, seconds: float
+    status: str,
+    reason: str,
+    path: Path,
+    *,
+    done: int,
+    limited: int,
+    left_out: int = 0,
+    total: int,
+    seconds: float,
 ) -> str:
     """Return one line with the status, the number of targets and the path.
 
-    `done` of `total` targets are finished, `limited` of this run ended at the soft force limit;
-    the run took `seconds` [s].
+    `done` of `total` targets are finished and `left_out` are not pressed; `limited` of this run
+    ended at the soft force limit; the run took `seconds` [s].
     """
     why = f" ({reason})" if reason else ""
+    out = f", {left_out} left out," if left_out else ""
     ended = f", {limited} of them at the force limit," if limited else ""
     took = duration(seconds)
-    return f"{status}{why}: {done} of {total} targets{ended} in {took}; readable at {path}"
+    return f"{status}{why}: {done} of {total} targets{out}{ended} in {took}; readable at {path}"
 
 
 # Fraction of the largest signal above which a sensor without a gauge counts as touched.

@@ -7,6 +7,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from recorder.progress import duration
 from rig.bench.bench import Bench
+from rig.bench.guards import force_text
 from trajectories import DryRun, Target
 
 _SIZE = (1180, 620)
@@ -32,8 +33,7 @@ def summary(bench: Bench, walked: DryRun) -> list[str]:
         f"y {1e3 * walked.y[0]:+.2f} to {1e3 * walked.y[1]:+.2f} mm"
         f"  (box {1e3 * limits.box_y[0]:+.1f} to {1e3 * limits.box_y[1]:+.1f})",
         f"depth {1e3 * walked.depth:.3f} mm  (limit {1e3 * limits.depth_max:.3f})",
-        f"force about {walked.force:.1f} N  (soft limit {bench.plan_limits.force_rating:.1f} N of "
-        f"{bench.force_rating[2]:.0f} N rated)",
+        force_text(bench, walked.depth),
         f"speed {1e3 * bench.arm.speed:.1f} mm/s, about {duration(walked.duration + settling)} "
         f"(limit {duration(limits.duration_max)})",
         f"about {frames:.0f} frames per target at {bench.rate_hz:.0f} Hz (paper: 20 to 60)",

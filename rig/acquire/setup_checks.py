@@ -40,6 +40,8 @@ LENGTH, MASS, FREE = 1e-3, 0.05, 7.5
 ALONG, ACROSS = 3e-3, 3e-3
 # Largest relative error of a known weight, and least fraction of it that counts as felt.
 SCALE, FELT = 0.1, 0.03
+# Least change by a push, over that of a finger held still, and over the force expected of it.
+STILL, PUSHED = 3.0, 0.05
 # Ratios of a measured to a true weight, and their usual reasons.
 RATIOS = {
     10.0: "counts per newton are 10 times too small: another calibration, or its decimal point",
@@ -313,11 +315,21 @@ def direction(row: BenchStream, before: Sequence[Any], after: Sequence[Any]) -> 
     return shift(whole_grey(before[-1]), whole_grey(after[-1]))
 
 
-def axes(row: BenchStream, along_x: np.ndarray, along_y: np.ndarray) -> Finding:
-    """Return the finding of pushes along +x and +y, by the changes (2,) that a stream showed."""
+def axes(
+    row: BenchStream, along_x: np.ndarray, along_y: np.ndarray, still: float, expected: float
+) -> Finding:
+    """Return the finding of pushes along +x and +y, by the changes (2,) that a stream showed.
+
+    Args:
+        row: The stream.
+        along_x: Change by a push along +x, as of `direction`.
+        along_y: Change by a push along +y.
+        still: Largest change while a finger was held still.
+        expected: Force that is expected of the finger [N].
+    """
     name = f"{row.name} axes"
     state: State = "FAULT" if row.kind == "force" else "note"
-    least = {"force": 0.05, "camera": 0.5}.get(row.kind, 20.0)
+    least = max(STILL * still, PUSHED * expected if row.kind == "force" else 0.0)
     unit = {"force": "N", "camera": "px"}.get(row.kind, "counts")
     pushes = "; ".join(
         f"push along +{axis}: {way[0]:+.2f}, {way[1]:+.2f} {unit}"
@@ -325,7 +337,7 @@ def axes(row: BenchStream, along_x: np.ndarray, along_y: np.ndarray) -> Finding:
     )
     if min(np.linalg.norm(along_x), np.linalg.norm(along_y)) < least:
         cures = ("push the middle of the sensor sideways without slipping, harder",)
-        return Finding(name, state, f"{pushes}: too little", cures)
+        return Finding(name, state, f"{pushes}: too little, at least {least:.2g} {unit}", cures)
     ways = [_nearest(along_x), _nearest(along_y)]
     if ways == ["+x", "+y"]:
         return Finding(name, "well", pushes)

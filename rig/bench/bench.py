@@ -29,6 +29,7 @@ from recorder.spec import (
     signal_of,
     taxels_spec,
 )
+from rig.bench.expected import ExpectedForce, Skin, expected_force
 from rig.bench.indenter import find_indenter, paper_indenters
 from rig.bench.worlds import AnalyticSpec, SimulatedSpec
 from rig.core.clock import Clock
@@ -96,8 +97,6 @@ class BenchLimits:
         metadata={"unit": "n_mm", "plausible": (1, 200000)}
     )
     """Rated torque per axis [N m]."""
-    stiffness: float = field(metadata={"unit": "n_per_mm", "plausible": (0.005, 500)})
-    """Expected normal stiffness [N/m]; used only to predict the force of a plan."""
     duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
     """Longest session [s]."""
     sensor_rating: float | None = field(
@@ -116,48 +115,18 @@ class BenchLimits:
     stale_pose: float = field(default=0.1, metadata={"unit": "ms", "plausible": (2, 5000)})
     """Age of the newest pose sample that stops the session [s]."""
 
-    def for_plan(self, force_rating: float, dome_radius: float | None) -> Limits:
-        """Return the limits that a plan is checked against before anything moves.
-
-        `force_rating` is the rated normal force of the weakest of sensor, gauge and bench [N].
-        """
-        return Limits(
-            box_x=self.box_x,
-            box_y=self.box_y,
-            depth_max=self.depth_max,
-            height_max=self.height_max,
-            force_rating=self.soft_fraction * force_rating,
-            stiffness=self.stiffness,
-            duration_max=self.duration_max,
-            dome_radius=dome_radius,
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class StandIns:
     """Limits of the guards that stand in for a force gauge, as far as they depend on the sensor."""
 
-    stiffness: tuple[float, float] = field(
-        metadata={"unit": "n_per_mm", "plausible": (0.005, 1000)}
-    )
-    """Lowest and highest normal stiffness expected under any indenter that is used [N/m]."""
-    stiffness_source: str
-    """Source of these numbers: a paper, a data sheet, a measurement on another sensor."""
     signal_max: float = field(metadata={"plausible": (0.05, 70000)})
     """Largest motion of a marker [px], or deviation of a taxel [counts], from no contact."""
     stale_signal: float = field(default=0.2, metadata={"unit": "ms", "plausible": (5, 5000)})
     """Longest time without a sample of the signal that differs from the one before [s]."""
 
     def __post_init__(self) -> None:
-        """Reject a stiffness that bounds nothing, or one without a source."""
-        low, high = self.stiffness
-        if not 0 < low <= high:
-            raise ValueError(
-                f"stiffness: {list(self.stiffness)!r}; allowed: the lowest, then the highest, both "
-                "above 0"
-            )
-        if not self.stiffness_source.strip():
-            raise ValueError("stiffness_source: empty; allowed: where these numbers are from")
+        """Reject a limit that bounds nothing."""
         if not self.signal_max > 0:
             raise ValueError(f"signal_max: {self.signal_max!r}; allowed: above 0")
 
@@ -363,6 +332,8 @@ class Bench:
     streams with the names of their keys, and the arm's poses are the stream `pose`."""
     hold: float = field(default=0.0, metadata={"unit": "ms", "plausible": (10, 600_000)})
     """Time at rest after each recorded move that ends in contact [s]: for gauges that settle."""
+    skin: Skin | None = None
+    """Skin of the sensor, of which forces are expected before a session."""
     stand_ins: StandIns | None = None
     """Limits of the guards that stand in for an F/T sensor with `force: none`; otherwise unused."""
     gripper: RobotiqConfig | None = None
@@ -479,20 +450,38 @@ class Bench:
         return getattr(self.trajectory, "dome_radius", None)
 
     @property
-    def plan_limits(self) -> Limits:
-        """Limits that a plan is checked against before anything moves."""
-        return self.limits.for_plan(self.force_rating[2], self.dome_radius)
+    def expected(self) -> ExpectedForce:
+        """Force of the indenter on the arm, by depth."""
+        if self.skin is None:
+            raise ConfigError(
+                f"{self.sensor}.skin: missing; allowed: sensor, a row of the simulator or a YAML "
+                "file like one, and modulus_kpa, the lowest and the highest"
+            )
+        return expected_force(self.skin, self.indenter, exact=self.mock)
 
     def dry_run(self, plan: Plan) -> DryRun:
         """Return a dry run of a plan with the arm's speed, against the limits of the bench."""
-        arm = self.arm
-        return dry_run(plan, self.plan_limits, speed=arm.speed, acceleration=arm.acceleration)
+        arm, limits = self.arm, self.limits
+        return dry_run(
+            plan,
+            Limits(
+                limits.box_x,
+                limits.box_y,
+                limits.depth_max,
+                limits.height_max,
+                limits.duration_max,
+                self.dome_radius,
+            ),
+            speed=arm.speed,
+            acceleration=arm.acceleration,
+        )
 
-    def check_limits(self, plan: Plan) -> None:
-        """Reject a plan that breaks a limit of the bench."""
+    def check_limits(self, plan: Plan) -> DryRun:
+        """Return the dry run of a plan, which must break no limit of the bench."""
         walked = self.dry_run(plan)
         if walked.broken:
             raise ConfigError(f"{self.sensor}: the plan breaks a limit: {'; '.join(walked.broken)}")
+        return walked
 
     @property
     def force_rating(self) -> tuple[float, ...]:
@@ -531,10 +520,7 @@ def _check_no_gauge(bench: Bench) -> None:
             "sensor withstands"
         )
     if bench.stand_ins is None:
-        raise ValueError(
-            "stand_ins: missing; allowed with force: none: stiffness_n_per_mm, stiffness_source "
-            "and signal_max of the sensor"
-        )
+        raise ValueError("stand_ins: missing; allowed with force: none: signal_max of the sensor")
     if bench.signal is None or bench.signal.kind not in ("camera", "taxels"):
         raise ValueError(
             "force: none, but the bench has no camera or taxels with the role signal; allowed: "

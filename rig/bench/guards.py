@@ -1,13 +1,16 @@
 """Guards of a bench: one for each gauge, or what stands in for a gauge with `force: none`.
 
+Before anything moves, the expected force leaves targets out that the bench cannot record, and
+bounds the speed of a press.
+
 A force gauge stops the arm before the sensor is damaged. Without one, five things stand in for it:
 
 1. the surface, found by the onset of the sensor's own signal for this indenter and TCP, at most a
    day ago and to 0.05 mm; the arm stops 0.2 mm beyond the planned depth;
 2. the signal itself: the largest motion of a marker or deviation of a taxel, and its freshness;
 3. the arm's own wrench, where it has one: a crash detector at half the rating of the sensor;
-4. the stiffness that is expected of the sensor, with its source: a plan that could exceed half the
-   rating is refused before anything moves;
+4. the force that is expected of the indenter on the skin: targets that could exceed half the rating
+   are left out;
 5. low speeds: 2 mm/s in contact, 10 mm/s elsewhere.
 
 `rig.acquire.no_gauge` finds the surface and presses for the first time.
@@ -15,14 +18,17 @@ A force gauge stops the arm before the sensor is damaged. Without one, five thin
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from rig.bench.bench import NO_GAUGE, Bench, BenchStream
 from rig.core.errors import ConfigError
 from rig.core.guard import ForceGuard, Guard, GuardLimits
 from rig.core.stand_in_guards import CrashGuard, SignalGuard
-from trajectories import Plan, dome_height
+from trajectories import Plan, Touch
 
 # Highest speeds in contact and elsewhere [m/s]. All moves of a session lie below 20 mm.
 CONTACT_SPEED, TRAVEL_SPEED = 2e-3, 10e-3
@@ -32,6 +38,8 @@ BEYOND = 0.2e-3
 FRACTION = 0.5
 # Widest accepted interval of the surface [m], and its longest validity [h].
 SURFACE_WIDTH, SURFACE_HOURS = 50e-6, 24.0
+# Slowest press that a stiff contact asks for [m/s].
+SLOWEST = 0.2e-3
 # Stream of the arm's own wrench on a mock bench that is used without its gauge.
 WRENCH_STREAM = "arm_wrench"
 
@@ -107,34 +115,73 @@ def guards_of(bench: Bench, folder: Path, *, contact: float = math.inf) -> dict[
     return guards
 
 
-def planned_depth(bench: Bench, plan: Plan, total: int | None = None) -> float:
-    """Return the deepest place below the surface that a plan's first `total` targets reach [m].
+def force_limit(bench: Bench) -> float:
+    """Return the force that ends a press [N], or half of the sensor's rating without a gauge."""
+    if bench.no_gauge:
+        return FRACTION * bench.without_gauge[2]
+    return bench.limits.soft_fraction * bench.force_rating[2]
 
-    On a dome, a shear towards the apex goes deeper than the press.
+
+def left_out(bench: Bench, plan: Plan, depths: Sequence[float]) -> dict[int, float]:
+    """Return the targets that the bench cannot record, with the force that they would take [N].
+
+    With a gauge, even the least expected force of these is beyond the soft limit. Without one, the
+    largest is beyond half of the sensor's rating. Touches end by their force, whatever their depth.
+
+    Args:
+        bench: The bench, with the indenter on its arm.
+        plan: The plan.
+        depths: Deepest indentation of each target [m].
     """
-    most = len(plan) if total is None else total
-    positions = [
-        position
-        for target in plan.targets()
-        if target.index < most
-        for move in plan.moves(target)
-        for position in (move.start, move.end)
-    ]
-    return max((dome_height(bench.dome_radius, x, y) - z for x, y, z in positions), default=0.0)
+    if isinstance(plan, Touch):
+        return {}
+    expected, limit = bench.expected, force_limit(bench)
+    forces = (expected.at(depth)[bench.no_gauge] for depth in depths)
+    return {index: force for index, force in enumerate(forces) if force > limit}
 
 
-def check_plan(bench: Bench, depth: float) -> None:
-    """Reject a plan that could load the sensor beyond half of its rating, pressed `depth` [m]."""
-    stand_ins, _, rating = bench.without_gauge
-    force = stand_ins.stiffness[1] * depth
-    if force > FRACTION * rating:
-        raise ConfigError(
-            f"{bench.sensor}: the plan presses {1e3 * depth:.3g} mm deep, which could take "
-            f"{force:.3g} N at {1e-3 * stand_ins.stiffness[1]:.3g} N/mm "
-            f"({stand_ins.stiffness_source}); "
-            f"allowed without a gauge: {FRACTION * rating:.3g} N, half of limits.sensor_rating_n, "
-            f"so {1e3 * FRACTION * rating / stand_ins.stiffness[1]:.3g} mm"
-        )
+def left_out_text(bench: Bench, out: Mapping[int, float]) -> str:
+    """Return which targets are left out, and why, as text."""
+    numbers = np.array(sorted(out)) + 1
+    spans = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    which = ", ".join(
+        f"{span[0]} to {span[-1]}" if len(span) > 1 else f"{span[0]}" for span in spans
+    )
+    deepest = bench.expected.depth_of(force_limit(bench))[bench.no_gauge]
+    bound = "up to" if bench.no_gauge else "at least"
+    return (
+        f"not recordable on this bench and left out: target{'s' * (len(out) > 1)} {which}; "
+        f"{bench.indenter} takes {bound} {min(out.values()):.3g} N there; allowed: "
+        f"{force_limit(bench):.3g} N, so {1e3 * deepest:.3g} mm"
+    )
+
+
+def force_text(bench: Bench, depth: float) -> str:
+    """Return the expected force at a depth [m], and what it may be, as text."""
+    low, high = bench.expected.at(depth)
+    limit = "half of the rating" if bench.no_gauge else "soft limit"
+    return (
+        f"{low:.3g} to {high:.3g} N expected of {bench.indenter} at {1e3 * depth:.3g} mm "
+        f"({bench.expected.text}), {limit} {force_limit(bench):.3g} N"
+    )
+
+
+def gentle(bench: Bench, reaction: float) -> Bench:
+    """Return the bench with presses that stay below the hard limit while the arm reacts.
+
+    Speed <= (hard limit - soft limit) / (stiffness x reaction), and at least `SLOWEST`.
+
+    Args:
+        bench: The bench, with the indenter on its arm.
+        reaction: Time from a force at the soft limit to an arm at rest [s].
+    """
+    if bench.no_gauge:
+        return bench
+    limits, rating = bench.limits, bench.force_rating[2]
+    room = (limits.hard_fraction - limits.soft_fraction) * rating
+    most = room / (bench.expected.stiffest(limits.hard_fraction * rating) * reaction)
+    arm = dataclasses.replace(bench.arm, speed=min(bench.arm.speed, max(most, SLOWEST)))
+    return dataclasses.replace(bench, arm=arm)
 
 
 def slowed(bench: Bench, depth: float, *, speed: float = CONTACT_SPEED) -> Bench:
@@ -169,25 +216,30 @@ def statement(bench: Bench) -> dict[str, Any]:
             "stale": stand_ins.stale_signal,
         },
         "arm_wrench": {"streams": wrenches, "force": FRACTION * rating} if wrenches else None,
-        "stiffness": {"range": list(stand_ins.stiffness), "source": stand_ins.stiffness_source},
         "speed": bench.arm.speed,
         "travel_speed": bench.arm.travel_speed,
     }
 
 
-def lines(bench: Bench, depth: float) -> list[str]:
-    """Return what stands in for the gauge as lines, to print before anything moves."""
+def lines(bench: Bench, depth: float, out: Mapping[int, float]) -> list[str]:
+    """Return what presses to `depth` [m] are expected to take, to print before anything moves.
+
+    `out` are the targets that are left out. Without a gauge, what stands in for it comes first.
+    """
+    text = [f"force     {force_text(bench, depth)}, {1e3 * bench.arm.speed:.3g} mm/s"]
+    if out:
+        text.append(f"plan      {left_out_text(bench, out)}")
+    if not bench.no_gauge:
+        return text
     stand_ins, signal, rating = bench.without_gauge
     unit = "px" if signal.kind == "camera" else "counts"
     wrenches = [row.name for row in bench.of_kind("arm_wrench")]
     crash = f"stops at {FRACTION * rating:.3g} N" if wrenches else "none: only the signal guards"
-    low, high = (1e-3 * each for each in stand_ins.stiffness)
     return [
         f"no gauge  nothing measures the force on the sensor, rated {rating:.3g} N; forces are "
         "not recorded",
         f"signal    {signal.name} stops the arm at {stand_ins.signal_max:g} {unit}, or after "
         f"{1e3 * stand_ins.stale_signal:.0f} ms without a change",
         f"wrench    of the arm: {crash}",
-        f"force     {low * 1e3 * depth:.3g} to {high * 1e3 * depth:.3g} N expected at "
-        f"{1e3 * depth:.3g} mm ({low:.3g} to {high:.3g} N/mm, {stand_ins.stiffness_source})",
+        *text,
     ]

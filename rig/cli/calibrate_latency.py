@@ -68,6 +68,7 @@ def calibrate(
             gel_lead=lags.gel.value,
             ratio=lags.image.ratio,
             taps=lags.image.taps,
+            reaction=latency.reaction_of(session, bench),
         )
         return store.store(recording.calibrations, bench.sensor, latency=calibration)
 

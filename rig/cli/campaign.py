@@ -29,7 +29,6 @@ from rig.cli.options import (
     bench_file,
     benches_option,
     calibration_options,
-    deepest,
     motion_lines,
 )
 from rig.cli.recording import Recording, collect
@@ -195,7 +194,7 @@ def _mount(
         own = "" if entry.sensor == bench.sensor else f" (bench file {entry.sensor})"
         mock = " (mock bench: nothing to mount)" if bench.mock else ""
         pressed = dataclasses.replace(bench, indenter=entry.indenter)
-        lines = motion_lines(pressed, deepest(item.plan, item.total))
+        lines = motion_lines(pressed, max(pressed.dry_run(item.plan).depths[: item.total]))
         moves = "" if bench.mock else "\n".join(["", *lines])
         if not ask(f"{place}: {mount}{indenter}{own}{mock}{moves}"):
             return False

@@ -28,12 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     recording_options(parser)
     parser.add_argument("--repeats", type=int, default=4, help="approaches per point (%(default)s)")
     parser.add_argument(
-        "--force-n", type=float, default=home.FORCE, help="back off at this force [N] (%(default)s)"
+        "--force-n",
+        type=float,
+        help="back off at this force [N] (0.3, or half of that expected at the end)",
     )
     parser.add_argument(
         "--travel-mm",
         type=float,
-        help="distance to go below the assumed surface [mm] (1.0, or the bench's depth limit)",
+        help="distance to go below the assumed surface [mm] (1.0, or where the force is expected)",
     )
     parser.add_argument("--corners", action="store_true", help="also touch four corners, for tilt")
 
@@ -57,20 +59,22 @@ def find_by_force(
     recording: Recording,
     *,
     repeats: int = 4,
-    force: float = home.FORCE,
+    force: float | None = None,
     travel: float | None = None,
     corners: bool = False,
 ) -> int:
     """Find and store the surface by slow approaches; return the exit code.
 
     Each goes `travel` below the assumed surface [m], by default 1 mm or the bench's limit, and ends
-    at `force` [N]. With `corners`, four corners are touched too, for the tilt.
+    at `force` [N], by default 0.3 N or less on a soft skin. With `corners`, four
+    corners are touched too, for the tilt.
     """
     bench = recording.bench
     require_gauge(bench, "home")
     points = (1, 2, 3, 4, 5) if corners else (1,)
-    plan = home.plan_for(bench, travel=travel, repeats=repeats, points=points)
-    home.touching_bench(bench, force)
+    most = home.force_of(bench, travel) if force is None else force
+    plan = home.plan_for(bench, force=most, travel=travel, repeats=repeats, points=points)
+    home.touching_bench(bench, most)
     path = recording.session("home")
     # Checked against the bench's own limits, since each approach is ended by the lower soft limit.
     request = CollectRequest.of(
@@ -83,7 +87,7 @@ def find_by_force(
         surface = home.home_calibration(home.METHOD, approaches, recording.file)
         return store.store(recording.calibrations, bench.sensor, home={bench.indenter: surface})
 
-    code = record(recording, request, prepare=lambda ready: home.touching_bench(ready, force))
+    code = record(recording, request, prepare=lambda ready: home.touching_bench(ready, most))
     return measured("home", path, code, stored)
 
 

@@ -33,7 +33,6 @@ from rig.bench.worlds import SimulatedSpec, Sources
 from rig.core.config import from_si
 from rig.core.errors import ConfigError
 from rig.monitor.access import LOOPBACK_HOST, AccessPolicy, is_loopback
-from trajectories import Plan
 
 if TYPE_CHECKING:
     from rig.acquire.collector import CollectRequest
@@ -390,9 +389,3 @@ def motion_lines(bench: Bench, depth: float) -> list[str]:
         f"depth     {from_si(depth, 'mm'):g} mm below the surface; a press ends at {forces} N",
         f"indenter  {find_indenter(bench.indenter).line()}",
     ]
-
-
-def deepest(plan: Plan, total: int | None = None) -> float:
-    """Return the deepest indentation of a plan's first `total` targets [m]; None: all."""
-    most = len(plan) if total is None else total
-    return max((target.depth for target in plan.targets() if target.index < most), default=0.0)

@@ -27,7 +27,6 @@ from rig.cli.options import (
     bench_choice,
     chosen_bench,
     confirm,
-    deepest,
     free_path,
     logged_to,
     motion_lines,
@@ -37,7 +36,7 @@ from rig.cli.options import (
 from rig.core.clock import file_stamp
 from rig.core.errors import SafetyStop
 from rig.monitor.access import AccessPolicy
-from trajectories import Plan, Target
+from trajectories import ForceDepth, Plan, PressShear, Target
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,9 +158,16 @@ def record(
     calibration is applied. The mock's World does not see these changes. `watch` is the address of
     the monitoring page.
     """
-    prepare = prepare or request.calibration.applied
-    if not recording.bench.mock and not recording.agreed:
-        confirm(motion_lines(prepare(recording.bench), deepest(request.plan, request.total)))
+    prepared, reaction = prepare or request.calibration.applied, request.calibration.reaction
+
+    def prepare_gently(bench: Bench) -> Bench:
+        return guards.gentle(prepared(bench), reaction)
+
+    bench, depth = prepare_gently(recording.bench), request.depth(recording.bench)
+    if not bench.no_gauge and isinstance(request.plan, PressShear | ForceDepth):
+        print("\n".join(guards.lines(bench, depth, request.left_out)), flush=True)
+    if not bench.mock and not recording.agreed:
+        confirm(motion_lines(bench, depth))
     request.path.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
         stack.enter_context(logged_to(request.path.with_suffix(".log")))
@@ -169,7 +175,7 @@ def record(
         on = recording.on or stack.enter_context(
             started_bench(recording.file, sources=sources, truth=truth, folder=folder)
         )
-        bench = prepare(on.file.bench)
+        bench = prepare_gently(on.file.bench)
         page = None
         if watch is not None:
             page = stack.enter_context(
@@ -215,11 +221,10 @@ def collect(
         if bench.no_gauge:
             from rig.acquire import no_gauge
 
-            depth = guards.planned_depth(bench, request.plan, request.total)
+            depth = request.depth(bench)
             if not bench.mock:
                 require_terminal()
-            guards.check_plan(bench, depth)
-            print("\n".join(guards.lines(bench, depth)), flush=True)
+            print("\n".join(guards.lines(bench, depth, request.left_out)), flush=True)
             if not bench.mock:
                 hint = recording.next("home", indenter=bench.indenter)
                 no_gauge.check_home(bench, calibration, hint)

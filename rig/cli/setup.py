@@ -212,6 +212,7 @@ def axes(at: AtBench, _: Answers) -> Iterator[Finding]:
     rows = [row for row in at.ready.gauges if {"Fx", "Fy"} <= set(row.config.axes_measured)]
     rows += [row for row in at.ready.rows if row.kind in ("camera", "taxels")]
     ways: dict[str, list[np.ndarray]] = {row.name: [] for row in rows}
+    still = dict.fromkeys(ways, 0.0)
     for axis, way in (("x", (1.0, 0.0)), ("y", (0.0, 1.0))):
         at.free()
         depth = _depth(at.bench)
@@ -227,9 +228,14 @@ def axes(at: AtBench, _: Answers) -> Iterator[Finding]:
         )
         for row in rows:
             ways[row.name].append(checks.direction(row, before[row.name], at.read(row)))
+            halves = np.array_split(np.arange(len(before[row.name])), 2)
+            held = checks.direction(row, *([before[row.name][k] for k in half] for half in halves))
+            still[row.name] = max(still[row.name], float(np.linalg.norm(held)))
     at.free()
     for row in rows:
-        yield checks.axes(row, *ways[row.name])
+        expected = at.bench.expected.at(_depth(at.bench))[0]
+        along_x, along_y = ways[row.name]
+        yield checks.axes(row, along_x, along_y, still[row.name], expected)
 
 
 def _depth(bench: Bench) -> float:

@@ -110,7 +110,6 @@ _NO_MOTION = BenchLimits(
     height_max=0.0,
     force_rating=(1.0, 1.0, 1.0),
     torque_rating=(1.0, 1.0, 1.0),
-    stiffness=1.0,
     duration_max=0.0,
 )
 

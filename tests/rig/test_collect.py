@@ -156,8 +156,10 @@ def test_targets_of_a_complete_session_are_pressed_again(
 @pytest.mark.slow
 def test_the_soft_force_limit_ends_the_target_and_goes_on(tmp_path: Path) -> None:
     limits = {"force_rating_n": [12.0, 12.0, 0.4], "soft_fraction": 0.5, "hard_fraction": 5.0}
-    limits |= {"horizon_ms": 20.0, "stiffness_n_per_mm": 0.005}
-    bench = patient_bench(tmp_path, "tacpalm", limits=limits)
+    limits |= {"horizon_ms": 20.0}
+    # A skin that is stated too soft, so that no target is left out.
+    soft = "skin: {modulus_kpa: [0.1, 0.1]}"
+    bench = patient_bench(tmp_path, "tacpalm", limits=limits, more=soft)
     run = CollectionRun.collect(tmp_path / "s.zarr", "--targets", "2", "--bench", str(bench))
     assert run.wait() == 0, run.text
     limited = OUTCOMES.index("force_limited")

@@ -12,7 +12,7 @@ from support.collecting import faults_of
 from benchmarks.faults.collection_run import CollectionRun, quick_bench
 from recorder import Session
 from rig.bench.bench import Bench, BenchFile
-from rig.bench.guards import guard_limits
+from rig.bench.guards import force_limit, guard_limits
 from rig.cli.options import motion_lines
 from rig.core.clock import FakeClock
 from rig.core.config import READER
@@ -125,7 +125,7 @@ def test_the_lowest_rating_of_sensor_gauge_and_bench_bounds_every_press(
     bench = BenchFile.read(path).bench
     (gauge,) = bench.gauges
     assert guard_limits(bench, gauge).force_rating[:3] == pytest.approx(rating)
-    assert bench.plan_limits.force_rating == pytest.approx(0.85 * rating[2])
+    assert force_limit(bench) == pytest.approx(0.85 * rating[2])
     ends = ", ".join(f"{0.85 * each:.3g}" for each in rating)
     assert f"a press ends at {ends} N" in "\n".join(motion_lines(bench, 1e-3))
     # Without a gauge, a plan may reach half of the sensor's rating, and no more than the bench's.

@@ -120,7 +120,7 @@ def test_the_guard_of_an_approach_is_soft_and_its_hard_limit_stays() -> None:
         with pytest.raises(ConfigError, match="--force"):
             home.touching_bench(bench, force)
     with pytest.raises(ConfigError, match="travel-mm"):
-        home.plan_for(bench, travel=5.2e-3, repeats=3, points=(1,))
+        home.plan_for(bench, force=0.3, travel=5.2e-3, repeats=3, points=(1,))
 
 
 def _home(bench: Bench, **changes: object) -> HomeCalibration:

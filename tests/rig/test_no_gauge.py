@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from benchmarks.faults.simulated_bench import SimulatedBench, Stages, Truth
 from benchmarks.faults.wrong_benches import collected
@@ -23,15 +25,19 @@ from rig.acquire.calibration.store import (
     bench_hash,
     now_utc,
 )
+from rig.acquire.collector import CollectRequest
 from rig.acquire.signal_level import SignalLevel, grey
 from rig.acquire.stream_process import COUNTERS, StreamJob, _StreamLoop
 from rig.bench.bench import Bench, BenchFile, bench_from
+from rig.bench.expected import Skin
 from rig.bench.guards import (
+    SLOWEST,
     SURFACE_WIDTH,
-    check_plan,
+    gentle,
     guard_limits,
     guards_of,
-    planned_depth,
+    left_out,
+    left_out_text,
     slowed,
     without_gauge,
 )
@@ -61,7 +67,8 @@ def test_every_packaged_mock_bench_may_be_used_without_its_gauge(sensor: str) ->
     bench = bench_of(sensor)
     assert [row.name for row in bench.of_kind("force")] == []
     assert len(guards_of(bench, Path("run"))) == 2
-    check_plan(bench, planned_depth(bench, bench.trajectory))
+    depths = bench.dry_run(bench.trajectory).depths
+    assert len(left_out(bench, bench.trajectory, depths)) <= len(depths) / 4
 
 
 @pytest.mark.parametrize(
@@ -76,8 +83,7 @@ def test_every_packaged_mock_bench_may_be_used_without_its_gauge(sensor: str) ->
             "streams.w.roles: found label; allowed: guard",
         ),
         ({"force": "non"}, "force: found text 'non'; allowed: a mapping with kind netft or"),
-        ({"stand_ins": {"stiffness_n_per_mm": [7.0, 2.0]}}, "the lowest, then the highest"),
-        ({"stand_ins": {"stiffness_source": " "}}, "stiffness_source: empty"),
+        ({"skin": {"modulus_kpa": [7.0, 2.0]}}, "the lowest, then the highest"),
     ],
 )
 def test_a_bench_without_gauge_that_lacks_a_guard_is_refused(
@@ -91,11 +97,20 @@ def test_a_bench_without_gauge_that_lacks_a_guard_is_refused(
         bench_from(content, "bench.yaml")
 
 
-def test_a_plan_beyond_half_the_rating_is_refused_before_anything_moves() -> None:
-    bench = bench_of("gelsight")
-    check_plan(bench, 1.2e-3)
-    with pytest.raises(ConfigError, match=r"9\.25 N at 7\.4 N/mm .* 9 N, half .*so 1\.22 mm"):
-        check_plan(bench, 1.25e-3)
+@pytest.mark.parametrize("no_gauge", [True, False])
+def test_targets_whose_force_the_bench_cannot_record_are_left_out(no_gauge: bool) -> None:
+    bench = bench_of("r6") if no_gauge else BenchFile.read(BENCHES / "r6.yaml").bench
+    bench = dataclasses.replace(bench, indenter="wave")
+    depths = bench.dry_run(bench.trajectory).depths
+    out = left_out(bench, bench.trajectory, depths)
+    limit = 9.0 if no_gauge else 0.85 * 17
+    forces = [bench.expected.at(depth)[no_gauge] for depth in depths]
+    assert out == {n: force for n, force in enumerate(forces) if force > limit}
+    assert 0 < len(out) < len(depths)
+    assert f"left out: targets {min(out) + 1} to 48; wave takes" in left_out_text(bench, out)
+    stiff = dataclasses.replace(bench, skin=Skin("r6", (1e7, 1e7)))
+    with pytest.raises(ConfigError, match=r"targets 1 to 48; wave takes .* allowed: .* N, so 0\."):
+        CollectRequest.of(stiff, Path("session.zarr"))
 
 
 def test_speeds_and_box_follow_the_rules() -> None:
@@ -103,8 +118,17 @@ def test_speeds_and_box_follow_the_rules() -> None:
     assert bench.arm.speed == 2e-3
     assert bench.arm.travel_speed == 10e-3
     assert guard_limits(bench).box[0][2] == pytest.approx(-4.7e-3)
-    plan = bench_of("tacpalm").trajectory
-    assert planned_depth(bench, plan) == pytest.approx(4.957e-3, abs=1e-6)
+
+
+@given(st.floats(0.02, 0.5), st.sampled_from(["prism", "wave"]))
+def test_a_press_does_not_reach_the_hard_limit_while_the_arm_reacts(
+    reaction: float, indenter: str
+) -> None:
+    bench = dataclasses.replace(BenchFile.read(BENCHES / "r6.yaml").bench, indenter=indenter)
+    expected, arm = bench.expected, gentle(bench, reaction).arm
+    soft = np.interp(0.85 * 17, expected.most, expected.depths)
+    assert arm.speed <= bench.arm.speed
+    assert expected.at(soft + reaction * arm.speed)[1] <= 17 or arm.speed == SLOWEST
 
 
 def signal_record(t_ns: int, fresh_ns: int, change: float, motion: float) -> Any:

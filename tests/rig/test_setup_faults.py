@@ -69,7 +69,7 @@ class Site:
             rest = force_of(world)
             force_of(world, (0, 0, -3e-4))
             ways.append((force_of(world, (x, y, -3e-4)) - rest)[:2])
-        return checks.axes(self.bench.row("force"), *ways)
+        return checks.axes(self.bench.row("force"), *ways, 0.0, 1.0)
 
     def world(self) -> WorldHost:
         world = AnalyticWorld(self.bench.world, (0.0,) * 6)

@@ -51,8 +51,13 @@ SUM = """(() => {
 
 def bench(folder: Path) -> Path:
     """Write a fast bench with a soft force limit that the deeper presses reach."""
-    limits = "{force_rating_n: [12.0, 12.0, 1.1], stiffness_n_per_mm: 0.1}"
-    return quick_bench(folder, "tacpalm", limits=limits, more="trajectory: {depth_step_mm: 2.25}")
+    limits = "{force_rating_n: [12.0, 12.0, 1.1]}"
+    return quick_bench(
+        folder,
+        "tacpalm",
+        limits=limits,
+        more="trajectory: {depth_step_mm: 2.25}\nskin: {modulus_kpa: [0.1, 0.1]}",
+    )
 
 
 @contextmanager

@@ -216,8 +216,6 @@ WIDE = Limits(
     box_y=(-0.01, 0.01),
     depth_max=2e-3,
     height_max=0.01,
-    force_rating=17.0,
-    stiffness=5e3,
     duration_max=3600.0,
 )
 
@@ -228,7 +226,6 @@ def test_a_plan_within_its_limits_breaks_none() -> None:
     assert walked.depth == pytest.approx(1.2e-3)
     assert walked.x == pytest.approx((-4e-3, 4e-3))
     assert walked.y == pytest.approx((-5e-3, 5e-3))
-    assert walked.force == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +237,6 @@ def test_a_plan_within_its_limits_breaks_none() -> None:
         ("box_y", (-0.01, 4.9e-3), "y:"),
         ("depth_max", 1.19e-3, "depth"),
         ("height_max", 0.2e-3, "height"),
-        ("force_rating", 5.9, "force"),
         ("duration_max", 100.0, "duration"),
     ],
 )

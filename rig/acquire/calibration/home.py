@@ -31,12 +31,19 @@ METHOD = "onset of force, k d^p (1 + c d), profile likelihood"
 WIDTH_MAX = 50e-6
 # Speed of the approach [m/s].
 SPEED = 1e-3
-# Force that ends the approach, unless given [N].
-FORCE = 0.3
+# Force that ends the approach, unless given: least and most [N], and its largest part of the force
+# that is expected at the end of the travel.
+_FORCES, _SHARE = (0.1, 0.3), 0.5
 # Noise above this fraction of the contact force would end approaches by itself.
 _NOISE_SHARE = 0.2
 # Last part of an approach, in which the arm decelerates [m].
 _DECELERATING = 10e-6
+
+
+def force_of(bench: Bench, travel: float | None) -> float:
+    """Return the force that ends an approach `travel` deep [m], by default to the limit [N]."""
+    depth = bench.limits.depth_max if travel is None else travel
+    return float(np.clip(_SHARE * bench.expected.at(depth)[0], *_FORCES))
 
 
 def touching_bench(bench: Bench, force: float) -> Bench:
@@ -160,10 +167,16 @@ def truth_lines(bench: Bench, height: float) -> list[str]:
     ]
 
 
-def plan_for(bench: Bench, *, travel: float | None, repeats: int, points: Sequence[int]) -> Touch:
-    """Return the touches for a bench: from 1 mm above its surface to `travel` below."""
+def plan_for(
+    bench: Bench, *, force: float, travel: float | None, repeats: int, points: Sequence[int]
+) -> Touch:
+    """Return the touches for a bench: from 1 mm above its surface to `travel` below.
+
+    By default that is 1 mm, or the depth at which the skin takes `force` [N] for certain.
+    """
     most = bench.limits.depth_max
-    depth = min(1e-3, most) if travel is None else travel
+    certain = max(1e-3, bench.expected.depth_of(force / _SHARE)[0])
+    depth = min(certain, most) if travel is None else travel
     if not 0 < depth <= most:
         raise ConfigError(
             f"--travel-mm: found {1e3 * depth:g}; allowed: above 0, up to {1e3 * most:g} "

@@ -188,10 +188,12 @@ METHOD = "taps: motion against force and indentation, bootstrap over taps"
 WIDTH_MAX = 2e-3
 # Least accepted ratio of the highest to the second highest peak.
 RATIO_MIN = 1.5
-# Force of a tap [N]; its depth follows from the bench file's stiffness ...
+# Force of a tap [N]; its depth follows from the expected force ...
 _FORCE = 1.0
 # ... but is at most this [m], and at most half of the sensor's depth limit.
 _DEEPEST = 1e-3
+# Motion of the tip that shows that the arm moves [m], and the least reaction of an arm [s].
+_MOVED, _LEAST = 20e-6, 0.02
 # Images are compared as means of 8 x 8 pixels, which reduces noise but keeps motion.
 _BLOCK = 8
 _BATCH = 64
@@ -240,7 +242,7 @@ def plan_for(bench: Bench, *, depth: float | None, count: int) -> Taps:
     """Return the taps for a bench: about 1 N, at most 1 mm deep."""
     limits = bench.limits
     most = limits.depth_max / 2
-    light = min(_FORCE / limits.stiffness, _DEEPEST, most)
+    light = min(bench.expected.depth_of(_FORCE)[1], _DEEPEST, most)
     wanted = light if depth is None else depth
     if not 0 < wanted <= limits.depth_max:
         raise ConfigError(
@@ -347,6 +349,22 @@ def true_lag(session: Session, stream: str = "camera") -> float | None:
         if at < len(height) and height[at] < 0:
             late.append((int(t_ns) - stamp[1]) * 1e-9)
     return float(np.mean(late)) if late else None
+
+
+def reaction_of(session: Session, bench: Bench) -> float:
+    """Return the longest time in which the arm answered a command of a session, and stops [s].
+
+    It answers a guard as it answers a command. The time that it takes from rest to move by `_MOVED`
+    is subtracted, that to stop from the bench's speed added.
+    """
+    moved_ns, height = tip_heights(session)
+    late, arm = [], bench.arm
+    for start, end in zip(session.segments["start_ns"], session.segments["end_ns"], strict=True):
+        rows = np.flatnonzero((moved_ns >= start) & (moved_ns <= end))
+        moved = rows[np.abs(height[rows] - height[rows[:1]]) > _MOVED]
+        late += [(int(moved_ns[row]) - int(start)) * 1e-9 for row in moved[:1]]
+    answered = max(late, default=0.0) - float(np.sqrt(2 * _MOVED / arm.acceleration))
+    return max(answered, _LEAST) + arm.speed / arm.stop_deceleration
 
 
 def lines_of(found: Latency, session: Session) -> list[str]:

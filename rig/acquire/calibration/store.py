@@ -26,6 +26,10 @@ from rig.core.config import READER, build, from_si, read_yaml
 from rig.core.errors import ConfigError
 from rig.core.geometry import compose, invert, transform
 
+# Time in which an arm answers a force unless it was measured [s]: a busy computer's. An idle one
+# takes about 20 ms.
+REACTION = 0.1
+
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
@@ -93,6 +97,8 @@ class LatencyCalibration(Measurement):
     """Ratio of the highest to the second highest correlation peak."""
     taps: int
     """Number of taps in the measurement."""
+    reaction: float = field(default=REACTION, metadata={"unit": "ms"})
+    """Longest time from a force to the arm's answer in the taps [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +111,11 @@ class Calibration:
     """Name of the file it was loaded from."""
     acceptance: dict[str, Any] | None = None
     """Summary of the bench's acceptance report, see `rig.acquire.acceptance`; None: no report."""
+
+    @property
+    def reaction(self) -> float:
+        """Time in which the arm answers a force [s], measured or assumed."""
+        return REACTION if self.latency is None else self.latency.reaction
 
     def applied(self, bench: Bench) -> Bench:
         """Return the bench with its contact frame moved to the measured surface."""
