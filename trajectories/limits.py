@@ -1,7 +1,7 @@
 """Dry run of a plan without hardware: workspace box, depth and duration of its moves."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from trajectories.plans import Plan, Point, dome_height
 
@@ -10,18 +10,16 @@ from trajectories.plans import Plan, Point, dome_height
 class Limits:
     """Limits of a sensor and a bench, in the contact frame."""
 
-    box_x: tuple[float, float]
+    box_x: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
     """Allowed x of the tip [m]."""
-    box_y: tuple[float, float]
-    """Allowed y of the tip [m]."""
-    depth_max: float
-    """Deepest indentation that the sensor withstands [m]."""
-    height_max: float
-    """Highest z of the tip [m]."""
-    duration_max: float
+    box_y: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
+    """Allowed y [m]."""
+    depth_max: float = field(metadata={"unit": "mm", "plausible": (0.02, 50)})
+    """Deepest indentation [m]."""
+    height_max: float = field(metadata={"unit": "mm", "plausible": (1, 1000)})
+    """Highest z [m]."""
+    duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
     """Longest session [s]."""
-    dome_radius: float | None = None
-    """Radius of the sensor's spherical top [m]; None: flat. Depths are below the top."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +60,14 @@ def move_duration(length: float, speed: float, acceleration: float) -> float:
     return length / speed + speed / acceleration
 
 
-def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) -> DryRun:
+def dry_run(
+    plan: Plan,
+    limits: Limits,
+    *,
+    speed: float,
+    acceleration: float,
+    dome_radius: float | None = None,
+) -> DryRun:
     """Dry-run `plan` and compare every point with `limits`.
 
     Speed [m/s] and acceleration [m/s^2] are those of the recorded moves.
@@ -80,7 +85,7 @@ def dry_run(plan: Plan, limits: Limits, *, speed: float, acceleration: float) ->
             points += [move.start, move.end]
             moves += 1
         ends = [place for move in path for place in (move.start, move.end)]
-        depths.append(max(dome_height(limits.dome_radius, x, y) - z for x, y, z in ends))
+        depths.append(max(dome_height(dome_radius, x, y) - z for x, y, z in ends))
     low = tuple(min(point[axis] for point in points) for axis in range(3))
     high = tuple(max(point[axis] for point in points) for axis in range(3))
     depth = max(depths)

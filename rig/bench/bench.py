@@ -78,17 +78,9 @@ MOST_TARGETS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class BenchLimits:
+class BenchLimits(Limits):
     """Limits of sensor, gauge and lab."""
 
-    box_x: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
-    """Allowed x of the tip in the contact frame [m]."""
-    box_y: tuple[float, float] = field(metadata={"unit": "mm", "plausible": (0.1, 500)})
-    """Allowed y [m]."""
-    depth_max: float = field(metadata={"unit": "mm", "plausible": (0.02, 50)})
-    """Deepest indentation [m]."""
-    height_max: float = field(metadata={"unit": "mm", "plausible": (1, 1000)})
-    """Highest z [m]."""
     force_rating: tuple[float, float, float] = field(
         metadata={"unit": "n", "plausible": (0.05, 2000)}
     )
@@ -97,8 +89,6 @@ class BenchLimits:
         metadata={"unit": "n_mm", "plausible": (1, 200000)}
     )
     """Rated torque per axis [N m]."""
-    duration_max: float = field(metadata={"unit": "min", "plausible": (0.1, 3000)})
-    """Longest session [s]."""
     sensor_rating: float | None = field(
         default=None, metadata={"unit": "n", "plausible": (0.05, 2000)}
     )
@@ -461,20 +451,9 @@ class Bench:
 
     def dry_run(self, plan: Plan) -> DryRun:
         """Return a dry run of a plan with the arm's speed, against the limits of the bench."""
-        arm, limits = self.arm, self.limits
-        return dry_run(
-            plan,
-            Limits(
-                limits.box_x,
-                limits.box_y,
-                limits.depth_max,
-                limits.height_max,
-                limits.duration_max,
-                self.dome_radius,
-            ),
-            speed=arm.speed,
-            acceleration=arm.acceleration,
-        )
+        arm, dome = self.arm, self.dome_radius
+        speeds = {"speed": arm.speed, "acceleration": arm.acceleration}
+        return dry_run(plan, self.limits, **speeds, dome_radius=dome)
 
     def check_limits(self, plan: Plan) -> DryRun:
         """Return the dry run of a plan, which must break no limit of the bench."""

@@ -154,8 +154,8 @@ def test_the_tacpalms_dome_lowers_its_outer_points_as_the_authors_do() -> None:
     heights = [plan.height(*plan.position(point)) for point in range(1, 6)]
     assert heights[0] == 0
     assert heights[1:] == pytest.approx([-1.5 * MM] * 4, abs=0.01 * MM)
-    limits = replace(WIDE, depth_max=4.5 * MM, dome_radius=29 * MM)
-    walked = dry_run(plan, limits, speed=0.005, acceleration=0.05)
+    limits = replace(WIDE, depth_max=4.5 * MM)
+    walked = dry_run(plan, limits, speed=0.005, acceleration=0.05, dome_radius=29 * MM)
     # A shear towards the apex keeps its height while the surface rises.
     assert walked.depth == pytest.approx(4.957 * MM, abs=1e-6)
     assert any("depth: 4.957 mm" in line for line in walked.broken)
