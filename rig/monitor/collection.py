@@ -100,7 +100,7 @@ COMMANDS = ("pause", "resume", "abort")
 ENDED = ("complete", "stopped", "gone")
 # Interval between judgements of the quality [s].
 QUALITY_PERIOD = 0.5
-_LOG_LINES = 100
+_LOG_LINES = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +119,8 @@ class CollectionJob:
     """Shear directions of the plan; 1 without shear."""
     clearance: float
     """Height above the surface at which the tip waits before a press [m]."""
+    go_on: str = ""
+    """Command that continues the session; empty: none."""
 
     @classmethod
     def of(cls, bench: Bench, folder: Path, request: CollectRequest) -> CollectionJob:
@@ -129,7 +131,7 @@ class CollectionJob:
         heights = [t.origin[2] - dome_height(radius, *t.origin[:2]) for t in targets]
         directions = plan.direction_count if isinstance(plan, PressShear) else 1
         clearance = min(heights, default=0.0)
-        return cls(bench, folder, request.path, targets, directions, clearance)
+        return cls(bench, folder, request.path, targets, directions, clearance, request.go_on)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,6 +156,8 @@ class Snapshot:
     """Sources of the current pause requests."""
     log: tuple[str, ...] = ()
     """Log lines since the previous snapshot."""
+    command: str = ""
+    """Command that leads on from the end, if a session was kept."""
 
 
 class CollectionView(LiveView):
@@ -296,17 +300,22 @@ class CollectionView(LiveView):
 
     def receive(self, message: Snapshot) -> None:
         """Receive the progress of the collection."""
-        self._snapshot = message
         for line in message.log:
             self._log.add(line)
         self.ended = message.status in ENDED
+        if self.ended and (session := self._job.session).exists():
+            commands = {
+                "complete": next_command("page", session.parent),
+                "stopped": self._job.go_on,
+                "gone": next_command("session", "recover", session),
+            }
+            message = replace(message, command=commands[message.status])
+        self._snapshot = message
 
     def lose(self) -> None:
         """Receive that the collecting process is gone."""
         if not self.ended:
-            session = self._job.session
-            command = next_command("session", "recover", session)
-            reason = f"the collecting process is gone; recover {session} with: {command}"
+            reason = "the collecting process is gone"
             self.receive(Snapshot("gone", reason, outcomes=self._snapshot.outcomes))
 
     def hello(self) -> dict[str, Any]:
@@ -382,10 +391,10 @@ class _LogLines(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.INFO)
         self.setFormatter(logging.Formatter("%(asctime)s %(message)s", "%H:%M:%S"))
-        self._lines: deque[str] = deque(maxlen=100)
+        self._lines: deque[str] = deque(maxlen=_LOG_LINES)
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._lines.append(self.format(record)[:400])
+        self._lines.append(self.format(record))
 
     def fetch(self) -> tuple[str, ...]:
         """Return the lines since the last call."""

@@ -109,7 +109,10 @@ class Finished:
         """Return a session that is not being recorded."""
         row = self.row(path)
         if row.status == "recording":
-            raise SessionError(f"{path}: is being recorded, or was killed while it was")
+            command = next_command("session", "recover", self.folder / path)
+            raise SessionError(
+                f"{path}: is being recorded, or was killed while it was; then recover it: {command}"
+            )
         return self._opened(row.path, row.stamp)
 
     def _open(self, path: str, stamp: Stamp) -> Session:
@@ -119,7 +122,7 @@ class Finished:
         return session
 
     def about(self, path: str) -> dict[str, Any]:
-        """Return what is constant about a session, its targets and its curves."""
+        """Return what is constant about a session, and its targets."""
         session, row = self.session(path), self.row(path)
         frames, targets = session.frames, session.targets
         count, summary = len(frames["t_ns"]), session.attrs.get("summary") or {}
@@ -151,9 +154,32 @@ class Finished:
             ],
             "directions": plan.direction_count if isinstance(plan, PressShear) else 1,
             "outcomes": _outcomes(session, plan),
-            "starts": _starts(session),
-            "curves": _curves(session),
+            "presses": _presses(session),
+            "go_on": next_command("collect", resume=self.folder / path)
+            if row.status == "stopped" and plan is not None
+            else "",
         }
+
+    def curves(self, path: str, first: int, last: int) -> dict[str, Any]:
+        """Return the least and the largest values of force [N] and depth [mm] in parts of frames.
+
+        These are the frames `first` to `last`, in at most MOST_POINTS equal parts, which begin at
+        the frames `at` and the times `t`; the last frame is at the time `to` [s].
+        """
+        frames = self.session(path).frames
+        count = len(frames["t_ns"])
+        if not 0 <= first <= last < count:
+            raise IndexError(f"no frames {first} to {last}; allowed: 0 to {count - 1}")
+        parts = min(last + 1 - first, MOST_POINTS)
+        edges = np.linspace(0, last + 1 - first, parts, endpoint=False).astype(int)
+        seconds = (frames["t_ns"][first : last + 1] - frames["t_ns"][0]) / SECOND_NS
+        curves: dict[str, Any] = {"at": (edges + first).tolist(), "to": number(seconds[-1])}
+        curves["t"] = [number(t) for t in seconds[edges]]
+        columns = {name: frames["wrench"][:, axis] for axis, name in enumerate(("fx", "fy", "fz"))}
+        for name, values in (columns | {"depth": 1e3 * frames["depth"]}).items():
+            ends = [each.reduceat(values[first : last + 1], edges) for each in (np.fmin, np.fmax)]
+            curves[name] = [[number(a), number(b)] for a, b in zip(*ends, strict=True)]
+        return curves
 
     def frame(self, path: str, k: int) -> dict[str, Any]:
         """Return the values of a frame."""
@@ -249,26 +275,13 @@ def _outcomes(session: Session, plan: Plan | None) -> str:
     )
 
 
-def _starts(session: Session) -> dict[int, int]:
-    """Return the first frame of the last press of each target."""
+def _presses(session: Session) -> dict[int, tuple[int, int]]:
+    """Return the first and last frame of the last press of each target."""
     target, run = session.frames["target"], session.frames["run"]
-    another = (np.diff(target) != 0) | (np.diff(run) != 0)
-    begins = np.concatenate([[0], np.flatnonzero(another) + 1])[: len(target)]
-    return {int(target[k]): int(k) for k in begins if target[k] >= 0}
-
-
-def _curves(session: Session) -> dict[str, Any]:
-    """Return the least and the largest value of each curve in equal parts of the frames."""
-    frames = session.frames
-    count = len(frames["t_ns"])
-    edges = np.unique(np.linspace(0, count, min(count, MOST_POINTS) + 1).astype(int))[:-1]
-    curves: dict[str, Any] = {"at": edges.tolist()}
-    columns = {name: frames["wrench"][:, axis] for axis, name in enumerate(("fx", "fy", "fz"))}
-    columns["depth"] = frames["depth"] * 1e3
-    for name, values in columns.items():
-        ends = [each.reduceat(values, edges) for each in (np.fmin, np.fmax) if count]
-        curves[name] = [[number(a), number(b)] for a, b in zip(*ends, strict=True)]
-    return curves
+    begins = np.flatnonzero(np.diff(target, prepend=-2) | np.diff(run, prepend=-1))
+    ends = np.append(begins[1:], len(target)) - 1
+    spans = zip(begins.tolist(), ends.tolist(), strict=False)
+    return {int(target[first]): (first, last) for first, last in spans if target[first] >= 0}
 
 
 # File beside a session with the port of its page, as long as the page is served.
@@ -325,6 +338,9 @@ class Lab:
             "sessions": finished.search,
             "session": lambda query: self.session(query["session"]),
             "frame": lambda query: finished.frame(query["session"], query.whole("frame")),
+            "curves": lambda query: finished.curves(
+                query["session"], query.whole("first"), query.whole("last")
+            ),
             "image": lambda query: finished.image(
                 query["session"], query.whole("frame"), query["camera"]
             ),

@@ -61,8 +61,12 @@ def test_a_session_is_described_with_its_targets_and_curves(bench: LabPage) -> N
     assert about["directions"] == PLAN.direction_count
     assert about["points"][1]["at"] == pytest.approx([-3.0, 4.0])
     target = session.frames["target"]
-    assert about["starts"] == {"0": 0, "1": int(np.flatnonzero(target == 1)[0])}
-    wrench, curves = session.frames["wrench"], about["curves"]
+    last = {str(k): np.flatnonzero(target == k)[[0, -1]].tolist() for k in (0, 1)}
+    assert about["presses"] == last
+    first, final = last["1"]
+    wrench = session.frames["wrench"][first : final + 1]
+    curves = bench.get(data("curves", session=MOON, first=first, last=final))
+    assert curves["at"] == list(range(first, final + 1))
     assert min(low for low, _ in curves["fz"]) == pytest.approx(wrench[:, 2].min(), abs=1e-3)
     assert max(high for _, high in curves["fx"]) == pytest.approx(wrench[:, 0].max(), abs=1e-3)
     assert [row["name"] for row in about["streams"]] == ["camera", "force", "pose"]

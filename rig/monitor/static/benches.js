@@ -1,7 +1,7 @@
 // Campaigns with their progress, benches with their set-up, and indenters.
 
 import { thumbnail } from "./sessions.js";
-import { $, fill, h, tag } from "./widgets.js";
+import { command, enlarge, fill, h, tag } from "./widgets.js";
 import { url } from "./wire.js";
 
 let lab = null;
@@ -13,7 +13,7 @@ export function show(found) {
   fill("indenters", lab.indenters, (each) => each.map(indenter));
 }
 
-function campaign({ name, command, error, items }) {
+function campaign({ name, command: line, error, items }) {
   const sum = (key) => items.reduce((total, item) => total + item[key], 0);
   const done = sum("done"), total = sum("total"), sensors = [...new Set(items.map((item) => item.sensor))];
   const bar = h("div", { class: "bar", role: "progressbar", "aria-label": "targets done", "aria-valuemin": 0, "aria-valuemax": total, "aria-valuenow": done }, h("i", {}));
@@ -23,8 +23,7 @@ function campaign({ name, command, error, items }) {
     table(["sensor", "indenter", "plan", "targets", "state"], items.map((item) => [
       item.sensor, item.indenter, item.again.length ? `again ${item.again.join(", ")}` : item.plan.replace("_", " "), `${item.done} / ${item.total}`,
       item.session ? h("a", { href: `#session/${encodeURIComponent(item.session)}` }, item.state) : item.state + (item.note ? `: ${item.note}` : "")])),
-    h("p", { class: "note" }, "At the bench:"), h("p", { class: "command" }, h("code", {}, command)),
-    h("div", { class: "plans" }, ...sensors.map((sensor) => picture(url("plan", { sensor }), `plan of ${sensor}`))));
+    h("p", { class: "note" }, "At the bench:"), command(line), ...sensors.map(plan));
 }
 
 function duration(seconds) {
@@ -38,18 +37,17 @@ function table(heads, rows) {
 }
 
 function picture(address, name) {
-  return h("button", { type: "button", class: "picture", "aria-label": `${name}, larger`, onclick: () => {
-    $("large-image").src = address;
-    $("large-image").alt = name;
-    $("large").showModal();
-  } }, h("img", { alt: name, loading: "lazy", src: address }));
+  const image = (alt) => h("img", { class: "drawing", alt, loading: "lazy", src: address });
+  return h("button", { type: "button", class: "picture", "aria-label": `${name}, larger`, onclick: () => enlarge(image(name)) }, image(""));
 }
+
+const plan = (sensor) => h("details", {}, h("summary", {}, `Plan of ${sensor}`), h("div", { class: "plan" }, picture(url("plan", { sensor }), `plan of ${sensor}`)));
 
 function benches() {
   const used = lab.benches.filter((bench) => !bench.mock || bench.newest || setupOf(bench));
   const others = lab.benches.filter((bench) => !used.includes(bench));
-  return [...used.map(bench), ...(others.length ? [h("section", {}, h("h3", {}, "Other mock benches"),
-    table(["name", "sensor"], others.map((each) => [each.name, each.description])))] : [])];
+  return [...used.map(bench), ...(others.length ? [h("section", { class: "all" }, h("h3", {}, "Other mock benches"),
+    table(["name", "sensor", "targets", "streams"], others.map((each) => [each.name, each.description, each.targets, each.streams.join(", ")])))] : [])];
 }
 
 const setupOf = (bench) => lab.setups.find((each) => each.sensor === bench.sensor && (each.error || each.mock === bench.mock));
@@ -60,11 +58,11 @@ function bench(each) {
   return h("section", {}, h("h3", {}, each.name, " ", tag(each.mock ? "mock" : "lab", each.mock ? "" : "warn")),
     h("p", {}, each.description), h("p", { class: "note" }, `${each.targets} targets · ${each.streams.join(", ")}`),
     ...(each.newest ? [h("a", { href: newest, "aria-label": name }, thumbnail(each.newest))] : []), ...setups(setupOf(each), each),
-    h("details", {}, h("summary", {}, "Plan"), picture(url("plan", { sensor: each.name }), `plan of ${each.name}`)));
+    plan(each.name));
 }
 
 function setups(setup, bench) {
-  if (!setup) return [h("p", { class: "note" }, "Not set up. At the bench:"), h("p", { class: "command" }, h("code", {}, `tactile setup --sensor ${bench.name}`))];
+  if (!setup) return [h("p", { class: "note" }, "Not set up. At the bench:"), command(`tactile setup --sensor ${bench.name}`)];
   if (setup.error) return [h("p", { class: "wrong" }, setup.error)];
   const rows = setup.steps.map((step) => [step.name, h("span", { class: `state-${step.state}` }, step.state),
     step.findings.filter((each) => each.state !== "well").map((each) => `${each.part}: ${each.text}`).join("; ") || step.date_utc.slice(0, 16).replace("T", " ")]);
@@ -79,5 +77,3 @@ function indenter(each) {
   return h("section", {}, h("h3", {}, each.name), ...(each.drawing ? [picture(url("indenter", { name: each.name }), each.name)] : []),
     h("p", {}, each.size), h("p", { class: "note" }, each.tip));
 }
-
-$("close").addEventListener("click", () => $("large").close());

@@ -1,6 +1,6 @@
 // A running collection: displays the server's messages and sends commands.
 
-import { $, AXES, Chart, PHASES, TargetMap, fill, h, lastSeconds, signed, taxels, text } from "./widgets.js";
+import { $, AXES, Chart, TargetMap, activity, command, enlarge, fill, h, lastSeconds, signed, taxels, text } from "./widgets.js";
 import { connected, on, send } from "./wire.js";
 
 const STATUS = {
@@ -9,10 +9,16 @@ const STATUS = {
 };
 const QUALITY = { good: "good", watch: "look", fault: "fault", unknown: "unknown" };
 const ENDED = new Set(["complete", "stopped", "gone"]);
+const NEXT = {
+  complete: "To look at it:", gone: "What was recorded is kept. To make it readable:",
+  stopped: "What was recorded is kept. To continue, clear the cause and type at the bench:",
+};
 
 const map = new TargetMap($("map"), $("cell"));
 const first = new Chart($("traces"), 0.5);
 let charts = {}, traces = {}, pictures = [], captions = {};
+// Most lines of the log; the file beside the session has all.
+const LOG = 2000;
 let hello = null, state = null, asked = "";
 
 function clock(seconds) {
@@ -53,19 +59,21 @@ export function begin(message) {
   $("log").textContent = "";
   map.build(hello);
   const { axes, ratings, soft, hard, box } = hello.limits;
-  text("limits-note", `fraction of the rating; marks: soft limit ${percent(soft)}, hard ${percent(hard)}`);
+  text("limits-note", `% of the rating; marks: soft limit ${percent(soft)}, hard ${percent(hard)}`);
   $("loads").replaceChildren(...axes.map((axis, k) => {
     const marks = [["soft", soft], ["hard", hard]].map(([name, fraction]) => {
       const made = h("div", { class: `mark ${name}` });
       made.style.left = `${(100 * Math.min(fraction / railEnd(), 1)).toFixed(1)}%`;
       return made;
     });
-    return gauge(axis, `${axis}: fraction of ${ratings[k]} ${k < 3 ? "N" : "N mm"}`, "fill", marks);
+    // Each of the two columns has one scale, below its last axis.
+    const ticks = k % 3 === 2 ? [0, 0.5, 1].map((fraction) => [fraction / railEnd(), `${100 * fraction}`]) : [];
+    return gauge(axis, `${axis}: fraction of ${ratings[k]} ${k < 3 ? "N" : "N mm"}`, "fill", marks, ticks);
   }));
   $("box").replaceChildren(
-    gauge("depth", `depth, allowed up to ${-box[2][0]} mm`, "fill"),
-    gauge("x", `x, allowed ${box[0].join(" to ")} mm`, "dot"),
-    gauge("y", `y, allowed ${box[1].join(" to ")} mm`, "dot"),
+    gauge("depth", `depth, allowed up to ${-box[2][0]} mm`, "fill", [], scale(0, -box[2][0])),
+    gauge("x", `x, allowed ${box[0].join(" to ")} mm`, "dot", [], scale(...box[0])),
+    gauge("y", `y, allowed ${box[1].join(" to ")} mm`, "dot", [], scale(...box[1])),
   );
 }
 
@@ -94,10 +102,19 @@ function figure(parent, name, size) {
 const percent = (fraction) => `${Math.round(100 * fraction)} %`;
 const railEnd = () => 1.05 * hello.limits.hard;
 
-function gauge(name, label, part, marks = []) {
+// A bar or a dot on a rail; `ticks` are fractions of the rail with their texts.
+function gauge(name, label, part, marks = [], ticks = []) {
   const rail = h("div", { class: "rail", role: "meter", "aria-label": label }, h("div", { class: part }), ...marks);
-  return h("div", { class: "gauge", title: label }, h("span", {}, name), rail, h("b", {}, "–"));
+  const row = h("div", { class: "gauge", title: label }, h("span", {}, name), rail, h("b", {}, "–"));
+  if (ticks.length) row.append(h("div", { class: "scale", "aria-hidden": "true" }, ...ticks.map(([fraction, words]) => {
+    const tick = h("span", {}, words);
+    tick.style.left = `${100 * fraction}%`;
+    return tick;
+  })));
+  return row;
 }
+
+const scale = (low, high) => [0, 0.25, 0.5, 0.75, 1].map((part) => [part, String(+(low + part * (high - low)).toFixed(2)).replace("-", "−")]);
 
 function setGauge(row, fraction, value, level) {
   const part = row.children[1].firstChild;
@@ -117,8 +134,9 @@ export function show(next) {
   document.body.dataset.status = status;
   const who = state.paused_by.length ? ` by ${state.paused_by.join(", ")}` : "";
   text("status", waiting ? "Pausing" : STATUS[status] + (status === "paused" ? who : ""));
-  text("phase", status === "collecting" || status === "pausing" ? PHASES[state.phase] ?? state.phase : "");
-  text("reason", state.reason);
+  const tip = state.tips[hello.arms[0]];
+  text("phase", status === "collecting" || status === "pausing" ? activity(state.phase, tip ? -tip[2] : 0) : "");
+  ended(state);
   $("reason").hidden = !state.reason;
   text("target", state.target >= 0 ? String(state.target + 1) : "–");
   text("left", clock(state.left));
@@ -143,12 +161,19 @@ export function show(next) {
   buttons();
 }
 
+// After the end the page says what was kept, and the way on.
+function ended({ status, command: line, reason }) {
+  text("why", reason);
+  fill("next", [status, line], () => line ? [h("span", {}, NEXT[status]), command(line)] : []);
+  text("image-waiting", ENDED.has(status) ? "No image came before the end." : "The first image comes when recording begins.");
+}
+
 function trace(name, points) {
   if (!points.length && charts[name].content) return;
   traces[name].push(...points);
   const range = lastSeconds(traces[name], hello.seconds);
   const curves = AXES.map(([, colour], k) => ({ colour, width: 2, points: traces[name].map((point) => [point[0], point[k + 1], point[k + 1]]) }));
-  charts[name].show({ ...range, panels: [{ curves, least: 0.5 }] });
+  charts[name].show({ ...range, panels: [{ curves, least: 0.1, unit: "N" }] });
 }
 
 function buttons() {
@@ -229,7 +254,7 @@ function log(lines) {
   const box = $("log");
   const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 30;
   const all = box.textContent.split("\n").filter(Boolean).concat(lines);
-  box.textContent = all.slice(-100).join("\n");
+  box.textContent = all.slice(-LOG).join("\n");
   if (atEnd) box.scrollTop = box.scrollHeight;
 }
 
@@ -259,6 +284,7 @@ on("picture", async ({ data }) => {
   }
 });
 
+$("log-whole").addEventListener("click", () => enlarge(h("pre", {}, $("log").textContent)));
 $("pause").addEventListener("click", () => ask(state.paused_by.includes("page") ? "resume" : "pause"));
 $("abort").addEventListener("click", () => $("confirm").showModal());
 $("go-on").addEventListener("click", () => $("confirm").close());

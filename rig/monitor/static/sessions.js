@@ -1,6 +1,6 @@
 // Finished sessions: search, and one of them a frame at a time, with marks for recording again.
 
-import { $, AXES, Chart, PHASES, TargetMap, fill, h, niceStep, signed, tag, taxels, text } from "./widgets.js";
+import { $, AXES, Chart, TargetMap, activity, command, fill, h, niceStep, signed, tag, taxels, text } from "./widgets.js";
 import { get, on, send, url } from "./wire.js";
 
 // Search --------------------------------------------------------------------------------------------
@@ -50,17 +50,29 @@ export function onSearch(refresh) {
 
 // Replay --------------------------------------------------------------------------------------------
 
-// Resolves when an image is shown, or cannot be.
-function loaded(node, address) {
-  return new Promise((done) => {
-    node.onload = node.onerror = done;
-    node.src = address;
-  });
+// Returns values and pictures of a frame.
+async function load(at) {
+  const answer = await get(url("frame", { session: path, frame: at }));
+  const pictures = await Promise.all(views.map(async ({ camera }) => {
+    if (!(answer.images[camera] >= 0)) return null;
+    const node = h("img", { alt: `image of ${camera}`, src: url("image", { session: path, frame: at, camera }) });
+    return node.decode().then(() => node, () => null);
+  }));
+  return { answer, pictures };
+}
+
+// As `load`; the frame that is likely to be the next one is asked for ahead.
+function loaded(at) {
+  if (ahead.at !== at || ahead.of !== session) ahead = { at, of: session, ready: load(at) };
+  ahead.ready.catch(() => {});
+  return ahead.ready;
 }
 
 const map = new TargetMap($("r-map"), $("r-cell"));
 const chart = new Chart($("curves"));
-let session = null, path = "", frame = 0, wanted = 0, busy = false, timer = null, views = [];
+let session = null, path = "", frame = 0, wanted = 0, busy = false, timer = null, views = [], ahead = {};
+// What the chart and the slider show: all frames or those of one press, first and last, and their curves.
+let range = [0, 0], curves = null, zoomed = false;
 
 export async function open(name) {
   stop();
@@ -73,6 +85,8 @@ export async function open(name) {
   $("values").replaceChildren();
   text("place", "");
   delete $("view").dataset.frame;
+  curves = null;
+  zoom(false);
   let answer;
   try {
     answer = await get(url("session", { session: name }));
@@ -91,7 +105,6 @@ export async function open(name) {
   views = [...session.cameras.map((camera) => ({ camera, node: h("img", { alt: `image of ${camera}` }) })), ...(session.taxels ? [{ node: h("canvas", { width: 640, height: 480, role: "img", "aria-label": "taxels" }) }] : [])];
   $("pictures").replaceChildren(...views.map((view) => view.node));
   $("pictures").hidden = !views.length;
-  $("slider").max = Math.max(session.frames - 1, 0);
   $("r-streams").replaceChildren(...session.streams.map((row) => h("tr", {},
     h("th", { scope: "row" }, row.name), h("td", {}, row.rows.toLocaleString("en")), h("td", {}, `${row.rate} Hz`),
     h("td", { class: row.dropped ? "wrong" : "" }, String(row.dropped)))));
@@ -101,7 +114,28 @@ export async function open(name) {
   map.build({ targets: session.map, points: session.points, directions: session.directions });
   map.marks = new Set(session.again.map((target) => target - 1));
   marks(session);
-  seek(session.starts[0] ?? 0);
+  fill("continue", [session.path, session.go_on], () => session.go_on ? [h("h2", {}, "Continue"),
+    h("p", { class: "note" }, "The session was stopped; what it lacks is recorded into it. Type this at the bench:"), command(session.go_on)] : []);
+  if (!session.frames) return;
+  seek(session.presses[0]?.[0] ?? 0);
+}
+
+// Shows the frames from first to last in the chart and the slider.
+async function focus(next) {
+  if (curves && String(next) === String(range)) return;
+  range = next;
+  const of = session, answer = await get(url("curves", { session: path, first: next[0], last: next[1] }));
+  if (of !== session || next !== range) return;
+  curves = answer;
+  [$("slider").min, $("slider").max] = range;
+  $("slider").value = wanted;
+  draw();
+}
+
+function zoom(on) {
+  zoomed = on;
+  $("zoom").setAttribute("aria-pressed", on);
+  if (session) seek(wanted);
 }
 
 export function stop() {
@@ -117,17 +151,24 @@ async function seek(next) {
   wanted = Math.min(Math.max(next, 0), session.frames - 1);
   $("slider").value = wanted;
   draw();
+  const press = zoomed && Object.values(session.presses).find(([first, last]) => first <= wanted && wanted <= last);
+  focus(press || [0, session.frames - 1]).catch((error) => text("place", error.message));
   if (busy) return;
   busy = true;
   try {
     while (session && (frame !== wanted || !session.shown)) {
-      const at = wanted, of = session, answer = await get(url("frame", { session: path, frame: at }));
+      const at = wanted, of = session, { answer, pictures } = await loaded(at);
       if (of !== session) continue;
+      const by = at - frame;
       frame = at;
       session.shown = true;
-      await Promise.all(views.filter((view) => view.camera && answer.images[view.camera] >= 0).map((view) =>
-        loaded(view.node, url("image", { session: path, frame: at, camera: view.camera }))));
-      if (of === session) show(answer);
+      pictures.forEach((node, k) => {
+        if (!node) return;
+        views[k].node.replaceWith(node);
+        views[k].node = node;
+      });
+      show(answer);
+      if (by && Math.abs(by) < 10 && session.frames > at + by && at + by >= 0) loaded(at + by);
     }
   } catch (error) {
     text("place", error.message);
@@ -136,23 +177,32 @@ async function seek(next) {
   }
 }
 
-// Force and depth over the frames, with a line at the one that is shown. Frames, not seconds: between targets there are none.
+// Force and depth over time, with a line at the frame that is shown; between targets there are no frames.
 function draw() {
-  const { curves, frames } = session, step = Math.max(niceStep(frames / 6), 1), ticks = [];
-  for (let k = 0; k < frames * 0.97; k += step) ticks.push([Math.max(k - 1, 0), k ? String(k) : "frame"]);
-  const curve = (name) => curves[name].map(([low, high], k) => [curves.at[k], low, high]);
-  chart.show({ from: 0, to: Math.max(frames - 1, 1), ticks, cursor: wanted, panels: [
-    { share: 0.56, least: 0.5, curves: AXES.map(([name, colour]) => ({ name, colour, points: curve(name.toLowerCase()) })) },
-    { share: 0.44, least: 0.1, curves: [{ name: "depth", colour: "--text", points: curve("depth") }] },
+  if (!curves) return;
+  const { t, to, at } = curves, from = t[0], step = niceStep((to - from) / 6 || 1), ticks = [];
+  for (let k = Math.ceil(from / step); k * step <= to; k += 1) ticks.push([k * step, `${+(k * step).toFixed(3)} s`]);
+  const curve = (name) => curves[name].map(([low, high], k) => [t[k], low, high]);
+  chart.gap = 3 * ((at.length > 1 ? at[1] - at[0] : 1) + 2) / session.rate;
+  chart.show({ from, to, ticks, cursor: between(wanted, [...at, range[1]], [...t, to]), panels: [
+    { share: 0.56, least: 0.1, unit: "N", curves: AXES.map(([name, colour]) => ({ name, colour, points: curve(name.toLowerCase()) })) },
+    { share: 0.44, least: 0.1, unit: "mm", curves: [{ name: "depth", colour: "--text", points: curve("depth") }] },
   ] });
+}
+
+// Returns the y of an x, linear between places with rising xs.
+function between(x, xs, ys) {
+  const k = Math.max(xs.findLastIndex((each) => each <= x), 0), next = Math.min(k + 1, xs.length - 1);
+  const part = xs[next] > xs[k] ? Math.min(Math.max((x - xs[k]) / (xs[next] - xs[k]), 0), 1) : 0;
+  return ys[k] + part * (ys[next] - ys[k]);
 }
 
 function show(answer) {
   for (const view of views) if (!view.camera) taxels(view.node, answer.taxels);
   const part = (name, value) => h("span", {}, `${name} `, h("b", {}, value));
   $("values").replaceChildren(
-    part("depth", `${signed(answer.depth)} mm`), ...AXES.map(([name], k) => part(name, `${signed(answer.wrench[k])} N`)),
-    part("", PHASES[answer.phase] ?? answer.phase), ...(answer.valid ? [] : [h("b", { class: "wrong" }, "a stream has no sample near")]));
+    answer.depth < 0 ? part("above the surface", `${signed(-answer.depth)} mm`) : part("depth", `${signed(answer.depth)} mm`), ...AXES.map(([name], k) => part(name, `${signed(answer.wrench[k])} N`)),
+    part("", activity(answer.phase, answer.depth)), ...(answer.valid ? [] : [h("b", { class: "wrong" }, "a stream has no sample near")]));
   text("place", `${answer.t.toFixed(2)} s · frame ${answer.frame + 1} of ${session.frames}`);
   const counts = map.show(session.outcomes, -1);
   for (const name of ["done", "limited", "open"]) text(`r-${name}`, String(counts[name]));
@@ -162,10 +212,9 @@ function show(answer) {
 }
 
 function step(by) {
-  const starts = Object.entries(session.starts).map(([index, at]) => [Number(index), at]).sort((a, b) => a[1] - b[1]);
-  const place = starts.findLastIndex(([, at]) => at <= wanted);
-  const next = starts[Math.min(Math.max(place + by, 0), starts.length - 1)];
-  if (next) seek(next[1]);
+  const starts = Object.values(session.presses).map(([first]) => first).sort((a, b) => a - b);
+  const place = starts.findLastIndex((first) => first <= wanted);
+  seek(starts[Math.min(Math.max(place + by, 0), starts.length - 1)] ?? wanted);
 }
 
 function play() {
@@ -194,8 +243,7 @@ function marks({ again, queue }) {
   map.show(session.outcomes, -1);
   text("r-marked", String(again.length));
   text("marked", again.length ? `Marked: ${again.join(", ")}` : session.plan ? "No target is marked." : "Without a plan, targets cannot be pressed again.");
-  text("command", again.length ? queue : "–");
-  $("copy").disabled = !again.length;
+  fill("command", again.length ? queue : "", (line) => line ? [h("p", { class: "note" }, "Type this at the bench:"), command(line)] : []);
   button();
 }
 
@@ -217,24 +265,24 @@ function toggle() {
 }
 
 map.onPick = (index) => {
-  if (session.starts[index] !== undefined) seek(session.starts[index]);
+  if (session.presses[index]) seek(session.presses[index][0]);
   else button();
 };
 $("mark").addEventListener("click", toggle);
 $("unmark").addEventListener("click", () => change([]));
-$("copy").addEventListener("click", () => navigator.clipboard?.writeText($("command").textContent));
 $("slider").addEventListener("input", () => seek(Number($("slider").value)));
 $("play").addEventListener("click", play);
+$("zoom").addEventListener("click", () => zoom(!zoomed));
 $("before").addEventListener("click", () => step(-1));
 $("next").addEventListener("click", () => step(1));
 for (const kind of ["pointerdown", "pointermove"]) $("curves").addEventListener(kind, (event) => {
-  if (session && event.buttons) seek(Math.round(chart.at(event.clientX)));
+  if (curves && event.buttons) seek(Math.round(between(chart.at(event.clientX), [...curves.t, curves.to], [...curves.at, range[1]])));
 });
 addEventListener("keydown", (event) => {
   if (!session || $("v-session").hidden || event.ctrlKey || event.altKey || event.metaKey) return;
   if (event.target.closest("input:not([type=range]), select, dialog, #r-map")) return;
   const by = event.shiftKey ? 10 : 1;
-  const keys = { ArrowLeft: () => seek(wanted - by), ArrowRight: () => seek(wanted + by), n: () => step(1), p: () => step(-1), m: toggle };
+  const keys = { ArrowLeft: () => seek(wanted - by), ArrowRight: () => seek(wanted + by), n: () => step(1), p: () => step(-1), m: toggle, z: () => zoom(!zoomed) };
   if (event.key === " " && !event.target.closest("button, a")) keys[" "] = play;
   if (!keys[event.key]) return;
   event.preventDefault();

@@ -29,9 +29,26 @@ export function fill(id, content, build) {
 
 export const tag = (name, kind) => h("span", { class: `tag ${kind}` }, name);
 
-export const PHASES = {
+// A command to type at the bench: the page never starts an arm.
+export function command(line) {
+  const copy = () => navigator.clipboard?.writeText(line);
+  return h("p", { class: "command" }, h("code", {}, line), h("button", { type: "button", class: "small", "aria-label": "copy the command", onclick: copy }, "Copy"));
+}
+
+// Shows an element over the whole window.
+export function enlarge(content) {
+  $("large-content").replaceChildren(content);
+  $("large").showModal();
+}
+$("close").addEventListener("click", () => $("large").close());
+
+const PHASES = {
   normal_inc: "pressing", shear_inc: "shearing", shear_dec: "shearing back", normal_dec: "releasing", "to point": "to the point",
 };
+const CLEAR = { normal_inc: "approaching", normal_dec: "lifting off" };
+
+// What the arm does; above the surface nothing is pressed.
+export const activity = (phase, depth) => (depth < 0 && CLEAR[phase]) || (PHASES[phase] ?? phase);
 
 export function signed(value, digits = 2) {
   if (value === null || value === undefined) return "–";
@@ -46,7 +63,7 @@ export const AXES = [["Fx", "--fx"], ["Fy", "--fy"], ["Fz", "--fz"]];
 const LEFT = 46, RIGHT = 10, ABOVE = 18, BELOW = 22;
 
 // Panels above one another with a common x axis. `content` is {from, to, ticks: [[x, text]], cursor, panels};
-// a panel {curves, least, share}, a curve {colour, name, points: [[x, low, high]], width, dash, band}.
+// a panel {curves, least, share, unit}, a curve {colour, name, points: [[x, low, high]], width, dash, band}.
 // A null interrupts a curve, and so do points that are further apart than `gap`.
 export class Chart {
   constructor(canvas, gap = Infinity) {
@@ -99,22 +116,23 @@ export class Chart {
     this.line(pen, colour("--current"), 1.5, [[x(cursor), ABOVE], [x(cursor), height - BELOW]]);
   }
 
-  panel(pen, colour, x, width, top, bottom, { curves, least }) {
+  panel(pen, colour, x, width, top, bottom, { curves, least, unit }) {
     let low = -least, high = least;
     for (const { points } of curves) for (const [, a, b] of points) {
       if (a !== null && a < low) low = a;
       if (b !== null && b > high) high = b;
     }
     const pad = 0.06 * (high - low), y = (value) => top + ((high + pad - value) / (high - low + 2 * pad)) * (bottom - top);
-    const step = niceStep((24 * (high - low)) / (bottom - top));
+    const step = niceStep(Math.max(20 / (bottom - top), 0.1) * (high - low)), digits = Math.max(0, -Math.floor(Math.log10(step)));
     pen.textBaseline = "middle";
     for (let k = Math.ceil(low / step); k * step <= high; k += 1) {
       const level = Math.round(y(k * step)) + 0.5;
       this.line(pen, colour(k === 0 ? "--muted" : "--grid"), 1, [[LEFT, level], [width - RIGHT, level]]);
       pen.fillStyle = colour("--muted");
       pen.textAlign = "right";
-      pen.fillText((k * step).toFixed(step < 1 ? 1 : 0).replace("-", "−"), LEFT - 8, level);
+      pen.fillText(signed(k * step, digits), LEFT - 8, level);
     }
+    if (unit) pen.fillText(unit, LEFT - 8, top - 8);
     let start = LEFT;
     pen.textAlign = "left";
     for (const { colour: name, name: label, points, width: thick = 1.5, dash = [], band } of curves) {
