@@ -133,6 +133,25 @@ def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
     return png.getvalue()
 
 
+def predicted_over_true(shown: Predictions) -> bytes:
+    """Plot the predicted over the true forces of each axis, a colour an indenter."""
+    true, predicted = shown.true, shown.predicted
+    png = io.BytesIO()
+    with chart(png, 9, 3.4) as figure:
+        for axis, axes in enumerate(figure.subplots(1, 3)):
+            known = np.isfinite(true[:, axis] + predicted[:, axis])
+            for name in sorted(set(shown.indenter[known].tolist()), key=natural_key):
+                own = known & (shown.indenter == name)
+                axes.plot(true[own, axis], predicted[own, axis], ".", ms=2, label=name)
+            ends = true[known, axis]
+            if ends.size:
+                axes.plot([ends.min(), ends.max()], [ends.min(), ends.max()], color=INK, lw=0.8)
+            axes.set(xlabel=f"true {AXES_NAMED[axis]} [N]", aspect="equal", adjustable="datalim")
+        figure.axes[0].set_ylabel("predicted [N]")
+        figure.axes[0].legend(fontsize=6, markerscale=4)
+    return png.getvalue()
+
+
 def embeddings(
     panels: Sequence[tuple[str, Floats, Floats]], columns: int, names: Sequence[tuple[str, str]]
 ) -> bytes:

@@ -98,7 +98,8 @@ def _force(
             for name in dict.fromkeys([role, *ROLES])
             if of_role(rows, name)
         ],
-        "pictures": list(_pictures(of_role(rows, role), role)),
+        "transfers": bool(_transfers(rows)),
+        "pictures": [*_pictures(of_role(rows, role), role), *_own_picture(predictions, role)],
         "sequences": list(_sequences(predictions, of_role(rows, role), role, seed)),
         "every": [force_line(row) for row in rows],
     }
@@ -117,9 +118,9 @@ def _gains(rows: Sequence[ForceRow]) -> dict[str, Any]:
     for (_, target), some in by_pair.items():
         if target in of_target:
             some[of_target[target].variant] = of_target[target]
-    lines = [(f"mean of {len(by_pair)} pairs", list(by_pair.values()))]
+    lines = [(f"mean of {len(by_pair)}", list(by_pair.values()))] if len(by_pair) > 1 else []
     for pair in sorted(by_pair, key=lambda pair: [natural_key(name) for name in pair]):
-        lines.append((" to ".join(pair), [by_pair[pair]]))
+        lines.append((" to ".join(dict.fromkeys(pair)), [by_pair[pair]]))
     return {
         "ways": ways,
         "lines": [
@@ -178,6 +179,15 @@ def _pictures(rows: Sequence[ForceRow], role: str) -> Iterator[tuple[str, str]]:
             yield _encoded(drawn), f"errors of all pairs, {names[1]}"
 
 
+def _own_picture(predictions: Sequence[Predictions], role: str) -> Iterator[tuple[str, str]]:
+    """Yield predicted over true forces of each model that learned its sensor's own labels."""
+    for one in predictions:
+        held = one.only(_held(one, role))
+        if one.method == TARGET and len(held):
+            text = f"{one.target}: predicted over true forces; {ROLES.get(role, role)}"
+            yield _encoded(charts.predicted_over_true(held)), text
+
+
 def _encoded(png: bytes) -> str:
     return base64.b64encode(png).decode()
 
@@ -192,7 +202,7 @@ def _sequences(
     predictions: Sequence[Predictions], rows: Sequence[ForceRow], role: str, seed: int
 ) -> Iterator[tuple[str, str]]:
     """Yield the sequences of the worst, the median and the best pair, by R2 after."""
-    transfers = _transfers(rows)
+    transfers = _transfers(rows) or list(rows)
     after = [row for row in transfers if row.method != BEFORE] or transfers
     score: dict[tuple[str, str], float] = {}
     for row in after:
@@ -205,7 +215,8 @@ def _sequences(
         plotted = [one.only(_held(one, role)) for one in plotted]
         plotted = sorted((one for one in plotted if len(one)), key=lambda one: one.method != BEFORE)
         if plotted:
-            text = f"{source} to {target}: R2 {score[source, target]:.3f} at best"
+            pair = " to ".join(dict.fromkeys((source, target)))
+            text = f"{pair}: R2 {score[source, target]:.3f} at best"
             yield _encoded(charts.sequences(plotted, PRESSES, seed)), text
 
 
@@ -381,7 +392,11 @@ def _summary(predictions: Sequence[Predictions], scores: Sequence[TranslationSco
     if predictions:
         pairs = {(one.source, one.target) for one in predictions}
         frames = sum(len(one) for one in predictions)
-        reported.append(f"{len(pairs)} pairs of sensors by {len(predictions)} force models")
+        if all(one.method == TARGET for one in predictions):
+            reported.append(f"{', '.join(sorted(one.target for one in predictions))}: own labels")
+        else:
+            models = f"{len(predictions)} force model{'s' * (len(predictions) > 1)}"
+            reported.append(f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of sensors by {models}")
         reported.append(f"{frames:,} predicted forces")
     if scores:
         reported.append(f"{len({(one.source, one.target) for one in scores})} pairs translated")

@@ -70,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
     from learning.data.presses import load_presses, press_table
     from learning.force.folder import model_name
     from learning.force.labels import label_source
+    from learning.force.made_for import KEY, of_archive
     from learning.force.model import KIND, load_force_model
     from learning.force.train import read_force_settings, train_force
     from learning.markers.segment import kept_preset
@@ -126,6 +127,10 @@ def run(options: argparse.Namespace) -> int:
     metadata = {
         "sensors": sensors,
         **({"presets": presets} if presets else {}),
+        KEY: {
+            name: of_archive(archive[name], split.rows(archive[name].table, "train"))
+            for name in sensors
+        },
         **_origin(archive[sensors[0]], source),
     }
     run_training(out, KIND, settings, data, train, split=split, metadata=metadata)
@@ -166,6 +171,7 @@ def _delivered(
 ) -> Iterator[str]:
     """Write ONNX, card and, of a sensor's own twin, intervals; yield the lines that report it."""
     from learning.force.export import export_onnx
+    from learning.force.made_for import made_for
     from recorder.pages import render
     from recorder.store import replace_file
 
@@ -181,6 +187,7 @@ def _delivered(
     difference = export_onnx(model, out / ONNX)
     card = render(
         Path(__file__).with_name(CARD),
+        made_for=[str(one) for one in made_for(out)],
         sensors=[each.sensor for each in presses],
         axes=model.axes,
         description=settings.description,

@@ -23,6 +23,7 @@ from learning.data.images import shrink
 from learning.errors import LearningError
 from learning.force.folder import model_name
 from learning.force.intervals import Intervals, edge_length, read_intervals, shapes_of
+from learning.force.made_for import Conditions, differences, made_for, other_pattern
 from learning.force.stream import ForceStream, open_exported
 from learning.markers.displacement import MAP_SIDE, FieldReader
 from learning.markers.frames import one_thread, taxel_masks
@@ -43,7 +44,7 @@ from learning.markers.segment import (
 )
 from learning.training.checkpoint import CONFIG, read_config
 from recorder.archive import SHADING, SHADING_ZERO
-from recorder.markers import pack
+from recorder.markers import count_markers, pack
 
 # Network inputs from a stream of masks: images or marker fields.
 
@@ -215,11 +216,13 @@ class LivePredictor:
         start_frames: int = START_FRAMES,
         intervals: Intervals | None = None,
         before: ForceStream | None = None,
+        seen: Callable[[int], None] = lambda markers: None,
     ) -> None:
         """Create a predictor, which takes its reference from `start_frames` without contact.
 
         The preset finds markers in pictures or draws them from taxels; `before` is the stream of
-        another model, whose forces are shown beside.
+        another model, whose forces are shown beside. `seen` is called with the
+        number of markers that are seen without contact.
         """
         if start_frames < 1:
             raise LearningError(f"start_frames: found {start_frames}; allowed: 1 or more")
@@ -227,6 +230,7 @@ class LivePredictor:
         self.intervals = intervals
         """Intervals of the model; None if it has none."""
         self._preset, self._start_frames = chosen, start_frames
+        self._seen = seen
         self._first: list[Frame] = []
         self._contact: ContactDetector | None = None
         self._mask_of: MaskOf
@@ -255,6 +259,8 @@ class LivePredictor:
         for network, network_input in zip(self._networks, self._inputs, strict=True):
             network.reset(network_input.reference)
         self._first.clear()
+        if masks.dtype == np.bool_:
+            self._seen(count_markers(self._contact.reference))
 
     def step(self, frame: Frame) -> LiveForce | None:
         """Return the force of the next picture (h, w, 3) uint8, RGB, or counts of taxels (16, 3).
@@ -301,24 +307,39 @@ def open_live(
     sensor: str | None = None,
     preset_name: str | None = None,
     threads: int = 0,
+    met: Conditions | None = None,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> LivePredictor:
     """Return the predictor of a finished force model, named as for `load_force_model`.
 
     `before` is another model, whose forces are shown beside. The runtime is that of an exported
     model, `torch`, or `auto`: ONNX Runtime if the model was exported, else torch. The preset of a
-    model of markers is that of the sensor, or `preset_name`, a name or a YAML file.
+    model of markers is that of the sensor, or `preset_name`, a name or a YAML file. `warn` is
+    called with each difference between the sensor that it meets, `met`, and those that it was made
+    for.
 
     Raises:
-        LearningError: The model or preset does not exist, or the sensor has no preset.
+        LearningError: The model or preset does not exist, the sensor has no preset, or its signal
+            is another one than the model was made for.
     """
     one_thread()
     folder = Path(model_name(os.fspath(model)))
+    made = made_for(folder)
+    if met is not None:
+        for text in differences(folder.name, made, met):
+            warn(text)
+
+    def seen(markers: int) -> None:
+        if text := other_pattern(folder.name, made, sensor or "", markers):
+            warn(text)
+
     network = _stream(folder, runtime, threads)
     return LivePredictor(
         network,
         preset(preset_name) if preset_name else _preset_for(network, sensor, folder),
         intervals=read_intervals(folder),
         before=None if before is None else _stream(before, runtime, threads),
+        seen=seen,
     )
 
 

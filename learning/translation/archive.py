@@ -38,7 +38,7 @@ from recorder.spec import PHASES
 Rows = NDArray[np.int64]
 
 # Attributes of the target that also hold for frames translated to it.
-_OF_TARGET = ("pattern", "camera", "preset", "sensor")
+_OF_TARGET = ("pattern", "camera", "preset", "sensor", "description")
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import math
 import sys
 import tempfile
 from collections.abc import Callable
@@ -23,6 +24,7 @@ from rig.core.clock import Clock, SystemClock
 from rig.core.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
+    from rig.bench.bench import Bench
     from rig.monitor.forces_page import ForcesPage
     from rig.monitor.predictor import LiveForce
     from rig.monitor.watched import Triple, Watched
@@ -80,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Predict, print and summarise; return the exit code."""
     from rig.monitor.forces import ForceLine, Summary, add_gauge, watch
-    from rig.monitor.predictor import open_predictor
+    from rig.monitor.predictor import made_for, open_predictor
 
     _check(options)
     clock = SystemClock()
@@ -89,6 +91,12 @@ def run(options: argparse.Namespace) -> int:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         stop = stack.enter_context(InterruptFlag())
         source = _source(options)
+        made, warnings = made_for(options.model), list[str]()
+
+        def warn(text: str) -> None:
+            warnings.append(text)
+            print(f"WARNING: {text}", file=sys.stderr, flush=True)
+
         # Load the model first: an emulator would be late if it had to wait for it.
         predictor = open_predictor(
             options.model,
@@ -96,9 +104,13 @@ def run(options: argparse.Namespace) -> int:
             runtime=options.runtime,
             sensor=source.sensor,
             preset=options.preset,
+            signal=source.signal,
+            description=source.description,
+            depth=source.depth,
+            warn=warn,
         )
-        page = _opened_page(options, source, stack)
-        print(f"{source.kind} ({source.name}): no arm moves", flush=True)
+        page = _opened_page(options, source, stack, made, warnings)
+        print(f"{source.kind} ({source.name}): no arm moves; model {made}", flush=True)
         watched = stack.enter_context(source.open(folder, clock))
         line = ForceLine(clock, sys.stdout)
         summary = Summary()
@@ -160,6 +172,11 @@ class _Source(NamedTuple):
     """The session, or the bench file."""
     open: Callable[[Path, Clock], AbstractContextManager[Watched]]
     """Opens it, with a folder for the files of a mock bench."""
+    signal: str
+    """Kind of the stream that is read."""
+    description: str = ""
+    depth: float = math.nan
+    """Depth of the deepest press that is planned [m]; NaN: unknown."""
 
 
 def _source(options: argparse.Namespace) -> _Source:
@@ -171,21 +188,39 @@ def _source(options: argparse.Namespace) -> _Source:
     if file is not None and file.bench.mock:
         file = file.with_indenter(options.indenter or "")
         mock = functools.partial(watched.mock_bench, file, rate_hz=options.rate_hz)
-        return _Source(file.bench.sensor, "MOCK BENCH", file.path, mock)
+        return _Source(file.bench.sensor, "MOCK BENCH", file.path, mock, *_presses(file.bench))
     name = session if file is None else file.path
     for option in ("world", "force", "rate_hz", "indenter"):
         if getattr(options, option) is not None:
             raise ConfigError(f"--{option.replace('_', '-')}: {name} is no mock bench")
     if file is None:
-        sensor = str(Session(session).attrs.get("sensor", ""))
-        return _Source(sensor, "REPLAY", name, lambda _, clock: watched.replayed(session, clock))
+        recorded = Session(session)
+        sensor, stream = str(recorded.attrs.get("sensor", "")), recorded.signal
+        signal = recorded.streams[stream].traits.kind if stream else ""
+        depth = float(np.max(recorded.targets.get("depth", np.nan), initial=-np.inf))
+        replayed = functools.partial(watched.replayed, session)
+        return _Source(
+            sensor, "REPLAY", name, lambda _, clock: replayed(clock), signal, depth=depth
+        )
     bench, say = file.bench, functools.partial(print, flush=True)
     open_lab = functools.partial(watched.lab_bench, bench, say=say)
-    return _Source(bench.sensor, "LAB BENCH", name, lambda _, clock: open_lab(clock))
+    return _Source(
+        bench.sensor, "LAB BENCH", name, lambda _, clock: open_lab(clock), *_presses(bench)
+    )
+
+
+def _presses(bench: Bench) -> tuple[str, str, float]:
+    """Return the kind of a bench's signal, its description, and its deepest press [m]."""
+    depth = max(target.depth for target in bench.trajectory.targets())
+    return "" if bench.signal is None else bench.signal.kind, bench.description, depth
 
 
 def _opened_page(
-    options: argparse.Namespace, source: _Source, stack: contextlib.ExitStack
+    options: argparse.Namespace,
+    source: _Source,
+    stack: contextlib.ExitStack,
+    made: str,
+    warnings: list[str],
 ) -> ForcesPage | None:
     """Serve the page of --page until the end of the stack, and print its address."""
     if options.page is None:
@@ -193,7 +228,7 @@ def _opened_page(
     from rig.monitor.forces_page import ForcesJob, ForcesPage
     from rig.monitor.lab import Folders
 
-    job = ForcesJob(source.sensor, source.kind)
+    job = ForcesJob(source.sensor, source.kind, made, tuple(warnings))
     page = stack.enter_context(ForcesPage(options.page, Folders(Path("sessions")), job))
     print("\n".join(page_lines(options.page, page.urls, "see the forces")), flush=True)
     return page

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,6 +37,10 @@ class ForcesJob:
     """Name of the sensor."""
     source: str
     """Kind of bench, or that a session is replayed."""
+    model: str = ""
+    """Name of the model, and what it was made for."""
+    warnings: tuple[str, ...] = ()
+    """Differences between that and this sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +73,7 @@ class ForcesView(LiveView):
 
     def hello(self) -> dict[str, Any]:
         """Return the constant data."""
-        job = self._job
-        return {"live": "forces", "sensor": job.sensor, "source": job.source, "seconds": SECONDS}
+        return {"live": "forces", "seconds": SECONDS, **asdict(self._job)}
 
     def news(self, sent: Counter[str], clients: Mapping[str, int]) -> list[dict[str, Any] | bytes]:
         """Return the status and the new forces; the last ones replace all others."""

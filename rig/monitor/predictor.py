@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rig.core.errors import ConfigError
@@ -27,20 +30,53 @@ def force_model(name: str) -> str:
 
 
 def open_predictor(
-    model: str, *, before: str | None, runtime: str, sensor: str, preset: str | None
+    model: str,
+    *,
+    before: str | None,
+    runtime: str,
+    sensor: str,
+    preset: str | None,
+    signal: str = "",
+    description: str = "",
+    depth: float = math.nan,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> LivePredictor:
     """Open a model of `force_model`; forces of the model `before` are shown beside.
 
-    `sensor` selects the marker detection preset, unless `preset` names one or its file.
+    `sensor` selects the marker detection preset, unless `preset` names one or its file. `signal` is
+    the sensor's kind of stream, `depth` the depth that it is pressed to [m]; `warn` is called with
+    each difference from what the model was made for.
     """
     try:
+        from learning.errors import LearningError
         from learning.force.live import open_live
+        from learning.force.made_for import Conditions
     except ImportError as error:
         raise ConfigError(
             f"live: {error.name} is not installed; install the extra: "
             "pip install 'tactile-rig[learning]'"
         ) from None
-    return open_live(model, before=before, runtime=runtime, sensor=sensor, preset_name=preset)
+    met = Conditions(sensor, signal, description, depth)
+    try:
+        return open_live(
+            model,
+            before=before,
+            runtime=runtime,
+            sensor=sensor,
+            preset_name=preset,
+            met=met,
+            warn=warn,
+        )
+    except LearningError as error:
+        raise ConfigError(str(error)) from None
+
+
+def made_for(model: str) -> str:
+    """Return the name of a model of `force_model`, and what it was made for if it states that."""
+    from learning.force.made_for import made_for
+
+    made = "; ".join(map(str, made_for(model)))
+    return f"{Path(model).name}, made for {made}" if made else Path(model).name
 
 
 def open_segmenter(sensor: str) -> Segmenter:

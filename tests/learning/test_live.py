@@ -17,6 +17,7 @@ from learning.force.live import (
     _preset_for,
     open_live,
 )
+from learning.force.made_for import KEY, Conditions, differences, made_for, other_pattern
 from learning.force.stream import FRAME, REFERENCE, STATE, ForceStream, StepInputs
 from learning.markers import Segmenter, preset
 from learning.markers.displacement import FieldReader
@@ -200,6 +201,32 @@ def test_the_preset_is_that_of_the_model_s_markers_or_of_the_sensor(tmp_path: Pa
         _preset_for(markers, "nobody", tmp_path)
     Config("force", {}, "data", "1", {"presets": {"a-to-b": "gelslim"}}).write(tmp_path)
     assert _preset_for(markers, "nobody", tmp_path) == preset("gelslim")
+
+
+@pytest.mark.parametrize(
+    ("here", "words"),
+    [
+        (Conditions("gelsight", "camera", depth=1.05e-3), []),
+        (Conditions("gelsight", "camera", depth=1.3e-3), ["this bench presses to 1.30 mm"]),
+        (
+            Conditions("tacpalm", "camera", "pins"),
+            ["(63 markers, to 1.00 mm), not for tacpalm (p"],
+        ),
+    ],
+)
+def test_a_model_meets_what_it_was_not_made_for(
+    here: Conditions, words: list[str], tmp_path: Path
+) -> None:
+    name = "uskin-to-gelsight"
+    kept = {"sensors": [name], KEY: {name: {"markers": 63, "depth_mm": 1.0}}}
+    Config("force", {}, "data", "1", kept).write(tmp_path)
+    made = made_for(tmp_path)
+    found = list(differences("m", made, here))
+    assert [word in text for word, text in zip(words, found, strict=True)] == [True] * len(words)
+    with pytest.raises(LearningError, match=r"camera of gelsight .*; found the taxels of uskin"):
+        list(differences("m", made, Conditions("uskin", "taxels")))
+    assert not other_pattern("m", made, "gelsight", 61)
+    assert "127 markers: another pattern" in other_pattern("m", made, "gelsight", 127)
 
 
 def test_shading_is_seen_live_as_in_archives_and_its_change_is_contact() -> None:

@@ -334,7 +334,7 @@ def test_the_page_of_live_is_served_at_the_address_that_is_printed(
 ) -> None:
     options = live_options("--sensor", "uskin", "--page", "0")
     with contextlib.ExitStack() as stack:
-        page = live._opened_page(options, live._source(options), stack)
+        page = live._opened_page(options, live._source(options), stack, "m", [])
         assert page is not None
         address = capsys.readouterr().out.removeprefix("watch it at ").strip()
         assert address == f"http://127.0.0.1:{page.port}/"

@@ -1,6 +1,6 @@
-// Forces that a model predicts, with intervals, beside those of the gauge and of the model before a transfer.
+// Forces that a model predicts, with intervals, beside those of the gauge and of another model.
 
-import { $, AXES, Chart, lastSeconds, signed, text } from "./widgets.js";
+import { $, AXES, Chart, fill, h, lastSeconds, signed, text } from "./widgets.js";
 
 const STATUS = { watching: "Watching", complete: "Ended", gone: "Gone" };
 const chart = new Chart($("f-chart"), 0.5);
@@ -11,6 +11,9 @@ export function begin(message) {
   points = [];
   text("f-what", hello.sensor);
   text("f-source", hello.source);
+  text("f-model", `model ${hello.model}`);
+  fill("f-warnings", hello.warnings, (lines) => lines.map((line) => h("p", {}, line)));
+  $("f-warnings").hidden = !hello.warnings.length;
 }
 
 export function show(next) {
@@ -27,12 +30,13 @@ export function show(next) {
   text("f-latency", latency.toFixed(1));
   text("f-contact", outside ? "outside of what was learned" : contact ? "contact" : "no contact");
   $("f-contact").className = outside ? "wrong" : "";
-  text("f-beside", [["predicted", force], ["before the transfer", before], ["gauge", gauge]].filter(([, each]) => each)
-    .map(([name, each]) => `${name} ${each.map((value) => signed(value)).join(", ")} N`).join(" · "));
+  const beside = [["other model", before], ["gauge", gauge]].filter(([, each]) => each);
+  text("f-beside", [...(newest[2] ? ["band: 90 % interval"] : []),
+    ...beside.map(([name, each]) => `${name} ${each.map((value) => signed(value)).join(", ")} N`)].join(" · "));
   const curve = (k, low, high = low) => points.map((point) => [point[0], point[low]?.[k] ?? null, point[high]?.[k] ?? null]);
-  chart.show({ ...range, panels: AXES.map(([name, colour], k) => ({ least: 0.5, curves: [
+  chart.show({ ...range, panels: AXES.map(([name, colour], k) => ({ least: 0.5, unit: "N", curves: [
     { colour, band: true, points: curve(k, 2, 3) },
-    { colour: "--muted", name: "before", dash: [5, 4], points: before ? curve(k, 4) : [] },
+    { colour: "--muted", name: "other model", dash: [5, 4], points: before ? curve(k, 4) : [] },
     { colour: "--text", name: "gauge", width: 2.5, points: points.some((point) => point[5]) ? curve(k, 5) : [] },
     { colour, name, width: 2, points: curve(k, 1) },
   ] })) });

@@ -1,0 +1,117 @@
+"""Conditions that a force model was made for, as its folder states, and how a sensor differs."""
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.errors import LearningError
+from learning.markers.segment import TaxelPreset, built_preset, preset, preset_of_sensor
+from learning.training.checkpoint import CONFIG, read_config
+from recorder.archive import MASKS, ArchivedSensor
+from recorder.markers import count_markers, unpack
+
+# Key of the metadata of a model's `config.yaml`.
+KEY = "made_for"
+# Markers and depth may differ by this fraction: some markers are missed, some presses end late.
+TOLERANCE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """A sensor and its presses: those that a model was made for, or those that it meets."""
+
+    sensor: str
+    signal: str = ""
+    """`camera` or `taxels`; empty: unknown."""
+    description: str = ""
+    """The sensor in words."""
+    depth: float = math.nan
+    """Depth of the deepest press [m]; NaN: unknown."""
+    markers: int = 0
+    """Markers that are seen without contact; 0: none, or unknown."""
+
+    def __str__(self) -> str:
+        """Return the sensor with all that is known of it."""
+        known = [self.description] if self.description else []
+        known += [f"{self.markers} markers"] if self.markers else []
+        known += [f"to {1e3 * self.depth:.2f} mm"] if self.depth == self.depth else []
+        return f"{self.sensor} ({', '.join(known)})" if known else self.sensor
+
+
+def of_archive(sensor: ArchivedSensor, rows: NDArray[np.int64]) -> dict[str, Any]:
+    """Return what a model keeps of a sensor in an archive and the rows that it learns."""
+    masks = sensor.representation == MASKS
+    depth = sensor.table["depth"][rows]
+    return {
+        "description": str(sensor.attrs.get("description", "")),
+        "markers": count_markers(unpack(sensor.references[0])) if masks else 0,
+        "depth_mm": round(1e3 * float(np.nanmax(depth)), 3) if np.isfinite(depth).any() else None,
+    }
+
+
+def made_for(model: str | os.PathLike[str]) -> tuple[Conditions, ...]:
+    """Return what the model in a folder was made for, by sensor; empty if it does not state it.
+
+    A model of `A-to-B` was made for B.
+    """
+    if not (Path(model) / CONFIG).is_file():
+        return ()
+    metadata = read_config(Path(model)).metadata
+    known, presets = metadata.get(KEY, {}), metadata.get("presets", {})
+    found = []
+    for name in metadata.get("sensors", ()):
+        sensor, one = str(name).rpartition("-to-")[2], known.get(name, {})
+        chosen = presets.get(name) or preset_of_sensor(sensor)
+        signal = ""
+        if chosen:
+            built = preset(chosen) if isinstance(chosen, str) else built_preset(chosen, str(model))
+            signal = "taxels" if isinstance(built, TaxelPreset) else "camera"
+        depth = one.get("depth_mm")
+        description, markers = str(one.get("description", "")), int(one.get("markers", 0))
+        meters = math.nan if depth is None else 1e-3 * float(depth)
+        found.append(Conditions(sensor, signal, description, meters, markers))
+    return tuple(found)
+
+
+def differences(model: str, made: Sequence[Conditions], here: Conditions) -> Iterator[str]:
+    """Yield how a sensor differs from those that a model was made for, both sides named.
+
+    Raises:
+        LearningError: Its signal is another one, so that its forces would mean nothing.
+    """
+    best = _nearest(made, here.sensor)
+    if best is None:
+        return
+    if best.signal and here.signal and best.signal != here.signal:
+        raise LearningError(
+            f"model {model}: made for the {best.signal} of {best}; found the {here.signal} of "
+            f"{here}; allowed: a model of {here.signal}"
+        )
+    if best.sensor != here.sensor:
+        yield (
+            f"model {model} was made for {best}, not for {here}: pattern and skin may differ, "
+            "and its forces by an unknown factor"
+        )
+    elif here.depth > (1 + TOLERANCE) * best.depth:
+        yield (
+            f"model {model} was made for {best}; this bench presses to {1e3 * here.depth:.2f} mm: "
+            "deeper presses are outside of what it learned"
+        )
+
+
+def other_pattern(model: str, made: Sequence[Conditions], sensor: str, markers: int) -> str:
+    """Return how the number of markers differs from that of a model's sensor, or an empty text."""
+    best = _nearest(made, sensor)
+    if best is None or not best.markers or abs(markers / best.markers - 1) <= TOLERANCE:
+        return ""
+    return f"model {model} was made for {best}; {sensor} shows {markers} markers: another pattern"
+
+
+def _nearest(made: Sequence[Conditions], sensor: str) -> Conditions | None:
+    return next((one for one in made if one.sensor == sensor), made[0] if made else None)
