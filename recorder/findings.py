@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 # Codes of the faults of a session.
 CODES = {
@@ -49,7 +50,7 @@ class Finding:
     """Value found and value expected, with the place and time of the first occurrence."""
 
     @property
-    def level(self) -> str:
+    def level(self) -> Literal["note", "fault"]:
         """Return `note` if the code is one of `NOTES`, else `fault`."""
         return "note" if self.code in NOTES else "fault"
 

@@ -60,6 +60,7 @@ class Progress:
         self._said = -math.inf
         self._share = 0.0
         self._origin: tuple[float, float] | None = None
+        self._count_down = CountDown()
         self._bar: Bar | None = None
         self._lock = threading.Lock()
         self._closed = threading.Event()
@@ -70,7 +71,7 @@ class Progress:
     def __call__(self, fraction: float) -> None:
         """Store the fraction done, 0 to 1; a smaller fraction than before restarts the estimate."""
         if self._origin is None or fraction < self._share:
-            self._origin = self._clock(), fraction
+            self._origin, self._count_down = (self._clock(), fraction), CountDown()
         self._share = fraction
         if self._thread is None:
             self.look()
@@ -120,7 +121,10 @@ class Progress:
         passed, done = self._clock() - since, self._share - before
         if done < ESTIMATE_FROM or self._share >= 1 or passed <= 0:
             return ""
-        return f", {duration((1 - self._share) / done * passed)} left"
+        return self._shown((1 - self._share) / done * passed)
+
+    def _shown(self, left: float) -> str:
+        return f", {duration(self._count_down(left, 1 - self._share))} left"
 
     def _spent(self) -> float:
         return self._clock() - self._begun
@@ -209,13 +213,33 @@ class ItemProgress(Progress):
     def _left(self) -> str:
         rate = self._rate()
         left = self._total - self._done
-        return f", {duration(left / rate)} left" if rate and left else ""
+        return self._shown(left / rate) if rate and left else ""
 
     def _rate(self) -> float:
         """Return the items per second since the first call; 0: unknown."""
         since, before = self._origin or (0.0, 0.0)
         passed = self._clock() - since
         return (self._done - round(before * self._total)) / passed if passed > 0 else 0.0
+
+
+class CountDown:
+    """The time left, as it is shown: it falls, whatever becomes of its estimate.
+
+    Where the estimate is larger than what is shown, that falls as the work left does, so that both
+    end together. An estimate that is larger by a quarter is shown as it is.
+    """
+
+    def __init__(self) -> None:
+        # Time left [s] and work left.
+        self._shown = math.inf, math.inf
+
+    def __call__(self, estimate: float, work: float) -> float:
+        """Return the time left [s] by an estimate [s], and by the work left in any unit."""
+        shown, before = self._shown
+        if shown < estimate < 1.25 * shown + 1:
+            estimate = shown * min(work / before, 1.0) if before else shown
+        self._shown = estimate, work
+        return estimate
 
 
 def span_of(

@@ -356,7 +356,7 @@ class Stages:
             segments=SimpleNamespace(append=lambda **row: rows.append(row)),
             reference=SimpleNamespace(append=lambda **row: None),
         )
-        live = LiveLine(streams, len(plan), planned=0.0)
+        live = LiveLine(streams, [0.0] * len(plan))
         with Interlocks(bench, Control(), clock) as interlocks:
             streams.measure(bench.preflight.rate_window)
             check_clear(streams)

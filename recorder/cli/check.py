@@ -4,6 +4,7 @@ import argparse
 
 from recorder.checks.check import check
 from recorder.cli.options import add_session
+from recorder.command_line.terminal import paint
 from recorder.findings import faults
 
 
@@ -21,10 +22,10 @@ def run(options: argparse.Namespace) -> int:
     """Print the findings; return 1 if a fault is among them, 0 for notes alone."""
     findings = check(options.session, quick=options.quick)
     for finding in findings:
-        print(finding)
+        print(paint(str(finding), finding.level))
     wrong = faults(findings)
     if not wrong:
         count = len(findings)
         notes = f"no faults, {count} note{'s' * (count != 1)}" if findings else "nothing found"
-        print(f"{options.session}: {notes}")
+        print(paint(f"{options.session}: {notes}", "good"))
     return 1 if wrong else 0

@@ -2,16 +2,17 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import date
 from pathlib import Path
 
 from recorder.catalogue import UNREADABLE, Catalogue, Query, Row
 from recorder.command_line.options import reads
+from recorder.command_line.terminal import State, table
 
 # As `recorder.spec.STATUSES`, which would import NumPy.
 _STATUSES = ("recording", "complete", "stopped", "recovered", UNREADABLE)
-_COLUMNS = ("started (UTC)", "sensor", "indenter", "plan", "targets", "runs", "status", "faults")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -107,24 +108,23 @@ def _checked(catalogue: Catalogue, rows: list[Row]) -> list[Row]:
 
 def _table(rows: list[Row], folder: Path) -> list[str]:
     """Return the rows as lines of aligned columns, the path last."""
-    cells = [
-        (
-            row.started_utc[:19].replace("T", " "),
-            row.sensor,
-            row.indenter,
-            row.plan,
-            str(row.targets or ""),
-            str(row.runs or ""),
-            row.status + (" (mock)" if row.mock else ""),
+    columns: dict[str, Sequence[object]] = {
+        "started (UTC)": [row.started_utc[:16].replace("T", " ") for row in rows],
+        "sensor": [row.sensor for row in rows],
+        "indenter": [row.indenter for row in rows],
+        "plan": [row.plan for row in rows],
+        "targets": [row.targets or "" for row in rows],
+        "runs": [row.runs or "" for row in rows],
+        "mock": ["mock" if row.mock else "" for row in rows],
+        "status": [row.status for row in rows],
+        "faults": [
             ", ".join(fault for fault in row.faults if fault != row.status)
-            or ("not checked" if row.findings is None else "none"),
-        )
-        for row in rows
-    ]
-    widths = [max(map(len, column)) for column in zip(_COLUMNS, *cells, strict=True)]
-    return [
-        "  ".join([*(text.ljust(width) for text, width in zip(line, widths, strict=True)), path])
-        for line, path in zip(
-            (_COLUMNS, *cells), ("path", *(str(folder / row.path) for row in rows)), strict=True
-        )
-    ]
+            or ("not checked" if row.findings is None else "none")
+            for row in rows
+        ],
+        "path": [folder / row.path for row in rows],
+    }
+    # The name of a path has the sensor, the indenter and the time, unless it was chosen.
+    spare = ("runs", "plan", "started (UTC)", "sensor", "indenter", "mock")
+    states: list[State] = ["fault" if row.faults else "" for row in rows]
+    return table(columns, spare=spare, states=states, complete="| less -S, or --json")

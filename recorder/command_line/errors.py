@@ -3,6 +3,8 @@
 import os
 import sys
 
+from recorder.command_line.terminal import paint
+
 EXIT_DONE = 0
 EXIT_WRONG_INPUT = 2
 EXIT_DEVICE_LOST = 3
@@ -41,7 +43,8 @@ def failure(error: BaseException, interrupted: str = "") -> int:
         line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED
     else:
         raise error
-    print(line, file=sys.stderr)
+    label, colon, rest = line.partition(":")
+    print(paint(label, "fault", sys.stderr) + colon + rest, file=sys.stderr)
     return code
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from recorder.catalogue import Catalogue, Row
+from recorder.command_line import terminal
+from recorder.command_line.terminal import State
 from recorder.errors import SessionError
 from recorder.progress import duration
 from recorder.session import Session
@@ -155,7 +157,7 @@ def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
     walked = bench.dry_run(plan)
     if walked.broken:
         raise ConfigError(f"{where}: the plan breaks a limit: {'; '.join(walked.broken)}")
-    return bench_path, bench, plan, walked.duration
+    return bench_path, bench, plan, sum(bench.seconds(plan))
 
 
 # Progress of a campaign, read from its sessions only.
@@ -164,6 +166,12 @@ def _walk(entry: Entry, where: str, benches: Path) -> _Walked:
 _OVERHEAD = 20.0
 
 ItemState = Literal["done", "to resume", "open", "unreadable"]
+_COLOURS: dict[ItemState, State] = {
+    "done": "good",
+    "to resume": "note",
+    "open": "",
+    "unreadable": "fault",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,20 +251,22 @@ def _mismatch(item: Item, row: Row | None) -> str:
 
 def table(states: list[Progress]) -> list[str]:
     """Return a table of finished and open entries with the remaining time, as lines."""
-    lines = [f"{'':<3}{'sensor':<18}{'indenter':<14}{'plan':<13}{'targets':>10}  state"]
-    for number, progress in enumerate(states, 1):
-        entry = progress.item.entry
-        count = f"{progress.done}/{progress.item.total}"
-        note = f" ({progress.note})" if progress.note else ""
-        more = f", about {duration(progress.left)} left" if progress.state != "done" else ""
-        lines.append(
-            f"{number:<3}{entry.sensor:<18}{entry.indenter:<14}{entry.plan:<13}{count:>10}  "
-            f"{progress.state}{more}{note}"
-        )
+    entries = [progress.item.entry for progress in states]
+    columns = {
+        "": range(1, len(states) + 1),
+        "sensor": [entry.sensor for entry in entries],
+        "indenter": [entry.indenter for entry in entries],
+        "plan": [entry.plan for entry in entries],
+        "targets": [f"{progress.done}/{progress.item.total}" for progress in states],
+        "state": [progress.state for progress in states],
+        "left": [duration(each.left) if each.state != "done" else "" for each in states],
+        "note": [progress.note for progress in states],
+    }
+    colours: list[State] = [_COLOURS[progress.state] for progress in states]
     done = sum(progress.state == "done" for progress in states)
-    left = sum(progress.left for progress in states)
-    lines.append(f"{done} of {len(states)} sessions done, about {duration(left)} left")
-    return lines
+    left = duration(sum(progress.left for progress in states))
+    total = f"{done} of {len(states)} sessions done, about {left} left"
+    return [*terminal.table(columns, states=colours), total]
 
 
 # Targets of finished sessions that are to be recorded again, as a campaign file of such entries.

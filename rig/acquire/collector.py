@@ -21,6 +21,7 @@ from recorder.command_line.errors import (
     EXIT_SAFETY_STOP,
 )
 from recorder.command_line.options import next_command
+from recorder.command_line.terminal import paint, table
 from recorder.errors import SessionError
 from recorder.session import (
     Session,
@@ -242,8 +243,8 @@ class Collector:
             writer, first, run = self._open_session(request, entry, tares)
             targets = request.to_press(first)
             order = [target.index for target in targets]
-            planned = seconds_per_target(self._bench, request.plan)
-            live = LiveLine(streams, request.total, planned=planned, pressing=order)
+            planned = self._bench.seconds(request.plan)[: request.total]
+            live = LiveLine(streams, planned, pressing=order)
             if self._page is not None:
                 self._page.begin(control, live.progress, request.path, first)
             zeros = {name: tare["mean"] - self._bias[name] for name, tare in tares.items()}
@@ -268,6 +269,7 @@ class Collector:
             except BaseException as error:
                 # On any error, the arm retracts and the session is closed before anything else.
                 stop = _first_cause(error, interrupt)
+                live.end()
                 logger.error("stopping: %s", str(stop) or type(stop).__name__)
             interrupt.ignore()
             live.end()
@@ -301,7 +303,7 @@ class Collector:
         )
         if stop is not None and request.go_on:
             print(f"to continue: {request.go_on}")
-        print(line)
+        print(paint(line, "good" if stop is None else "fault"))
         if self._page is not None:
             self._page.say(status, line)
         if stop is None:
@@ -476,14 +478,6 @@ def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseExceptio
     return error
 
 
-def seconds_per_target(bench: Bench, plan: Plan) -> float:
-    """Return the predicted mean duration of a target [s], with travel and references."""
-    moving = bench.dry_run(plan)
-    points = len({target.point for target in plan.targets()})
-    held = 3 * bench.hold * len(plan)
-    return (moving.duration + held + points * bench.preflight.point_window) / len(plan)
-
-
 def _tare_entry(tares: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Return the attributes of a run: `tare` of the first F/T sensor, `tares` of several."""
     entries = {
@@ -527,15 +521,17 @@ def software() -> dict[str, str]:
 def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str:
     """Return a table of the streams: expected and measured rate, longest gap, losses, skew."""
     accounts = accounts_of(session)
-    width = max(8, *(len(name) + 1 for name in accounts)) if accounts else 8
-    lines = [f"{'stream':<{width}}{'expected':>10}{'measured':>10}{'longest gap':>13}{'lost':>9}"]
-    for name, account in accounts.items():
-        summary = summaries.get(name, {})
-        lines.append(
-            f"{name:<{width}}{bench.row(name).rate_hz:>7.0f} Hz{account.measured_hz:>7.1f} Hz"
-            f"{1e3 * account.longest_gap:>10.1f} ms{account.lost:>9}"
-            + omitted(summary.get("refused", {}))
-        )
+    lines = table(
+        {
+            "stream": list(accounts),
+            "expected": [f"{bench.row(name).rate_hz:.0f} Hz" for name in accounts],
+            "measured": [f"{account.measured_hz:.1f} Hz" for account in accounts.values()],
+            "longest gap": [f"{1e3 * each.longest_gap:.1f} ms" for each in accounts.values()],
+            "lost": [account.lost for account in accounts.values()],
+            "": [omitted(summaries.get(name, {}).get("refused", {})) for name in accounts],
+        },
+        states=["fault" if account.lost else "" for account in accounts.values()],
+    )
     lines += [*loss_lines(accounts), *time_lines(session)]
     frames = session.frames
     valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
@@ -553,7 +549,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
 def omitted(rejected: Mapping[str, int]) -> str:
     """Return the counts of samples that were received but not stored, as text; empty if none."""
     counts = [f"{count} {reason}" for reason, count in rejected.items() if count]
-    return f"  left out: {', '.join(counts)}" if counts else ""
+    return f"left out: {', '.join(counts)}" if counts else ""
 
 
 def frames_per_target(session: Session) -> str:

@@ -92,7 +92,7 @@ def plan(bench: Bench, sessions: Path) -> Finding:
     """Draw the bench's plan in a folder, and examine it against the bench's limits."""
     walked = bench.dry_run(bench.trajectory)
     text = (
-        f"{walked.targets} targets, {duration(walked.duration + walked.moves * bench.arm.settle)}; "
+        f"{walked.targets} targets, {duration(sum(bench.seconds(bench.trajectory)))}; "
         f"{force_text(bench, walked.depth)}"
     )
     picture = sessions / f"{bench.sensor}-plan.png"

@@ -8,15 +8,17 @@ about 0.4 ms (500 redraws, 5 runs).
 import contextlib
 import logging
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, TextIO
 
 import numpy as np
 
+from recorder.command_line.terminal import paint
 from recorder.errors import SessionError
-from recorder.progress import duration
+from recorder.progress import CountDown, duration
 from recorder.session import SessionWriter
 from recorder.spec import OUTCOMES, frame_columns, reference_spec
 from rig.acquire.control import DeadManReleased, Interlocks
@@ -33,39 +35,48 @@ logger = logging.getLogger(__name__)
 
 _ON_TERMINAL_NS = SECOND_NS // 5
 _IN_LOG_NS = 10 * SECOND_NS
+# Number of targets that the prediction counts for, and the most that one target may differ from it.
+_PRIOR, _MOST = 3, 2.0
 
 
 class LiveLine:
-    """Progress of a collection of `total` targets, of which this run presses those of `pressing`.
+    """Progress of a collection: target, phase, depth, force, losses, and the time left.
 
-    The predicted duration of a target, `planned` [s], counts like one target that was measured, so
-    that the remaining time is known from the beginning.
+    `planned` is the predicted duration of each target [s], of which this run presses those of
+    `pressing`. What they took changes the prediction for the rest, which counts like three
+    targets; one that took much longer than the others changes it little.
     """
 
     def __init__(
         self,
         streams: Streams,
-        total: int,
+        planned: Sequence[float],
         *,
-        planned: float,
-        pressing: Iterable[int] | None = None,
+        pressing: Sequence[int] | None = None,
         out: TextIO | None = None,
     ) -> None:
         self._streams = streams
-        self._total = total
-        self._planned_ns = round(planned * SECOND_NS)
-        self._clock = clock = streams.clock
+        self._clock = streams.clock
         self._line = PacedLine(
             out or sys.stdout,
             _ON_TERMINAL_NS,
             _IN_LOG_NS,
             partial(logger.info, "%s"),
         )
-        order = range(total) if pressing is None else pressing
-        # Number of targets before a target, in this run.
-        self._before = {index: number for number, index in enumerate(order)}
-        # Beginning of the first target of this run and of the current one, moved by pauses.
-        self._start_ns = self._target_ns = clock.now_ns()
+        self._planned = planned
+        order = range(len(planned)) if pressing is None else pressing
+        # Predicted duration of the targets from each one on, in this run [s].
+        self._from = dict(
+            zip(reversed(order), accumulate(planned[each] for each in reversed(order)), strict=True)
+        )
+        # Predicted and measured duration of the targets that this run has pressed [s].
+        prior = _PRIOR * sum(planned) / len(planned)
+        self._predicted = self._measured = prior
+        # Duration of the pauses, and the beginning of one that has not ended.
+        self._paused_ns, self._pause_ns = 0, 0
+        # Beginning of the current target, by `_worked_ns`.
+        self._target_ns = self._worked_ns()
+        self._count_down = CountDown()
         self._target: Target | None = None
         self._move: Move | None = None
         self._ended: dict[int, str] = {}
@@ -73,24 +84,29 @@ class LiveLine:
 
     def at(self, target: Target, move: Move | None) -> None:
         """Set the current target and move."""
-        if self._target is None:
-            self._start_ns = self._target_ns = self._clock.now_ns()
-        elif target.index != self._target.index:
-            self._target_ns = self._clock.now_ns()
+        before, now_ns = self._target, self._worked_ns()
+        if before is None or target.index != before.index:
+            if before is not None:
+                predicted = self._planned[before.index]
+                took = (now_ns - self._target_ns) / SECOND_NS
+                self._predicted += predicted
+                self._measured += min(max(took, predicted / _MOST), predicted * _MOST)
+            self._target_ns = now_ns
         self._target, self._move = target, move
 
     def waiting(self, why: str) -> None:
         """Show why nothing moves in place of the phase; a new reason is shown immediately."""
         if why != self._waiting:
+            self._pause_ns = self._pause_ns or self._clock.now_ns()
             self._waiting = why
             self._line.hurry()
 
-    def waited(self, duration_ns: int) -> None:
-        """Continue; exclude a pause of `duration_ns` from the remaining time."""
+    def waited(self) -> None:
+        """Continue after a pause, which the remaining time does not count."""
         self._waiting = ""
         self._line.hurry()
-        self._start_ns += duration_ns
-        self._target_ns += duration_ns
+        self._paused_ns += self._clock.now_ns() - self._pause_ns
+        self._pause_ns = 0
 
     def ended(self, target: Target, outcome: str) -> None:
         """Record the outcome of a target: done or limited."""
@@ -100,11 +116,11 @@ class LiveLine:
         """Return the monitoring page's data: `Snapshot` fields, `ended`, `waiting`; thread-safe."""
         target, move = self._target, self._move
         if target is None:
-            return {"left": self._seconds_left(self._clock.now_ns())}
+            return {"left": self._seconds_left()}
         return {
             "target": target.index,
             "phase": self._phase(move),
-            "left": self._seconds_left(self._clock.now_ns()),
+            "left": self._seconds_left(),
             "ended": dict(self._ended),
             "waiting": bool(self._waiting),
         }
@@ -112,37 +128,44 @@ class LiveLine:
     def tick(self) -> None:
         """Write the line if it is due."""
         if self._target is not None and self._line.is_due(self._clock.now_ns()):
-            self._line.show(self._text(self._target))
+            self._line.show(*self._parts(self._target))
 
     def end(self) -> None:
         """End the line and leave it on the terminal."""
         self._line.end()
 
-    def _text(self, target: Target) -> str:
+    def _parts(self, target: Target) -> list[str]:
+        """Return the parts of the line, the most important ones first."""
         counters = self._streams.counters()
         dropped = sum(int(count["dropped"]) for count in counters.values())
-        rates = "  ".join(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items())
-        parts = [
-            f"target {target.index + 1}/{self._total}",
+        x, y, z = tip_position(self._streams)
+        depth = dome_height(self._streams.bench.dome_radius, x, y) - z
+        return [
+            f"target {target.index + 1}/{len(self._planned)}",
             f"{self._phase(self._move):<10}",
-            f"{1e3 * target.depth:.2f} mm",
-            f"{duration(self._seconds_left(self._clock.now_ns()))} left",
+            f"{1e3 * depth:.2f} of {1e3 * target.depth:.2f} mm",
             self._streams.pressing(),
-            f"dropped {dropped}",
-            rates,
+            paint(f"dropped {dropped}", "fault") if dropped else "",
+            f"{duration(self._seconds_left())} left",
+            *(f"{name} {count['rate_hz']:.0f} Hz" for name, count in counters.items()),
         ]
-        return "  ".join(part for part in parts if part)
 
     def _phase(self, move: Move | None) -> str:
         return self._waiting or (PHASES[move.phase] if move is not None else "to point")
 
-    def _seconds_left(self, now_ns: int) -> float:
+    def _worked_ns(self) -> int:
+        """Return the time without pauses [ns]."""
+        return (self._pause_ns or self._clock.now_ns()) - self._paused_ns
+
+    def _seconds_left(self) -> float:
         """Return the remaining time [s], by the plan and the targets pressed in this run."""
-        done = 0 if self._target is None else self._before[self._target.index]
-        per_target_ns = (self._planned_ns + self._target_ns - self._start_ns) / (1 + done)
-        begun_ns = 0 if self._target is None else now_ns - self._target_ns
-        current_ns = max(per_target_ns - begun_ns, 0)
-        return (current_ns + per_target_ns * (len(self._before) - done - 1)) / SECOND_NS
+        ratio = self._measured / self._predicted if self._predicted else 1.0
+        if self._target is None:
+            planned = next(iter(reversed(self._from.values())), 0.0)
+        else:
+            index, begun = self._target.index, (self._worked_ns() - self._target_ns) / SECOND_NS
+            planned = self._from[index] - min(begun / ratio, self._planned[index])
+        return self._count_down(ratio * planned, planned)
 
 
 def last_line(
@@ -293,7 +316,7 @@ class PlanRunner:
             now_ns = self._clock.now_ns()
             self._control.check()
         if now_ns > began_ns:
-            self._live.waited(now_ns - began_ns)
+            self._live.waited()
             logger.info("continuing after a pause of %.1f s", (now_ns - began_ns) / SECOND_NS)
 
     def _reason_to_wait(self) -> str | None:

@@ -24,7 +24,7 @@ Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 def summary(bench: Bench, walked: DryRun) -> list[str]:
     """Return counts, duration and limits as lines."""
     limits = bench.limits
-    settling = walked.moves * bench.arm.settle
+    seconds = sum(bench.seconds(bench.trajectory))
     frames = walked.recorded * bench.rate_hz / walked.targets
     lines = [
         f"{walked.targets} targets, {walked.moves} recorded moves",
@@ -34,7 +34,7 @@ def summary(bench: Bench, walked: DryRun) -> list[str]:
         f"  (box {1e3 * limits.box_y[0]:+.1f} to {1e3 * limits.box_y[1]:+.1f})",
         f"depth {1e3 * walked.depth:.3f} mm  (limit {1e3 * limits.depth_max:.3f})",
         force_text(bench, walked.depth),
-        f"speed {1e3 * bench.arm.speed:.1f} mm/s, about {duration(walked.duration + settling)} "
+        f"speed {1e3 * bench.arm.speed:.1f} mm/s, about {duration(seconds)} "
         f"(limit {duration(limits.duration_max)})",
         f"about {frames:.0f} frames per target at {bench.rate_hz:.0f} Hz (paper: 20 to 60)",
     ]

@@ -49,7 +49,17 @@ from rig.devices.force.settings import ForceSettings
 from rig.devices.gripper.settings import RobotiqConfig
 from rig.devices.hid.settings import PedalConfig, SpaceMouseConfig
 from rig.devices.taxels.settings import TaxelSettings
-from trajectories import DryRun, ForceDepth, Limits, Plan, Point, PressShear, dry_run
+from trajectories import (
+    DryRun,
+    ForceDepth,
+    Limits,
+    Plan,
+    Point,
+    PressShear,
+    Target,
+    dry_run,
+    move_duration,
+)
 
 # Least cosine between the tool's axis and the direction into the sensor.
 _POINTS_INTO_SENSOR = 0.7
@@ -454,6 +464,26 @@ class Bench:
         arm, dome = self.arm, self.dome_radius
         speeds = {"speed": arm.speed, "acceleration": arm.acceleration}
         return dry_run(plan, self.limits, **speeds, dome_radius=dome)
+
+    def seconds(self, plan: Plan) -> list[float]:
+        """Return the predicted duration of each target [s], with holds, travel and references."""
+        arm = self.arm
+        seconds: list[float] = []
+        before: Target | None = None
+        for target in plan.targets():
+            moves = plan.moves(target)
+            took = 3 * self.hold + len(moves) * arm.settle
+            for move in moves:
+                length = math.dist(move.start, move.end)
+                took += move_duration(length, arm.speed, arm.acceleration)
+            if before is None or before.point != target.point:
+                took += self.preflight.point_window
+                across = 0.0 if before is None else math.dist(before.origin[:2], target.origin[:2])
+                for length in (arm.retract, across, arm.retract):
+                    took += move_duration(length, arm.travel_speed, arm.travel_acceleration)
+            seconds.append(took)
+            before = target
+        return seconds
 
     def check_limits(self, plan: Plan) -> DryRun:
         """Return the dry run of a plan, which must break no limit of the bench."""

@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from recorder.command_line.errors import EXIT_DEVICE_LOST, EXIT_DONE
+from recorder.command_line.terminal import State, paint, wrapped
 from rig.acquire.calibration import store
 from rig.acquire.doctor import Finding, examine
 from rig.cli.options import (
@@ -17,6 +18,7 @@ from rig.cli.options import (
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
 
+_COLOURS: dict[str, State] = {"well": "good", "note": "note", "FAULT": "fault"}
 # Default folder of sessions.
 SESSIONS = Path("sessions")
 
@@ -74,6 +76,7 @@ def run(options: argparse.Namespace) -> int:
 
 def show(found: Finding) -> None:
     """Print a finding, and its cures."""
-    print(f"  {found.state:5}  {found.part:10} {found.text}", flush=True)
+    state = paint(f"{found.state:5}", _COLOURS[found.state])
+    print(wrapped(found.text, f"  {state}  {found.part:10} "), flush=True)
     for number, cure in enumerate(found.cures):
         print(f"         {'' if number else 'cure:':10} {cure}", flush=True)

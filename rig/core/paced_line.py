@@ -1,8 +1,9 @@
 """A line that is rewritten in place on a terminal, and written at longer intervals elsewhere."""
 
-import shutil
 from collections.abc import Callable
 from typing import TextIO
+
+from recorder.command_line.terminal import line_of, width_of
 
 _CLEAR = "\x1b[K"
 
@@ -41,13 +42,14 @@ class PacedLine:
         """Make the next text due at once."""
         self._due_ns = 0
 
-    def show(self, text: str) -> None:
-        """Show a text; on a terminal, as much of it as a row holds."""
+    def show(self, *parts: str) -> None:
+        """Show the parts of a text that are not empty; on a terminal, those that a row holds."""
         if self._is_terminal:
             self._is_open = True
-            self._write(f"\r{text[: shutil.get_terminal_size().columns - 1]}{_CLEAR}")
+            # A full row would wrap on some terminals.
+            self._write(f"\r{line_of(parts, (width_of(self._out) or 80) - 1)}{_CLEAR}")
         else:
-            self._elsewhere(text)
+            self._elsewhere(line_of(parts, None))
 
     def end(self) -> None:
         """End the line and leave it on the terminal; may be called twice."""

@@ -237,11 +237,12 @@ class ForceLine:
         """Show a force and its latency [s], if the line is due."""
         if not self._line.is_due(self._clock.now_ns()):
             return
-        text = f"{_text(reading.force, reading.interval)} N  "
+        text = f"{_text(reading.force, reading.interval)} N"
         if reading.before is not None:
             text = f"before {_text(reading.before)}  after {text}"
-        text += "contact" if reading.contact else "       "
-        self._line.show(f"{text}  {1e3 * latency:5.1f} ms{'  OUTSIDE' if reading.outside else ''}")
+        outside = "OUTSIDE" if reading.outside else ""
+        contact = "contact" if reading.contact else " " * 7
+        self._line.show(text, outside, contact, f"{1e3 * latency:5.1f} ms")
 
 
 def _text(force: Triple, interval: tuple[Triple, Triple] | None = None) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.command_line import terminal
 from recorder.progress import Progress
 from sim.arrays import Array
 from sim.cli.options import add_scene_options, scene_of, split_shape, tier_of
@@ -199,16 +200,15 @@ def table(result: Result) -> list[str]:
         ("newton", "z.0f", quality.newton.astype(float), True),
         ("cg", "z.0f", quality.cg.astype(float), bool(quality.cg.any())),
     ]
-    printed = [
-        [heading, *(format(value, form) for value in values[1:])]
-        for heading, form, values, wanted in columns
-        if wanted and np.isfinite(values).any()
-    ]
-    widths = [max(len(cell) for cell in column) for column in printed]
-    return [
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        for row in zip(*printed, strict=True)
-    ]
+    return terminal.table(
+        {
+            heading: [format(value, form) for value in values[1:]]
+            for heading, form, values, wanted in columns
+            if wanted and np.isfinite(values).any()
+        },
+        spare=[heading for heading, *_ in reversed(columns[7:])],
+        complete="--json",
+    )
 
 
 def heading(result: Result) -> str:

@@ -4,6 +4,7 @@ import io
 import logging
 import math
 from contextlib import nullcontext
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -130,9 +131,13 @@ class FakeStreams:
     record["value"][2] = -2.413
     _gauges, _handles = ("force",), {"force": SimpleNamespace(latest=lambda: FakeStreams.record)}
     pressing = Streams.pressing
+    bench = SimpleNamespace(tip=lambda pose: pose, dome_radius=None)
 
     def __init__(self, clock: FakeClock) -> None:
         self.clock = clock
+
+    def __getitem__(self, _: str) -> SimpleNamespace:
+        return SimpleNamespace(latest=lambda: {"value": (0.0, 0.0, -0.84e-3)})
 
     def counters(self) -> dict[str, np.void]:
         count = np.zeros(1, COUNTERS)[0]
@@ -149,62 +154,64 @@ def live(out: Any, *, begun: bool = True, **options: Any) -> tuple[LiveLine, Fak
     """Return a live line on a clock of its own; `begun`: it is at the first target."""
     clock = FakeClock()
     streams: Any = FakeStreams(clock)
-    line = LiveLine(streams, len(WHOLE), planned=2.0, out=out, **options)
+    line = LiveLine(streams, [2.0] * len(WHOLE), out=out, **options)
     if begun:
         line.at(next(WHOLE.targets()), None)
     return line, clock
 
 
-def test_the_line_says_all_a_technician_asks() -> None:
-    out, targets = Terminal(), list(WHOLE.targets())
-    line, clock = live(out)
-    clock.advance(35.0)
-    line.at(targets[36], WHOLE.moves(targets[36])[1])
-    line.tick()
-    text = out.getvalue()
-    for word in ("target 37/240", "shear_inc", "1.20 mm", "Fz  -2.41 N", "dropped 2"):
-        assert word in text
-    # 36 targets in 35 s, and 2 s by the plan: 1 s each; 204 remain, including the current one.
-    assert "3:24 min left" in text
-    assert "\n" not in text
-    line.end()
-    assert out.getvalue().endswith("\n")
-
-
-@pytest.mark.parametrize(("columns", "has_rates"), [("200", True), ("60", False)])
-def test_the_line_stays_in_one_row_of_the_terminal(
+@pytest.mark.parametrize(("columns", "has_rates"), [("200", True), ("80", False), ("40", False)])
+def test_the_line_says_all_that_fits_into_one_row(
     columns: str, has_rates: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)
-    out = Terminal()
-    live(out)[0].tick()
+    monkeypatch.setenv("NO_COLOR", "1")
+    out, targets = Terminal(), list(WHOLE.targets())
+    line, clock = live(out)
+    for target in targets[:37]:
+        line.at(target, WHOLE.moves(target)[1])
+        clock.advance(1.0)
+    line.tick()
     text = out.getvalue().removeprefix("\r").removesuffix("\x1b[K")
+    # The depth is the measured one, beside that of the target.
+    parts = ["target 37/240", "shear_inc ", "0.84 of 1.20 mm", "Fz  -2.41 N", "dropped 2"]
+    # 36 targets of 1 s, and 3 by the plan, which says 2 s; 203 remain.
+    parts += ["3:39 min left", "camera 60 Hz"]
+    assert "  ".join(parts).startswith(text)
     assert len(text) < int(columns)
-    assert "left" in text
-    assert ("camera 60 Hz" in text) == has_rates
+    assert text.endswith("camera 60 Hz") == has_rates
+    assert ("dropped 2" in text) == (columns != "40")
+    line.end()
+    assert out.getvalue().endswith("\n")
 
 
 def test_the_remaining_time_is_known_from_the_first_second_and_falls() -> None:
     line, clock = live(Terminal(), begun=False)
     # No target has begun: 240 targets of 2 s by the plan.
     assert line.progress() == {"left": 480.0}
-    targets = list(WHOLE.targets())
     left = []
-    for target in targets[:4]:
+    for target in WHOLE.targets():
         line.at(target, None)
-        for _ in range(8):
+        # Each takes a quarter longer, and one is held up for a minute.
+        for _ in range(240 if target.index == 20 else 10):
             left.append(line.progress()["left"])
-            clock.advance(0.5)
-    # Targets take 4 s, not 2 s: the estimate grows only when one has ended.
+            clock.advance(0.25)
+        if target.index == 30:
+            line.waiting("paused by the page")
+            clock.advance(600.0)
+            line.waited()
     assert left[0] == 480.0
-    assert left[1] == 479.5
-    # 1 planned and 3 measured targets of 4 s give 3.5 s for each of the 237 that remain.
-    assert left[24] == pytest.approx(3.5 * 237)
-    line.waiting("paused by the page")
-    clock.advance(60.0)
-    line.waited(60_000_000_000)
-    line.at(targets[4], None)
-    assert line.progress()["left"] == pytest.approx((2.0 + 16.0) / 5 * 236)
+    assert all(later <= before for before, later in pairwise(left))
+    assert left[31 * 10 + 230] == pytest.approx(2.5 * 209, rel=0.2)
+    assert left[-1] < 3.0
+
+
+def test_a_run_that_takes_twice_as_long_says_so() -> None:
+    line, clock = live(Terminal(), begun=False)
+    for target in list(WHOLE.targets())[:60]:
+        line.at(target, None)
+        clock.advance(4.0)
+    assert line.progress()["left"] == pytest.approx(4.0 * 180, rel=0.2)
 
 
 def test_a_resumed_run_counts_its_own_targets_only() -> None:
@@ -213,8 +220,7 @@ def test_a_resumed_run_counts_its_own_targets_only() -> None:
     assert line.progress() == {"left": 82.0}
     line.at(list(WHOLE.targets())[200], None)
     clock.advance(1.0)
-    # One of the 41 targets is done, in no time: 1 s each.
-    assert line.progress()["left"] == 39.0
+    assert line.progress()["left"] == 79.0
 
 
 def test_a_terminal_that_is_gone_does_not_stop_the_arm(caplog: pytest.LogCaptureFixture) -> None:
