@@ -14,7 +14,7 @@ MKDOCS  := NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs
 BARE    := examples/demo-transfer
 DEMO    := examples/demo-learning
 SMALL   := --tier layer --scale 0.025 --steps 4 --no-check
-ALL     := rig-sim learning-sim diffusion-sim
+ALL     := docs rig-sim learning-sim diffusion-sim
 SLOW    := RUN_SLOW=1 $(PY) -m pytest -q --durations=10
 comma   := ,
 # A variable counts if it is typed after `make`; one of that name in the environment (HOST) does not.
@@ -93,7 +93,7 @@ check: $(VENV)/.rig-dev  ## check lint, format, types, layers of imports, spelli
 	@$(VENV)/bin/lint-imports --no-logo && $(VENV)/bin/codespell && $(PY) tests/support/prose.py
 	@$(MKDOCS) build
 
-docs: $(VENV)/.rig-dev  ## SERVE=1: show the documentation on a local page; without: build/docs
+docs: $(VENV)/.docs  ## SERVE=1: show the documentation on a local page; without: build/docs
 	@$(MKDOCS) $(if $(call given,SERVE),serve,build)
 
 reference: $(VENV)/.rig  ## write docs/reference from the commands and packages
@@ -110,11 +110,11 @@ clean:  ## remove the venv and caches, keep sessions
 $(PY):
 	@$(if $(PYTHON),,uv --version >/dev/null || { echo "needs Python 3.12 or 3.11, or uv; or another Python" \
 	  "and, to build ur-rtde, a C++ compiler, cmake and Boost: make PYTHON=python3.13"; exit 2; })
-	@echo "setting up $(VENV) with $(or $(PYTHON),uv), once ..."
 	@$(or $(if $(PYTHON),$(PYTHON) -m venv),uv venv --quiet --seed --python 3.12) $(VENV)
 	@$(PIP) --upgrade pip
 
 # The file .rig-sim says that the extras rig and sim are installed; those of development include all others.
 $(VENV)/.%: pyproject.toml constraints.txt | $(PY)
+	@echo "installing tactile-rig[$(subst -,$(comma),$*)] in $(VENV), once ..."
 	@$(PIP) -e '.[$(subst -,$(comma),$*)]'
 	@touch $@ $(addprefix $(VENV)/.,$(subst -, ,$*) $(if $(findstring dev,$*),$(ALL)))

@@ -50,6 +50,8 @@ class Row:
     """Kind of the plan, such as `press_shear`; empty for an imported session."""
     targets: int = 0
     """Number of targets that were to be pressed; 0 if the session does not say."""
+    done: int | None = None
+    """Number of targets that were pressed; None if the session does not say."""
     started_utc: str = ""
     """Start in UTC, ISO 8601."""
     mock: bool = False
@@ -250,6 +252,7 @@ def _row_of(path: str, stamp: tuple[int, int, int], attrs: Mapping[str, Any]) ->
         operator=text("operator"),
         plan=str(plan.get("kind", "")) if isinstance(plan, dict) else "",
         targets=int(attrs.get("targets_wanted") or 0),
+        done=None if attrs.get("targets_done") is None else int(attrs["targets_done"]),
         started_utc=text("started_utc"),
         mock=bool(attrs.get("mock")),
         runs=len(attrs.get("runs") or ()),

@@ -46,6 +46,12 @@ SI_PER_UNIT = {
     "ma_m2": 1e-3,
     "counts_per_mt": 1e3,
 }
+# Their symbols, where these are not the suffix.
+_SYMBOLS = {
+    **{"n": "N", "hz": "Hz", "kpa": "kPa", "n_mm": "N mm", "n_per_mm": "N/mm", "ma_m2": "mA m^2"},
+    **{"mm_s": "mm/s", "mm_s2": "mm/s^2", "deg_s": "deg/s", "mm_per_px": "mm/px"},
+    "counts_per_mt": "counts/mT",
+}
 # Units that a value is likely to be in if it is implausible, and how many of them make one: a
 # position in m is 1000 times too small for mm.
 _MISTAKEN = {
@@ -332,7 +338,7 @@ def _suggestion(unknown: Sequence[str], fields: Mapping[str, Any]) -> str:
 
 
 def _in(unit: str | None) -> str:
-    return f" [{unit}]" if unit else ""
+    return f" [{_SYMBOLS.get(unit, unit)}]" if unit else ""
 
 
 # Strict YAML.

@@ -33,7 +33,8 @@ def run(options: argparse.Namespace) -> int:
         raise CommandError(f"{folder}: holds {listed}{more}; allowed: a new or empty folder")
     lay_out(folder)
     print(f"{folder}: created; README.md describes the folders; next:")
-    print(f"  cd {shlex.quote(str(folder))} && {next_command('doctor', sensor='tacpalm')}")
+    enter = f"cd {shlex.quote(str(folder))} && " if folder.resolve() != Path.cwd() else ""
+    print(f"  {enter}{next_command('doctor', sensor='tacpalm')}")
     return 0
 
 

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "sensor that was recorded with one (the source) or simulated: presses match by place, "
         "frames of the source are translated, its labels scaled between the skins (by force-depth "
         "curves, or with --set compensation=[simulated] by twins of both), and intervals "
-        "that contain 90 %% of the true forces are measured on indenters that no model saw. Labels "
+        "that contain 90 % of the true forces are measured on indenters that no model saw. Labels "
         "of the target are not read, unless --labels names some. Writes RUN/model (weights, ONNX, "
         "intervals, card), RUN/before (the source's model) and RUN/report.html. Repeat the command "
         "to continue."

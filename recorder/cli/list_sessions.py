@@ -113,7 +113,9 @@ def _table(rows: list[Row], folder: Path) -> list[str]:
         "sensor": [row.sensor for row in rows],
         "indenter": [row.indenter for row in rows],
         "plan": [row.plan for row in rows],
-        "targets": [row.targets or "" for row in rows],
+        "targets": [
+            row.targets or "" if row.done is None else f"{row.done}/{row.targets}" for row in rows
+        ],
         "runs": [row.runs or "" for row in rows],
         "mock": ["mock" if row.mock else "" for row in rows],
         "status": [row.status for row in rows],

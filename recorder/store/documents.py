@@ -199,6 +199,7 @@ _SESSION = {
     "contact_frame": _numbers(FRAME_MAX, 6, 6),
     "t0_ns": _MOMENT,
     "targets_wanted": _whole(0, INT_MAX),
+    "targets_done": _whole(0, INT_MAX),
     "replay_of": {"speed": _speed},
     "runs": _Entries({"t0_ns": _MOMENT, "utc_ns": _MOMENT}),
     "sealed_later": _Entries({"lost": _numbers(INT_MAX, ENTRIES_MAX)}, null=False),

@@ -282,7 +282,9 @@ class Collector:
                 if not retracted:
                     reason += "; THE ARM WAS NOT RETRACTED"
             try:
-                summaries = self._close(streams, writer, status, reason)
+                done = sum(index not in request.left_out for index in range(first))
+                done += sum(target.index >= first for target in targets[: runner.done])
+                summaries = self._close(streams, writer, status, reason, done)
             except SessionError as error:
                 print(error, file=sys.stderr)
                 return EXIT_DEVICE_LOST
@@ -294,8 +296,7 @@ class Collector:
             status,
             reason,
             request.path,
-            done=sum(index not in request.left_out for index in range(first))
-            + sum(target.index >= first for target in targets[: runner.done]),
+            done=done,
             limited=runner.limited,
             left_out=len(request.left_out),
             total=request.total,
@@ -420,11 +421,11 @@ class Collector:
             return False
 
     def _close(
-        self, streams: Streams, writer: SessionWriter, status: str, reason: str
+        self, streams: Streams, writer: SessionWriter, status: str, reason: str, done: int
     ) -> dict[str, Any]:
         summaries = streams.close()
         try:
-            writer.set_attrs(summary=summaries)
+            writer.set_attrs(summary=summaries, targets_done=done)
             writer.finish(status, reason, rate_hz=self._bench.rate_hz, clocks=True)
         except OSError as error:
             raise SessionError(

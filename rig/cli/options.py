@@ -225,11 +225,13 @@ def free_path(path: Path) -> Path:
 
 
 @contextlib.contextmanager
-def logged_to(path: Path) -> Iterator[None]:
-    """Log messages from level INFO to the terminal and, with times, to `path`.
+def logged_to(session: Path) -> Iterator[None]:
+    """Log messages from level INFO to the terminal and, with times, to a file beside the session.
 
-    Of sessions within a session, each has its own file; that of the outermost has all messages.
+    Of sessions within a session, each has its own file; that of the outermost has all messages. The
+    file is removed if no session was written: all of it was on the terminal.
     """
+    path = session.with_suffix(".log")
     terminal = logging.StreamHandler()
     terminal.setFormatter(logging.Formatter("%(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[terminal])
@@ -245,6 +247,8 @@ def logged_to(path: Path) -> Iterator[None]:
     finally:
         root.removeHandler(file)
         file.close()
+        if not session.exists():
+            path.unlink(missing_ok=True)
 
 
 # Calibration options of the commands that record.
@@ -303,9 +307,10 @@ def check_page(option: str, access: AccessPolicy | None) -> None:
         with socket.socket(family, kind) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise ConfigError(
-            f"{option}: found {access.host}:{access.port}: {error.strerror or error}; "
+            f"{option}: found {access.host}:{access.port}: {reason}; "
             "allowed: a free port of this machine"
         ) from None
 

@@ -170,7 +170,7 @@ def record(
         confirm(motion_lines(bench, depth))
     request.path.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(logged_to(request.path.with_suffix(".log")))
+        stack.enter_context(logged_to(request.path))
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
         on = recording.on or stack.enter_context(
             started_bench(recording.file, sources=sources, truth=truth, folder=folder)
@@ -229,7 +229,7 @@ def collect(
                 hint = recording.next("home", indenter=bench.indenter)
                 no_gauge.check_home(bench, calibration, hint)
             session.parent.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(logged_to(session.with_suffix(".log")))
+            stack.enter_context(logged_to(session))
             on = stack.enter_context(started_bench(recording.file, sources=sources, truth=truth))
             recording = dataclasses.replace(recording, on=on)
             try:

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
         request.speed_name if request.speed == 0 else f"{request.speed:g} times the recorded speed"
     )
     print(f"REPLAY of {source} ({name}): every device is an emulator, nothing moves", flush=True)
-    with logged_to(out.with_suffix(".log")):
+    with logged_to(out):
         return replay.run()
 
 

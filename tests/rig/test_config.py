@@ -67,7 +67,7 @@ def test_units_become_si() -> None:
         ({"count": 3.0}, ["f.yaml.count", "found 3.0", "a whole number"]),
         ({"count": True}, ["f.yaml.count", "found true"]),
         ({"count": -1}, ["f.yaml", "count: -1", "0 or more"]),
-        ({"speed_mm_s": "fast"}, ["f.yaml.speed_mm_s", "'fast'", "[mm_s]"]),
+        ({"speed_mm_s": "fast"}, ["f.yaml.speed_mm_s", "'fast'", "[mm/s]"]),
         ({"speed_mm_s": True}, ["f.yaml.speed_mm_s", "found true"]),
         ({"speed_mm_s": math.nan}, ["f.yaml.speed_mm_s", "nan", "finite"]),
         ({"speed_mm_s": math.inf}, ["f.yaml.speed_mm_s", "inf", "finite"]),

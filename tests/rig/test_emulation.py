@@ -136,7 +136,7 @@ def test_every_device_of_a_bench_has_an_emulator_or_shares_the_arms() -> None:
         (["netft", '{"device": {"http_prot": 1}}'], "netft.device: unknown http_prot; did you me"),
         (["netft", '{"seed": 1, "seed": 2}'], "key 'seed' is written twice"),
         (["netft", "[]"], "netft: found the list []; allowed: a mapping of keys to values"),
-        (["netft", '{"noise_n": "much"}'], "noise_n: found text 'much'; allowed: a number [n]"),
+        (["netft", '{"noise_n": "much"}'], "noise_n: found text 'much'; allowed: a number [N]"),
         (["netft", "--file", "none.json"], "none.json: no such file"),
         (["robotiq_2f"], "robotiq_2f: missing device; known: host, world"),
         (["hid_pedal", '{"device": {"kind": "spacemouse", "device": "/x.hidraw"}}'], "device.kind"),

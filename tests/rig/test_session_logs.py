@@ -13,17 +13,25 @@ def test_each_session_has_its_messages_in_its_own_file_and_the_outer_one_has_all
 ) -> None:
     caplog.set_level(logging.INFO)
     handlers = list(logging.getLogger().handlers)
-    whole, first, second = (tmp_path / name for name in ("whole.log", "first.log", "second.log"))
+    whole, first, second = (tmp_path / name for name in ("whole", "first", "second"))
+    for session in (whole, first, second):
+        session.mkdir()
     with logged_to(whole):
         for path in (first, second):
             with logged_to(path):
-                logging.info("in %s", path.stem)
+                logging.info("in %s", path.name)
         with logged_to(whole):
             logging.info("at the end")
     logging.info("after")
-    lines = {path: path.read_text().splitlines() for path in (whole, first, second)}
+    lines = {
+        path: path.with_suffix(".log").read_text().splitlines() for path in (whole, first, second)
+    }
     assert [line.partition("root: ")[2] for line in lines[first]] == ["in first"]
     assert [line.partition("root: ")[2] for line in lines[second]] == ["in second"]
     messages = [line.partition("root: ")[2] for line in lines[whole]]
     assert messages == ["in first", "in second", "at the end"]
     assert logging.getLogger().handlers == handlers
+    whole.rmdir()
+    with logged_to(whole):
+        logging.info("nothing was recorded")
+    assert not whole.with_suffix(".log").exists()
