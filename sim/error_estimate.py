@@ -29,8 +29,8 @@ Normal = tuple[float, float]
 PER_SQUARE = 0.016
 # Fineness below which the error grows linearly with the elements' size.
 RESOLVED = 0.5
-# Error of the force if the smallest elements are as long as an edge's radius; it falls with the
-# square too.
+# Error of the force if the smallest elements are as long as the touched part of an edge; it falls
+# with the square too.
 PER_EDGE = 0.03
 # Largest error by an unresolved edge: for a sharp punch, a fifth of the force.
 EDGE_MOST = 0.2
@@ -183,8 +183,7 @@ def _of_elements(result: Result) -> dict[str, Any]:
     # Quadratic where the contact is resolved, linear where it is barely resolved.
     resolved = PER_SQUARE / (np.maximum(fineness, RESOLVED) * fineness)
     squeezed = squeeze(result.scene, result.quality.contact_width) / layers**2
-    edge, finest = result.scene.indenter.sharpest, result.record["mesh"].get("finest", 0.0)
-    by_edge = np.full(len(fineness), min(EDGE_MOST, PER_EDGE * (finest / max(edge, 1e-9)) ** 2))
+    by_edge = edge_errors(result)
     # Each is the most of an error that does not depend on the others.
     fraction = np.sqrt(resolved**2 + squeezed**2 + by_edge**2 + further_errors(result) ** 2)
     fraction = _weighed(result, fraction) + time_share(result)
@@ -199,6 +198,29 @@ def _of_elements(result: Result) -> dict[str, Any]:
         ]
         error["percent"] = 100.0
     return error
+
+
+def touched_edge(result: Result) -> Array:
+    """Return the length of the sharpest edge that the skin touches (F,) [m]; inf on a round tip.
+
+    A light press touches less than its radius: sqrt(2 R d), as on a line (Hertz). If that is more
+    than half of the contact, there is no edge but the tip itself.
+    """
+    edge = min(result.scene.indenter.sharpest, result.scene.body.size_x)
+    depth = np.maximum(-np.asarray(result.scene.motion.tip)[:, 2], 0.0)
+    touched = np.minimum(edge, np.sqrt(2 * edge * depth))
+    return np.where(touched < result.quality.contact_width / 2, touched, np.inf)
+
+
+def edge_errors(result: Result) -> Array:
+    """Return the error of a force by the length of elements at an edge (F,), over the force.
+
+    Contacts end at nodes, so that two meshes may have the same error by chance. Their width is
+    uncertain by no more than what is touched of the edge.
+    """
+    touched, width = touched_edge(result), np.maximum(result.quality.contact_width, 1e-9)
+    lengths = result.record["mesh"].get("finest", 0.0) / np.maximum(touched, 1e-9)
+    return np.asarray(np.minimum(np.minimum(EDGE_MOST, touched / width), PER_EDGE * lengths**2))
 
 
 def time_share(result: Result) -> Array:

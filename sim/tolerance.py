@@ -30,6 +30,7 @@ from sim.device import kind_of
 from sim.error_estimate import (
     LAYER_LEAST,
     LAYER_PER_DEPTH,
+    edge_errors,
     error_entry,
     estimated,
     fineness_of,
@@ -37,6 +38,7 @@ from sim.error_estimate import (
     pixel_of,
     side_distance,
     time_share,
+    touched_edge,
     vanishing_share,
     with_rounding,
     with_symmetry,
@@ -66,7 +68,7 @@ COMPANION = 1.6
 EXPECTED = 0.009
 # Range of the fineness with which the search begins.
 FIRST_LEAST, FIRST_MOST = 0.6, 1.5
-# Elements along the radius of an edge from which errors fall as the square of the elements' size:
+# Elements along the touched part of an edge from which errors fall as the square of their size:
 # of flat punches and boxes with 2 elements there, extrapolated forces were off by 1.4 to 1.7 times
 # the correction.
 ALONG_EDGE = 4.0
@@ -542,7 +544,7 @@ def extrapolated(
     size = np.linalg.norm(result.force, axis=1)
     scale = force_scale(result.force)
     apart = np.abs(fine.force - coarse.force).max(axis=1)
-    unsure = _most_of_difference(coarse, fine) * apart
+    unsure = np.maximum(_most_of_difference(coarse, fine) * apart, edge_errors(fine) * size)
     newton = np.maximum(unsure, vanishing_share(result) * scale)
     further = further_errors(result)
     newton = newton + further * size + time_share(fine) * scale
@@ -575,8 +577,8 @@ def _most_of_difference(coarse: Result, fine: Result) -> Array:
     of 1.3 to 3; more if the coarse mesh barely resolves the contact, or the fine one an edge.
     """
     ratio = least_ratio(coarse, fine)
-    edge, finest = fine.scene.indenter.sharpest, fine.record["mesh"].get("finest", 0.0)
-    at_edge = np.clip(ALONG_EDGE * finest / max(edge, 1e-9), 1.0, ratio)
+    finest = fine.record["mesh"].get("finest", 0.0)
+    at_edge = np.clip(ALONG_EDGE * finest / np.maximum(touched_edge(fine), 1e-9), 1.0, ratio)
     more = np.clip(SQUARE_FROM / fineness_of(coarse), at_edge, ratio + 1.0)
     return np.asarray(left_of_difference(ratio) * more)
 

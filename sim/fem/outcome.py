@@ -476,7 +476,7 @@ def overlap_place(place: Sequence[float], deepest: float, inside: str, fraction:
 
 
 def _lost_contact(result: Result) -> int | None:
-    """Return the first waypoint inside the body that has no force but should, if any.
+    """Return the first waypoint inside the body that has no normal force but should, if any.
 
     Either the indenter overlapped the skin before, or there it overlaps the undeformed body by more
     than points of contact are apart: something small may have passed between two states. A body
@@ -488,7 +488,8 @@ def _lost_contact(result: Result) -> int | None:
     effects = scene.effects
     at_rest = effects.viscosity is None and effects.inertia is None and effects.gravity is None
     finest = result.record["mesh"]["finest"]
-    felt, lifted = np.any(result.force, axis=1), False
+    # A tip that has cut through the skin still pushes it aside.
+    felt, lifted = result.force[:, 2] != 0, False
     tips = np.asarray(scene.motion.tip)
     left = tips[0]
     for waypoint, tip in enumerate(tips):

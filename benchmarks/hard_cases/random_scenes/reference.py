@@ -15,6 +15,7 @@ from benchmarks.hard_cases.laws import Array
 from benchmarks.hard_cases.random_scenes import axial
 from benchmarks.hard_cases.random_scenes.mechanics import silent_laws
 from sim.device import kind_of
+from sim.error_estimate import vanishing_share
 from sim.errors import SceneError, SimulationDiverged
 from sim.fem import Fem
 from sim.fem.solver import simulate_fem
@@ -102,7 +103,7 @@ def _by_refining(scene: Scene, fineness: float, factor: int, device: str) -> Ref
         change = small.force - coarse.force
         force, unsure = force + change, unsure + np.abs(change).max(axis=1) / (times - 1)
     overlap = np.nan_to_num(fine.quality.contact)
-    more = PER_OVERLAP * overlap
+    more = PER_OVERLAP * overlap + vanishing_share(fine)
     if (stiffening := fine.record.get("stiffening")) is not None:
         more = more + np.array(stiffening["correction"])
     unsure = unsure + more * force_scale(force)
