@@ -7,6 +7,7 @@ sessions that changed are read again. Deleting that file loses nothing but those
 Imports only the standard library, so that a list of thousands of sessions appears at once.
 """
 
+import contextlib
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -172,7 +173,8 @@ class Catalogue:
             temporary.replace(final)
         except OSError:
             # A read-only or full disk: the catalogue works without its file, only slower.
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                temporary.unlink()
 
 
 def _load(path: Path) -> dict[str, Row]:

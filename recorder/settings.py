@@ -1,7 +1,7 @@
 """Settings: frozen dataclasses from the mappings of strict YAML.
 
-Strict YAML has unique keys, plain scalars as in YAML 1.2, and inheritance by `extends`: 1e-4 is a
-number, `no` and `on` are strings, and the only booleans are true and false.
+Strict YAML has unique keys, plain scalars of YAML 1.2's core schema, and inheritance by `extends`:
+1e-4 and 040 are the numbers 0.0001 and 40; `no`, `on`, `1:30` and `2026-01-31` are text.
 
 A field whose metadata has a `unit` is written in that unit in files, under a key that ends with
 it: `depth_max` with unit mm is `depth_max_mm`. Values in memory are SI. A field with metadata
@@ -343,11 +343,17 @@ def _in(unit: str | None) -> str:
 
 # Strict YAML.
 
-_BOOL = "tag:yaml.org,2002:bool"
-_EXPONENT = (
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
-    list("-+0123456789"),
+# Plain scalars by tag, with the characters that they begin with: YAML 1.2.2, section 10.3.2.
+_INT = "tag:yaml.org,2002:int"
+_PLAIN = (
+    ("tag:yaml.org,2002:null", r"(~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("tag:yaml.org,2002:bool", r"(true|True|TRUE|false|False|FALSE)$", list("tTfF")),
+    (_INT, r"([-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$", list("-+0123456789")),
+    (
+        "tag:yaml.org,2002:float",
+        r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$",
+        list("-+.0123456789"),
+    ),
 )
 
 
@@ -370,19 +376,18 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_StrictLoader.yaml_implicit_resolvers = {
-    first: [each for each in resolvers if each[0] != _BOOL]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_StrictLoader.add_implicit_resolver(_BOOL, re.compile(r"(true|false)$"), list("tf"))
-_StrictLoader.add_implicit_resolver(*_EXPONENT)
-
-
 class _StrictDumper(yaml.SafeDumper):
     """Dumper whose output `_StrictLoader` reads unchanged: a commit such as 2902e78 is quoted."""
 
 
-_StrictDumper.add_implicit_resolver(*_EXPONENT)
+_StrictLoader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in _PLAIN:
+    for _class in (_StrictLoader, _StrictDumper):
+        _class.add_implicit_resolver(_tag, re.compile(_pattern), _first)
+_StrictLoader.add_constructor(
+    _INT,
+    lambda loader, node: int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10)),
+)
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:

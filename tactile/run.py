@@ -6,8 +6,10 @@ The module of a command has `add_arguments(parser)` and `run(options)`, which re
 import os
 import re
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Any
 
 from recorder.command_line.errors import EXIT_WRONG_INPUT, failure
@@ -20,11 +22,18 @@ HELP = ("-h", "--help")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command of `tactile` and return the exit code.
 
+    A character that the terminal does not have is shown by its code.
     Threads of torch and the like that wait for each other sleep instead of spinning, unless
     `OMP_WAIT_POLICY` is set: where cores are shared with others, spinning takes the cores that the
     awaited threads need.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+        # The same for processes that a command starts.
+        os.environ["PYTHONIOENCODING"] = f"{sys.stdout.encoding}:backslashreplace"
+    if not os.access(os.path.expanduser("~"), os.W_OK):
+        _keep_caches_elsewhere()
     words = list(sys.argv[1:] if argv is None else argv)
     for count in (2, 1):
         if command := COMMANDS.get(" ".join(words[:count])):
@@ -44,6 +53,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0 if rest else EXIT_WRONG_INPUT
 
     return ended(show)
+
+
+def _keep_caches_elsewhere() -> None:
+    """Have libraries keep compiled code and settings in a folder of the user for temporary files.
+
+    A folder there that belongs to another user is not used: its code would run as ours.
+    """
+    folder = os.path.join(tempfile.gettempdir(), f"tactile-rig-{os.getuid()}")
+    os.makedirs(folder, 0o700, exist_ok=True)
+    if os.lstat(folder).st_uid == os.getuid():
+        for name in ("XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+            os.environ.setdefault(name, folder)
 
 
 def overview(family: str = "") -> str:

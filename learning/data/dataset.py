@@ -13,6 +13,7 @@ needed, and only some are kept open, so memory does not grow with their number.
 
 from __future__ import annotations
 
+import os
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -33,6 +34,8 @@ from recorder.session import Session
 Sample = dict[str, Tensor]
 Part = Literal["train", "test"]
 
+# Where a DataLoader's workers put their batches.
+SHARED = "/dev/shm"
 # Largest number of recordings that are open in one process.
 OPEN = 32
 
@@ -128,6 +131,18 @@ class TactileDataset(Dataset[Sample]):
             "row": torch.tensor(int(columns["row"])),
         }
 
+    def __getitems__(self, items: list[int]) -> list[Sample]:
+        """Return the windows of a batch; a worker refuses one for which its way out is too small.
+
+        Raises:
+            LearningError: `/dev/shm` cannot hold the batches that the workers make in advance.
+        """
+        samples = [self[item] for item in items]
+        worker = get_worker_info()
+        if worker is not None and os.path.isdir(SHARED):
+            _require_room(samples, worker.num_workers)
+        return samples
+
     def batches(
         self, size: int, *, seed: int = 0, epoch: int = 0, first: int = 0
     ) -> IterableDataset[Sample]:
@@ -184,7 +199,22 @@ class _Batches(IterableDataset[Sample]):
         begin, step = (0, 1) if worker is None else (worker.id, worker.num_workers)
         for number in range(self._first + begin, self._first + len(self), step):
             rows = order[number * self._size : (number + 1) * self._size]
-            yield default_collate([self._windows[row] for row in rows.tolist()])
+            yield default_collate(self._windows.__getitems__(rows.tolist()))
+
+
+def _require_room(samples: list[Sample], workers: int) -> None:
+    """Reject a batch that the kernel would end its worker for: a DataLoader hands it on in memory.
+
+    It keeps two batches of each worker in advance.
+    """
+    disk = os.statvfs(SHARED)
+    batch = sum(tensor.nbytes for sample in samples for tensor in sample.values())
+    if 2 * workers * batch > (room := disk.f_blocks * disk.f_frsize):
+        raise LearningError(
+            f"{SHARED}: has {room / 1e6:.0f} MB; {workers} workers with batches of "
+            f"{batch / 1e6:.0f} MB need {2 * workers * batch / 1e6:.0f} MB; allowed: "
+            "num_workers=0, smaller batches or windows, or more room (docker run --shm-size 4g)"
+        )
 
 
 # Recordings

@@ -1,5 +1,6 @@
 """Exit codes, the base of errors that end a command with one line, and the end of a command."""
 
+import errno
 import os
 import sys
 
@@ -12,6 +13,14 @@ EXIT_SAFETY_STOP = 4
 EXIT_INTERRUPTED = 130
 # As a shell reports a process that SIGPIPE has ended.
 EXIT_BROKEN_PIPE = 141
+# Cures of errors of the file system.
+_CURES = {
+    errno.EROFS: "mounted read-only: name a folder on another disk",
+    errno.EACCES: "name a folder of your own, or get the right to write here",
+    errno.EPERM: "name a folder of your own, or get the right to write here",
+    errno.ENOSPC: "make room on this disk, or name a folder on another",
+    errno.EDQUOT: "make room in your quota, or name a folder on another disk",
+}
 # File descriptor of standard output.
 _STDOUT = 1
 
@@ -38,7 +47,8 @@ def failure(error: BaseException, interrupted: str = "") -> int:
         if _nobody_reads(error):
             return EXIT_BROKEN_PIPE
         reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        line, code = f"cannot read or write: {reason}", EXIT_WRONG_INPUT
+        line = "; ".join(filter(None, [f"cannot read or write: {reason}", _CURES.get(error.errno)]))
+        code = EXIT_WRONG_INPUT
     elif isinstance(error, KeyboardInterrupt):
         line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED
     else:

@@ -543,6 +543,12 @@ def lock_stream(layout: StreamLayout) -> int:
     except BlockingIOError:
         os.close(fd)
         raise SessionError(f"{layout.path}: is being written by another process") from None
+    except OSError as error:
+        os.close(fd)
+        raise SessionError(
+            f"{layout.path}: its file system has no locks ({error.strerror}); record on a local "
+            "disk (--out), or mount this one with locks (NFS: lockd, nolock off)"
+        ) from None
     return fd
 
 

@@ -5,6 +5,7 @@ of an object. `SealedFiles` verifies what is read by the newest manifest of a se
 always write to a disk, by changes that are atomic and durable, also after a power failure.
 """
 
+import errno
 import hashlib
 import os
 import secrets
@@ -419,10 +420,17 @@ class SealedFiles(Files):
 
 
 def sync_directory(path: Path) -> None:
-    """Make the names in a directory, or the content of a file, durable."""
+    """Make the names in a directory, or the content of a file, durable.
+
+    Network and FUSE file systems that cannot sync a directory answer EINVAL; they keep names safe
+    by themselves, or not at all.
+    """
     fd = os.open(path, os.O_RDONLY)
     try:
         os.fsync(fd)
+    except OSError as error:
+        if error.errno != errno.EINVAL or not path.is_dir():
+            raise
     finally:
         os.close(fd)
 

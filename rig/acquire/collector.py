@@ -1,7 +1,6 @@
 """Collection of one session: the operator's request, and its way from device check to summary."""
 
 import contextlib
-import getpass
 import importlib.metadata
 import logging
 import math
@@ -54,6 +53,7 @@ from rig.bench.guards import (
 )
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
+from rig.core.names import operator_name
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
 from trajectories import Plan, Target, plan_from_json, plan_to_json
@@ -340,7 +340,7 @@ class Collector:
         """
         begun = {
             **asdict(ClockAnchor.take()),
-            "operator": request.operator or getpass.getuser(),
+            "operator": operator_name(request.operator),
             **entry,
         }
         if request.resume:

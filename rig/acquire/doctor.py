@@ -7,6 +7,7 @@ are opened by the processes that would record them, so a fault here is one of a 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -125,12 +126,13 @@ def disk(sessions: Path, clock: Clock) -> Finding:
     try:
         began_ns = clock.now_ns()
         with written.open("wb") as file:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX)
             file.write(os.urandom(1 << 20) * (_WRITTEN >> 20))
             file.flush()
             os.fsync(file.fileno())
         speed = _WRITTEN * SECOND_NS / max(clock.now_ns() - began_ns, 1)
     except OSError as error:
-        cure = f"write access to {folder}, or --out on another disk"
+        cure = f"write access to {folder}, with locks, or --out on another disk"
         return Finding("disk", "FAULT", f"{folder}: {error.strerror or error}", (cure,))
     finally:
         with contextlib.suppress(OSError):

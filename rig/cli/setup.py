@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import dataclasses
 import functools
-import getpass
 import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
@@ -42,6 +41,7 @@ from rig.core.config import from_si, to_si
 from rig.core.errors import ConfigError, DeviceLost
 from rig.core.geometry import compose
 from rig.core.mock_names import PORTS
+from rig.core.names import operator_name
 
 Answers = dict[str, float]
 Point = tuple[float, float, float]
@@ -479,7 +479,7 @@ def _steps(at: AtBench, repeated: set[str]) -> int | None:
         at.record.add(step.name, step.keys, answers, findings)
         repeated.discard(step.name)
     if at.record.accepted is None:
-        operator = at.options.operator or getpass.getuser()
+        operator = operator_name(at.options.operator)
         at.record.accept([step.name for step in needed], operator)
     result = at.record.accepted and at.record.accepted["result"]
     following = bench_command("collect", at.options)

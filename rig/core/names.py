@@ -1,9 +1,19 @@
-"""Errors for names that nothing has: the likely name, and all names that are allowed."""
+"""Names: of the operator, and errors for names that nothing has, with the likely one."""
 
 import difflib
+import getpass
+import os
 from collections.abc import Iterable
 
 from rig.core.errors import ConfigError
+
+
+def operator_name(named: str) -> str:
+    """Return `named`, or without it the login name, or the number of a user who has no name."""
+    try:
+        return named or getpass.getuser()
+    except (KeyError, OSError):
+        return f"uid {os.getuid()}"
 
 
 def unknown_name(where: str, found: str, known: Iterable[str], places: str = "") -> ConfigError:

@@ -96,17 +96,6 @@ def test_a_damaged_or_deleted_catalogue_is_rebuilt_from_disk(day: Path, content:
     assert list(_fresh(day)) == before
 
 
-def test_a_folder_that_cannot_be_written_is_listed_all_the_same(
-    day: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object, **__: object) -> int:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_text", full)
-    assert len(list(_fresh(day))) == 4
-    assert not (day / FILE).exists()
-
-
 @pytest.mark.parametrize(
     "content", ["", "[1]", '{"attributes": 3}', '{"attributes": {"format": "tactile-rig session"}']
 )

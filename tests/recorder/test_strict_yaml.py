@@ -10,7 +10,8 @@ READER = Reader(ValueError)
 
 
 @pytest.mark.parametrize(
-    "value", ["2902e78", "1e5", "-3E+2", "no", "true", "1e-4x", "0x10", 1e-5, 2.5e20, 3, None]
+    "value",
+    ["2902e78", "1e5", "-3E+2", "no", "true", "1e-4x", "0x10", "089", "0o7", "1:30", 1e-5, 3],
 )
 def test_what_is_written_is_read_back_as_it_was(tmp_path: Path, value: object) -> None:
     path = tmp_path / "config.yaml"
@@ -19,9 +20,15 @@ def test_what_is_written_is_read_back_as_it_was(tmp_path: Path, value: object) -
 
 
 def test_plain_words_are_those_of_yaml_1_2() -> None:
-    text = "{a: 1e-4, b: 2E3, c: no, d: on, e: true, f: 1.5, g: -1}"
-    expected = {"a": 1e-4, "b": 2e3, "c": "no", "d": "on", "e": True, "f": 1.5, "g": -1}
-    assert READER.parse(text, "here") == expected
+    written = "1e-4 2E3 no on yes True 1.5 -1 040 0o40 0x1F 08.5 1:30 1_000 2026-01-31 0b1 = <<"
+    as_1_2 = [1e-4, 2e3, "no", "on", "yes", True, 1.5, -1, 40, 32, 31, 8.5]
+    text = ["1:30", "1_000", "2026-01-31", "0b1", "=", "<<"]
+    assert READER.parse(f"[{', '.join(written.split())}, ~, null]", "here") == [
+        *as_1_2,
+        *text,
+        None,
+        None,
+    ]
 
 
 def test_a_file_extends_another_key_by_key_but_for_another_kind(tmp_path: Path) -> None:

@@ -42,6 +42,8 @@ from rig.devices.arm.settings import ArmConfig
 
 logger = logging.getLogger(__name__)
 
+# Starting an interpreter may take this long on a busy computer, apart from the arm itself [s].
+_START = 20.0
 # Within this time the child answers a move or reports how long it will take [s].
 _ANSWER = 10.0
 # The same for a halt, which may have to wait for a move to end [s].
@@ -113,7 +115,7 @@ class Arm:
         self._lock = threading.RLock()
 
     def start(self, timeout: float) -> None:
-        """Start the child and wait at most `timeout` [s] until the arm accepts commands."""
+        """Start the child and wait at most `timeout` [s], once it runs, until the arm is ready."""
         if self.alive:
             return
         self._discard()
@@ -129,7 +131,7 @@ class Arm:
                 self._process.start()
         finally:
             theirs.close()
-        reply = self._answer(START, timeout)
+        reply = self._answer(START, _START + timeout)
         if reply.outcome != "done":
             self._discard(reply.reason)
             _raise_for(reply)
