@@ -26,12 +26,17 @@ CODES = {
     "rate": "a device that ran at another rate than declared",
     "frozen": "the same image or value repeated",
     "truncated": "a stream that ends before the recording does",
+    "clipped": "a force at a limit of its device: it was larger than recorded",
     "nan": "values that are not numbers",
     "segment-outside": "a phase that its streams do not cover, or that has an invalid reference",
     "frames-length": "a frames view that does not match the segments",
 }
 # Codes of the notes on a session: limits of what it can tell, which are no faults of its data.
 NOTES: dict[str, str] = {
+    "stalled": "times at which the computer stood still, which explain gaps and frozen values",
+    "bench": "a state of bench or computer when a run began",
+    "stopped": "why the recording ended early",
+    "slow": "an arm that moved slower than planned, by the speed slider of its pendant",
     "uncalibrated": "a signal whose latency was not measured: an interval is assumed",
     "drops-unseen": "a device without numbers and times: drops are inferred, or not seen",
     "sealed-later": "a manifest that was lost and made again: earlier changes cannot be seen",

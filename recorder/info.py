@@ -19,6 +19,7 @@ from recorder.progress import ReportItems
 from recorder.session.columns import Stream
 from recorder.session.loss import Account, loss_lines
 from recorder.session.reader import Session, accounts_of
+from recorder.session.states import state_lines
 from recorder.session.uncertainty import time_lines
 from recorder.spec import ARCHIVE_FORMAT, OUTCOMES, PHASES
 from recorder.store.documents import says_it_is
@@ -95,7 +96,7 @@ def describe(path: str | os.PathLike[str]) -> str:
         _stream_line(session, stream, accounts[stream.name], width)
         for stream in session.streams.values()
     ]
-    lines += [*loss_lines(accounts), *time_lines(session)]
+    lines += [*state_lines(session), *loss_lines(accounts), *time_lines(session)]
     lines.append("")
     lines += _frame_lines(session)
     lines += _segment_lines(session)

@@ -27,6 +27,7 @@ from recorder.session.loss import (
     unseen,
 )
 from recorder.session.reader import Session
+from recorder.session.states import READING, in_stalls, stalls, states
 from recorder.session.uncertainty import uncalibrated
 from recorder.spec import (
     ARCHIVE_FORMAT,
@@ -116,6 +117,8 @@ def _check(
     try:
         session = Session(place, unsealed=True)
         yield from _check_declared(session)
+        if not unreadable:
+            yield from states(session)
         for name, stream in session.streams.items():
             if name not in unreadable:
                 yield from check_stream(session, stream, contents.get(name))
@@ -327,8 +330,6 @@ END_MARGIN = 0.25
 START_MARGIN = 0.1
 
 _STEP_SAMPLES = 16  # on either side; enough that one or two late packets do not look like a step
-# Column of a gauge that settles: what it read, also where that is no value.
-_READING = "reading"
 # Columns in which NaN means that the device sends no such value.
 _NAN_IS_FINE = {"device_t", "speed"}
 
@@ -352,23 +353,24 @@ def check_stream(
         first = rows.start or 0
         t_ns = stream.t_ns[rows]
         columns = {name: stream.array(name)[rows] for name in stream.small}
+        stood = stalls(session, run)
         yield from _check_times(
-            stream_path, first, t_ns, columns, losses, stream.rate_hz, compressed
+            stream_path, first, t_ns, columns, losses, stream.rate_hz, compressed, stood
         )
         still = "still" in (stream.attrs.get("source_motion"), session.attrs.get("source_motion"))
         # A scale repeats one reading while its load rests.
-        if stream.traits.defaults.changes and not still and _READING not in stream.small:
+        if stream.traits.defaults.changes and not still and READING not in stream.small:
             images = None if contents is None else contents[: len(stream)][rows]
             # Two NaN differ, so that axes that are not measured would hide a frozen gauge.
             same = images if images is not None else _measured(stream, "value", columns["value"])
-            yield from _check_frozen(stream_path, first, t_ns, same)
+            yield from _check_frozen(stream_path, first, t_ns, same, stood)
     for name in stream.small:
         values = stream.array(name)
         if values.dtype.kind == "f" and name not in _NAN_IS_FINE:
             missing = np.asarray(~np.isfinite(_measured(stream, name, values)).all(axis=1))
-            if name == "value" and _READING in stream.small:
+            if name == "value" and READING in stream.small:
                 # A reading that has not settled is kept, and is no value.
-                missing &= ~np.isfinite(stream.array(_READING))[: len(missing)]
+                missing &= ~np.isfinite(stream.array(READING))[: len(missing)]
             bad = np.flatnonzero(missing)
             if bad.size:
                 yield Finding(
@@ -465,6 +467,7 @@ def _check_times(
     losses: Losses,
     rate_hz: float,
     compressed: bool,
+    stood: NDArray[np.int64],
 ) -> Iterator[Finding]:
     if len(t_ns) < 2:
         return
@@ -475,7 +478,7 @@ def _check_times(
         at = jumped[0]
         message = f"{jumped.size} found, first at row {first + at + 1}, {steps[at]:+.3f} s"
         yield Finding("clock-step", where, message)
-    explained = np.zeros(len(steps), np.bool_)
+    explained = in_stalls(stood, t_ns[:-1], t_ns[1:])
     explained[losses.row - 1] = True
     explained[jumped] = True
     if losses.source == SEQUENCE:
@@ -529,7 +532,7 @@ def _level(offset: NDArray[np.float64], at: int, direction: int) -> float:
 
 
 def _check_frozen(
-    where: str, first: int, t_ns: NDArray[np.int64], values: Array
+    where: str, first: int, t_ns: NDArray[np.int64], values: Array, stood: NDArray[np.int64]
 ) -> Iterator[Finding]:
     if len(values) < FROZEN_SAMPLES:
         return
@@ -538,7 +541,8 @@ def _check_frozen(
     starts = np.concatenate([[0], changed])
     ends = np.concatenate([changed, [len(values)]]) - 1
     lasting = (t_ns[ends] - t_ns[starts]) * NS
-    frozen = np.flatnonzero((lasting > FROZEN) & (ends - starts + 1 >= FROZEN_SAMPLES))
+    still = (lasting > FROZEN) & (ends - starts + 1 >= FROZEN_SAMPLES)
+    frozen = np.flatnonzero(still & ~in_stalls(stood, t_ns[starts], t_ns[ends]))
     if frozen.size:
         worst = frozen[np.argmax(lasting[frozen])]
         message = f"{frozen.size} times, longest {lasting[worst]:.1f} s from row"

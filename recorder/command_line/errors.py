@@ -47,7 +47,8 @@ def failure(error: BaseException, interrupted: str = "") -> int:
         if _nobody_reads(error):
             return EXIT_BROKEN_PIPE
         reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        line = "; ".join(filter(None, [f"cannot read or write: {reason}", _CURES.get(error.errno)]))
+        cure = _CURES.get(error.errno or 0)
+        line = f"cannot read or write: {reason}" + (f"; {cure}" if cure else "")
         code = EXIT_WRONG_INPUT
     elif isinstance(error, KeyboardInterrupt):
         line, code = "; ".join(filter(None, ["interrupted", interrupted])), EXIT_INTERRUPTED

@@ -9,6 +9,7 @@ from recorder.session.columns import Stream
 from recorder.session.frames import axes_of, in_frame, surface_heights
 from recorder.session.loss import loss_lines
 from recorder.session.reader import Session, accounts_of
+from recorder.session.states import state_lines
 from recorder.session.stream_writer import StreamWriter
 from recorder.session.uncertainty import sigmas_of, time_lines
 from recorder.session.writer import SessionWriter
@@ -36,6 +37,7 @@ __all__ = [
     "quaternion",
     "save_curves",
     "sigmas_of",
+    "state_lines",
     "surface_heights",
     "thumbnails",
     "time_lines",

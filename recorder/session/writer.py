@@ -123,6 +123,15 @@ class SessionWriter:
         _check_written({"runs": [entry]}, self.path)
         merge_attrs(self.path, {"runs": [*runs, {**entry, "first_row": first_row}]})
 
+    def end_run(self, entry: dict[str, Any]) -> None:
+        """Add attributes to the entry of the last run.
+
+        Raises:
+            SessionError: An attribute that readers would refuse.
+        """
+        runs = read_session_attrs(self.path)["runs"]
+        self.set_attrs(runs=[*runs[:-1], {**runs[-1], **entry}])
+
     def stream_path(self, name: str) -> Path:
         """Return the group of a stream, to be opened by a `StreamWriter`.
 

@@ -151,6 +151,13 @@ def _texts(value: Any) -> str | None:
     return None if right else f"a list of up to {VALUES_MAX} texts"
 
 
+def _spans(value: Any) -> str | None:
+    right = isinstance(value, list) and len(value) <= VALUES_MAX
+    pair = _numbers(INT_MAX, 2, 2)
+    right = right and all(pair(each) is None and each[0] <= each[1] for each in value)
+    return None if right else f"a list of up to {VALUES_MAX} pairs, beginning and end"
+
+
 def _speed(value: Any) -> str | None:
     return None if value == "max" else _number(0, 1e9)(value)
 
@@ -201,7 +208,7 @@ _SESSION = {
     "targets_wanted": _whole(0, INT_MAX),
     "targets_done": _whole(0, INT_MAX),
     "replay_of": {"speed": _speed},
-    "runs": _Entries({"t0_ns": _MOMENT, "utc_ns": _MOMENT}),
+    "runs": _Entries({"t0_ns": _MOMENT, "utc_ns": _MOMENT, "stalls_ns": _spans, "states": _texts}),
     "sealed_later": _Entries({"lost": _numbers(INT_MAX, ENTRIES_MAX)}, null=False),
 }
 

@@ -29,6 +29,7 @@ from recorder.session import (
     clock_lines,
     contact_sheet,
     loss_lines,
+    state_lines,
     time_lines,
 )
 from rig.acquire.calibration.store import Calibration
@@ -53,7 +54,9 @@ from rig.bench.guards import (
 )
 from rig.core.clock import ClockAnchor, SystemClock
 from rig.core.errors import ConfigError, DeviceLost, SafetyStop
+from rig.core.load import Load, busy, explained
 from rig.core.names import operator_name
+from rig.devices.arm import dashboard
 from rig.devices.arm.arm import Arm
 from rig.devices.force.settings import AXES
 from trajectories import Plan, Target, plan_from_json, plan_to_json
@@ -224,6 +227,9 @@ class Collector:
             notes = notes_on(description, signals, calibrated)
             for note in notes:
                 logger.info("preflight  note: %s", note)
+            states = states_of(description)
+            for state in states:
+                logger.warning("preflight  %s", state)
             interrupt.check()
             check_clear(streams)
             self._zero_stand_ins(streams)
@@ -237,6 +243,7 @@ class Collector:
                 **_tare_entry(tares),
                 "rates_hz": rates,
                 "notes": notes,
+                "states": states,
                 "bench": self._content,
                 "devices": description,
             }
@@ -268,7 +275,9 @@ class Collector:
                 runner.press(targets)
             except BaseException as error:
                 # On any error, the arm retracts and the session is closed before anything else.
-                stop = _first_cause(error, interrupt)
+                stop = _first_cause(error, interrupt, self._bench)
+                if isinstance(stop, DeviceLost):
+                    stop = explained(stop, mock=self._bench.mock, stalled=streams.stalled())
                 live.end()
                 logger.error("stopping: %s", str(stop) or type(stop).__name__)
             interrupt.ignore()
@@ -425,6 +434,8 @@ class Collector:
     ) -> dict[str, Any]:
         summaries = streams.close()
         try:
+            stood = sorted(span for each in summaries.values() for span in each.pop("stalls", ()))
+            writer.end_run({"stalls_ns": stood})
             writer.set_attrs(summary=summaries, targets_done=done)
             writer.finish(status, reason, rate_hz=self._bench.rate_hz, clocks=True)
         except OSError as error:
@@ -466,16 +477,21 @@ def _expected(bench: Bench, request: CollectRequest) -> dict[str, Any]:
     }
 
 
-def _first_cause(error: BaseException, interrupt: InterruptFlag) -> BaseException:
-    """Return the operator's stop if the arm's process ended by it, else the error.
+def _first_cause(error: BaseException, interrupt: InterruptFlag, bench: Bench) -> BaseException:
+    """Return the error that led to this one: the operator's stop, or that of the controller.
 
     `systemctl stop` and `timeout` send SIGTERM to all processes; the arm's process then retracts.
+    A controller that stops ends more than one thing, of which another may be noticed first.
     """
     if isinstance(error, DeviceLost):
         try:
             interrupt.check()
-        except Interrupted as stop:
+            dashboard.check_ready(bench.arm.host, timeout=1.0)
+        except (Interrupted, SafetyStop) as stop:
             return stop
+        except DeviceLost as lost:
+            local = "local control" in str(lost)
+            return lost if local else error
     return error
 
 
@@ -506,6 +522,12 @@ def target_table(plan: Plan, total: int, bench: Bench) -> dict[str, np.ndarray]:
     }
 
 
+def states_of(description: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the states of computer and arm, of `Driver.describe()`, that a session should know."""
+    version = str(description.get("pose", {}).get("controller_version", ""))
+    return [state for state in (busy(Load.read()), dashboard.age_note(version)) if state]
+
+
 def software() -> dict[str, str]:
     """Return the versions of the software that writes the session, for its metadata."""
     names = ("tactile-rig", "numpy", "zarr", "ur-rtde", "opencv-contrib-python-headless")
@@ -533,7 +555,7 @@ def cadence(bench: Bench, session: Session, summaries: Mapping[str, Any]) -> str
         },
         states=["fault" if account.lost else "" for account in accounts.values()],
     )
-    lines += [*loss_lines(accounts), *time_lines(session)]
+    lines += [*state_lines(session), *loss_lines(accounts), *time_lines(session)]
     frames = session.frames
     valid = np.asarray(frames["valid"], dtype=bool) if len(frames) else np.zeros(0, dtype=bool)
     if valid.any():

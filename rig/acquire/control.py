@@ -43,7 +43,7 @@ class Interrupted(CommandError):
 
 
 class InterruptFlag:
-    """Context manager that catches SIGINT, SIGTERM and SIGHUP.
+    """Context manager that catches SIGINT, SIGQUIT, SIGTERM and SIGHUP.
 
     The first signal sets `requested`; a second raises KeyboardInterrupt immediately, until `ignore`
     is called. SIGHUP, sent when the terminal is closed, never counts as a second: a closing
@@ -58,7 +58,7 @@ class InterruptFlag:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> InterruptFlag:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._on_signal)
         return self

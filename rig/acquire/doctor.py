@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -25,9 +26,12 @@ from rig.acquire.streams import StreamHandle, Streams, rate_window
 from rig.bench.bench import Bench, BenchStream
 from rig.bench.guards import force_text, left_out, left_out_text
 from rig.core.clock import SECOND_NS, Clock, utc_text
-from rig.core.errors import ConfigError, DeviceLost
+from rig.core.errors import ConfigError, DeviceLost, SafetyStop
+from rig.core.load import Load, busy, problem
 from rig.core.realtime import RIG_PRIORITY, may_have_priority
 from rig.devices import registry
+from rig.devices.arm import dashboard
+from rig.devices.arm.reader import RtdeLink
 
 State = Literal["well", "note", "FAULT"]
 
@@ -41,6 +45,8 @@ _WRITTEN = 32 << 20
 AT_REST = 0.35
 # Distance of the tip from the sensor beyond which the contact frame, or its units, is wrong [m].
 FAR = 1.5
+# What an emulator does not have.
+_HARDWARE = re.compile("cable|plug|power|switch the arm")
 # A clock that is earlier was never set.
 _SET = "2024-01-01"
 
@@ -72,7 +78,16 @@ def examine(
     yield plan(bench, sessions)
     yield disk(sessions, clock)
     yield realtime()
+    yield computer(load := Load.read())
     yield time_of_day()
+    for finding in _devices(bench, folder, clock, watch):
+        yield _without_cables(finding, load) if bench.mock else _load_first(finding, load)
+
+
+def _devices(
+    bench: Bench, folder: Path, clock: Clock, watch: Callable[[], None] | None
+) -> Iterator[Finding]:
+    yield _arm(bench, clock)
     with Streams(bench, folder, clock, watch) as streams:
         opened: dict[str, dict[str, Any]] = {}
         for row in bench.rows:
@@ -84,6 +99,23 @@ def examine(
             if row.name in opened:
                 yield _stream(bench, row, streams[row.name], opened[row.name])
     yield from _interlocks(bench, clock)
+
+
+def _load_first(finding: Finding, load: Load) -> Finding:
+    """Return a fault of a device with the busy computer as the first thing to cure."""
+    if finding.state != "FAULT" or not load.shortages():
+        return finding
+    return replace(finding, cures=("first the computer, which is busy: see above", *finding.cures))
+
+
+def _without_cables(finding: Finding, load: Load) -> Finding:
+    """Return a fault of an emulated device, which has no cables."""
+    if finding.state != "FAULT":
+        return finding
+    late = "an emulator that ended or is late: start the command again"
+    cures = dict.fromkeys(late if _HARDWARE.search(cure) else cure for cure in finding.cures)
+    text = problem(finding.text) if _HARDWARE.search(finding.text) else finding.text
+    return _load_first(replace(finding, text=text, cures=tuple(cures)), load)
 
 
 # The plan
@@ -162,6 +194,14 @@ def realtime() -> Finding:
     )
 
 
+def computer(load: Load) -> Finding:
+    """Examine what the computer is short of; a fault without priority over what else runs."""
+    if not (state := busy(load)):
+        return Finding("computer", "well", str(load))
+    cure = "end other programs (top shows which need it); a computer of its own for the bench"
+    return Finding("computer", "note" if may_have_priority() else "FAULT", state, (cure,))
+
+
 def time_of_day() -> Finding:
     """Examine if the computer's clock was ever set; sessions state when they were recorded."""
     now = utc_text()
@@ -171,6 +211,27 @@ def time_of_day() -> Finding:
 
 
 # Devices
+
+
+def _arm(bench: Bench, clock: Clock) -> Finding:
+    """Return the finding of the arm: its software, mode, safety status and speed slider."""
+    host, timeout = bench.arm.host, bench.preflight.timeout
+    link = RtdeLink(host, 10.0, clock)
+    try:
+        dashboard.check_ready(host, timeout)
+        link.open(timeout)
+        fraction = float(link.receive(timeout)[-1]["speed_fraction"])
+        version = ".".join(map(str, link.version))
+    except (DeviceLost, SafetyStop, IndexError) as error:
+        return Finding("arm", "FAULT", str(error) or f"{host}: no sample", _cures(bench.arm))
+    finally:
+        link.close()
+    text = f"{host}: PolyScope {version}, speed slider at {fraction:.0%}"
+    if note := dashboard.age_note(version):
+        return Finding("arm", "note", f"{text}; {note}")
+    if fraction < 1:
+        return Finding("arm", "note", text, ("the slider at the pendant, to 100 %",))
+    return Finding("arm", "well", text)
 
 
 def _stream(
@@ -232,6 +293,12 @@ def _values(
                 f"F{axis} is {mean[loaded[0]]:.2f} N at rest, rated {rating[loaded[0]]:g} N",
                 "take everything off the sensor, and zero the gauge on its own page or display",
                 "units of the gauge (counts per newton, N or lbf) and its calibration file",
+            )
+        if (frozen := spread == 0).any() and mean[frozen].any():
+            axis = "xyz"[int(np.flatnonzero(frozen & (mean != 0))[0])]
+            return (
+                f"F{axis} does not change: clipped at a limit of the gauge, or frozen",
+                "take everything off the sensor, then range and calibration file of the gauge",
             )
         if len(noisy):
             axis = "xyz"[noisy[0]]

@@ -23,6 +23,7 @@ from rig.bench.bench import KINDS, Bench
 from rig.core.clock import SECOND_NS, Clock, SystemClock
 from rig.core.driver import Driver
 from rig.core.errors import ConfigError, DeviceLost
+from rig.core.load import Stalls
 from rig.core.realtime import Sweeper, enable_realtime
 from rig.core.samples import SIGNAL_LATEST
 from rig.core.shared_memory import SharedLatest
@@ -34,6 +35,7 @@ logger = logging.getLogger(__name__)
 
 # Last arrival [ns], samples since opening, rows stored by this run, samples sent by the device but
 # not received, rate over the last second [Hz], longest gap between stored samples [s].
+# `stalled`: longest time for which the process stood still in the last 10 s [s].
 COUNTERS = np.dtype(
     [
         ("t_ns", "<i8"),
@@ -42,6 +44,7 @@ COUNTERS = np.dtype(
         ("dropped", "<i8"),
         ("rate_hz", "<f8"),
         ("longest_gap", "<f8"),
+        ("stalled", "<f8"),
     ]
 )
 
@@ -122,6 +125,7 @@ class _StreamLoop:
         self._fresh_ns = 0
         self._zero: np.ndarray | None = None
         self._sweeper = Sweeper()
+        self._stalls = Stalls(_READ_TIMEOUT)
         self._writer: StreamWriter | None = None
         self._columns: tuple[str, ...] = ()
         self._bias: np.ndarray | None = None
@@ -145,6 +149,7 @@ class _StreamLoop:
             for sample in self._driver.read(_READ_TIMEOUT):
                 self._take(sample)
             now_ns = self._clock.now_ns()
+            self._stalls.turn(now_ns)
             if now_ns - self._shown_ns >= _COUNTERS_EVERY_NS:
                 self._show(now_ns)
             if self._measurement is not None and now_ns > self._measurement.end_ns:
@@ -170,6 +175,7 @@ class _StreamLoop:
         self._writer = StreamWriter.open(path)
         self._columns = self._writer.columns
         self._rows, self._longest_gap, self._last_ns = 0, 0.0, 0
+        self._stalls = Stalls(_READ_TIMEOUT)
         self._dropped_before = self._driver.dropped
         self._rejected_before = dict(self._driver.rejected)
         self._pipe.send(("recording", None))
@@ -204,8 +210,9 @@ class _StreamLoop:
             self._recent.popleft()
         dropped = self._driver.dropped - self._dropped_before
         rate_hz = float(len(self._recent))
+        stalled = self._stalls.longest(now_ns - 10 * SECOND_NS)
         self._counters.write(
-            (self._last_ns, self._samples, self._rows, dropped, rate_hz, self._longest_gap)
+            (self._last_ns, self._samples, self._rows, dropped, rate_hz, self._longest_gap, stalled)
         )
         self._shown_ns = now_ns
         self._sweeper.sweep(now_ns)
@@ -221,6 +228,7 @@ class _StreamLoop:
                 for reason, count in self._driver.rejected.items()
             },
             "longest_gap": self._longest_gap,
+            "stalls": self._stalls.found,
         }
         if self._writer is not None:
             writer, self._writer = self._writer, None
@@ -231,9 +239,8 @@ class _StreamLoop:
 def run_stream(job: StreamJob, pipe: Connection) -> None:
     """Run the process; `pipe` is its end of the connection."""
     # Ctrl-C and a closed terminal are handled by the parent, which closes all streams in order.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     granted = enable_realtime()
     clock = SystemClock()
     loop: _StreamLoop | None = None

@@ -147,7 +147,11 @@ class StreamHandle:
             raise self._failure
         while True:
             if not self._pipe.poll(seconds + self._patience):
-                self._fail(DeviceLost(f"{self.name}: its process does not answer ('{word}')"))
+                self._fail(
+                    DeviceLost(
+                        f"{self.name}: its process does not answer ('{word}'); does it hang?"
+                    )
+                )
             try:
                 message = self._pipe.recv()
             except (EOFError, OSError):
@@ -271,6 +275,10 @@ class Streams:
         published = {handle.name: handle.counters() for handle in self}
         return {name: counters for name, counters in published.items() if counters is not None}
 
+    def stalled(self) -> float:
+        """Return the longest time for which a stream's process stood still lately [s]."""
+        return max((float(each["stalled"]) for each in self.counters().values()), default=0.0)
+
     def pressing(self) -> str:
         """Return the newest normal force of every F/T sensor as text; empty without one."""
         texts = []
@@ -331,7 +339,8 @@ def check_devices(
         )
         if rate < 0.5 * expected:
             raise DeviceLost(
-                f"{name}: {rate:.1f} Hz measured; expected {expected:.0f} Hz (bench file)"
+                f"{name}: {rate:.1f} Hz measured; expected {expected:.0f} Hz (bench "
+                "file); is its connection overloaded?"
             )
         if abs(deviation) > bench.preflight.rate_tolerance:
             logger.warning("preflight  %s is %+.0f %% off its expected rate", name, 100 * deviation)

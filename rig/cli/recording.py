@@ -34,7 +34,8 @@ from rig.cli.options import (
     require_terminal,
 )
 from rig.core.clock import file_stamp
-from rig.core.errors import SafetyStop
+from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.load import explained
 from rig.monitor.access import AccessPolicy
 from trajectories import ForceDepth, Plan, PressShear, Target
 
@@ -60,20 +61,24 @@ def started_bench(
     """Start the emulators of a mock bench for the context; a lab bench needs nothing.
 
     The emulators play `sources`, log the World's truth to the file `truth`, and keep their files in
-    `folder`, by default a temporary one.
+    `folder`, by default a temporary one. A busy computer is named in what the context raises.
     """
-    if not file.bench.mock:
-        yield StartedBench(file, None)
-        return
-    # Imported here, so that a collection on lab devices loads no emulator.
-    from rig.mock.bench import MockBench
+    try:
+        with contextlib.ExitStack() as stack:
+            if not file.bench.mock:
+                yield StartedBench(file, None)
+                return
+            # Imported here, so that a collection on lab devices loads no emulator.
+            from rig.mock.bench import MockBench
 
-    with contextlib.ExitStack() as stack:
-        if folder is None:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-rig-")))
-        mock = MockBench(file, folder, sources=sources, truth=truth)
-        stack.enter_context(mock)
-        yield StartedBench(mock.file, mock.check)
+            if folder is None:
+                temporary = tempfile.TemporaryDirectory(prefix="tactile-rig-")
+                folder = Path(stack.enter_context(temporary))
+            mock = MockBench(file, folder, sources=sources, truth=truth)
+            stack.enter_context(mock)
+            yield StartedBench(mock.file, mock.check)
+    except DeviceLost as error:
+        raise explained(error, mock=file.bench.mock) from error
 
 
 @dataclass(frozen=True, slots=True)

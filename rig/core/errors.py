@@ -10,7 +10,10 @@ class ConfigError(CommandError, ValueError):
 
 
 class DeviceLost(CommandError, RuntimeError):
-    """The device does not answer, sends garbage or fell silent: check power, cable and address."""
+    """The device does not answer, sends garbage or fell silent: check power, cable and address.
+
+    Its message is `where: problem; what to check`.
+    """
 
     exit_code = EXIT_DEVICE_LOST
 

@@ -173,7 +173,7 @@ def stale(
         return None
     return Violation(
         kind,
-        f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms: {cause}",
+        f"newest {record} is {age_ns / 1e6:.0f} ms old, allowed {limit * 1e3:.0f} ms; {cause}",
     )
 
 

@@ -8,6 +8,8 @@ from rig.core.clock import SECOND_NS
 
 # Stream processes.
 RIG_PRIORITY = 50
+# Process that moves the arm: below the streams, which never wait without sleeping.
+ARM_PRIORITY = 45
 # Emulators: the devices that they replace run regardless of the host's load.
 DEVICE_PRIORITY = 60
 # Camera emulator, which draws for milliseconds at a time: below every process that must not wait.
@@ -28,10 +30,15 @@ def enable_realtime(priority: int = RIG_PRIORITY) -> dict[str, bool]:
     gc.collect()
     gc.freeze()
     gc.disable()
-    return {"sched_fifo": _fifo(priority), "timer_slack": _timer_slack(), "gc_off": True}
+    return {"sched_fifo": take_priority(priority), "timer_slack": _timer_slack(), "gc_off": True}
 
 
-def _fifo(priority: int) -> bool:
+def take_priority(priority: int) -> bool:
+    """Run this thread, and those that it starts, before all others of less priority, 1 to 99.
+
+    Returns:
+        True if the system grants it.
+    """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except (OSError, AttributeError):
@@ -43,7 +50,7 @@ def may_have_priority(priority: int = RIG_PRIORITY) -> bool:
     """Return True if real-time priority is granted; this process stays as it was."""
     try:
         before = os.sched_getscheduler(0), os.sched_getparam(0)
-        if not _fifo(priority):
+        if not take_priority(priority):
             return False
         os.sched_setscheduler(0, *before)
     except (OSError, AttributeError):

@@ -117,7 +117,7 @@ class ProcessGroup:
                         f"{name} emulator: {missing[1]} is not installed; install the extra: "
                         f"pip install 'tactile-rig[{extra}]'"
                     )
-                raise DeviceLost(f"{name} emulator did not start: {message}")
+                raise DeviceLost(f"{name} emulator did not start: {message}; try again")
 
     def check(self) -> None:
         """Raise if a process has ended by itself."""

@@ -85,7 +85,7 @@ def _serve(served: Served, settings: Any, *, until_stdin_closes: bool) -> int:
     enable_realtime(served.priority)
     logging.basicConfig(stream=sys.stderr, format=f"{name}: %(message)s")
     ending = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT):
         signal.signal(number, lambda *_: ending.set())
     if until_stdin_closes:
         threading.Thread(target=_watch_stdin, args=(ending,), daemon=True).start()

@@ -121,7 +121,7 @@ def run_page(
 ) -> None:
     """Run the page's process; it sends its port, or why there is none, then commands."""
     # Ctrl-C is handled by the command, which ends this process through the pipe.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     # Recording has priority over all clients.
     os.nice(10)

@@ -196,7 +196,7 @@ class PageServer:
         if self._pipe is not None and self._view is not None:
             loop.add_reader(self._pipe.fileno(), self._receive, self._pipe, self._view)
         else:
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP):
                 loop.add_signal_handler(number, self._ended.set)
         ready(port)
         sampling = asyncio.create_task(self._sample())

@@ -72,6 +72,10 @@ def slowed(rows: slice, factor: float) -> Callable[[Columns], Columns]:
     return change
 
 
+def clipped(columns: Columns) -> Columns:
+    return {**columns, "value": np.maximum(columns["value"], -3.0)}
+
+
 IMAGES, POSES, FORCES, PHASES = (
     partial(only_in, name) for name in ("camera", "pose", "force", "segments")
 )
@@ -112,6 +116,7 @@ RECORDED: dict[str, tuple[str, str, Callable[[str, Columns], Columns]]] = {
     ),
     "stream ends early": ("truncated", POSE, POSES(without(slice(250, None)))),
     "empty stream": ("truncated", POSE, POSES(without(slice(0, None)))),
+    "force clipped by its device": ("clipped", f"{FORCE}/value", FORCES(clipped)),
     "NaN": ("nan", f"{FORCE}/value", FORCES(shifted("value", slice(7, 8), np.nan))),
     "phase before the streams": (
         "segment-outside",

@@ -178,6 +178,7 @@ def test_a_move_that_an_ended_program_refused_is_not_called_out_of_reach(runs, w
         require_fresh=lambda: None,
         fresh=lambda: True,
         pose=np.zeros(6),
+        speed_fraction=1.0,
     )
     mover = Mover(SimpleNamespace(config=CONFIG), control, watch, FakeClock(), lambda: False)
     try:

@@ -96,14 +96,21 @@ def test_a_target_outside_the_box_is_refused_before_anything_moves(arm):
     assert arm.move(at(0, 0, 0.029)).outcome == "done"
 
 
-def test_a_slow_slider_is_waited_for(arm):
-    inject("slider", fraction=0.2)
-    assert arm.move(at(0, 0, 0.02), mode="travel").outcome == "done"
+@pytest.mark.parametrize("fraction", [0.2, 0.0])
+def test_a_slow_slider_is_named_and_waited_for(arm, fraction, caplog):
+    inject("slider", fraction=fraction)
+
+    def raised() -> None:
+        if not fraction and "at 0%: nothing moves" in caplog.text:
+            inject("slider", fraction=1.0)
+
+    assert arm.move(at(0, 0, 0.02), mode="travel", on_wait=raised).outcome == "done"
+    assert f"the speed slider is at {fraction:.0%}" in caplog.text
 
 
 def test_a_slider_turned_down_in_mid_move_ends_it_in_bounded_time(arm):
     result = arm.move(
-        at(0, 0, 0.02), mode="travel", on_wait=Once(lambda: inject("slider", fraction=0.001))
+        at(0, 0, 0.025), mode="travel", on_wait=Once(lambda: inject("slider", fraction=0.001))
     )
     assert result.outcome == "stopped"
     assert "slider" in result.reason

@@ -17,6 +17,7 @@ from rig.bench.bench import Bench, BenchFile, bench_from
 from rig.cli.options import bench_command, bench_options
 from rig.cli.recording import started_bench
 from rig.core.clock import SystemClock
+from rig.core.load import Load
 from rig.core.packaged import BENCHES
 from rig.core.realtime import RIG_PRIORITY
 from tactile.__main__ import main
@@ -45,10 +46,12 @@ def found(content: dict[str, Any], folder: Path) -> dict[str, Finding]:
 
 @pytest.mark.serial
 def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
-    started: dict[str, Any], tmp_path: Path
+    started: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(doctor.Load, "read", Load)
     well = found(started, tmp_path / "well")
-    assert list(well) == ["plan", "disk", "real time", "clock", "force", "pose", "camera"]
+    devices = ["arm", "force", "pose", "camera"]
+    assert list(well) == ["plan", "disk", "real time", "computer", "clock", *devices]
     assert not [one for one in well.values() if one.state == "FAULT"]
 
     wrong = {
@@ -62,7 +65,7 @@ def test_a_healthy_bench_is_well_and_each_wrong_device_is_named(
     bad = found(wrong, tmp_path / "bad")
     states = {part: one.state for part, one in bad.items() if part not in ("disk", "real time")}
     assert states == {
-        **{"plan": "well", "clock": "well"},
+        **dict.fromkeys(("plan", "computer", "clock", "arm"), "well"),
         **dict.fromkeys(("force", "pose", "camera", "gripper", "pedal"), "FAULT"),
     }
     assert bad["force"].cures[0].startswith(f"ping {NOBODY}")

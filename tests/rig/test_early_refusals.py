@@ -123,7 +123,7 @@ pedal: {{device: {tmp_path}/no-pedal}}
     assert run.lines[0].startswith("LAB BENCH")
     assert "the arm WILL move" in run.lines[0]
     # Every dead device is named, not only the first.
-    found = run.text[run.text.index("device lost: 5 devices:") :]
+    found = run.text[run.text.index("5 devices:") :]
     named = [line.split()[0].rstrip(":") for line in found.splitlines()[1:6]]
     assert named == ["force", "pose", "camera", "gripper", "foot"]
     assert found.count(host) >= 3

@@ -32,6 +32,7 @@ from rig.devices.arm.messages import (
     Alarm,
     Command,
     Move,
+    Note,
     Order,
     Reply,
     Report,
@@ -276,8 +277,8 @@ class Arm:
                 return report
             if self._clock.now_ns() > deadline_ns:
                 self._discard(
-                    f"{self._where}: the process that moves it did not answer and was ended; "
-                    "the controller's watchdog stops the arm. Is the network cable in?"
+                    f"{self._where}: the process that moves it did not answer and was ended, so "
+                    "the controller's watchdog stops the arm; is the network cable in?"
                 )
                 self._require_pipe()
             self._pump(_SLICE, wake)
@@ -304,8 +305,8 @@ class Arm:
             code = process.exitcode
             died = "crashed" if code is None or code < 0 else "ended"
             why = (
-                f"{self._where}: the process that moves it {died} (exit code {code}); "
-                "the controller's watchdog stops the arm. Was the connection or the power cut?"
+                f"{self._where}: the process that moves it {died} (exit code {code}), so "
+                "the controller's watchdog stops the arm; was the connection or the power cut?"
             )
             for report in self._reports.values():
                 # Between two commands, the reason comes under the number of the last one.
@@ -317,6 +318,9 @@ class Arm:
     def _file(self, report: Report) -> None:
         if isinstance(report, Alarm):
             self._alarm = report
+            return
+        if isinstance(report, Note):
+            logger.warning("arm: %s", report.text)
             return
         self._reports[report.number] = report
         # Replies nobody waits for any more, after an interrupted move, must not accumulate.
@@ -356,7 +360,8 @@ def _move_arm(setup: Setup, pipe: Connection) -> NoReturn:
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
     """Defer Ctrl-C and hang-up: half a message, or a child without its handlers, is useless."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    held = {signal.SIGINT, signal.SIGQUIT, signal.SIGHUP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, held)
     try:
         yield
     finally:

@@ -399,7 +399,6 @@ def dashboard_answer(controller: Controller, line: str) -> str:
         "polyscopeversion": f"URSoftware {'.'.join(map(str, controller.version))} (Jan 01 2024)",
         "get serial number": "20205500001",
         "get robot model": "UR5",
-        "is in remote control": str(controller.remote_control).lower(),
         "robotmode": f"Robotmode: {'RUNNING' if controller.robot_mode == RUNNING else 'POWER_OFF'}",
         "safetystatus": f"Safetystatus: {safety}",
         "safetymode": f"Safetymode: {safety}",
@@ -407,4 +406,6 @@ def dashboard_answer(controller: Controller, line: str) -> str:
         "programstate": f"{'PLAYING' if playing else 'STOPPED'} <unnamed>",
         "quit": "Disconnected",
     }
+    if controller.version >= (5, 6):  # the first that answers this
+        answers["is in remote control"] = str(controller.remote_control).lower()
     return answers.get(question, f'could not understand: "{line.strip()}"')

@@ -1,7 +1,8 @@
 """Messages between the recording process and the process that moves the arm, sent over a pipe.
 
 Each command has a number, and its reply has the same number. A reply to a command that nobody waits
-for any more is dropped. `Started` may precede the reply; `Alarm` (number 0) is sent unprompted.
+for any more is dropped. `Started` may precede the reply; `Alarm` (number 0) and `Note` are sent
+unprompted.
 """
 
 from dataclasses import dataclass
@@ -90,4 +91,11 @@ class Alarm:
     number: int = 0
 
 
-Report = Started | Reply | Alarm
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Note for the operator, about nothing that ends a command."""
+
+    text: str
+
+
+Report = Started | Reply | Alarm | Note

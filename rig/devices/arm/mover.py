@@ -31,13 +31,16 @@ from rig.core.guard import (
     most_serious,
     outside_box,
 )
+from rig.core.realtime import ARM_PRIORITY, take_priority
 from rig.core.samples import POSE_LATEST
 from rig.core.shared_memory import AwaitedRecord
+from rig.devices.arm import dashboard
 from rig.devices.arm.messages import (
     START,
     Alarm,
     Command,
     Move,
+    Note,
     Order,
     Outcome,
     Reply,
@@ -72,7 +75,7 @@ class Watch:
             (AwaitedRecord(path, guard.RECORD), path.stem, guard) for path, guard in setup.guards
         ]
         self._sample: dict[str, Any] | None = None
-        self._moved_ns = clock.now_ns()
+        self._moved_ns = self._slid_ns = clock.now_ns()
         self.speed_fraction = 1.0
         """Speed slider, 0..1."""
         self.armed = False
@@ -115,10 +118,15 @@ class Watch:
 
     def _take(self, sample: dict[str, Any]) -> None:
         self._sample = sample
-        self.speed_fraction = float(sample["speed_fraction"])
+        if self.speed_fraction != (fraction := float(sample["speed_fraction"])):
+            self.speed_fraction, self._slid_ns = fraction, sample["t_ns"]
         speed = sample["speed"]
         if max(map(abs, speed[:3])) > _STILL or max(map(abs, speed[3:])) > _STILL_TURN:
             self._moved_ns = sample["t_ns"]
+
+    def slider_at_rest(self) -> bool:
+        """Return True if nobody has moved the speed slider for the last half second."""
+        return self._clock.now_ns() - self._slid_ns > SECOND_NS // 2
 
     def fresh(self) -> bool:
         """Return True if the controller has just been heard from."""
@@ -201,7 +209,7 @@ class Mover:
     """A connected arm that executes one command after the other.
 
     `interrupted` is called in every cycle of a move; True ends the move by a halt. An exception it
-    raises is passed on with the arm still moving.
+    raises is passed on with the arm still moving. `say` is called with a note for the operator.
     """
 
     def __init__(
@@ -211,7 +219,11 @@ class Mover:
         watch: Watch,
         clock: Clock,
         interrupted: Callable[[], bool],
+        say: Callable[[str], None] = logger.warning,
     ) -> None:
+        self._say = say
+        self._said_fraction = 1.0
+        self._kicked_ns = clock.now_ns()
         self._setup = setup
         self._config = setup.config
         self._control = control
@@ -237,6 +249,11 @@ class Mover:
         violation = self._watch.look(mode)
         if violation is not None and violation.kind in _SAFETY:
             self.latched = violation
+        fraction = self._watch.speed_fraction
+        if fraction != self._said_fraction and self._watch.slider_at_rest():
+            self._said_fraction = fraction
+            if fraction < 1:
+                self._say(_slow(fraction))
         self._tick += 1
         # Nothing is sent to a controller that has fallen silent: the call could hang for 300 s.
         due = self._tick % _KICK_TICKS == 0 and self.latched is None and self._watch.fresh()
@@ -246,17 +263,31 @@ class Mover:
 
     def _kick(self) -> Violation | None:
         """Kick the watchdog; return the safety stop that ended the program, if one did."""
+        before_ns, self._kicked_ns = self._kicked_ns, self._clock.now_ns()
         if self._control.connected() and self._control.kick():
             return None
         # The safety status may reach us one package after the program's end.
         self.latched = self._watch.look_again(0.1)
         if self.latched is None:
-            raise DeviceLost(
-                f"arm at {self._config.host}: the control program stopped on the controller: "
-                "stopped at the pendant, or commands came too slowly "
-                f"(watchdog {self._config.watchdog_hz:g} Hz)"
-            )
+            try:
+                why = self._why_stopped((self._kicked_ns - before_ns) / SECOND_NS)
+            except SafetyStop as stop:
+                self.latched = Violation("emergency_stop", str(stop))
+                return self.latched
+            where = f"arm at {self._config.host}"
+            raise DeviceLost(f"{where}: the control program stopped on the controller: {why}")
         return self.latched
+
+    def _why_stopped(self, silent: float) -> str:
+        """Return why the program ended; `silent` is the time since the kick before the last [s]."""
+        if silent * self._config.watchdog_hz > 1:
+            slowest = f"watchdog {self._config.watchdog_hz:g} Hz"
+            return f"this computer sent no command for {silent:.2f} s ({slowest})"
+        try:
+            dashboard.check_ready(self._config.host, _CONNECT)
+        except DeviceLost as error:
+            return str(error)
+        return "stopped at the pendant"
 
     def halt(self) -> None:
         """Stop and wait until at rest; do nothing after a safety stop, which stops by itself."""
@@ -305,13 +336,12 @@ class Mover:
         self._watch.require_fresh()
         if not self._control.reaches(goal.tolist()):
             return self._refused(command, start_ns, "finds the target out of reach")
-        limit = self._time_limit(command, goal)
-        on_start(limit + _STOPPING + 1.0)
+        limit = self._time_limit(command, goal, on_start)
         before, _ = self._control.operation()
         start_ns = self._clock.now_ns()
         if not self._control.start_move(goal.tolist(), command.speed, command.acceleration):
             return self._refused(command, start_ns, "refused the move")
-        return self._follow(command, goal, before, start_ns, limit)
+        return self._follow(command, goal, before, start_ns, limit, on_start)
 
     def _refused(self, command: Move, start_ns: int, what: str) -> Reply:
         # A command also fails when the program has just ended: report that instead.
@@ -321,11 +351,18 @@ class Mover:
         return self._reply(command, "stopped", start_ns, f"the controller {what}")
 
     def _follow(
-        self, command: Move, goal: Array, before: int, start_ns: int, limit: float
+        self,
+        command: Move,
+        goal: Array,
+        before: int,
+        start_ns: int,
+        limit: float,
+        on_start: Callable[[float], None],
     ) -> Reply:
         """Supervise a move that has begun until it has ended."""
         deadline_ns = start_ns + round(limit * SECOND_NS)
         finished_ns: int | None = None
+        fraction = self._watch.speed_fraction
         while True:
             violation = self.step(command.mode)
             if violation is not None:
@@ -345,12 +382,15 @@ class Mover:
                     away = self._watch.distance(goal) * 1e3
                     why = f"came to rest {away:.2f} mm off its target"
                     return self._reply(command, "stopped", start_ns, why)
+            elif fraction != self._watch.speed_fraction:
+                fraction = self._watch.speed_fraction
+                limit = self._time_limit(command, goal, on_start)
+                deadline_ns = now_ns + round(limit * SECOND_NS)
             elif now_ns > deadline_ns:
                 self.halt()
-                why = (
-                    f"took longer than {limit:.1f} s: is the speed slider low, or the program "
-                    "paused at the pendant?"
-                )
+                paused = "is the program paused at the pendant?"
+                cause = _slow(fraction) if fraction < 1 else paused
+                why = f"took longer than {limit:.1f} s: {cause}"
                 return self._reply(command, "stopped", start_ns, why)
 
     def _violation_reply(self, command: Move, start_ns: int, violation: Violation) -> Reply:
@@ -373,13 +413,22 @@ class Mover:
     ) -> Reply:
         return Reply(command.number, outcome, start_ns, self._clock.now_ns(), reason, kind)
 
-    def _time_limit(self, command: Move, goal: Array) -> float:
-        """Return 1.5 times the expected duration at the present slider, plus 2 s [s]."""
+    def _time_limit(self, command: Move, goal: Array, on_start: Callable[[float], None]) -> float:
+        """Return and announce 1.5 times the duration at the present slider, plus 2 s [s]."""
         pose = self._watch.pose
         angle = 0.0 if pose is None else float(np.linalg.norm(rotation_between(pose, goal)))
         length = max(self._watch.distance(goal), angle * _STEEPEST)
         ideal = length / command.speed + command.speed / command.acceleration
-        return 2.0 + 1.5 * ideal / max(self._watch.speed_fraction, 0.05)
+        limit = 2.0 + 1.5 * ideal / max(self._watch.speed_fraction, 0.05)
+        on_start(limit + _STOPPING + 1.0)
+        return limit
+
+
+def _slow(fraction: float) -> str:
+    """Return a note on a speed slider below 1."""
+    if fraction < 0.005:
+        return "the speed slider is at 0%: nothing moves until it is raised at the pendant"
+    return f"the speed slider is at {fraction:.0%}: moves take {1 / fraction:.2g} times as long"
 
 
 _LINK_HZ = 250.0
@@ -397,8 +446,11 @@ def run(setup: Setup, pipe: Connection) -> NoReturn:
     """Run the child process: serve `pipe` until it is asked to close, then exit without cleanup."""
     threading.Thread(target=_outlive_briefly, name="parent", daemon=True).start()
     # Ctrl-C and a closed terminal reach the whole group; only the parent decides how to react.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    # ur_rtde waits for answers without sleeping: on one core nothing else would run meanwhile.
+    if len(os.sched_getaffinity(0)) > 1:
+        take_priority(ARM_PRIORITY)
     # ur_rtde prints to stdout, which the parent uses for its results.
     os.dup2(2, 1)
     code = 1
@@ -465,7 +517,7 @@ class Motion:
         self._control = control
         self._clock = clock
         self._watch = Watch(setup, link, clock)
-        self._mover = Mover(setup, control, self._watch, clock, self._command_waits)
+        self._mover = Mover(setup, control, self._watch, clock, self._command_waits, self._say)
         self._ending = False
 
     def end(self) -> None:
@@ -558,6 +610,9 @@ class Motion:
         kind: Kind | None = None,
     ) -> None:
         self._send(Reply(number, outcome, start_ns, self._clock.now_ns(), reason, kind))
+
+    def _say(self, text: str) -> None:
+        self._send(Note(text))
 
     def _send(self, report: Report) -> None:
         try:

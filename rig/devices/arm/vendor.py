@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from rtde_control import RTDEControlInterface
 
-from rig.core.errors import DeviceLost, SafetyStop
+from rig.core.errors import DeviceLost
 from rig.devices.arm import dashboard, rtde
 from rig.devices.arm.settings import ArmConfig
 
@@ -33,17 +33,7 @@ def check_ready(host: str, timeout: float) -> None:
                 f"arm at {host}:{port} ({what}): {error}; is the controller on and its network "
                 "cable in?"
             ) from error
-    mode, safety, remote = dashboard.ask(
-        host, ["robotmode", "safetystatus", "is in remote control"], timeout
-    )
-    if not safety.endswith((" NORMAL", " REDUCED")):
-        raise SafetyStop(
-            f"arm at {host}: {safety}; look for the cause, then release it at the pendant"
-        )
-    if not mode.endswith(" RUNNING"):
-        raise DeviceLost(f"arm at {host}: {mode}; power it on, brakes off, at the pendant")
-    if remote != "true":
-        raise DeviceLost(f"arm at {host}: in local control; switch to Remote at the pendant")
+    dashboard.check_ready(host, timeout)
 
 
 class UrControl:
