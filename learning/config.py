@@ -55,7 +55,9 @@ def read_settings(
         if not equals or not all(key.split(".")):
             raise LearningError(f"--set: found {override!r}; allowed: key=value or key.sub=value")
         value = READER.parse(text, f"--set {key}")
-        content = merged(content, _nested(key.split("."), value))
+        for part in reversed(key.split(".")):
+            value = {part: value}
+        content = merged(content, value)
     try:
         return READER.build(kind, content, str(path))
     except LearningError as error:
@@ -112,13 +114,6 @@ def require_same(path: Path, content: Mapping[str, Any]) -> None:
                 f"{path}.{key}: found {stored.get(key)!r}, asked for {value!r}; allowed: the same "
                 f"{path.stem}, or another folder"
             )
-
-
-def _nested(keys: list[str], value: Any) -> dict[str, Any]:
-    for key in reversed(keys):
-        value = {key: value}
-    nested: dict[str, Any] = value
-    return nested
 
 
 def _plain(value: Any) -> Any:

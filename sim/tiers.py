@@ -143,7 +143,8 @@ def _pool(processes: int | Workers, most: int) -> AbstractContextManager[Workers
 
     if isinstance(processes, Workers):
         return contextlib.nullcontext(processes)
-    check_processes(processes)
+    if not isinstance(processes, int) or isinstance(processes, bool) or processes < 1:
+        raise SceneError(f"processes: {processes!r}; allowed: whole numbers from 1 up")
     return Workers(min(processes, most), fewer=FEWER) if most > 1 else None
 
 
@@ -192,12 +193,6 @@ def _parts(count: int, tier: Tier, processes: int, device: str) -> list[range]:
         edges = [count * part // parts for part in range(parts + 1)]
         return [range(first, last) for first, last in itertools.pairwise(edges)]
     return [range(part, count, parts) for part in range(parts)]
-
-
-def check_processes(processes: int) -> None:
-    """Reject an invalid number of processes."""
-    if not isinstance(processes, int) or isinstance(processes, bool) or processes < 1:
-        raise SceneError(f"processes: {processes!r}; allowed: whole numbers from 1 up")
 
 
 def _solve(scenes: Sequence[Scene], tier: Tier, device: str) -> list[Outcome]:

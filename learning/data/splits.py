@@ -188,7 +188,8 @@ def make_split(
     _require_among("held_out_sensors", held_out_sensors, archive)
     press_of = presses_of(archive)
     if unseen is None:
-        unseen = _stored_unseen(archive)
+        codes = [sensor.table["indenter"][~sensor.table["seen"]] for sensor in archive.values()]
+        unseen = [archive.indenters[code] for code in np.unique(np.concatenate(codes)).tolist()]
     else:
         _require_among("unseen", unseen, archive.indenters)
     states: dict[tuple[str, int], list[int]] = {}
@@ -301,11 +302,6 @@ def _shuffled(presses: Iterable[tuple[str, int]], seed: int) -> list[tuple[str, 
             for turn, index in enumerate(order)
         ]
     return [(indenter, target) for _, indenter, target in sorted(turns)]
-
-
-def _stored_unseen(archive: MarkerArchive) -> tuple[str, ...]:
-    codes = [sensor.table["indenter"][~sensor.table["seen"]] for sensor in archive.values()]
-    return tuple(archive.indenters[code] for code in np.unique(np.concatenate(codes)).tolist())
 
 
 def _require_among(what: str, names: Sequence[str], choices: Iterable[str]) -> None:

@@ -33,7 +33,6 @@ from learning.markers.segment import (
     Preset,
     Segmenter,
     ShadingPreset,
-    TaxelPreset,
     built_preset,
     cells_of,
     change_of,
@@ -398,7 +397,9 @@ def _masks(chosen: Preset, frames: NDArray[Any]) -> tuple[NDArray[Any], MaskOf]:
         return _shading(chosen, frames)
     if isinstance(chosen, CameraPreset):
         return _pictures(chosen, frames)
-    return _taxels(chosen, frames)
+    rest = _counts(frames[0], frames).mean(axis=0)
+    masks = taxel_masks(frames, rest, chosen)
+    return masks, lambda frame: taxel_masks(_counts(frame, frame), rest, chosen)
 
 
 def _pictures(chosen: CameraPreset, frames: NDArray[Any]) -> tuple[NDArray[np.bool_], MaskOf]:
@@ -417,13 +418,6 @@ def _shading(chosen: ShadingPreset, frames: NDArray[Any]) -> tuple[NDArray[np.ui
     return shading_of(cells, no_contact), lambda frame: shading_of(
         cells_of(frame, chosen), no_contact
     )
-
-
-def _taxels(chosen: TaxelPreset, frames: NDArray[Any]) -> tuple[NDArray[np.bool_], MaskOf]:
-    """Draw masks (480, 640) of counts (16, 3), relative to the mean without contact."""
-    rest = _counts(frames[0], frames).mean(axis=0)
-    masks = taxel_masks(frames, rest, chosen)
-    return masks, lambda frame: taxel_masks(_counts(frame, frame), rest, chosen)
 
 
 def _counts(frame: Frame, values: NDArray[Any]) -> NDArray[np.float64]:

@@ -338,7 +338,9 @@ class Segmenter:
         """Return the mask (480, 640) of a result of `view`."""
         preset = self.preset
         if preset.equalise:
-            view = _equalised(view)
+            luma, *chroma = cv2.split(cv2.cvtColor(view, cv2.COLOR_RGB2YUV))
+            merged = cv2.merge([cv2.equalizeHist(luma), *chroma])
+            view = cv2.cvtColor(merged, cv2.COLOR_YUV2RGB)
         if preset.invert:
             view = cv2.bitwise_not(view)
         if preset.smooth_px > 1:
@@ -366,12 +368,6 @@ def outlined(view: Picture, mask: Mask, colour: tuple[int, int, int], width_px: 
 def grey(picture: Picture) -> Picture:
     """Return the luma (h, w) of a picture (h, w, 3), RGB (ITU-R BT.601)."""
     return cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-
-
-def _equalised(view: Picture) -> Picture:
-    luma, first, second = cv2.split(cv2.cvtColor(view, cv2.COLOR_RGB2YUV))
-    merged = cv2.merge([cv2.equalizeHist(luma), first, second])
-    return cv2.cvtColor(merged, cv2.COLOR_YUV2RGB)
 
 
 def _detected(view: Picture, detector: Detector) -> Binary:

@@ -47,7 +47,7 @@ def draw_sheet(path: Path, sensors: Mapping[str, Sequence[Recording]], out: Path
                 raise LearningError(
                     f"{name}: has {len(archived)} frames, its sessions have {first} or more"
                 )
-            flagged = [row for row in of if FLAG in _provenance(archived, row)]
+            flagged = [row for row in of if FLAG in json.loads(archived.provenance([row])[0])]
             note = f"{recording.name}   {len(of):,} frames, {len(flagged)} flagged"
             chosen = _chosen(archived, of, flagged)
             if archived.representation != MASKS:
@@ -102,12 +102,6 @@ def _chosen(archived: ArchivedSensor, of: range, flagged: list[int]) -> list[int
     room = min(SHEET_FRAMES - len(sampled), len(deepest))
     evenly = np.linspace(0, len(deepest) - 1, room).round().astype(int)
     return [*(deepest[index] for index in evenly), *sampled]
-
-
-def _provenance(archived: ArchivedSensor, row: int) -> dict[str, object]:
-    (line,) = archived.provenance([row])
-    reported: dict[str, object] = json.loads(line)
-    return reported
 
 
 def _outlined(

@@ -225,10 +225,6 @@ def code_version() -> str:
             return message.stdout.strip()
         except (OSError, subprocess.SubprocessError) as error:
             logger.warning("git cannot describe this code: %s", error)
-    return _package_version()
-
-
-def _package_version() -> str:
     try:
         return version("tactile-rig")
     except PackageNotFoundError:

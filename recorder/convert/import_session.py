@@ -3,6 +3,7 @@
 import datetime
 import hashlib
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -356,7 +357,7 @@ def write_sessions(
         if progress is not None:
             progress(next(rows), total)
 
-    names = [f"{_file_name(indenter)}.zarr" if several else "" for indenter in by_indenter]
+    names = [re.sub(r"[^\w.-]", "_", name) + ".zarr" if several else "" for name in by_indenter]
     out.parent.mkdir(parents=True, exist_ok=True)
     with building(out) as beside:
         if several:
@@ -364,10 +365,6 @@ def write_sessions(
         for name, (indenter, some) in zip(names, by_indenter.items(), strict=True):
             _write(beside / name, some, indenter, answers, tick)
     return [out / name for name in names]
-
-
-def _file_name(text: str) -> str:
-    return "".join(each if each.isalnum() or each in "._-" else "_" for each in text)
 
 
 def _write(

@@ -122,7 +122,7 @@ class ClockFit:
                 float(part["offset_s"]),
                 float(part["drift_ppm"]),
                 float(part["residual_rms_s"]),
-                _or_nan(part["drift_interval_ppm"]),
+                float("nan" if (drift := part["drift_interval_ppm"]) is None else drift),
                 np.array(part["knots_device_t"], np.float64),
                 np.array(part["knots_host_minus_device"], np.float64),
             )
@@ -135,10 +135,6 @@ class ClockFit:
 def _finite(value: float) -> float | None:
     """Return a number that JSON can hold; None for any other."""
     return value if np.isfinite(value) else None
-
-
-def _or_nan(value: Any) -> float:
-    return float("nan") if value is None else float(value)
 
 
 def fit_clock(device_t: Floats, t_ns: NDArray[np.int64]) -> ClockFit | None:

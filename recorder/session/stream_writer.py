@@ -197,8 +197,9 @@ def row_packer(layout: StreamLayout) -> Callable[[Mapping[str, Any]], bytes]:
     """Return the function that packs the small columns of one row, in the stream's order."""
     names = tuple(column.column.name for column in layout.columns)
     packers = tuple(
-        (column.column.name, _packer(column, f"{layout.name}.{column.column.name}"))
+        (column.column.name, packer(column, f"{layout.name}.{column.column.name}"))
         for column in layout.small
+        for packer in (_array_packer if column.column.shape else _scalar_packer,)
     )
 
     def pack_row(columns: Mapping[str, Any]) -> bytes:
@@ -211,10 +212,6 @@ def row_packer(layout: StreamLayout) -> Callable[[Mapping[str, Any]], bytes]:
         raise SessionError(f"{layout.name}: {wrong}")
 
     return pack_row
-
-
-def _packer(layout: ColumnLayout, where: str) -> Packer:
-    return _array_packer(layout, where) if layout.column.shape else _scalar_packer(layout, where)
 
 
 def _scalar_packer(layout: ColumnLayout, where: str) -> Packer:

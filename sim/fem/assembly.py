@@ -723,13 +723,10 @@ class Assembly:
         a body that stands still. Solving for them gives the motion of the body with the tip.
         """
         fill(active, travel, self._field)
-        self._shove(active, self._field)
+        by_face = self.environments, len(self.mesh.faces)
         inputs = [self._mesh, self.state.contact, active]
+        self._launch(self._contact[1], by_face, [*inputs, self._field])
         self._launch(self._push, self.residual.shape, inputs, [self.residual])
-
-    def _shove(self, active, v) -> None:
-        inputs = [self._mesh, self.state.contact, active, v]
-        self._launch(self._contact[1], (self.environments, len(self.mesh.faces)), inputs)
 
     def make_convex(self, convex: np.ndarray) -> None:
         """Drop terms that may be negative from coming tangents, for environments `convex` (B,).

@@ -118,11 +118,6 @@ class Mesh:
         return np.flatnonzero(~self.free)
 
 
-def coarsest_spacing(body: Body) -> float:
-    """Return the largest element size of a body [m]: 3 through the thickness, 4 across."""
-    return min(body.thickness / 3, body.size_x / 4, body.size_y / 4)
-
-
 def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
     """Return the numbers of elements of about `spacing` [m] along x, y, z."""
     sizes = (body.size_x, body.size_y, body.thickness)
@@ -130,9 +125,9 @@ def cell_counts(body: Body, spacing: float) -> tuple[int, int, int]:
         raise SceneError(f"mesh: {spacing!r} m; allowed: above 0")
     counts = tuple(max(1, round(size / spacing)) for size in sizes)
     if counts[2] < 3 or min(counts[:2]) < 4:
+        coarsest = min(body.thickness / 3, body.size_x / 4, body.size_y / 4)
         raise SceneError(
-            f"mesh: elements of {spacing * 1e3:.4g} mm; allowed: up to "
-            f"{coarsest_spacing(body) * 1e3:.4g} mm "
+            f"mesh: elements of {spacing * 1e3:.4g} mm; allowed: up to {coarsest * 1e3:.4g} mm "
             "for this body (3 through the thickness, 4 across)"
         )
     if counts[0] * counts[1] * counts[2] > CELLS_MAX:

@@ -459,7 +459,8 @@ class LayerBatch:
             force = self._read["force"][accepted] * self.grid.area
             self._work[accepted] += 0.5 * np.einsum("bi,bi->b", before + force, shift)
             self._last_residual[accepted] = residual[good]
-        self._count_spent(rows, iterations)
+        self._spent[rows, self._frame[rows], 0] += iterations
+        self._spent[rows, self._frame[rows], 1] += 1
         for index in np.flatnonzero(~good):
             far = float(np.linalg.norm(tips[index] - self.tip[rows[index]]))
             self._tried.setdefault(int(rows[index]), []).append(
@@ -506,10 +507,6 @@ class LayerBatch:
             [self._next, self._touching, missed],
         )
         return np.asarray(_host(missed) > 0)
-
-    def _count_spent(self, rows: Whole, iterations: Whole) -> None:
-        self._spent[rows, self._frame[rows], 0] += iterations
-        self._spent[rows, self._frame[rows], 1] += 1
 
     def _keep_frames(self, rows: Whole) -> None:
         """Keep the states of presses (N,) as their next frames."""

@@ -211,11 +211,6 @@ def is_adapter(name: str) -> bool:
     return ".lora_A." in name or ".lora_B." in name
 
 
-def adapter_tensors(network: nn.Module) -> dict[str, torch.Tensor]:
-    """Return the tensors of a network's adapters by name."""
-    return {name: value for name, value in network.state_dict().items() if is_adapter(name)}
-
-
 def fuse(network: Any) -> None:
     """Merge the adapters, if any, into the weights they adapt, for speed; training ends here."""
     if getattr(network, "peft_config", None):
@@ -507,7 +502,7 @@ class MarkerVae(nn.Module):
 
     def adapter(self) -> dict[str, torch.Tensor]:
         """Return the adapter's tensors under the names of the translator's autoencoder."""
-        return adapter_tensors(self.vae)
+        return {name: one for name, one in self.vae.state_dict().items() if is_adapter(name)}
 
     def latent(self, images: torch.Tensor) -> torch.Tensor:
         """Return the mean latents (n, channels, h/8, w/8) of images (n, 1, h, w) in [0, 1]."""
