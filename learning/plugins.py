@@ -32,10 +32,7 @@ def plugin_identity(name: str) -> str:
 def load_plugin(
     name: str, interface: type[Any], *, folder: Path | None = None, device: str = "cpu"
 ) -> Any:
-    """Return a model of another package by its entry point's name, checked to be an `interface`.
-
-    `folder` is that of the trained model, if it needs one.
-    """
+    """Return a model of another package, an `interface`, by its entry point's name and folder."""
     entry = _entry_point(name)
     try:
         load = entry.load()

@@ -139,10 +139,7 @@ class Catalogue:
             self.save()
 
     def look(self, path: str) -> Row | None:
-        """Return the row of one session, read again if it changed; None if there is no session.
-
-        Its path is relative to the folder.
-        """
+        """Return the row of a session by its path in the folder, read again if changed, or None."""
         try:
             stamp = _stamp(os.stat(self.folder / path / _METADATA))
         except (FileNotFoundError, NotADirectoryError):

@@ -69,10 +69,7 @@ _ATTRIBUTES = ("sensor", "indenter", "operator", "mock", "started_utc", "profile
 
 
 def describe(path: str | os.PathLike[str]) -> str:
-    """Return a summary of a session: origin, streams with their rates, frames and phases.
-
-    For a marker archive, the summary has one line per sensor.
-    """
+    """Return a summary of a session, or of an archive with a line per sensor."""
     files, root = locate(path)
     if says_it_is(root, files, ARCHIVE_FORMAT):
         return describe_archive(path)

@@ -245,10 +245,7 @@ class CountDown:
 def span_of(
     progress: Callable[[float], None], before: float, part: float, whole: float = 1.0
 ) -> Callable[[float], None]:
-    """Return a callback that converts the fraction of a part to that of the whole.
-
-    Work `before` the part, of the part and of the `whole` are in the same unit.
-    """
+    """Return a callback from the fraction of a `part`, behind `before`, to that of the `whole`."""
     return lambda fraction: progress((before + part * fraction) / whole)
 
 

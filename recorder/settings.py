@@ -109,10 +109,7 @@ class Reader:
     file that returns the members."""
 
     def read(self, path: Path, library: Path | None = None) -> dict[str, Any]:
-        """Return the mapping in a YAML file, merged over the file that its `extends` names.
-
-        That file is also looked for in the folder `library`.
-        """
+        """Return the mapping in a YAML file, over the file it `extends`, also of `library`."""
         return read_mapping(path, self.error, library)
 
     def parse(self, text: str, where: str) -> Any:
@@ -120,10 +117,7 @@ class Reader:
         return parse(text, where, self.error)
 
     def build(self, kind: type[Value], content: Any, where: str) -> Value:
-        """Return the frozen dataclass `kind` that a mapping of YAML describes.
-
-        `where` is its file and dotted path, for errors.
-        """
+        """Return the frozen dataclass of a mapping of YAML; `where` is its place, for errors."""
         if not isinstance(content, dict):
             raise self._wrong(where, content, "a mapping of keys to values")
         content = dict(content)

@@ -329,10 +329,7 @@ def frame_columns(streams: Iterable[tuple[str, Traits]]) -> dict[str, str]:
 
 
 def signal_of(streams: Iterable[tuple[str, Traits]]) -> str | None:
-    """Return the stream whose captures the others are aligned to, or None.
-
-    It is the first camera with the role `signal`, or else the first other stream with that role.
-    """
+    """Return the stream that others are aligned to: of role `signal`, cameras first; or None."""
     signals = [(name, traits) for name, traits in streams if "signal" in traits.roles]
     signals = [(name, traits) for name, traits in signals if traits.align != "none"]
     cameras = [name for name, traits in signals if traits.kind == "camera"]

@@ -118,10 +118,7 @@ def kernel(*, group: str = "unique", block: int = 256) -> Callable[[Callable[...
 
 @contextlib.contextmanager
 def loaded_together(device: str) -> Iterator[None]:
-    """Context at whose end the kernels that were made inside are loaded, compiled side by side.
-
-    Others are loaded when they are first launched.
-    """
+    """Load the kernels that were made inside at the end of the context, compiled side by side."""
     import warp as wp
 
     modules: dict[tuple[Any, int], None] = {}

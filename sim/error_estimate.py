@@ -128,10 +128,7 @@ def _rounded_off(indenter: Indenter, depth: Array) -> Array:
 
 @functools.lru_cache(maxsize=64)
 def _heights(indenter: Indenter, reach: float) -> tuple[Array, Array]:
-    """Return heights [m] of an indenter's lower surface with sharp edges and with its rounded ones.
-
-    They are those of evenly spread columns.
-    """
+    """Return heights [m] of even columns of a lower surface, with sharp and with rounded edges."""
     sharp = replace(indenter, edge_radius=0.0)
     x, y = (np.linspace(*side, ROUNDED_COLUMNS) for side in sharp.bounds_below(reach)[:2])
     x = x[:, None]

@@ -59,10 +59,7 @@ def marker_places(body: Body) -> tuple[Array, Array]:
 
 
 def pixels_of(points: Array) -> Array:
-    """Return pixels (..., 2), from the image centre, of points (..., 3) in the contact frame [m].
-
-    Uses the paper's camera; x to the right and y up.
-    """
+    """Return pixels (..., 2) of points (..., 3) [m] in the paper's camera, y up from its centre."""
     # Drawing markers imports image libraries, which a machine that only measures may not have.
     from sim.markers.camera import Camera
 

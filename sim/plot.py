@@ -62,10 +62,7 @@ def _refined(along: Array) -> Array:
 
 
 def _values_between(x: Array, y: Array, values: ArrayLike, fine_x: Array, fine_y: Array) -> Array:
-    """Interpolate values (X, Y, ...) at finer places, by cubics without overshoot.
-
-    A spline would oscillate around the rim of a contact and draw ripples that are not in the data.
-    """
+    """Interpolate values (X, Y, ...) by cubics without overshoot, which would draw ripples."""
     coarse = np.asarray(values, np.float64)
     along_x = PchipInterpolator(x, coarse, axis=0)(fine_x)
     return np.asarray(PchipInterpolator(y, along_x, axis=1)(fine_y))

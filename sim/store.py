@@ -45,10 +45,7 @@ ARRAYS: dict[str, tuple[str, tuple[str, ...], str]] = {
 
 
 def save_results(path: Path, results: Sequence[Result]) -> None:
-    """Write results to a new directory, atomically.
-
-    All data goes to a temporary name next to `path` first, which is renamed at the end.
-    """
+    """Write results to a new directory, atomically: under another name, renamed at the end."""
     path = Path(path)
     if path.exists():
         raise FileExistsError(f"{path}: exists; allowed: a new path")

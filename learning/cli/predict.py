@@ -169,10 +169,7 @@ def _covered(predictions: Predictions) -> str:
 def _origin(
     metadata: Mapping[str, Any], archive: MarkerArchive, sensor: str | None
 ) -> tuple[str, dict[str, str]]:
-    """Return the sensor that a model predicts, and the model's source, method and translator.
-
-    They are as its training or transfer wrote of it.
-    """
+    """Return the sensor that a model predicts, and the source, method and translator of its run."""
     sensors = metadata.get("sensors", [])
     source, to, target = (sensors[0] if len(sensors) == 1 else "").partition("-to-")
     source = source or "+".join(sensors) or "another package"

@@ -264,11 +264,7 @@ def write_compensation(
     curves: Curves = ARCHIVED,
     split: Path | None = None,
 ) -> list[str]:
-    """Write what `find_compensation` finds, and beside it a picture of the curves.
-
-    Returns:
-        Lines with tables of the priors and choices.
-    """
+    """Write what `find_compensation` finds and a picture of the curves; return lines of tables."""
     compensation, gathered = find_compensation(archive, pairs=pairs, curves=curves, split=split)
     compensation.write(out)
     picture = out.with_suffix(".png")

@@ -175,10 +175,7 @@ class Prior:
 
 
 def fit_prior(measured: ForceDepthCurve, depth_range: float | None = None) -> Prior:
-    """Fit polynomials of degree 2 by least squares.
-
-    `depth_range` is the depth that counts as 1 [m]; None: the greatest measured depth.
-    """
+    """Fit polynomials of degree 2; depth 1 is `depth_range` [m], by default the greatest one."""
     reach = measured.depth_max if len(measured.loading) and len(measured.unloading) else np.nan
     span = reach if depth_range is None else depth_range
     return Prior(

@@ -131,10 +131,7 @@ def best_for_labels(
 def best_for_priors(
     source: Prior, target: Prior, d0s: Sequence[float] = D0_SHARES
 ) -> tuple[float, float] | None:
-    """Return d0 and lambda with the smallest expected error of the curves.
-
-    None if a prior has no residual. Starting depths `d0s` are fractions of the source's range.
-    """
+    """Return d0 and lambda of least expected error; None if a prior has no residual."""
     branches = (prior.branch(loading) for prior in (source, target) for loading in (True, False))
     if any(branch.residual is None for branch in branches):
         return None

@@ -155,10 +155,7 @@ def read_fields(
 
 
 def filled(field: Tensor, defined: Tensor) -> Tensor:
-    """Fill the undefined values of fields (n, 2, h, w) from their surroundings.
-
-    A field without any value that is `defined` (n, h, w) becomes 0.
-    """
+    """Fill undefined values of fields (n, 2, h, w) from their surroundings; without any it is 0."""
     there = defined.unsqueeze(1).to(field.dtype)
     values = torch.where(defined.unsqueeze(1), field, torch.zeros_like(field))
     for _ in range(max(field.shape[-2:])):

@@ -223,10 +223,7 @@ def _require_seen_alike(sensors: Sequence[SensorSelection], unseen: tuple[str, .
 def _numbered(
     presses: Sequence[PlacedPresses], numbers: Sequence[Integers], indenters: tuple[str, ...]
 ) -> tuple[list[Integers], list[Integers]]:
-    """Return target and location of each press of each sensor, from the numbers of its places.
-
-    States of one target, which have a location each, keep a common target.
-    """
+    """Return target and location of each press; states of one target keep a common target."""
     count = 1 + max(int(number.max()) for number in numbers)
     group = np.arange(count)
     for each, number in zip(presses, numbers, strict=True):

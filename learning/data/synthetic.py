@@ -133,10 +133,7 @@ def sample_patterns(count: int, generator: np.random.Generator, device: torch.de
 
 
 def pixel_grid(side: int, device: torch.device) -> Tensor:
-    """Return column and row of the pixels of a small image (1, 2, side, side) [px of 640 x 480].
-
-    Pixel centres of both images are at whole numbers, and both cover the same scene.
-    """
+    """Return column and row of a small image's pixels (1, 2, side, side) [px of 640 x 480]."""
     steps = torch.arange(side, device=device, dtype=torch.float32) + 0.5
     columns, rows = steps * (WIDTH / side) - 0.5, steps * (HEIGHT / side) - 0.5
     grid = torch.meshgrid(rows, columns, indexing="ij")

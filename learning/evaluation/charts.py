@@ -16,11 +16,7 @@ Floats = NDArray[np.float64]
 
 
 def radar(before: Sequence[ForceRow], after: Sequence[ForceRow], names: tuple[str, str]) -> bytes:
-    """Draw radar plots of the errors of all pairs: all axes above, shear alone below.
-
-    Plots side by side, before and after, have the same scale, so that a smaller star is a smaller
-    error.
-    """
+    """Draw radar plots of all pairs' errors on one scale: all axes above, shear alone below."""
     png = io.BytesIO()
     with chart(png, 9, 8.4) as figure:
         for line, axes_shown in enumerate(((0, 1, 2, 3), (0, 1))):
@@ -106,10 +102,7 @@ def heatmaps(
 
 
 def sequences(shown: Sequence[Predictions], presses: int, seed: int) -> bytes:
-    """Plot true and predicted forces of some whole presses of one pair, one after another.
-
-    All predictions show the same presses, which are chosen by the seed.
-    """
+    """Plot true and predicted forces of some whole presses of one pair, chosen by the seed."""
     different = np.unique(np.concatenate([one.location for one in shown]))
     for one in shown:
         different = np.intersect1d(different, one.location)

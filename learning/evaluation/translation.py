@@ -72,10 +72,7 @@ def _share(part: NDArray[np.int64], whole: NDArray[np.int64]) -> Floats:
 
 
 def structural_similarity(evaluated: NDArray[np.uint8], true: NDArray[np.uint8]) -> Floats:
-    """Return the structural similarity (n,) of images (n, h, w); 1 if they are equal.
-
-    SSIM as defined by Wang et al. (2004), with Gaussian windows of 1.5 px.
-    """
+    """Return SSIM (n,) of images (n, h, w), Wang et al. (2004), with Gaussian windows of 1.5 px."""
     window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     pairs = zip(evaluated, true, strict=True)
     return np.array([metrics.structural_similarity(*pair, **window) for pair in pairs])

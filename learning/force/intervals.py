@@ -119,10 +119,7 @@ class Intervals:
     """Name of the forces that predicted ones were compared with."""
 
     def of(self, forces: Floats) -> tuple[Floats, Floats]:
-        """Return lower and upper ends (n, 3) [N] of the intervals of predicted forces (n, 3).
-
-        NaN on axes without a prediction or a calibration.
-        """
+        """Return both ends (n, 3) [N] of the intervals of forces (n, 3); NaN if not calibrated."""
         forces = np.asarray(forces, np.float64).reshape(-1, 3)
         magnitude = np.sqrt(np.nansum(forces**2, axis=1))
         base, slope = (
@@ -139,10 +136,7 @@ class Intervals:
         return low, high
 
     def is_outside(self, forces: Floats, shapes: Floats) -> NDArray[np.bool_]:
-        """Return True for frames (n,) outside of what the model learned from.
-
-        They are given by predicted forces (n, 3) [N] and shapes (n, 7).
-        """
+        """Return True for forces (n, 3) [N] and shapes (n, 7) outside of what was learned."""
         largest = np.array([np.inf if one is None else one for one in self.largest])
         beyond = (np.abs(np.asarray(forces).reshape(-1, 3)) > largest).any(axis=1)
         return np.asarray(beyond | self.learned.is_far(shapes), np.bool_)

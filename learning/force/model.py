@@ -217,10 +217,7 @@ def image_encoder(settings: ForceNetworkSettings, planes: int) -> nn.Sequential:
 
 
 def field_encoder(settings: ForceNetworkSettings, planes: int) -> nn.Sequential:
-    """Return the encoder of fields (n, planes, h, w) into features (n, last width, h / 2, w / 2).
-
-    Fields are smooth, so half their resolution is sufficient.
-    """
+    """Return the encoder of fields (n, planes, h, w), which are smooth, to half their size."""
     first, second, last = settings.encoder
     kind = settings.encoder_norm
     return nn.Sequential(
@@ -438,10 +435,7 @@ _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def stored_shape(inputs: InputSettings) -> tuple[int, ...]:
-    """Return the shape of a stored frame.
-
-    It is that of an image (256, 256), a marker field (3, 32, 32), or shading (3, 128, 128).
-    """
+    """Return the shape of a stored frame: (256, 256), (3, 32, 32) or shading (3, 128, 128)."""
     if inputs.form == "field":
         return (3, FIELD_SIDE, FIELD_SIDE)
     if inputs.form == "shading":
@@ -492,10 +486,7 @@ def require_form(presses: Presses, inputs: InputSettings) -> None:
 
 
 def prepared_rows(presses: Presses, rows: Tensor, inputs: InputSettings) -> Tensor:
-    """Return frames (n, planes, side, side) of some rows (n,) of presses, as network inputs.
-
-    The rows are on the device of the presses.
-    """
+    """Return some rows of presses, on their device, as network inputs (n, planes, side, side)."""
     references = presses.references[presses.reference[rows]] if inputs.needs_reference else None
     return prepare(presses.images[rows], references, inputs)
 

@@ -280,10 +280,7 @@ def mirrored(frames: Tensor, flips: NDArray[np.bool_], inputs: InputSettings) ->
 
 
 def superposed(values: Tensor, sequences: Sequences, *, axis: int = 0) -> Tensor:
-    """Return prepared frames or forces (b, s, ...) with those of the added sequences.
-
-    A shorter sequence repeats its last frame. The sequences are along `axis`.
-    """
+    """Return frames or forces (b, s, ...) with added sequences, whose last frame repeats."""
     if not sequences.factors.any():
         return values
     added = torch.from_numpy(sequences.added).to(values.device)
@@ -318,10 +315,7 @@ def _gathered(values: Sequence[Tensor], sequences: Sequences, device: torch.devi
 
 
 def force_range(labels: Sequence[Tensor], settings: ForceModelSettings) -> ForceRange:
-    """Return the force range (a box) of a model's output; NaN for axes without a label.
-
-    If images are mirrored, shear has both signs, and the box includes both.
-    """
+    """Return the force range of a model, of both signs if mirrored; NaN without a label."""
     forces = torch.cat([each.cpu() for each in labels])
     if settings.force_range == "authors":
         measured = forces.isfinite().any(dim=0).numpy()

@@ -519,10 +519,7 @@ def built_preset(content: Any, where: str) -> Preset:
 
 
 def kept_preset(name: str) -> str | dict[str, Any] | None:
-    """Return a preset as plain values that a model keeps: its name, or the content of the file.
-
-    None: the file is not there any more.
-    """
+    """Return a preset's name or content, as a model keeps it; None: its file is gone."""
     if name in names():
         return name
     path = Path(name)

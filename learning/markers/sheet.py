@@ -31,10 +31,7 @@ OUTLINE = (255, 150, 30)
 
 
 def draw_sheet(path: Path, sensors: Mapping[str, Sequence[Recording]], out: Path) -> None:
-    """Write a PNG with a row for each session: its reference, then evenly spaced frames.
-
-    Flagged frames, if any, come last, with a red frame.
-    """
+    """Write a PNG with a row for each session: reference, even frames, and flagged ones in red."""
     archive = MarkerArchive(path)
     rows = []
     for name, recordings in sensors.items():

@@ -141,10 +141,7 @@ class Tracker:
         return chosen
 
     def _changes(self, assigned: Indices, centres: Floats) -> tuple[Indices, Floats]:
-        """Return pairs of matched neighbours (k, 2), and the change between them (k,).
-
-        The change is the difference of their displacements over their distance.
-        """
+        """Return matched neighbours (k, 2), and the change of displacement over distance (k,)."""
         both = (assigned[self._edges] >= 0).all(axis=1)
         pairs = self._edges[both]
         moved = centres[assigned] - self.reference
@@ -203,10 +200,7 @@ class Tracker:
         return assigned
 
     def _extrapolated(self, moved: Floats, matched: NDArray[np.bool_], rows: Indices) -> Floats:
-        """Return the displacements (k, 2) of markers by those of their matched neighbours.
-
-        The displacement is linear in position, as far as there are neighbours to tell.
-        """
+        """Return displacements (k, 2) of markers, linear in those of their matched neighbours."""
         around = self._around[rows]
         weight = matched[around].astype(np.float64)
         away = (self.reference[around] - self.reference[rows][:, None]) / self.gate_px

@@ -209,10 +209,7 @@ class RunFolder:
         metadata: Mapping[str, Any] | None = None,
         score: float | None = None,
     ) -> None:
-        """Write networks by name, of which `model` marks the run as finished.
-
-        `metadata` are further plain values that belong to the model.
-        """
+        """Write networks by name and further `metadata`; `model` marks the run as finished."""
         if not self.writes:
             return
         metadata = {**self.config.metadata, **(metadata or {})}

@@ -154,10 +154,7 @@ def labels_by_place(
 def _phases(
     table: Mapping[str, NDArray[Any]], *, begun: bool
 ) -> dict[tuple[int, int], tuple[NDArray[np.int64], Floats]]:
-    """Return rows and progress, 0 to 1, of each location and phase.
-
-    With `begun`, each phase begins with the last frame of the one before.
-    """
+    """Return rows and progress, 0 to 1, of each phase, if `begun` from the last frame before it."""
     phases: dict[tuple[int, int], tuple[NDArray[np.int64], Floats]] = {}
     for (location,), location_rows in press_rows(table).items():
         phase = table["phase"][location_rows]

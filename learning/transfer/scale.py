@@ -162,10 +162,7 @@ _GAIN_MOST = 2.0
 def gains_of_labels(
     labels: Labels, predicted: Floats, intervals: Intervals
 ) -> tuple[Floats, Scale, str]:
-    """Return factors on predicted forces (3,), their remaining uncertainty, and a sentence.
-
-    The forces predicted at the labels are (n, 3) [N].
-    """
+    """Return factors (3,) on forces predicted at labels (n, 3) [N], uncertainty, a sentence."""
     text = f"scale from {labels.presses} labelled presses of the target"
     gains, scale = _gains(labels, predicted, intervals, labels.presses, text)
     listed = ", ".join(f"{gain:.3f}" for gain in gains)
@@ -174,10 +171,7 @@ def gains_of_labels(
 
 
 def error_curve(labels: Labels, predicted: Floats, intervals: Intervals) -> list[dict[str, str]]:
-    """Return the errors after 0, 1, 5, 20 and 100 labelled presses, as far as there are as many.
-
-    All are errors on the same presses: a third of the labelled ones, which set no scale here.
-    """
+    """Return errors on a third of the labelled presses, after 0, 1, 5, 20 and 100 of the others."""
     held = max(1, labels.presses // 3)
     if labels.presses < 2:
         return []

@@ -226,10 +226,7 @@ class Limits:
 def checked_columns(
     table: Mapping[str, Any], rows: int, limits: Limits, where: str
 ) -> dict[str, Array]:
-    """Return the columns of `GIVEN`, one value per row, as arrays of the table's types.
-
-    `where` is the prefix of messages.
-    """
+    """Return the columns of `GIVEN`, a value per row, as arrays; `where` is for messages."""
     if set(table) != set(GIVEN):
         raise SessionError(
             f"{where}: found columns {', '.join(sorted(table))}; expected {', '.join(GIVEN)}"

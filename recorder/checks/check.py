@@ -337,10 +337,7 @@ _NAN_IS_FINE = {"device_t", "speed"}
 def check_stream(
     session: Session, stream: Stream, contents: NDArray[np.uint32] | None
 ) -> Iterator[Finding]:
-    """Yield problems in the times, sequence numbers and values of a stream, run by run.
-
-    `contents` has a checksum per image (n,); it is None for a stream without images.
-    """
+    """Yield problems of a stream, run by run; `contents` has a checksum (n,) for each image."""
     stream_path = f"streams/{stream.name}"
     account = session.account(stream.name)
     yield from _check_losses(session, stream_path, stream.name, account)

@@ -42,10 +42,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def next_command(*words: object, **options: object) -> str:
-    """Return a command of `tactile`, its words and options, that can be copied into a shell.
-
-    An option of None or False is left out; one of True needs no value.
-    """
+    """Return a command of `tactile` for a shell; options of None and False are left out."""
     line = ["tactile", *map(str, words)]
     for name, value in options.items():
         if value is not None and value is not False:

@@ -53,10 +53,7 @@ _File = tuple[As | None, str, Path]
 def find_takes(
     paths: Sequence[Path], stated: Sequence[tuple[As, str, Path]], answers: Answers
 ) -> list[Take]:
-    """Return the recordings in files and folders, in natural order of their names.
-
-    `stated` has kind, stream (or an empty text) and path of files that are one recording.
-    """
+    """Return recordings in natural order of names; `stated` ones have kind, stream and path."""
     takes: list[Take] = []
     groups: dict[str, list[_File]] = {}
     left_out: list[str] = []

@@ -287,10 +287,7 @@ def _forces(name: str, numbers: NDArray[Any], t_ns: Times, answers: Answers) -> 
 def wrenches_of(
     name: str, value: Floats, axes: list[str], t_ns: Times, rate_hz: float, assumed: list[str]
 ) -> Numbers:
-    """Return forces (n, 6) [N, N m] at times (n,) [ns] in whole counts.
-
-    `axes` were measured; all others are NaN. `assumed` are the messages so far.
-    """
+    """Return forces (n, 6) [N, N m] in whole counts, of measured axes, and messages."""
     fine = np.nanmax(np.abs(value[:, 3:]), initial=0.0) * 1e3 * COUNTS_PER_UNIT <= _COUNTS_MAX
     scale = np.repeat([1.0 / COUNTS_PER_UNIT, (1e-3 if fine else 1.0) / COUNTS_PER_UNIT], 3)
     counts = np.rint(value / scale)

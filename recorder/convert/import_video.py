@@ -114,10 +114,7 @@ _STANDALONE = frozenset(range(0xD0, 0xD9)) | {0x01}
 
 
 def whole_jpeg(jpeg: bytes, where: str) -> tuple[bytes, bool]:
-    """Return the file with Huffman tables, and True if they had to be inserted.
-
-    Data after the end marker (cameras pad their buffers) is left unchanged.
-    """
+    """Return the file with Huffman tables, True if they were inserted; padding stays behind."""
     if not jpeg.rstrip(b"\0").endswith(_EOI):
         raise SessionError(f"{where}: no whole JPEG: it does not end with one's end marker")
     tables, at = _header(jpeg, where)

@@ -172,10 +172,7 @@ class Feature:
 
 
 def feature_names(session: Session) -> dict[str, str]:
-    """Return the feature of each stream that has a column in `frames`, by stream.
-
-    The first of a kind has LeRobot's name; all others are named after their stream.
-    """
+    """Return features by stream: the first of a kind has LeRobot's name, others their stream's."""
     names = {}
     for name, column in session.columns.items():
         if column in session.frames:

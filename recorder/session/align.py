@@ -61,10 +61,7 @@ def held(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
 
 
 def nearest(times: Times, query: Times, *, max_age: float = np.inf) -> Picked:
-    """Return the sample nearest to each query; the earlier of a tie, the last of equal times.
-
-    As for `held`; `max_age` is the largest distance that is valid [s].
-    """
+    """Return the sample nearest to each query, at most `max_age` [s] away; the earlier of a tie."""
     if not len(times):
         return _picked(times, query, np.full(len(query), -1, np.int64), max_age)
     behind = np.searchsorted(times, query, side="right").astype(np.int64)
@@ -490,10 +487,7 @@ def _aligned(source: Source, method: str, capture: Times, exposure: float) -> Al
 
 
 def _sampled(source: Source, picked: Picked, moments: Times) -> AlignedStream:
-    """Return unmodified samples: their values, or only their rows for images and text.
-
-    A sample is not valid if one nearer to its moment was lost.
-    """
+    """Return samples, or rows of images and text; not valid where one nearer was lost."""
     some = picked.index >= 0
     rows = np.full(len(picked.index), -1, np.int64)
     rows[some] = source.rows[picked.index[some]]

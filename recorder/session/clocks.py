@@ -138,10 +138,7 @@ def _finite(value: float) -> float | None:
 
 
 def fit_clock(device_t: Floats, t_ns: NDArray[np.int64]) -> ClockFit | None:
-    """Fit the device's clock to the host's; return None if there are too few samples.
-
-    Device times (n,) [s] are in order of arrival [ns]; NaN if the device gave none.
-    """
+    """Fit device times (n,) [s], NaN for none, to arrivals [ns]; None if there are too few."""
     rows = np.flatnonzero(np.isfinite(device_t))
     if len(rows) < _LEAST_SAMPLES:
         return None

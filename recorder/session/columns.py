@@ -270,10 +270,7 @@ class Arrivals:
         self.ordered = True
 
     def chunk(self, t_ns: int) -> int:
-        """Return the number of the chunk whose first row is the last that arrived by a time.
-
-        If all rows arrived later, this is the first chunk of the run.
-        """
+        """Return the number of the chunk that begins at or before a time, or the run's first."""
         block = self._stream.layout.block
         chunks = range(self.first // block, -(-self.last // block))
         return chunks[max(bisect_right(chunks, t_ns, key=self._start) - 1, 0)]

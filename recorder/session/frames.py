@@ -201,10 +201,7 @@ def _of_segment(session: Session, name: str, segment: NDArray[np.int64]) -> Arra
 
 
 def _of_target(values: Array, target: NDArray[np.int32], otherwise: float) -> Array:
-    """Return the value of each target; `otherwise` for one that the session does not have.
-
-    Such a target is named by `check`.
-    """
+    """Return the value of each target; `otherwise` for one that the session does not have."""
     is_known = (target >= 0) & (target < len(values))
     return np.where(is_known, values[np.where(is_known, target, 0)], otherwise)
 

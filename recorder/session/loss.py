@@ -384,10 +384,7 @@ def witnesses(stream: Columns, rows: slice) -> dict[str, Any]:
 
 
 def stream_losses(stream: Columns, rows: slice, *, timed: bool = True) -> Losses:
-    """Return the losses in some rows of a stream, all of one run.
-
-    An irregular stream loses none that can be seen.
-    """
+    """Return the losses in some rows of one run; an irregular stream shows none."""
     t_ns = stream.t_ns[rows]
     if not is_regular(stream):
         return Losses.none(EVENTS)

@@ -106,10 +106,7 @@ def is_url(place: str | os.PathLike[str]) -> bool:
 def locate(
     place: str | os.PathLike[str], storage_options: Mapping[str, Any] | None = None
 ) -> tuple[Files, Path]:
-    """Return the file access for a path or a URL that fsspec knows, and the path within it.
-
-    `storage_options` are what fsspec needs to open the URL, e.g. `{"anon": True}`.
-    """
+    """Return the file access for a path or fsspec's URL and options, and the path within it."""
     if is_url(place):
         return open_url(str(place), storage_options or {})
     if storage_options:
@@ -278,10 +275,7 @@ def open_url(url: str, options: Mapping[str, Any]) -> tuple[RemoteFiles, Path]:
 
 
 def join_ranges(wanted: Sequence[Range]) -> list[Range]:
-    """Return the fewest ranges (start, stop) that cover all (offset, length), ascending.
-
-    Ranges less than 16 KiB apart are joined.
-    """
+    """Return the fewest ranges that cover all (offset, length); gaps below 16 KiB are joined."""
     joined: list[list[int]] = []
     for offset, nbytes in sorted(wanted):
         if joined and offset <= joined[-1][1] + _JOIN_GAP:

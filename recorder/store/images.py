@@ -176,10 +176,7 @@ def encoder(column: Column, where: str) -> Callable[[object], bytes]:
 
 
 def _frame_header(data: bytes, height: int, width: int) -> tuple[int, bytes]:
-    """Return offset and bytes of a JPEG's segments from the image's size (SOF) to SOS.
-
-    They are empty if not found, as in a JPEG with fill bytes between its segments.
-    """
+    """Return offset and bytes of a JPEG's segments from SOF to SOS; empty if not found."""
     size = re.escape(struct.pack(">HH", height, width))
     start = re.search(rb"\xff[\xc0-\xc3\xc5-\xc7\xc9-\xcb\xcd-\xcf]..\x08" + size, data, re.DOTALL)
     if start is None:

@@ -143,10 +143,7 @@ class RecordLog:
         self._synced = -1  # bytes; a fresh file's name is not durable either
 
     def append(self, *parts: bytes) -> int:
-        """Add one record, given as its header and the parts of its payload.
-
-        Returns the byte offset of the payload.
-        """
+        """Add one record, of a header and parts of a payload; return the payload's offset."""
         start = self.end
         try:
             if len(parts) == 1:

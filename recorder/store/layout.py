@@ -539,10 +539,7 @@ def write_table(
     units: Mapping[str, tuple[str, str]],
     attrs: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write a new group with one array (n, ...) of equal length per column, durably.
-
-    `units` holds units and description by column, `attrs` the attributes of the group.
-    """
+    """Write a group with an array (n, ...) per column, their `units` and its `attrs`, durably."""
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         raise SessionError(f"{path}: columns of unequal length: {lengths}")

@@ -90,10 +90,7 @@ def read_manifest(files: Files, session: Path, run: int) -> Manifest:
 def readable_chain(
     files: Files, session: Path, run: int
 ) -> tuple[list[Manifest], SessionError | None]:
-    """Return the manifest of a run and those before it up to the first that cannot be read.
-
-    The second value says which one that is; None if all can be read.
-    """
+    """Return manifests of a run and those before, up to one that is unreadable, and which."""
     chain: list[Manifest] = []
     try:
         chain.append(read_manifest(files, session, run))

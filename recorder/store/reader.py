@@ -67,10 +67,7 @@ class Recent:
         self._lock = threading.Lock()
 
     def keep(self, value: Any, nbytes: int) -> None:
-        """Keep an object alive, as the one used last; those not used for longest are released.
-
-        The same object may be given again; one larger than the limit is not kept.
-        """
+        """Keep an object as the last used, up to the limit; the longest unused are released."""
         if nbytes > self.limit:
             return
         key = id(value)  # unique as long as the object is kept

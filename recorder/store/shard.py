@@ -79,10 +79,7 @@ class OpenShard:
 
 
 def _shard_end(layout: ColumnLayout, entries: list[tuple[int, int]], crcs: list[int]) -> bytes:
-    """Return the bytes that end a shard: the checksums of its chunks, then the index.
-
-    Missing chunks have the checksum 0.
-    """
+    """Return the end of a shard: checksums of its chunks, 0 for a missing one, then the index."""
     listed = np.zeros(layout.chunks_per_shard, "<u4")
     listed[: len(crcs)] = crcs[: len(listed)]
     return listed.tobytes() + packed_index(entries, layout.chunks_per_shard)

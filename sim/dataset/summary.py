@@ -15,11 +15,7 @@ SHOWN = 5
 def summary(
     path: Path, *, check: bool = True, progress: Callable[[float], None] = lambda fraction: None
 ) -> Iterator[str]:
-    """Yield the lines of the summary of a complete archive.
-
-    To `check` counts markers, about a millisecond per image; `progress` is called with the fraction
-    of the sensors that are counted.
-    """
+    """Yield the summary of a complete archive, whose markers may be counted, 1 ms an image."""
     archive = MarkerArchive(path)
     images = sum(len(sensor) for sensor in archive.values())
     size = sum(sum(each.files.sizes(each.path).values()) for each in archive.values())

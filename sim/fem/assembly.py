@@ -405,10 +405,7 @@ class SolverState:
             copy_active(active, self.contact.traction, self.contact.traction_old)
 
     def mask(self, chosen: np.ndarray):
-        """Return the chosen environments (B,) as a mask for the kernels, which do not change it.
-
-        A sweep needs the same masks again and again; each is copied to a GPU once.
-        """
+        """Return the chosen environments (B,) as a mask for kernels, copied to a GPU once."""
         key = chosen.tobytes()
         if key not in self._masks:
             if len(self._masks) == MASKS:

@@ -57,10 +57,7 @@ def _nodal_function(real):
 
 @functools.cache
 def residual_kernel(real, inertia: bool, gravity: bool, *, lanes: int = 1):
-    """Return the kernel of the residual, for one precision and combination of effects.
-
-    `lanes` threads add up a partial sum: 1, or a whole block.
-    """
+    """Return the kernel of the residual; `lanes` threads, 1 or a block, add up a partial sum."""
     vec3 = vector_of(real)
     own = RUN if lanes == 1 else 1
     sums_type = wp.types.vector(length=SUMS, dtype=wp.float64)
@@ -197,10 +194,7 @@ def work_kernel(real, friction: bool):
 
 @functools.cache
 def reduce_kernel(*, lanes: int = 1):
-    """Return the kernel that sums (B, runs, `SUMS`) per environment.
-
-    Column `LEAST` takes the least value. `lanes` is as in `residual_kernel`.
-    """
+    """Return the kernel that sums (B, runs, `SUMS`) by `lanes`; column `LEAST` takes the least."""
 
     @kernel(block=LANES)
     def reduce(

@@ -836,10 +836,7 @@ def _volume_kernels(real):
 
 
 class VolumePressure:
-    """Pressure of E elements in B environments at the last settled state, and its fraction kept.
-
-    `history` is the pressure by viscosity that does not change within a step (B, E) [E].
-    """
+    """Pressure of elements at the last settled state; `history` (B, E) [E] stays in a step."""
 
     def __init__(
         self, real, poisson: NDArray[np.float64], elements: int, device: str, history=None

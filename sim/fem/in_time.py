@@ -51,10 +51,7 @@ def simulate_in_time(
     device: str = "cpu",
     progress: Callable[[float], None] | None = None,
 ) -> list[Outcome]:
-    """Return the outcomes of `simulate_fem`, with `record["time"]` of inertia or viscosity.
-
-    It has `factor` and `force`, see `TimeSteps`.
-    """
+    """Return the outcomes of `simulate_fem`, with `record["time"]`: `factor` and `force`."""
     steps = [time_steps(scene, numerics, device) for scene in scenes]
     factors = [1 if one is None else one.factor for one in steps]
     if numerics.one_topology:
@@ -69,10 +66,7 @@ def simulate_in_time(
 
 
 def with_time(outcome: Outcome, steps: TimeSteps | None, numerics: Fem) -> Outcome:
-    """Return an outcome whose result, or the part it has reached, has the error by time steps.
-
-    These `steps` are those of `time_steps`.
-    """
+    """Return an outcome with the error by time `steps` of its result, or of what it has reached."""
     if isinstance(outcome, SimulationDiverged):
         if outcome.reached is not None:
             outcome.reached = with_time(outcome.reached, steps, numerics)
@@ -155,10 +149,7 @@ def _of_viscosity(scene: Scene, path: Path) -> Array:
 
 
 def _relaxing(scene: Scene, path: Path, finer: int) -> Array:
-    """Return the viscous force of a power of the depth at the waypoints (F,).
-
-    In steps over which the elastic force is linear, as `sim.fem.element` takes it to be.
-    """
+    """Return the viscous force of a power of the depth (F,), elastically linear over a step."""
     viscosity = scene.effects.viscosity
     assert viscosity is not None
     ratios, times = np.array(viscosity.ratios), np.array(viscosity.times)

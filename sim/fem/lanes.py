@@ -446,10 +446,7 @@ def _point(stiffening: bool) -> str:
 
 @functools.cache
 def forces_kernel(real, viscous: bool, split: bool = False, stiffening: bool = False):
-    """Return the kernel of the forces: `element.element_kernels`, for `AT_ONCE` elements a thread.
-
-    The dimensions of a launch are the environments and the groups of elements.
-    """
+    """Return the kernel of forces, `AT_ONCE` elements a thread; launched over (B, groups)."""
     vec3 = vector_of(real)
     parts = {"pressure": "", "stress": "", "energy": "", "small": SMALL[real]}
     parts["point"] = _point(stiffening)

@@ -199,10 +199,7 @@ def build_mesh(
     *,
     at_least: tuple[int, int] = (0, 0),
 ) -> Mesh:
-    """Return the mesh of a body with elements of about `spacing` [m].
-
-    Arguments and errors as in `axes`.
-    """
+    """Return the mesh of a body with elements of about `spacing` [m]; arguments as in `axes`."""
     x, y = axes(body, spacing, window, grading, at_least=at_least)
     layers = cell_counts(body, spacing)[2]
     return _mesh(body, x, y, 1.0 - np.linspace(1.0, 0.0, layers + 1) ** GRADING)

@@ -230,10 +230,7 @@ def _column_kernels(real, on_gpu: bool):
 
 
 class Factors:
-    """Factors of the columns of B environments on one grid; `levels` is the nodes of a column.
-
-    `free` is True for nodes that move (N,); if `parallel`, column numbers run fastest.
-    """
+    """Factors of the columns of B environments on one grid, `levels` high; `free` (N,) move."""
 
     def __init__(
         self, free, levels: int, real, environments: int, device: str, *, parallel: bool
@@ -319,10 +316,7 @@ def thinned(x: Array, count: int) -> NDArray[np.int64]:
 
 
 def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
-    """Return the numbers of nodes along x and y of each coarser grid.
-
-    The finest has nodes at x (X,) and y (Y,), in thicknesses.
-    """
+    """Return the numbers of nodes of each grid coarser than that at x (X,) and y (Y,)."""
     grids: list[tuple[int, int]] = []
     spacing = min(np.diff(x).min(), np.diff(y).min())
     while spacing < COARSEST_SPACING:
@@ -338,10 +332,7 @@ def grid_counts(x: Array, y: Array) -> list[tuple[int, int]]:
 
 @functools.cache
 def _interpolation_structs(real):
-    """Return the structs of the linear interpolation from a grid to the next finer one: axis, both.
-
-    For M meshes.
-    """
+    """Return the structs of linear interpolation to a finer grid, for M meshes: axis, both."""
 
     class Axis:
         below: wp.array2d(dtype=wp.int32)  # coarse line of nodes below (or at) each (M, fine)
@@ -723,10 +714,7 @@ class Multigrid:
         self._factors.make(active, matrix)
 
     def factor_grids(self, active, matrix) -> None:
-        """Make and factor the coarser grids of hard environments where that is due.
-
-        `advance` reads the matrix as well.
-        """
+        """Make and factor the grids that hard environments need; `advance` reads the matrix too."""
         if not self._grids:
             return
         self._grids[0].matrix = matrix

@@ -133,10 +133,7 @@ class Newton:
         self._restart(chosen)
 
     def resume(self, chosen: np.ndarray, patience: np.ndarray) -> None:
-        """Continue from the current state, a solution, after an update of its multipliers.
-
-        `patience` is as in `begin`.
-        """
+        """Continue from the solution, after an update of multipliers; `patience` as in `begin`."""
         if not chosen.any():
             return
         self._patience[chosen] = patience[chosen]
@@ -160,10 +157,7 @@ class Newton:
     def sweep(
         self, running: np.ndarray, meanwhile: Callable[[Callable[[], bool]], None] | None = None
     ) -> None:
-        """Run one iteration of the environments (B,) that are neither converged nor failed.
-
-        `meanwhile` is as in `ConjugateGradient.solve`.
-        """
+        """Run an iteration of the environments (B,) under way; `meanwhile` as in `solve`."""
         assembly, state = self._assembly, self._assembly.state
         active, predicting = self._mask(running), running & self._predicting
         if self._friction:
@@ -592,10 +586,7 @@ class ConjugateGradient:
         return scalars[:, 5].astype(int), scalars[:, 4], scalars[:, 1] >= CONCAVE
 
     def _gather(self, running: np.ndarray, *, renew: bool = False) -> None:
-        """Launch at most twice as many rows as are running, if rows are gathered at all.
-
-        `running` are indices of environments; `renew` them if there are others than before.
-        """
+        """Launch at most twice as many rows as `running`; `renew` them if they have changed."""
         rows = self._shape[0]
         while self._gathers and rows > 1 and len(running) <= rows // 2:
             rows //= 2

@@ -451,10 +451,7 @@ def checked(outcome: Outcome) -> Outcome:
 
 
 def overlap_shares(result: Result, overlap: np.ndarray) -> np.ndarray:
-    """Return the overlap of each frame (F,) over its contact's width, or over the depth if less.
-
-    Frames without a press are divided by the thickness.
-    """
+    """Return overlaps (F,) over the contact's width, the depth if less, or the thickness."""
     tip = np.asarray(result.scene.motion.tip)
     return shares(overlap, result.quality.contact_width, tip, result.scene.body.thickness)
 

@@ -351,10 +351,7 @@ def coarser_than_required(sizes: Sizes, x: Array, y: Array, fineness: float = 1.
 
 
 def finer_at(place: Sequence[float], x: Array, y: Array, fineness: float) -> Sizes:
-    """Return sizes that halve the length of the elements around a point (x, y, ...) [m].
-
-    Nodes are at x (X,) and y (Y,); `fineness` is as in `places_of`.
-    """
+    """Return sizes that halve elements around a point (x, y, ...) [m], nodes at x and y."""
     spans = []
     for nodes, middle in ((x, place[0]), (y, place[1])):
         cell = int(np.clip(np.searchsorted(nodes, middle) - 1, 0, len(nodes) - 2))

@@ -332,10 +332,7 @@ def solve_on_meshes(
     *,
     failed: Sequence[SimulationDiverged] | None = None,
 ) -> list[Outcome]:
-    """Solve presses on meshes of the given element sizes, or on those of the numerics.
-
-    Those that have `failed` before are solved with skins that stiffen from the start.
-    """
+    """Solve presses on meshes of given sizes; skins that `failed` stiffen from the start."""
     began = time.perf_counter()
     meshes = meshes_of(scenes, numerics, sizes)
     meshed = (time.perf_counter() - began) / max(len(scenes), 1)
@@ -358,10 +355,7 @@ def solve_on_meshes(
 
 
 def _penalty(scene: Scene, mesh: Mesh, numerics: Fem) -> float:
-    """Return the contact stiffness on a mesh [E / T].
-
-    It is stiffer for a body that is stiffer in a short time, by viscosity or by inertia.
-    """
+    """Return the contact stiffness on a mesh [E / T], more for a body stiffer in a short time."""
     finer = max(1.0, 1.0 / (SOFT_SHARE * mesh.finest)) if numerics.follows else 1.0
     viscosity, damped = scene.effects.viscosity, damping_time(scene, mesh)
     at_once = 1.0 if viscosity is None else 1.0 + sum(viscosity.ratios)

@@ -260,10 +260,7 @@ class Path:
         return True
 
     def go_on(self, halvings_max: int) -> None:
-        """Try the failed step again, now with up to `halvings_max` halvings.
-
-        First attempts are patient from now on.
-        """
+        """Try the failed step again, patiently, now with up to `halvings_max` halvings."""
         self.step *= 2.0**self.failed
         self.halvings, self.halvings_max, self.failed = 0, halvings_max, 0
         self.hard = True
@@ -301,10 +298,7 @@ class Path:
 
 
 def path_of(scene: Scene, numerics: Fem, finest: float = np.inf) -> Path:
-    """Return the path of a scene's tip, in units of the body's thickness.
-
-    `finest` is the side of the smallest elements, if the mesh follows the contact.
-    """
+    """Return the path of a tip, in thicknesses; `finest` elements if the mesh follows it."""
     unit = scene.body.thickness
     tip = np.asarray(scene.motion.tip) / unit
     start = tip[0].copy()
@@ -708,10 +702,7 @@ class Batch:
                 self._collectors[i].keep_round(reached[i], u, touched, self._tip[i])
 
     def _measure(self, is_busy: Callable[[], bool]) -> None:
-        """Measure the contacts of kept frames, press by press, while a GPU is busy.
-
-        Those left at the end are measured for the results.
-        """
+        """Measure the contacts of kept frames while a GPU is busy, the rest for the results."""
         while self._unmeasured and is_busy():
             self._unmeasured.popleft().measure()
 

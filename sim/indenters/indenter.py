@@ -102,10 +102,7 @@ TILT_SETTLED, ON_SURFACE = 1e-13, 1e-10
 
 
 def rotation(tilt: Tilt) -> Array:
-    """Return the matrix (3, 3) of the rotation vector (about x, about y, 0) [rad].
-
-    By Rodrigues' formula; both angles apply at once, so that there is no order.
-    """
+    """Return the matrix (3, 3) of the rotation vector (about x, about y, 0) [rad] (Rodrigues)."""
     angle = math.hypot(*tilt)
     if angle == 0:
         return np.eye(3)

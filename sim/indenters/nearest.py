@@ -46,10 +46,7 @@ class Nearest:
         return self._queried(points, False, 0.0)
 
     def signed(self, points: Array, winding: float = 0.5) -> tuple[Array, Array]:
-        """As `distance`, but negative where a closed surface's winding number exceeds `winding`.
-
-        It is many times slower where triangles are long.
-        """
+        """As `distance`, negative where the winding number exceeds `winding`; many times slower."""
         return self._queried(points, True, winding)
 
     def distance_at_nodes(
@@ -103,10 +100,7 @@ class Nearest:
 
 
 def _between(count: int) -> Array:
-    """Return weights (count, coarse nodes) of the coarse nodes in every node along an axis.
-
-    The last coarse node is at the last node or beyond it.
-    """
+    """Return weights (count, coarse nodes) of coarse nodes, which reach to the end or beyond."""
     coarse = np.arange(0, count + SKIP - 1, SKIP)
     return np.maximum(1 - np.abs(np.arange(count)[:, None] - coarse) / SKIP, 0.0)
 

@@ -460,10 +460,7 @@ EVERYWHERE: Interval = (-math.inf, math.inf)
 
 
 def _between(normal: float, low: float, high: float) -> Interval:
-    """Return the range of a coordinate with `low` <= normal * coordinate <= `high`.
-
-    It is bounded only for a normal of +-1.
-    """
+    """Return the range of a coordinate with `low` <= normal * it <= `high`, for normals of +-1."""
     if normal == 1:
         return low, high
     return (-high, -low) if normal == -1 else EVERYWHERE

@@ -384,10 +384,7 @@ class LayerBatch:
     def _next_goals(
         self, rows: Whole, target: Array, start: Array, left: Array
     ) -> tuple[Array, Array]:
-        """Return where the next steps of presses (N,) end, and their fractions of the whole way.
-
-        `left` (B,) becomes the rest of it then.
-        """
+        """Return where next steps (N,) end, and their fractions; `left` (B,) becomes the rest."""
         way, rest = target - start, left[rows]
         length = np.linalg.norm(way, axis=1)
         longest = self._longest(rows, target)

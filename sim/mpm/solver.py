@@ -32,10 +32,7 @@ DEPTH_LEAST = 1e-6
 
 
 def end_of_line(values: np.ndarray) -> np.ndarray:
-    """Return the end of a straight line fitted to rows (N, ...) of evenly spaced values: (...).
-
-    Unlike the mean it does not lag behind values that rise evenly.
-    """
+    """Return the end (...) of a line fitted to rows (N, ...), which does not lag as a mean."""
     count = len(values)
     if count < 3:
         return values[-1]

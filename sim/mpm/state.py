@@ -549,10 +549,7 @@ class ParticleState:
         return sum(value.capacity for value in values if isinstance(value, wp.array))
 
     def advance(self, steps: int) -> np.ndarray:
-        """Take up to `ROUND` steps; return their readings (steps, environments, 9) [cells, steps].
-
-        Readings of environments that have ended are 0.
-        """
+        """Take up to `ROUND` steps; return readings (steps, B, 9) [cells, steps], 0 if ended."""
         self.batch.history.zero_()
         before = int(self.batch.step.numpy().max())
         if steps == ROUND and self.device.is_cuda:

@@ -91,10 +91,7 @@ def _ring(pattern: Pattern) -> Array:
 
 
 def _taps(x: Array, y: Array, places: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the indices of the X * Y points that each place (n, 2) depends on, and weights.
-
-    Both are (n, 16).
-    """
+    """Return indices of the X * Y points that places depend on, and weights, both (n, 16)."""
     along_x = cubic_taps(x, places[:, 0], name="surface_x")
     along_y = cubic_taps(y, places[:, 1], name="surface_y")
     step = np.arange(along_x.weight.shape[1])

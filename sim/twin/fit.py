@@ -429,10 +429,7 @@ def _descended(
     progress: Callable[[float], None],
     previous: Linear | None = None,
 ) -> Descended:
-    """Return where the quantities that may change explain the tracks best.
-
-    Derivatives of `previous` are those at `values`.
-    """
+    """Return where the free quantities explain the tracks best, from `previous` at `values`."""
     data, model, names, prior = problem.data, problem.model, problem.names, problem.prior
     values, damping = dict(values), 1e-3
     near, reused = model.linearised(values, names, previous), previous is not None

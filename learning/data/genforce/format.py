@@ -145,10 +145,7 @@ def _of_array(array: NDArray[np.generic], path: Path) -> Packed:
 
 
 def read_forces(path: Path, files: Sequence[Path]) -> tuple[Array, bool]:
-    """Read the wrenches (n, 6) of an ft.csv [N, N m], one for each file of a frame.
-
-    The flag is True if it has torques; they are 0 if the file has forces only.
-    """
+    """Read wrenches (n, 6) of an ft.csv [N, N m]; without torques they are 0, the flag False."""
     rows = _table(path, files, FORCE_COLUMNS, FORCE_COLUMNS[:3])
     wrench = np.zeros((len(rows), 6))
     wrench[:, : rows.shape[1]] = rows

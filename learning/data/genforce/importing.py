@@ -643,10 +643,7 @@ def _raw_presses(
 
 
 def _turned(presses: Iterable[GenForcePress], angle: float) -> list[GenForcePress]:
-    """Return presses along the axes of the robot with positions turned into an image.
-
-    The angle is that from the robot's x axis to the image's, counter-clockwise [rad].
-    """
+    """Return presses whose positions are turned into an image, by the angle of its x axis [rad]."""
     cosine, sine = math.cos(-angle), math.sin(-angle)
     turn = np.array([[cosine, sine], [-sine, cosine]])
     return [replace(press, position=press.position @ turn) for press in presses]

@@ -76,10 +76,7 @@ def turn_of(
 
 
 def fitted_turn(name: str, shears: Floats, motions: Floats) -> Turn | None:
-    """Return the turn that takes shears (n, 2) to motions (n, 2), x to the right and y up.
-
-    None if they are few, do not agree, or all lie along one line.
-    """
+    """Return the turn from shears (n, 2) to motions (n, 2), y up; None if they do not agree."""
     if len(shears) < _FEWEST:
         return None
     shear, motion = (values[:, 0] + 1j * values[:, 1] for values in (shears, motions))

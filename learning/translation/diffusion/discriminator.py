@@ -103,10 +103,7 @@ class Blur(nn.Module):
 
 
 def multilevel_sigmoid(logits: Sequence[torch.Tensor], *, real: bool) -> torch.Tensor:
-    """Return the loss of logits, summed over levels and averaged over positions and images.
-
-    The label is `REAL` for true images and for the generator's aim, else 0.
-    """
+    """Return the loss of logits against `REAL` or 0, over levels, mean of positions and images."""
     total = torch.zeros((), device=logits[0].device)
     for level in logits:
         wanted = torch.full_like(level, REAL if real else 0.0, dtype=torch.float32)

@@ -459,10 +459,7 @@ MARKER_VAE = "marker-vae"
 
 
 class MarkerVae(nn.Module):
-    """SD-Turbo's autoencoder with an adapter, for images (n, 1, h, w) in [0, 1].
-
-    Its state contains only the adapter, or all weights if all are trained.
-    """
+    """SD-Turbo's autoencoder for images (n, 1, h, w) in [0, 1]; its state is what is trained."""
 
     def __init__(self, vae: Any, settings: VaeSettings, *, decode_scaled: bool = False) -> None:
         """Add the adapter, unless all weights are trained.
@@ -526,10 +523,7 @@ def load_vae_adapter(folder: str | Path, base: str) -> dict[str, torch.Tensor]:
 
 
 def vae_adapter_of(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return the autoencoder's adapter in the state of a translator or of an autoencoder.
-
-    If all weights were trained, there is no adapter, and all of the autoencoder's are returned.
-    """
+    """Return the trained weights of an autoencoder, an adapter or all, from a state."""
     own = {
         name.removeprefix("vae."): tensor
         for name, tensor in state.items()

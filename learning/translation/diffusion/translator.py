@@ -35,10 +35,7 @@ class DiffusionTranslator:
         batch: int = BATCH,
         precision: torch.dtype = torch.float32,
     ) -> None:
-        """Wrap a network that is already on its device; it is set to evaluation mode.
-
-        The step to the clean latent is always float32, whatever the precision.
-        """
+        """Wrap a network on its device for evaluation; the step to the clean latent is float32."""
         self._network, self._name = network.eval().requires_grad_(False), name
         self._batch, self._precision = batch, precision
         self._latents: dict[bytes, torch.Tensor] = {}

@@ -239,10 +239,7 @@ def require_base(stored: ModelFolder, base: str) -> None:
 
 
 def base_of(stored: ModelFolder) -> str:
-    """Return the folder of the published weights that a run was trained from.
-
-    It is `base/` in the run's folder (a folder or a link), else the path used in training.
-    """
+    """Return the published weights of a run: `base/` in its folder, else the training's path."""
     beside = stored.path / BASE
     folder = str(beside) if beside.exists() else stored.settings(Weights, "weights").base
     if not (Path(folder) / "unet").is_dir():

@@ -96,10 +96,7 @@ def gather_role(
     device: torch.device | str = "cpu",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> FieldFrames | None:
-    """Return the frames of some sensors that have a role; None if no press has it.
-
-    They are every n-th frame of a press, and all paired frames.
-    """
+    """Return every n-th and all paired frames of a role; None if no press has it."""
     rows, device = paired_rows(archive, split, sensors, role, every=every), torch.device(device)
     count = sum(map(len, rows.values()))
     if not count:

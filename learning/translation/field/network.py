@@ -215,10 +215,7 @@ def render(distance: Tensor, deformation: Tensor) -> Tensor:
 
 
 def coverage(level: Tensor) -> Tensor:
-    """Return the image of signed distances [px]: the covered fraction 0..1 of each pixel.
-
-    The edge is assumed straight within a pixel; pixel size follows from the image size.
-    """
+    """Return the covered fraction 0..1 of pixels by signed distances [px], for straight edges."""
     size = math.sqrt(HEIGHT * WIDTH / (level.shape[-2] * level.shape[-1]))
     return (0.5 + level / size).clamp(0.0, 1.0)
 

@@ -140,10 +140,7 @@ _CERTAIN = 8.0
 
 
 def image_loss(level: Tensor, images: Tensor, weights: FieldLossWeights) -> Tensor:
-    """Return the loss of deformed references against images in 0..1, both (n, 1, h, w).
-
-    `level` is their signed distance [px].
-    """
+    """Return the loss of images, whose signed distance is `level` [px], against others in 0..1."""
     logits = _CERTAIN * torch.asinh(level / (_RAMP_PX * _CERTAIN))
     entropy = functional.binary_cross_entropy_with_logits(logits, images)
     return weights.cross_entropy * entropy + weights.dice * (1 - soft_dice(level, images).mean())
@@ -487,10 +484,7 @@ def train_in(
     settings: FieldSettings,
     sensors: Sequence[str] | None = None,
 ) -> None:
-    """Train a field translator in a folder.
-
-    Without `sensors`, it learns from all that the split does not hold out.
-    """
+    """Train a field translator in a folder, on `sensors` or all that are not held out."""
     sensors = [*(sensors or split.trained_sensors(archive))]
 
     def train(session: TrainingSession) -> None:
