@@ -232,46 +232,6 @@ def test_plans_say_in_which_keys_they_differ() -> None:
         from_json(DatasetPlan, stored, "plan")
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"work": "dreams"}, "plan.work: 'dreams'; allowed"),
-        ({"sensors": ()}, r"plan.sensors: \[\]; allowed: one or more"),
-        ({"sensors": (gel(), gel())}, "plan.sensors: .*all different"),
-        ({"indenters": ("sphere", "ball")}, r"plan.indenters: \['ball'\]; allowed: sphere"),
-        ({"indenters": ("moon", "sphere")}, "in the order of"),
-        ({"indenters": ("drawn-1", "drawn-0")}, "in the order of"),
-        ({"indenters": ("drawn-01",)}, r"plan.indenters: \['drawn-01'\]; allowed: sphere"),
-        ({"fraction": 0.0}, "plan.fraction: 0.0; allowed: above 0 to 1"),
-        ({"steps": 0}, "plan.steps: 0; allowed: 1 to"),
-        ({"seed": -1}, "plan.seed: -1; allowed: 0 to"),
-        ({"work": "targets"}, "gel.trajectory: None; allowed: a sensor that has one"),
-        ({"sensors": (sensor("uskin"),)}, "uskin.signal: taxels; allowed for states: a camera"),
-    ],
-)
-def test_plans_that_mean_nothing_are_refused(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        replace(STATES_PLAN, **changes)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"tier": "mpm"}, "solving.tier: 'mpm'; allowed"),
-        ({"tier": "layer", "spacing": 1e-3}, "0.001 m with tier layer; allowed: None"),
-        ({"tolerance": "3 %", "spacing": 1e-3}, "0.001 m with a tolerance; allowed: None"),
-        ({"tolerance": "3 apples"}, "tolerance"),
-        ({"spacing": float("nan")}, "solving.spacing: nan m; allowed"),
-        ({"cells": 0}, "solving.cells: 0; allowed: 1 to"),
-    ],
-)
-def test_ways_to_solve_that_mean_nothing_are_refused(
-    options: dict[str, object], message: str
-) -> None:
-    with pytest.raises(SceneError, match=message):
-        Solving(**options)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("mean", "most"), [(0.0, 0), (0.5, 6), (10.0, 26)])
 def test_a_number_is_hardly_ever_beyond_the_most_of_its_distribution(
     mean: float, most: int

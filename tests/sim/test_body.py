@@ -61,9 +61,3 @@ def test_a_dome_lies_on_its_sphere(x: float, y: float) -> None:
     assert math.hypot(x, y, height + radius) == pytest.approx(radius, rel=1e-12)
     assert height <= 0
     assert Body().height(x, y) == 0
-
-
-@pytest.mark.parametrize("radius", [14e-3, 28e-3])
-def test_a_dome_that_leaves_the_corners_without_material_is_refused(radius: float) -> None:
-    with pytest.raises(SceneError, match=r"^body\.dome_radius: 0\.0(14|28) m"):
-        Body(dome_radius=radius)

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import recorder.markers
-from sim.errors import SceneError
 from sim.markers import DISTANCE, FOCAL, HEIGHT, WIDTH, Camera
 from sim.metrics import pixels_of
 from sim.scene import Body
@@ -90,23 +89,3 @@ def test_x_is_to_the_right_y_is_up_and_what_is_nearer_looks_larger() -> None:
     assert np.array_equal(pixels_of(points), by_hand)
     flipped = Camera.paper().project(points) - (319.5, 239.5)
     np.testing.assert_allclose(flipped * (1, -1), by_hand, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"focal": 0.0}, "camera.focal: 0.0 px; allowed: 1 to 1e"),
-        ({"distance": math.nan}, "camera.distance: nan m"),
-        ({"shift": (0.0, math.inf)}, r"camera.shift\[1\]: inf px"),
-        ({"rotation": 4.0}, "camera.rotation: 4.0 rad"),
-        ({"tilt": (0.0, 0.6)}, r"camera.tilt\[1\]: 0.6 rad"),
-    ],
-)
-def test_what_is_no_camera_is_refused(change: dict, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        Camera(**change)
-
-
-def test_a_scale_in_metres_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"camera.mm_per_px: 2.49e-05 mm"):
-        Camera.of_scale(0.0249e-3)

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.errors import SceneError
-from sim.indenters import extruded, named
+from sim.indenters import named
 from sim.indenters.outline import OutlinePiece, distance, extent, pieces, radius_max, rows
 from sim.indenters.shapes import bulge
 from tests.support.few import few
@@ -161,8 +161,3 @@ def test_the_bulge_of_an_arc_is_found_from_three_of_its_points() -> None:
         assert arc.radius == pytest.approx(math.copysign(1, angle))
         assert arc.length == pytest.approx(abs(angle))
         assert arc.fraction(at[1]) == pytest.approx(0.3)
-
-
-def test_a_path_that_turns_back_on_itself_is_refused() -> None:
-    with pytest.raises(SceneError, match="turns back at corner"):
-        extruded([0.0, 0.0, 0.0, 2e-3, 0.0, 0.0, 1e-3, 0.0, 0.0, 1e-3, 1e-3, 0.0])

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,17 +11,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from support import stl_files as files
 
-from sim.errors import SceneError
 from sim.indenters import (
     NAMES,
     Indenter,
     bar,
     box,
-    cone,
     flat_punch,
     from_stl,
     named,
-    plane,
     sphere,
 )
 from sim.result import from_json, to_json
@@ -178,19 +174,3 @@ def test_a_tilt_is_kept_in_stored_scenes_and_one_stored_before_has_none() -> Non
     assert from_json(Scene, stored, "scene") == scene
     del stored["indenter"]["tilt"], stored["indenter"]["solid"]
     assert from_json(Scene, stored, "scene").indenter == named("moon")
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: sphere(1e-3).tilted(0.6, 0.0), "indenter sphere.tilt about x: 0.6 rad; allowed"),
-        (lambda: sphere(1e-3).tilted(0.4, -0.4), r"indenter sphere.tilt: 0\.56\d+ rad"),
-        (lambda: sphere(1e-3).tilted(0.0, math.nan), "indenter sphere.tilt about y: nan rad"),
-        (lambda: replace(sphere(1e-3), tilt=(0.1,)), r"tilt: \(0\.1,\); allowed: angles about"),
-        (lambda: plane().tilted(0.1, 0.0), "indenter plane.tilt: it has no lowest point"),
-        (lambda: cone(math.radians(80), 1e-3).tilted(0.3, 0.0), "it has no lowest point"),
-    ],
-)
-def test_tilts_without_meaning_are_refused(make: Callable[[], Indenter], message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        make()

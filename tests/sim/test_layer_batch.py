@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from support.devices import DEVICES
 
-from sim.errors import SceneError, SimulationDiverged
+from sim.errors import SimulationDiverged
 from sim.indenters import flat_punch, named, plane, sphere, torus
 from sim.layer import Layer, batch, batch_kernels
 from sim.layer.batch import simulate_layers
 from sim.layer.solver import simulate_layer
 from sim.result import Outcome, Result
 from sim.scene import Body, Effects, Friction, Motion, Scene, Viscosity, press
-from sim.tiers import simulate_many
 
 # Its kernels are compiled for a GPU or for the CPU, where one thread solves a press.
 GRID = 32
@@ -151,10 +150,3 @@ def test_a_press_that_does_not_converge_leaves_the_others_alone(
     assert isinstance(free, Result)
     assert not free.force.any()
     assert told[-1] == 1.0
-
-
-def test_scenes_and_devices_that_do_not_exist_are_refused() -> None:
-    with pytest.raises(SceneError, match="device: 'cuda:77'"):
-        simulate_many(SMOOTH, Layer(grid=GRID), device="cuda:77")
-    with pytest.raises(SceneError, match="tolerance: 0"):
-        simulate_layers(SMOOTH, Layer(grid=GRID, tolerance=0.0), device="cpu")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from support.closed_forms import boussinesq, cerruti
 
-from sim.errors import SceneError
 from sim.layer.spectral import Convolutions, PixelGrid
 from sim.scene import Body
 
@@ -87,14 +86,3 @@ def test_pixels_of_a_long_body_are_square() -> None:
     grid = PixelGrid(Body(size_x=30e-3, size_y=10e-3), 96)
     assert grid.shape == (96, 32)
     assert grid.pixel[0] == pytest.approx(grid.pixel[1])
-
-
-def test_a_body_thicker_than_wide_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"body\.thickness.*'fem'"):
-        PixelGrid(Body(size_x=10e-3, thickness=21e-3), 32)
-
-
-@pytest.mark.parametrize("count", [15, 513])
-def test_a_grid_that_is_too_coarse_or_too_fine_is_refused(count: int) -> None:
-    with pytest.raises(SceneError, match=r"grid: .* allowed: 16 to 512"):
-        PixelGrid(Body(), count)

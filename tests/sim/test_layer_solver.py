@@ -3,29 +3,11 @@
 import json
 
 import numpy as np
-import pytest
 
-from sim.errors import SceneError
 from sim.indenters import named, sphere
 from sim.layer import Layer
 from sim.layer.solver import simulate_layer
-from sim.scene import Body, Effects, Friction, Gravity, Inertia, Scene, Viscosity, press, through
-
-
-@pytest.mark.parametrize(
-    ("effects", "message"),
-    [
-        (Effects(inertia=Inertia()), r"effects\.inertia: .*'fem'"),
-        (Effects(gravity=Gravity()), r"effects\.gravity: .*'fem'"),
-        (
-            Effects(viscosity=Viscosity((1.0,), (0.1,), "shear")),
-            r"viscosity\.relaxes: 'shear'.*fem",
-        ),
-    ],
-)
-def test_effects_that_the_tier_does_not_have_are_refused(effects: Effects, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        simulate_layer(Scene(sphere(4e-3), press([1e-3]), effects=effects))
+from sim.scene import Body, Effects, Friction, Scene, press, through
 
 
 def test_a_result_has_a_frame_for_each_waypoint_and_says_what_ran() -> None:

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.errors import SceneError
-from sim.scene import Motion, from_target, press, through
+from sim.scene import Motion, from_target, press
 from trajectories import PressShear
 
 
@@ -68,41 +67,3 @@ def test_a_target_of_a_plan_is_followed_through_every_move() -> None:
 
 def test_a_tip_that_never_presses_has_no_depth() -> None:
     assert Motion(tip=((0.0, 0.0, 2e-3),), time=(0.0,)).depth_max == 0.0
-
-
-ORIGIN = (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("tip", "time", "message"),
-    [
-        ((), (), r"^motion: 0 positions and 0 times"),
-        ((ORIGIN,), (0.0, 1.0), r"^motion: 1 positions and 2 times"),
-        ((ORIGIN, (0.0, math.nan, 0.0)), (0.0, 1.0), r"^motion\.tip\[1\]: .*nan"),
-        ((ORIGIN, (0.0, math.inf, 0.0)), (0.0, 1.0), r"^motion\.tip\[1\]: .*inf"),
-        ((ORIGIN, (0.0, 0.0)), (0.0, 1.0), r"^motion\.tip\[1\]: .*3 finite numbers"),
-        ((ORIGIN, ORIGIN), (0.5, 1.0), r"^motion\.time: .*0 first"),
-        ((ORIGIN, ORIGIN), (0.0, 0.0), r"^motion\.time: .*rising"),
-        ((ORIGIN, ORIGIN, ORIGIN), (0.0, 2.0, 1.0), r"^motion\.time: .*rising"),
-        ((ORIGIN, ORIGIN), (0.0, math.nan), r"^motion\.time"),
-        ((ORIGIN, ORIGIN), (0.0, math.inf), r"^motion\.time"),
-    ],
-)
-def test_motions_that_mean_nothing_are_refused(
-    tip: tuple[tuple[float, ...], ...], time: tuple[float, ...], message: str
-) -> None:
-    with pytest.raises(SceneError, match=message):
-        Motion(tip=tip, time=time)
-
-
-@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf])
-def test_a_speed_that_is_none_is_refused(speed: float) -> None:
-    with pytest.raises(SceneError, match=r"^motion\.speed: .* m/s; allowed: above 0"):
-        through([ORIGIN, (0.0, 0.0, -1e-3)], speed=speed)
-
-
-def test_standing_still_takes_no_time_and_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"^motion\.depths\[1\]"):
-        press([1e-3, 1e-3])
-    with pytest.raises(SceneError, match=r"^motion\.tip\[1\]: .* where the tip already is"):
-        through([ORIGIN, ORIGIN], speed=1.0)

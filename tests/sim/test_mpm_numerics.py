@@ -1,8 +1,6 @@
 """Settings of the `mpm` tier: sampling, mass, time step, and invalid values."""
 
-import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ import pytest
 from sim import (
     Body,
     Effects,
-    Friction,
     Gravity,
     Inertia,
     Motion,
@@ -26,24 +23,6 @@ from sim.mpm.solver import simulate_mpm
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
 CELL = 0.5e-3
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "allowed"),
-    [
-        ("cell", -1e-3, "1e-06 to 1 m"),
-        ("published", "taichi", "'tacchi', 'genforce', None"),
-        ("precision", "float16", "'float32', 'float64'"),
-    ],
-)
-def test_a_number_that_is_not_allowed_is_named(field: str, value: Any, allowed: str) -> None:
-    with pytest.raises(SceneError, match=rf"mpm\.{field}.*{re.escape(allowed)}"):
-        Mpm(**{field: value})
-
-
-def test_published_settings_have_their_own_cells() -> None:
-    with pytest.raises(SceneError, match=r"mpm\.cell: 0\.001 m; allowed with published: None"):
-        Mpm(1e-3, published="tacchi")
 
 
 def test_the_particles_share_out_the_volume_of_the_body() -> None:
@@ -65,13 +44,6 @@ def test_columns_of_particles_reach_up_to_a_dome_and_no_further() -> None:
     mean = np.mean(np.sqrt(10e-3**2 - span[:, None] ** 2 - span**2) - 10e-3)
     volume = lattice.volume.sum() * CELL**3
     assert volume == pytest.approx((4e-3 + mean) * 6e-3**2, rel=2e-3)
-
-
-def test_a_lattice_that_is_no_lattice_or_too_large_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"mpm\.cell.*allowed: 2 or more"):
-        build_lattice([SCENE], Mpm(cell=8e-3))
-    with pytest.raises(SceneError, match=r"mpm\.cell.*50,000,000 in all"):
-        build_lattice([SCENE], Mpm(cell=0.01e-3))
 
 
 def test_the_mass_follows_from_the_speed_of_the_tip() -> None:
@@ -134,19 +106,6 @@ def test_effects_other_than_friction_are_refused(effects: Effects) -> None:
     scene = replace(SCENE, effects=effects)
     with pytest.raises(SceneError, match=rf"effects\.{effects.key[0]}: .*tier 'mpm': None"):
         simulate_mpm([scene])
-
-
-@pytest.mark.parametrize(
-    ("other", "named"),
-    [
-        (replace(SCENE, body=Body(thickness=5e-3)), r"scenes\[1\]\.body\.thickness: 0\.005"),
-        (replace(SCENE, effects=Effects(friction=Friction(0.3))), r"scenes\[1\]\.effects"),
-        (replace(SCENE, effects=Effects(gravity=Gravity())), r"scenes\[1\]\.effects"),
-    ],
-)
-def test_scenes_that_cannot_share_a_launch_are_refused(other: Scene, named: str) -> None:
-    with pytest.raises(SceneError, match=named):
-        simulate_mpm([SCENE, other])
 
 
 def test_the_authors_preset_is_what_their_code_says() -> None:

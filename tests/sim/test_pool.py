@@ -103,12 +103,6 @@ def test_a_press_without_a_solution_comes_back_whole_beside_those_that_have_one(
     assert (str(again), again.tried, again.dump) == (str(diverged), diverged.tried, diverged.dump)
 
 
-@pytest.mark.parametrize("processes", [0, -1, True, 2.0, "2"])
-def test_a_number_of_processes_is_whole_and_positive(processes: int) -> None:
-    with pytest.raises(SceneError, match=r"processes: .*; allowed: whole numbers from 1 up"):
-        simulate_many(SCENES, NUMERICS, processes=processes)
-
-
 def test_beside_a_gpu_each_process_solves_its_part_as_one_batch(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -78,20 +78,6 @@ def test_the_curve_and_its_slope_are_continuous_and_go_on_straight() -> None:
     assert np.diff(curve(beyond)[3:]) == pytest.approx([0.4 * after[-1]] * 2, rel=2e-2)
 
 
-@pytest.mark.parametrize(
-    ("axis", "message"),
-    [
-        (np.array([0.0, 1, 2]), r"shape \(3,\); allowed: at least 4"),
-        (np.array([0.0, 2, 1, 3]), "does not rise"),
-        (np.array([0.0, 1, np.nan, 3]), "does not rise"),
-        (np.linspace(0, 0.1, 5), "requested 0 to 1; allowed: within"),
-    ],
-)
-def test_an_axis_that_is_none_is_refused(axis: np.ndarray, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        cubic_taps(axis, np.linspace(0, 1, 5))
-
-
 # The material map
 
 
@@ -279,15 +265,6 @@ def test_what_is_no_surface_is_refused(
     state = change(ASIDE)
     with pytest.raises(SceneError, match=message):
         renderer.see(state.x, state.y, state.surface[None])
-
-
-def test_options_that_mean_nothing_are_refused() -> None:
-    with pytest.raises(SceneError, match="the camera would sit in it"):
-        Renderer(Body(), Camera.of_scale(0.005))
-    with pytest.raises(SceneError, match=r"render.spacing: 1 m"):
-        Renderer(Body(), spacing=1)
-    with pytest.raises(SceneError, match="patterns: none"):
-        Renderer(Body()).textures([])
 
 
 # Solved presses, other devices, measurements

@@ -66,24 +66,6 @@ def test_every_number_of_an_effect_is_checked(make: object, value: object, messa
         make(value)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Friction(-1e-9), r"^friction\.coefficient"),
-        (lambda: Gravity((0.0, 0.0)), r"^gravity\.acceleration: .*3 numbers"),
-        (lambda: Viscosity((), ()), r"^viscosity: 0 ratios and 0 times"),
-        (lambda: Viscosity((1.0,), (1.0, 2.0)), r"^viscosity: 1 ratios and 2 times"),
-        (lambda: Viscosity((1.0,) * 5, (1.0,) * 5), r"^viscosity: 5 ratios.*1 to 4"),
-        (lambda: Viscosity((-0.1,), (1.0,)), r"^viscosity\.ratios\[0\]"),
-        (lambda: Viscosity((1.0,), (0.0,)), r"^viscosity\.times\[0\]: 0\.0 s"),
-        (lambda: Viscosity((1.0,), (1.0,), "bulk"), r"^viscosity\.relaxes: 'bulk'; .*'shear'"),
-    ],
-)
-def test_effects_that_mean_nothing_are_refused(make: object, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        make()
-
-
 def test_many_scenes_give_many_results_in_their_order() -> None:
     scenes = [Scene(sphere(4e-3), press([depth])) for depth in (0.4e-3, 0.1e-3, 0.2e-3)]
     fractions: list[float] = []

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.errors import SceneError
 from sim.fem import Fem
 from sim.fem.assembly import Assembly
 from sim.indenters import named
@@ -81,12 +80,6 @@ def test_a_top_that_only_slides_or_sinks_takes_the_layer_along_evenly() -> None:
         found, gradient = Interior(wide, 1e-3, np.zeros((1, 2))).at(moved)
         np.testing.assert_allclose(found[0, 0], 0.75e-4 * direction, atol=2e-7)
         np.testing.assert_allclose(gradient[0, 0, :, 2], 0.025 * direction, atol=2e-4)
-
-
-@pytest.mark.parametrize("depth", [-1e-3, 5e-3, float("nan")])
-def test_places_outside_of_the_layer_are_refused(depth: float) -> None:
-    with pytest.raises(SceneError, match=r"interior\.depth: .* m; allowed: 0 to 0\.004 m"):
-        Interior(BODY, depth, PLACES)
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim.errors import SceneError
 from sim.sensors.field import SurfaceField
 from sim.sensors.pins import Pins, tip_coverage
 
@@ -80,9 +79,3 @@ def test_tips_at_and_beyond_the_border_are_cut() -> None:
     whole = tip_coverage(np.array([[[20.0, 10.0]]]), np.full((1, 1), 5.0), width=40, height=30)
     np.testing.assert_array_equal(grey[0, :, :6], whole[0, :, 20:26])
     assert grey[0, :, 10:30].max() == 0
-
-
-@pytest.mark.parametrize(("length", "base"), [(-1e-3, 0.0), (float("nan"), 0.0), (1e-3, 1.0)])
-def test_pins_that_mean_nothing_are_refused(length: float, base: float) -> None:
-    with pytest.raises(SceneError, match=r"pins\.(length|base): .* m; allowed: 0 to 0\.02 m"):
-        Pins(length, base)

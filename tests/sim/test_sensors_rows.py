@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sim.errors import SceneError
-from sim.indenters import named, sphere
+from sim.indenters import named
 from sim.layer import Layer
-from sim.scene import press, through
+from sim.scene import through
 from sim.sensors import (
     HETEROGENEOUS,
     HOMOGENEOUS,
@@ -89,11 +89,6 @@ def test_the_units_of_keys_are_taken_to_si() -> None:
     assert uskin.signal.pitch == pytest.approx(4.7e-3)
     assert uskin.signal.moment == pytest.approx(0.9e-3)
     assert uskin.speed == pytest.approx(5e-3)
-
-
-def test_a_press_deeper_than_the_sensor_is_meant_for_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"1\.4 mm deep into gelsight; allowed: up to 1\.3 mm"):
-        sensor("gelsight").scene(sphere(4e-3), press([1.4e-3]))
 
 
 BASE = """

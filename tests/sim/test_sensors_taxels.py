@@ -8,11 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from recorder.markers import draw_discs, find_blobs
-from sim.errors import SceneError
 from sim.indenters import named
 from sim.layer import Layer
 from sim.result import Result
-from sim.scene import Body, Effects, Friction, Scene, through
+from sim.scene import Effects, Friction, Scene, through
 from sim.sensors import SurfaceField, TaxelPad, TaxelSignal, readout, sensor
 from sim.sensors.taxels import flux_density, rotations
 from sim.tiers import simulate
@@ -142,32 +141,3 @@ def test_counts_saturate_and_are_whole() -> None:
     assert raw.dtype == np.int32
     assert raw.min() == 0
     assert raw.max() == 65535
-
-
-@pytest.mark.parametrize(
-    ("body", "signal", "message"),
-    [
-        (Body(), {"magnet_depth": 4e-3}, r"taxels\.magnet_depth: 0\.004 m; allowed: less than"),
-        (Body(size_x=12e-3), {}, r"taxels\.pitch: 0\.0047 m; allowed: up to 0\.004 m"),
-        (Body(dome_radius=60e-3), {}, r"body\.dome_radius: 0\.06 m under taxels; allowed: None"),
-    ],
-)
-def test_pads_that_do_not_fit_their_body_are_refused(
-    body: Body, signal: dict[str, float], message: str
-) -> None:
-    with pytest.raises(SceneError, match=message):
-        TaxelPad(body, replace(SIGNAL, **signal))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"pitch": float("nan")}, r"taxels\.pitch: nan m"),
-        ({"noise": -1.0}, r"taxels\.noise: -1\.0"),
-        ({"rest": (0.0, 0.0)}, r"taxels\.rest: .*allowed: 3 counts"),
-        ({"rest": (0.0, 0.0, 70000.0)}, r"taxels\.rest\[2\]: 70000\.0; allowed: 0 to 65535"),
-    ],
-)
-def test_signals_that_mean_nothing_are_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        replace(SIGNAL, **change)

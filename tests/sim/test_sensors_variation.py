@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.errors import SceneError
 from sim.result import to_json
 from sim.scene import press
 from sim.sensors import (
@@ -177,26 +176,3 @@ def test_a_frame_has_the_same_errors_in_any_batch_and_others_in_another_session(
         SegmentationErrors(errors, 0, "a").masks(grey[4:], first=4), whole[4:]
     )
     assert (SegmentationErrors(errors, 0, "b").masks(grey) != whole).any()
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Mount(0.02, 0.0), r"mount\.shift: 0\.02 m; allowed: 0 to 0\.01 m"),
-        (lambda: Mount(0.0, 2.0), r"mount\.turn: 2\.0 rad"),
-        (lambda: Mount(0.0, 0.0, 30.0), r"mount\.height: 30\.0 m; allowed: 0 to 0\.001 m"),
-        (lambda: Grip(1.0), r"grip\.tilt: 1\.0 rad"),
-        (lambda: Framing(-1.0, 0.0), r"framing\.shift_px: -1\.0 px"),
-        (lambda: Drift(float("nan")), r"drift\.step: nan m"),
-        (lambda: Segmentation(jitter_px=2.0), r"segmentation\.jitter_px: 2\.0 px; allowed: 0 to 1"),
-        (lambda: Segmentation(missing=1.5), r"segmentation\.missing: 1\.5"),
-    ],
-)
-def test_lives_that_mean_nothing_are_refused(make: object, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        make()  # type: ignore[operator]
-
-
-def test_what_is_no_grey_image_is_refused() -> None:
-    with pytest.raises(SceneError, match=r"coverage: bool of shape"):
-        SegmentationErrors(Segmentation(), 0).masks(np.zeros((1, 480, 640), bool))  # type: ignore[arg-type]

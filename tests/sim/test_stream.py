@@ -88,20 +88,6 @@ def test_an_arm_that_overshoots_is_answered_as_at_the_deepest() -> None:
     assert each.wrench[2] < -1.0
 
 
-@pytest.mark.parametrize(
-    ("tip", "duration", "word"),
-    [
-        ([0.0, 0.0, np.nan], 0.02, "tip"),
-        ([0.0, 0.0], 0.02, "tip"),
-        ([0.0, 0.0, 0.0], -0.02, "duration"),
-        ([0.0, 0.0, 0.0], np.inf, "duration"),
-    ],
-)
-def test_what_is_no_pose_is_refused(tip: list[float], duration: float, word: str) -> None:
-    with pytest.raises(SceneError, match=word):
-        live().move(np.array(tip), duration)
-
-
 def test_an_effect_that_the_tier_does_not_know_is_refused() -> None:
     heavy = replace(GELSIGHT, effects=Effects(inertia=Inertia()))
     with pytest.raises(SceneError, match="inertia"):
@@ -238,9 +224,3 @@ def test_pins_stay_round_and_a_deeper_one_looks_larger() -> None:
     assert np.ptp(size, axis=1).max() < 1e-6
     middle = np.linalg.norm(row.signal.drawn()[0].centres, axis=1).argmin()
     assert size[middle, 0] > 1.03 * size.min()
-
-
-def test_markers_without_a_camera_are_refused() -> None:
-    grid = PixelGrid(sensor("uskin").body, COARSE)
-    with pytest.raises(SceneError, match="camera"):
-        LiveMarkers(sensor("uskin"), grid)

@@ -187,18 +187,6 @@ def test_a_tier_that_is_named_is_taken_or_refused() -> None:
         plan(WIDE, "8 %", only="fem").run()
 
 
-@pytest.mark.parametrize(
-    ("options", "reported"),
-    [
-        ({"only": "mpm"}, "only: 'mpm'; allowed: None, 'layer', 'fem'"),
-        ({"device": "cuda:99"}, "device: 'cuda:99'; allowed"),
-    ],
-)
-def test_what_goes_with_no_tolerance_is_refused(options: dict[str, Any], reported: str) -> None:
-    with pytest.raises(SceneError, match=reported):
-        plan(WIDE, "8 %", **options).run()
-
-
 @pytest.mark.slow
 def test_a_plan_says_what_it_would_try() -> None:
     assert plan(WIDE, "8 %").tiers[0] == Layer()

@@ -39,7 +39,6 @@ from sim.scene import Scene
 from sim.sensors import (
     CameraReadout,
     CameraSignal,
-    Posterior,
     SimulatedSensor,
     SurfaceField,
     read_sensor,
@@ -509,22 +508,6 @@ def test_relaxing_is_the_convolution_with_an_exponential() -> None:
     ramp = np.stack([0 * time, 0 * time, time], axis=1)
     exact = 0.5 * (1 - np.exp(-time / 0.5))
     assert relaxing(time, ramp, 0.5)[:, 2] == pytest.approx(exact, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("names", "spreads", "matrix"),
-    [
-        (("colour",), (0.1,), ((1.0,),)),
-        (("modulus",), (0.1, 0.2), ((1.0,),)),
-        (("modulus",), (-0.1,), ((1.0,),)),
-        (("modulus", "thickness"), (0.1, 0.1), ((1.0, 0.5), (0.4, 1.0))),
-    ],
-)
-def test_a_wrong_posterior_is_refused(
-    names: tuple[str, ...], spreads: tuple[float, ...], matrix: tuple[tuple[float, ...], ...]
-) -> None:
-    with pytest.raises(SceneError, match="posterior"):
-        Posterior(names, spreads, matrix)
 
 
 @pytest.mark.slow
