@@ -14,7 +14,6 @@ from sim.indenters import (
     box,
     cone,
     drawn_name,
-    extruded,
     flat_punch,
     indenter_of,
     named,
@@ -240,43 +239,6 @@ def test_points_keep_their_shape() -> None:
 def test_an_indenter_is_a_value() -> None:
     assert named("moon") == named("moon")
     assert len({named("moon"), named("moon"), named("moon", 0.0)}) == 2
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: named("spoon"), "'spoon'; allowed: sphere, sphere_s"),
-        (lambda: named("cylinder_sh", 0.5e-3), "0.0005 m; allowed: 0 to 0.0004 m"),
-        (lambda: named("line", 1.1e-3), "0.0011 m; allowed: 0 to 0.001 m"),
-        (lambda: named("dotin", 1.1e-3), "0.0011 m; allowed: 0 to 0.001 m"),
-        (lambda: named("moon", math.nan), "edge_radius: nan"),
-        (lambda: flat_punch(1e-3, -1e-4), "edge_radius: -0.0001"),
-        (lambda: cone(0.3, 0.0, 1e-4), "allowed: 0 to 0 m"),
-        (lambda: sphere(0.0), "sphere.radius: 0.0 m; allowed: above 0"),
-        (lambda: tube(2e-3, 3e-3), "tube.outer_radius: 0.002 m"),
-        (lambda: Part("above", "circle", (0.0, 0.0, 1.0)), "part.view: 'above'"),
-        (lambda: Part("plan", "star", (0.0, 0.0, 1.0)), "part.figure: 'star'"),
-        (lambda: Part("plan", "circle", (0.0, 0.0)), "2 for a circle; allowed: 3"),
-        (lambda: Part("plan", "circle", (0.0, 0.0, -1.0)), "allowed: above 0"),
-        (lambda: Part("plan", "half_plane", (1.0, 1.0, 0.0)), "allowed: length 1"),
-        (lambda: Part("plan", "circle", (0.0, math.inf, 1.0)), "allowed: finite"),
-        (lambda: Part("plan", "circle", (0.0, 0.0, 1.0), cosine=1.0), "part.cosine: 1.0"),
-        (lambda: Indenter("none", ()), "no parts"),
-        (lambda: Indenter("odd", (Part("plan", "circle", (0.0, 0.0, 1.0)),)), "allowed: 'union'"),
-        (lambda: replace(sphere(1e-3), parts=torus(2e-3, 1e-3).parts * 0), "no parts"),
-        (
-            lambda: Indenter("high", (Part("turned", "circle", (0.0, 0.0, 1e-3), "union"),)),
-            "lowest point is at z = -0.001 m; allowed: 0",
-        ),
-        (lambda: extruded([0.0, 0.0, 0.0, 1e-3]), "4 for a path"),
-        (lambda: extruded([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]), "corner 0 twice"),
-    ],
-)
-def test_what_means_nothing_is_refused_with_what_is_allowed(make: object, message: str) -> None:
-    assert callable(make)
-    with pytest.raises(SceneError) as caught:
-        make()
-    assert message in str(caught.value)
 
 
 def test_rounding_a_ridge_that_is_the_tip_is_refused_because_it_would_lift_it() -> None:

@@ -7,19 +7,14 @@ import pytest
 
 from sim import (
     Body,
-    Effects,
-    Gravity,
-    Inertia,
     Motion,
     Scene,
     SceneError,
-    Viscosity,
     press,
 )
 from sim.indenters import sphere
 from sim.mpm import AUTHORS_CELL, STABLE, Mpm
 from sim.mpm.lattice import build_lattice, pace_of
-from sim.mpm.solver import simulate_mpm
 
 SCENE = Scene(sphere(4e-3), press([0.5e-3, 1e-3]))
 CELL = 0.5e-3
@@ -92,20 +87,6 @@ def test_a_motion_of_too_many_steps_is_refused() -> None:
     slow = Scene(sphere(4e-3), press([1e-3], hold=1.0, steps=10, speed=1e-3 / 1e4))
     with pytest.raises(SceneError, match=r"motion.*allowed: 5,000,000 steps"):
         pace_of(slow, Mpm.authors(), AUTHORS_CELL)
-
-
-@pytest.mark.parametrize(
-    "effects",
-    [
-        Effects(viscosity=Viscosity((0.5,), (0.1,))),
-        Effects(inertia=Inertia()),
-        Effects(gravity=Gravity()),
-    ],
-)
-def test_effects_other_than_friction_are_refused(effects: Effects) -> None:
-    scene = replace(SCENE, effects=effects)
-    with pytest.raises(SceneError, match=rf"effects\.{effects.key[0]}: .*tier 'mpm': None"):
-        simulate_mpm([scene])
 
 
 def test_the_authors_preset_is_what_their_code_says() -> None:

@@ -142,21 +142,3 @@ def test_textures_reach_from_border_to_border_and_lie_symmetrically() -> None:
     )
     assert texture.corner[0] <= -9.9995e-3
     np.testing.assert_allclose(values, values[::-1, ::-1], atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"shape": "star"}, "pattern.shape: 'star'; allowed: disc, square, diamond"),
-        ({"size": 0.5}, r"pattern.size: 0.5 m; allowed: 1e-05 to 0.1 m"),
-        ({"size": math.nan}, "pattern.size: nan"),
-        ({"places": ()}, "pattern.places: none"),
-        ({"places": ((0.0, 0.0), (math.inf, 0.0))}, r"pattern.places\[1\]: inf"),
-        ({"places": ((0.0,),)}, r"pattern.places\[0\]: \(0.0,\)"),
-        ({"angle": 10.0}, "pattern.angle: 10.0 rad"),
-    ],
-)
-def test_what_is_no_pattern_is_refused(change: dict, message: str) -> None:
-    fields = {"name": "x", "shape": "disc", "size": 1e-3, "places": ((0.0, 0.0),)} | change
-    with pytest.raises(SceneError, match=message):
-        Pattern(**fields)

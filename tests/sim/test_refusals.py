@@ -25,20 +25,22 @@ from sim import (
 )
 from sim.dataset import DatasetPlan, Solving, gel
 from sim.fem import Fem
-from sim.indenters import named, sphere
-from sim.indenters.shapes import cone, extruded, from_stl, plane, torus
+from sim.fem.mesh import build_mesh
+from sim.indenters import Indenter, Part, named, sphere
+from sim.indenters.shapes import cone, extruded, flat_punch, from_stl, plane, torus, tube
 from sim.layer import Layer
 from sim.layer.batch import simulate_layers
 from sim.layer.solver import simulate_layer
 from sim.layer.spectral import PixelGrid
 from sim.markers.camera import Camera
+from sim.markers.pattern import Pattern
 from sim.markers.renderer import Renderer
 from sim.markers.top import cubic_taps
 from sim.mpm import Mpm
 from sim.mpm.lattice import build_lattice
 from sim.mpm.solver import simulate_mpm
 from sim.scene import through
-from sim.sensors import Pins, sensor
+from sim.sensors import Pins, SurfaceField, sensor
 from sim.sensors.posterior import Posterior
 from sim.sensors.taxels import Interior, TaxelPad
 from sim.sensors.variation import (
@@ -62,6 +64,15 @@ STATES = DatasetPlan("states", (gel(),))
 
 def live() -> LivePress:
     return LivePress(sensor("gelsight"), SCENE.indenter, grid=32, tolerance=2e-3)
+
+
+def pattern(**wrong: Any) -> Pattern:
+    return Pattern(**{"name": "x", "shape": "disc", "size": 1e-3, "places": ((0.0, 0.0),)} | wrong)
+
+
+def field(**wrong: Any) -> SurfaceField:
+    there = {"x": PLACES, "y": PLACES, "displacement": np.zeros((1, 5, 5, 3))}
+    return SurfaceField(**there | wrong)
 
 
 WRONG: dict[str, Callable[[], object]] = {
@@ -149,13 +160,13 @@ WRONG: dict[str, Callable[[], object]] = {
     "body.thickness: 0.021 m; allowed": lambda: PixelGrid(Body(size_x=10e-3, thickness=21e-3), 32),
     "grid: 15; allowed: 16 to 512": lambda: PixelGrid(Body(), 15),
     "grid: 513; allowed: 16 to 512": lambda: PixelGrid(Body(), 513),
-    "effects.inertia: Inertia": lambda: simulate_layer(
+    "effects.inertia: Inertia(scale=1.0); allowed with tier 'layer': None": lambda: simulate_layer(
         replace(SCENE, effects=Effects(inertia=Inertia()))
     ),
-    "effects.gravity: Gravity": lambda: simulate_layer(
+    "effects.gravity: Gravity(": lambda: simulate_layer(
         replace(SCENE, effects=Effects(gravity=Gravity()))
     ),
-    "viscosity.relaxes: 'shea": lambda: simulate_layer(
+    "viscosity.relaxes: 'shear'; allowed with tier 'layer': 'all'": lambda: simulate_layer(
         replace(SCENE, effects=Effects(viscosity=IN_SHEAR))
     ),
     "only: 'mpm'; allowed: None, 'layer', 'fem'": lambda: plan(SCENE, "8 %", only="mpm"),
@@ -261,6 +272,52 @@ WRONG: dict[str, Callable[[], object]] = {
     "tolerance: '3 apples'; allowed: a number above 0 with": lambda: Solving(tolerance="3 apples"),
     "solving.spacing: nan m; allowed: above 0 to 1 m": lambda: Solving(spacing=nan),
     "solving.cells: 0; allowed: 1 to 1000": lambda: Solving(cells=0),
+    "indenter: 'spoon'; allowed: sphere, sphere_s, hemis": lambda: named("spoon"),
+    "indenter cylinder_sh.edge_radius: 0.0005 m; allowed: 0": lambda: named("cylinder_sh", 0.5e-3),
+    "indenter line.edge_radius: 0.0011 m; allowed: 0 to 0.001 m": lambda: named("line", 1.1e-3),
+    "indenter moon.edge_radius: nan m; allowed: 0 to 0.00125 m": lambda: named("moon", nan),
+    "indenter flat_punch.edge_radius: -0.0001 m; allowed: 0 to 0.": lambda: flat_punch(1e-3, -1e-4),
+    "indenter cone.edge_radius: 0.0001 m; allowed: 0 to 0 m": lambda: cone(0.3, 0.0, 1e-4),
+    "sphere.radius: 0.0 m; allowed: above 0 to 1 m": lambda: sphere(0.0),
+    "tube.outer_radius: 0.002 m; allowed: above 0.003 to 1 m": lambda: tube(2e-3, 3e-3),
+    "part.view: 'above'; allowed: plan, side, tu": lambda: Part("above", "circle", (0.0, 0.0, 1.0)),
+    "part.figure: 'star'; allowed: half_plane, band": lambda: Part("plan", "star", (0.0, 0.0, 1.0)),
+    "part.values: 2 for a circle; allowed: 3": lambda: Part("plan", "circle", (0.0, 0.0)),
+    "part.values[-1]: -1.0 m; allowed: above 0": lambda: Part("plan", "circle", (0.0, 0.0, -1.0)),
+    "part.values: normal (1.0, 1.0); allowed:": lambda: Part("plan", "half_plane", (1.0, 1.0, 0.0)),
+    "part.values: (0.0, inf, 1.0); allowed: finit": lambda: Part("plan", "circle", (0.0, inf, 1.0)),
+    "part.cosine: 1.0; allowed: -0.99": lambda: Part("plan", "circle", (0.0, 0.0, 1.0), cosine=1.0),
+    "indenter none: no parts; allowed: 1 or more": lambda: Indenter("none", ()),
+    "indenter odd.parts[0].jo": lambda: Indenter("odd", (Part("plan", "circle", (0.0, 0.0, 1.0)),)),
+    "indenter high: the round": lambda: Indenter(
+        "high", (Part("turned", "circle", (0.0, 0.0, 1e-3), "union"),)
+    ),
+    "part.values: 4 for a path; allowed: 3 for each of 2": lambda: extruded([0.0, 0.0, 0.0, 1e-3]),
+    "part.values: corner 0 twice; allowed: diffe": lambda: extruded([0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+    "pattern.shape: 'star'; allowed: disc, square, diamond": lambda: pattern(shape="star"),
+    "pattern.size: 0.5 m; allowed: 1e-05 to 0.1 m": lambda: pattern(size=0.5),
+    "pattern.size: nan m; allowed: 1e-05 to 0.1 m": lambda: pattern(size=nan),
+    "pattern.places: none; allowed: at least one marker": lambda: pattern(places=()),
+    "pattern.places[1]: inf m; allowed: -1 to 1": lambda: pattern(places=((0.0, 0.0), (inf, 0.0))),
+    "pattern.places[0]: (0.0,); allowed: (x, y)": lambda: pattern(places=((0.0,),)),
+    "pattern.angle: 10.0 rad; allowed: -3.14159 to 3.14159 rad": lambda: pattern(angle=10.0),
+    "field.x: shape (5,); allowed: 2 or more ascending num": lambda: field(x=PLACES[::-1]),
+    "field.displacement: shape (1, 5, 5, 3); allowed: (frames, x, y,": lambda: field(y=PLACES[1:]),
+    "field.displacement: shape (5, 5, 3); allowed": lambda: field(displacement=np.zeros((5, 5, 3))),
+    "field.displacement: frame 0 holds NaN": lambda: field(displacement=np.full((2, 5, 5, 3), nan)),
+    "mesh: 0.0 m; allowed: above 0": lambda: build_mesh(Body(), 0.0),
+    "mesh: nan m; allowed: above 0": lambda: build_mesh(Body(), nan),
+    "mesh: -0.001 m; allowed: above 0": lambda: build_mesh(Body(), -1e-3),
+    "mesh: 0.005 mm makes 4000x4000x800 elements; allowed: up to": lambda: build_mesh(Body(), 5e-6),
+    "scenes[0].effects.viscosity: Viscosity(ratios=(1.0,), times=(0.1,), rel": lambda: simulate_mpm(
+        [replace(SCENE, effects=Effects(viscosity=IN_SHEAR))]
+    ),
+    "scenes[0].effects.inertia: Inertia(scale=1.0); allowed with tier 'mpm'": lambda: simulate_mpm(
+        [replace(SCENE, effects=Effects(inertia=Inertia()))]
+    ),
+    "scenes[0].effects.gravity: Gravity(": lambda: simulate_mpm(
+        [replace(SCENE, effects=Effects(gravity=Gravity()))]
+    ),
 }
 
 

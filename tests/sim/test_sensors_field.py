@@ -1,10 +1,8 @@
 """The displacement field that signals are computed from: interpolation, rotation, slopes."""
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from sim.errors import SceneError
 from sim.scene import Body
 from sim.sensors.field import SurfaceField, cubic_weights, outward_normals
 
@@ -80,21 +78,3 @@ def test_an_undeformed_top_does_not_move() -> None:
     assert (still.x[0], still.x[-1], still.y[-1]) == (-15e-3, 15e-3, 10e-3)
     assert len(still) == 1
     assert not still.displacement.any()
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"x": X[::-1]}, r"field\.x: .*allowed: 2 or more ascending"),
-        ({"y": Y[:-1]}, r"field\.displacement: shape .*24 y"),
-        ({"displacement": np.zeros((30, 25, 3), np.float32)}, r"displacement: shape \(30, 25, 3\)"),
-        (
-            {"displacement": np.full((2, 30, 25, 3), np.nan, np.float32)},
-            r"displacement: frame 0 holds NaN",
-        ),
-    ],
-)
-def test_what_is_no_field_is_refused(change: dict[str, Array], message: str) -> None:
-    given = {"x": X, "y": Y, "displacement": np.zeros((1, 30, 25, 3), np.float32), **change}
-    with pytest.raises(SceneError, match=message):
-        SurfaceField(**given)  # type: ignore[arg-type]
