@@ -117,22 +117,6 @@ def test_beyond_what_was_measured_the_ratio_stays_what_it_was() -> None:
     assert found[0, 0] == pytest.approx(found[1, 0])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"phase": np.full(12, -1)}, "phase: found -1 in row 0"),
-        ({"d0": 1.5}, "d0: found 1.5"),
-        ({"lam": np.nan}, "lambda: found nan"),
-    ],
-)
-def test_labels_that_cannot_be_compensated_are_refused(
-    change: dict[str, object], message: str
-) -> None:
-    options: Any = {"phase": np.full(12, DOWN), "d0": 0.0, "lam": 1.0, **change}
-    with pytest.raises(LearningError, match=message):
-        compensate(np.ones((12, 3)), DEPTH, source=SOFT_SKIN, target=SOFT_SKIN, **options)
-
-
 def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
     labels = np.column_stack([np.full(12, np.nan), np.linspace(0, 1, 12), -1e3 * DEPTH])
     phase = np.full(12, DOWN)
@@ -146,19 +130,6 @@ def test_axes_without_a_label_stay_so_and_count_for_no_choice() -> None:
     assert choice.axes[0] is None
     assert choice.axes[1:] == pytest.approx(np.abs(labels[:, 1:]).mean(axis=0))
     assert choice.error == pytest.approx(np.linalg.norm(labels[:, 1:], axis=1).mean())
-
-
-@pytest.mark.parametrize(
-    ("curve", "message"),
-    [
-        (np.stack([DEPTH[:2], DEPTH[:2]], axis=1), "at 2 depths"),
-        (np.stack([DEPTH, np.full(12, np.nan)], axis=1), "found NaN"),
-        (np.stack([DEPTH, -1e3 * DEPTH], axis=1), "compression is negative Fz"),
-    ],
-)
-def test_curves_that_say_nothing_are_refused(curve: np.ndarray, message: str) -> None:
-    with pytest.raises(LearningError, match=message):
-        fit_prior(ForceDepthCurve("skin", "prism", "made up", curve, curve))
 
 
 def test_published_coefficients_are_of_depth_in_mm_or_of_its_share() -> None:

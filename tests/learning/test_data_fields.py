@@ -6,7 +6,6 @@ import torch
 from support.made_up_archives import State, lattice_field, mask_of
 
 from learning.data.images import filled, inverse, sampled, shrink_masks, warp
-from learning.errors import LearningError
 
 PRESSED = State((320.0, 260.0), 90.0, 1.0, (0.3, -0.2))
 NO_CONTACT = State((320.0, 260.0), 90.0, 0.0)
@@ -62,8 +61,3 @@ def test_gaps_are_filled_from_around_them_and_marked() -> None:
     found = filled(torch.where(known[:, None], field, torch.nan), known)
     assert torch.allclose(found[0], torch.tensor(3.0))
     assert torch.equal(found[1], torch.zeros(2, 8, 8))
-
-
-def test_a_field_of_another_lattice_is_refused() -> None:
-    with pytest.raises(LearningError, match="found 32 x 32; allowed: 57 x 73 as its lattice"):
-        warp(torch.zeros(1, 1, 64, 64), torch.zeros(1, 2, 32, 32))

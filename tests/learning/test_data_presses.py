@@ -161,17 +161,6 @@ def test_a_range_is_of_measured_values_alone() -> None:
     assert (span.low[1:], span.high[1:]) == ((1.0, -8.0), (2.0, -3.0))
 
 
-def test_ranges_of_nothing_or_of_nan_are_refused() -> None:
-    with pytest.raises(LearningError, match=r"found .*inf.* in row 1; allowed: finite forces"):
-        ForceRange.from_training(np.array([[0.0, 0.0, 0.0], [0.0, np.inf, 0.0]]))
-    with pytest.raises(LearningError, match="found NaN in every row"):
-        ForceRange.from_training(np.full((2, 3), np.nan))
-    with pytest.raises(LearningError, match=r"found \(0, 3\)"):
-        ForceRange.from_training(np.zeros((0, 3)))
-    with pytest.raises(LearningError, match="low < high"):
-        ForceRange((0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
-
-
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_a_gpu_holds_the_same_images(archive: MarkerArchive) -> None:

@@ -69,19 +69,6 @@ def test_an_axis_that_the_model_does_not_predict_is_not_scored() -> None:
     assert errors.axes == ("Fy", "Fz")
 
 
-def test_labels_and_predictions_that_cannot_be_compared_are_refused() -> None:
-    infinite, partly = TRUE.copy(), TRUE.copy()
-    infinite[1, 0], partly[1, 0] = np.inf, np.nan
-    for true, predicted, message in (
-        (TRUE[:0], TRUE[:0], "one frame or more"),
-        (np.full((4, 3), np.nan), TRUE, "no label that a prediction can be compared with"),
-        (infinite, TRUE, "in row 1 of true"),
-        (TRUE, partly, r"row 1 of predicted.*on a whole axis"),
-    ):
-        with pytest.raises(LearningError, match=message):
-            force_errors(true, predicted, np.ones(4))
-
-
 def test_predictions_without_labels_have_no_row_but_a_range() -> None:
     one = predictions()
     bare = replace(one, true=np.full_like(one.true, np.nan))

@@ -330,21 +330,6 @@ def test_presets_can_be_read(name: str) -> None:
 @pytest.mark.parametrize(
     ("changed", "reported"),
     [
-        ("translators=[]", "translators: found"),
-        ("translators=[flow, flow]", "each once"),
-        ("models_per_batch=0", "models_per_batch: found 0"),
-        ("train_presses=0", "train_presses: found 0; allowed: 1 and more, or none"),
-        ("scored_presses=-1", "scored_presses: found -1"),
-    ],
-)
-def test_senseless_experiments_are_refused(changed: str, reported: str) -> None:
-    with pytest.raises(LearningError, match=reported):
-        settings(changed)
-
-
-@pytest.mark.parametrize(
-    ("changed", "reported"),
-    [
         ("field={preset: smoke}", "field: preset: found 'smoke'; known: "),
         ('field={preset: cpu_smoke, set: ["sed=2"]}', "field: .*unknown sed; did you mean"),
     ],

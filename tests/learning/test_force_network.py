@@ -2,11 +2,10 @@ from typing import Any
 
 import pytest
 import torch
-from support.force_models import TOY, toy
+from support.force_models import toy
 from torch.utils.flop_counter import FlopCounterMode
 
 from learning.config import preset_names, read_settings
-from learning.errors import LearningError
 from learning.force.model import ForceModel, ForceNetworkSettings, InputSettings, prepare
 from learning.force.train import PRESETS, ForceModelSettings, error
 
@@ -135,31 +134,3 @@ def test_a_model_that_judges_frames_alone_forgets_at_every_step() -> None:
         after, _ = model.step(frame, state)
         fresh, _ = model.step(frame)
     assert torch.equal(after, fresh)
-
-
-@pytest.mark.parametrize(
-    ("frames", "message"),
-    [
-        (torch.zeros(2, 128, 128, dtype=torch.uint8), r"frames: found \(2, 128, 128\) uint8"),
-        (torch.zeros(2, 256, 256), "float32; allowed"),
-        (torch.zeros(2, 256, 256, dtype=torch.uint8), "reference: missing"),
-    ],
-)
-def test_frames_that_do_not_fit_are_refused(frames: torch.Tensor, message: str) -> None:
-    with pytest.raises(LearningError, match=message):
-        prepare(frames, None, TOY.input)
-
-
-@pytest.mark.parametrize(
-    ("override", "message"),
-    [
-        ("input.side_px=100", "side_px: found 100"),
-        ("network.memory=30", "multiples of 4"),
-        ("input.channels=3", "3 if form is image or difference"),
-        ("stages=[]", "stages: found none"),
-        ("sequences.batch=0", "batch: found 0"),
-    ],
-)
-def test_settings_that_make_no_model_are_refused(override: str, message: str) -> None:
-    with pytest.raises(LearningError, match=message):
-        read_settings(ForceModelSettings, PRESETS, "tiny", [override])

@@ -320,15 +320,6 @@ def test_nothing_that_meets_is_refused_with_its_reasons(tmp_path: Path) -> None:
         join(all_of(a, b))
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("place", 0.0), ("angle", 4.0), ("depth_fraction", math.nan), ("depth_fraction", 1.0)],
-)
-def test_tolerances_that_exclude_all_or_nothing_are_refused(name: str, value: float) -> None:
-    with pytest.raises(LearningError, match=f"{name}: found"):
-        Tolerances(**{name: value})
-
-
 def presses_of(plan: PressShear, order: Sequence[int], moved: Sequence[float]) -> PlacedPresses:
     """Return presses without an archive, each off by `moved` in x."""
     targets = [list(plan.targets())[index] for index in order]

@@ -2,9 +2,7 @@ import numpy as np
 import pytest
 from support.made_up_archives import LATTICE, State, field_at, mask_of
 
-from learning.errors import LearningError
 from learning.markers.displacement import FieldReader, Matcher, Spline, fields_of_presses
-from learning.translation.archive import dice
 from learning.translation.translator import SensorView, shows_discs
 from recorder.markers import HEIGHT, WIDTH, draw_discs, marker_centres, pack, place_discs, unpack
 
@@ -162,11 +160,6 @@ def test_a_field_goes_over_to_another_scale_in_millimetres(presses, no_contact):
     assert np.isfinite(field).all()
 
 
-def test_a_reference_without_markers_is_refused():
-    with pytest.raises(LearningError, match="reference: found no marker"):
-        FieldReader(np.zeros((HEIGHT, WIDTH), np.bool_))
-
-
 def test_a_frame_without_markers_repeats_the_one_before(presses, no_contact):
     frames = presses["grid"][:5].copy()
     frames[4] = False
@@ -235,8 +228,3 @@ def test_two_processes_give_the_fields_of_one(presses, no_contact):
     np.testing.assert_array_equal(
         fields_of_presses(*many, processes=2), fields_of_presses(*many, processes=1)
     )
-
-
-def test_the_score_of_two_masks(no_contact):
-    assert dice(no_contact["dots"], no_contact["dots"]) == 1.0
-    assert dice(no_contact["dots"], ~no_contact["dots"]) == 0.0
