@@ -59,13 +59,6 @@ def values(*forces: dict[str, Any], held_out: tuple[str, ...] = ()) -> dict[str,
     return {"forces": [*forces], "held out": [*held_out]}
 
 
-def test_a_table_has_the_means_of_pairs_and_the_worst_pair(tmp_path: Path) -> None:
-    rows = force("m2m", "r6", "r18", 0.5), force("m2m", "r18", "r6", 0.7, 0.4)
-    text = page.section("skins", values(*rows), Page(tmp_path / "paper.md"))
-    line = "| 2 | 0.600 | 0.500 to 0.700 | 0.500 (r6 to r18) | 0.100, 0.300 |"
-    assert line in text
-
-
 def test_sensors_that_were_held_out_are_in_no_mean_and_have_a_line_of_their_own(
     tmp_path: Path,
 ) -> None:

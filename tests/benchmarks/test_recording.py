@@ -39,7 +39,6 @@ from benchmarks.recording.motion import (
 )
 from benchmarks.recording.stores import MCAP, OURS, STORES
 from benchmarks.recording.storing import inspect, read, write
-from benchmarks.report import Page
 from recorder import Session, SessionWriter, StreamWriter, Window
 from recorder.command_line.errors import EXIT_INTERRUPTED
 from recorder.session.align import align_window
@@ -308,26 +307,6 @@ def test_goals_are_missed_when_the_figures_say_so() -> None:
     assert summary({"load": {"together": fine}}).count("| yes |") == 3
     assert summary({"load": {"together": bad}}).count("| **no** |") == 3
     assert "**no**" in summary({"load": {"together": [fed(failure="no space left")]}})
-
-
-def test_the_page_begins_with_the_frames_a_second_that_were_kept() -> None:
-    fine, some = {"cameras": 1, "dropped": 0}, {"cameras": 2, "dropped": 3, "cpu": 0.2}
-    trials = {"zstd": [fine], "jpeg": [fine, some]}
-    text = summary({"load": {"together": [fed(cpu=0.2)], "trials": trials}})
-    assert "60 or more lossless (1 cameras), 60 as JPEG (1 cameras)" in " ".join(text.split())
-    assert "2 cameras as JPEG dropped 3 at 20 % of a core, so a process had its turn" in text
-
-
-def test_the_page_has_rates_and_ratios_of_the_stores_that_were_measured(tmp_path: Path) -> None:
-    rows = [store_row(OURS), store_row(MCAP, 50), store_row("png", lost=10)]
-    missing = {"key": "h5py-gzip", "missing": "h5py is not installed", "kills": []}
-    rows.append({**missing, "written": [], "read": [], "decoded": []})
-    text = comparison.section(rows, Page(tmp_path / "recording.md"))
-    assert "| **ours**, JPEG | 200 | 50 | 125 | 100 | 2.00 | 10 | all | CRC-32C, verified |" in text
-    assert "| PNG files (OpenCV) | 200 | 50 | 125 | 100 | 2.00 | 10 | none |" in text
-    assert "| written, per CPU-second | 2.00 | 2.00 to 2.00 |" in text
-    assert "gzip 1" not in text
-    assert (tmp_path / "images" / "recording-stores.png").stat().st_size > 1000
 
 
 # The command

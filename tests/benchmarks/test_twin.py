@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from support.commands import run_module
 
-from benchmarks.report import Page
 from benchmarks.sums import sums_by_indenter
-from benchmarks.twin import command, demo, labels, skins
+from benchmarks.twin import command, demo, labels
 from benchmarks.twin.planted import Bench, Truth, felt, printed
 from learning.metrics import r_squared
 from sim.indenters import NAMES, named
@@ -54,18 +53,6 @@ def test_scores_are_r2_over_all_frames_of_a_draw() -> None:
     mean, (low, high) = labels.r2([part, part], "twin")
     assert mean == pytest.approx(r_squared(*flat).mean())
     assert low < mean < high < 1
-
-
-def test_the_page_says_whether_intervals_contain_the_truth(tmp_path: Path) -> None:
-    row = {"number": 0, "errors": {"modulus": 0.02}, "off": {"modulus": 0.5}, "seconds": 9.0}
-    other = row | {"errors": {"modulus": 0.04}, "off": {"modulus": -3.0}}
-    values = {"tier": "layer", "grid": 64, "presses": [["sphere", [1e-3], 8e-4, 1.6]]}
-    values |= {"rows": [row, other], "without": ["skin 2: folds"]}
-    text = skins.section("Skins", values, Page(tmp_path / "page.md"))
-    assert "| modulus | 3.0 % | 3.8 % | 4.0 % |" in text
-    assert "1 of 2 true values lie in their 90 % intervals" in text
-    assert "too narrow, by these factors: modulus 1.67" in text
-    assert "skin 2: folds" in text
 
 
 def test_the_demos_last_line_has_the_errors() -> None:
